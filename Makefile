@@ -1,0 +1,40 @@
+# Two commands matter: `make demo` and `make test`. Both set up .venv on their first run and reuse it afterwards.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: help demo test check install benchmarks proof clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; v=sys.version_info[:2]; sys.exit(0 if (3,11)<=v<=(3,13) else f"sonar_gym needs Python 3.11 to 3.13, this is {v[0]}.{v[1]}: run make PYTHON=python3.11 ...")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+install: $(STAMP)  ## create .venv and install pinned versions
+
+demo: $(STAMP)  ## record, diagnose, correct and drive; leaves demo/report.html and demo/parking.gif
+	$(BIN)/sonar-gym demo --out demo
+
+test: $(STAMP) check  ## lint, types, import contracts, and every test that is not slow
+	$(BIN)/python -m pytest -n 2 --dist loadfile -q
+
+check: $(STAMP)  ## lint, types and import contracts only
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
+	$(BIN)/python -m pytest benchmarks -m '' -q -s
+
+proof: $(STAMP)  ## the slow tests
+	$(BIN)/python -m pytest -m slow -q
+
+clean:  ## remove what was made, the environment included
+	rm -rf $(VENV) demo runs build *.egg-info

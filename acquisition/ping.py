@@ -1,0 +1,177 @@
+"""What a ping faced and what the sensor said, as arrays over n pings.
+
+Units are SI. Silence is data (`EchoStatus.NO_ECHO`), a dead wire is a fault (`EchoStatus.NO_ANSWER`); neither is
+ever NaN, zero metres or maximum range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition.errors import SettingError
+
+Floats = NDArray[np.float64]
+
+
+class EchoStatus(IntEnum):
+    """What kind of answer a reading is."""
+
+    NO_ECHO = 0
+    ECHO = 1
+    NO_ANSWER = 2
+
+
+def _row(value: ArrayLike, n: int | None = None) -> Floats:
+    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    return np.ascontiguousarray(array if n is None else np.broadcast_to(array, (n,)))
+
+
+@dataclass(frozen=True)
+class Ping:
+    """The conditions that n pings faced.
+
+    Attributes:
+        distance: true slant distance to the reflector, m, (n,).
+        angle: bearing of the reflector off the beam axis, rad, (n,).
+        incidence: angle between beam and surface normal, rad, (n,).
+        reflectance: of the reflector, 0..1, (n,); 0.1 rubber, 0.9 mirror in Esmi (2016).
+        time: since the recording began, s, (n,).
+        run: which uninterrupted run of one sensor a ping belongs to, (n,) int.
+        covariates: further logged quantities, each (n,), under their column names (units in the names).
+    """
+
+    distance: Floats
+    angle: Floats
+    incidence: Floats
+    reflectance: Floats
+    time: Floats
+    run: NDArray[np.int64]
+    covariates: Mapping[str, Floats] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        distance: ArrayLike,
+        angle: ArrayLike = 0.0,
+        incidence: ArrayLike | None = None,
+        reflectance: ArrayLike = 1.0,
+        time: ArrayLike | None = None,
+        run: ArrayLike = 0,
+        **covariates: ArrayLike,
+    ) -> Ping:
+        """Broadcast scalars and arrays to one batch; `incidence` defaults to `angle`, `time` to ping numbers.
+
+        >>> Ping.of(distance=[1.0, 2.0], angle=0.1).incidence
+        array([0.1, 0.1])
+        """
+        given = [distance, angle, reflectance, run, *covariates.values()]
+        given += [x for x in (incidence, time) if x is not None]
+        n = max(np.atleast_1d(np.asarray(x)).shape[0] for x in given)
+        return cls(
+            distance=_row(distance, n),
+            angle=_row(angle, n),
+            incidence=_row(angle if incidence is None else incidence, n),
+            reflectance=_row(reflectance, n),
+            time=np.arange(n, dtype=np.float64) if time is None else _row(time, n),
+            run=np.broadcast_to(np.atleast_1d(np.asarray(run, dtype=np.int64)), (n,)).copy(),
+            covariates={name: _row(value, n) for name, value in covariates.items()},
+        )
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that differ and values that are not finite."""
+        n = self.distance.shape
+        for name in ("distance", "angle", "incidence", "reflectance", "time", "run"):
+            value = getattr(self, name)
+            if value.shape != n or value.ndim != 1:
+                raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value a ping")
+            if not np.all(np.isfinite(value)):
+                raise SettingError(f"Ping.{name} holds a value that is not finite: a condition must be known")
+        if np.any(self.distance < 0):
+            raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
+
+    def __len__(self) -> int:
+        """Return the number of pings."""
+        return int(self.distance.shape[0])
+
+    def __getitem__(self, index: ArrayLike | slice) -> Ping:
+        """Return the pings at a mask, slice or array of indices."""
+        pick = index if isinstance(index, slice) else np.atleast_1d(np.asarray(index))
+        parts = {k: getattr(self, k)[pick] for k in ("distance", "angle", "incidence", "reflectance", "time", "run")}
+        return replace(self, **parts, covariates={k: v[pick] for k, v in self.covariates.items()})
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the sensor said to n pings.
+
+    Attributes:
+        range: reported range of the first echo, m, (n,); 0.0 where `status` is not ECHO.
+        status: an `EchoStatus` for each ping, (n,) uint8.
+        echoes: ranges of the echoes after the first, m, (n, k); 0.0 where there was none.
+    """
+
+    range: Floats
+    status: NDArray[np.uint8]
+    echoes: Floats = field(default_factory=lambda: np.empty((0, 0)))
+
+    @classmethod
+    def of(cls, range_: ArrayLike, status: ArrayLike | None = None, echoes: ArrayLike | None = None) -> Reading:
+        """Build readings; without `status`, 0 means no echo and anything positive an echo.
+
+        >>> Reading.of([0.0, 1.5]).echo
+        array([False,  True])
+        """
+        value = _row(range_)
+        code = np.where(value > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO) if status is None else np.asarray(status)
+        more = np.empty((len(value), 0)) if echoes is None else np.asarray(echoes, dtype=np.float64)
+        return cls(value, code.astype(np.uint8), more)
+
+    def __post_init__(self) -> None:
+        """Refuse a range without an echo, an echo without a range, and anything not finite."""
+        echo = self.status == EchoStatus.ECHO
+        if self.range.shape != self.status.shape:
+            raise SettingError(f"Reading.status has shape {self.status.shape}, expected {self.range.shape}")
+        if not np.all(np.isfinite(self.range)) or np.any(self.range[echo] <= 0) or np.any(self.range[~echo] != 0):
+            raise SettingError("Reading.range must be > 0 m where there is an echo and 0 everywhere else")
+
+    def __len__(self) -> int:
+        """Return the number of readings."""
+        return int(self.range.shape[0])
+
+    def __getitem__(self, index: ArrayLike | slice) -> Reading:
+        """Return the readings at a mask, slice or array of indices."""
+        pick = index if isinstance(index, slice) else np.atleast_1d(np.asarray(index))
+        more = self.echoes[pick] if len(self.echoes) == len(self) else self.echoes
+        return Reading(self.range[pick], self.status[pick], more)
+
+    @property
+    def echo(self) -> NDArray[np.bool_]:
+        """Where there was an echo, (n,)."""
+        return self.status == EchoStatus.ECHO
+
+    @property
+    def answered(self) -> NDArray[np.bool_]:
+        """Where the sensor answered at all, (n,)."""
+        return self.status != EchoStatus.NO_ANSWER
+
+
+def previous(reading: Reading, run: NDArray[np.int64]) -> Reading:
+    """Return for each ping the reading before it in its run; the first of a run has status NO_ANSWER.
+
+    Args:
+        reading: n readings in the order they were taken within each run.
+        run: which run each belongs to, (n,).
+    """
+    order = np.argsort(run, kind="stable")
+    before = np.full(len(run), -1)
+    same = run[order][1:] == run[order][:-1]
+    before[order[1:][same]] = order[:-1][same]
+    first = before < 0
+    value = np.where(first, 0.0, reading.range[before])
+    status = np.where(first, EchoStatus.NO_ANSWER, reading.status[before])
+    return Reading.of(value, status)

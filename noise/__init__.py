@@ -1,0 +1,36 @@
+"""Laws of what a sonar reads: physical, learned, corrected. Torch is imported only when a model needs it."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from noise.credence import ConditionPrior, CredenceTable
+from noise.law import EchoLaw
+from noise.model import GaussianModel, IdealModel, SonarModel, simulate
+from noise.store import load_model, model_names, save_model
+
+_LAZY = {"PhysicalModel": "noise.physical", "CATALOGUE": "noise.effects", "diagnose": "noise.discrepancy"}
+
+__all__ = [
+    "CATALOGUE",
+    "ConditionPrior",
+    "CredenceTable",
+    "EchoLaw",
+    "GaussianModel",
+    "IdealModel",
+    "PhysicalModel",
+    "SonarModel",
+    "diagnose",
+    "load_model",
+    "model_names",
+    "save_model",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs torch on first use."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'noise' has no attribute {name!r}")

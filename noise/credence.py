@@ -1,0 +1,100 @@
+"""Credence: the probability that a reading lies within +-10 % of the true distance (Esmi 2016, section 4.1).
+
+Two kinds that must not be mixed up. Credence *given the condition* is `EchoLaw.credence`: it needs the truth.
+Credence *given the reading* is what a robot can compute: P(distance within +-10 % | reading), by Bayes over a stated
+prior of conditions, kept as a table over readings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition import Ping, Reading
+from noise.law import CREDENCE_TOLERANCE, Floats
+from noise.model import SonarModel
+
+DEG = np.pi / 180.0
+
+
+@dataclass(frozen=True)
+class ConditionPrior:
+    """What a robot expects to face before it listens: a grid with weights.
+
+    Attributes:
+        near, far: distances are uniform between them, m.
+        distances: number of grid distances.
+        angles_deg: bearings and incidences, equally likely.
+        reflectances: equally likely.
+    """
+
+    near: float = 0.03
+    far: float = 6.0
+    distances: int = 240
+    angles_deg: tuple[float, ...] = (0.0, 7.5, 15.0, 22.5, 30.0, 45.0)
+    reflectances: tuple[float, ...] = (0.1, 0.5, 0.9)
+
+    def grid(self) -> tuple[Ping, int]:
+        """Return all conditions, distance varying fastest, and how many share each distance."""
+        distance = np.linspace(self.near, self.far, self.distances)
+        angle, reflectance = np.meshgrid(np.array(self.angles_deg) * DEG, self.reflectances, indexing="ij")
+        others = angle.size
+        ping = Ping.of(
+            distance=np.tile(distance, others),
+            angle=np.repeat(angle.ravel(), self.distances),
+            reflectance=np.repeat(reflectance.ravel(), self.distances),
+        )
+        return ping, others
+
+
+@dataclass(frozen=True)
+class CredenceTable:
+    """Credence given a reading, tabulated over bins of range.
+
+    Attributes:
+        edges: of the bins, m, (bins + 1,).
+        values: credence of a reading in each bin, (bins,); 0 where the model gives no reading.
+        share: probability of each bin under the prior, (bins,).
+    """
+
+    edges: Floats
+    values: Floats
+    share: Floats
+
+    @classmethod
+    def of(
+        cls,
+        model: SonarModel,
+        prior: ConditionPrior | None = None,
+        bins: int = 300,
+        tolerance: float = CREDENCE_TOLERANCE,
+    ) -> CredenceTable:
+        """Tabulate a model's credence under a prior.
+
+        Args:
+            model: whose laws to invert.
+            prior: of the conditions; the default covers the SRF08's field out to 6 m.
+            bins: of range, equally wide out to 10 % beyond the prior's farthest distance.
+            tolerance: half width of "right", as a share of the true distance.
+        """
+        prior = prior or ConditionPrior()
+        ping, _ = prior.grid()
+        law = model.law(ping)
+        edges = np.linspace(0.0, prior.far * (1 + tolerance), bins + 1)
+        every = np.repeat(edges[:, None], len(ping), axis=1)
+        right_only = np.clip(every, ping.distance * (1 - tolerance), ping.distance * (1 + tolerance))
+        total = np.diff(law.arrival(every), axis=0).sum(axis=1)
+        # a bin that straddles a limit counts by what the law puts on the right side of it
+        right = law.arrival(right_only[1:]).sum(axis=1) - law.arrival(right_only[:-1]).sum(axis=1)
+        return cls(
+            edges,
+            np.divide(np.clip(right, 0.0, total), total, out=np.zeros(bins), where=total > 1e-12),
+            total / len(ping),
+        )
+
+    def given(self, reading: Reading) -> Floats:
+        """Return the credence of each reading, (n,); 0 where there was no echo or no answer."""
+        place = np.clip(np.searchsorted(self.edges, reading.range, side="right") - 1, 0, len(self.values) - 1)
+        beyond = reading.range > self.edges[-1]
+        return np.where(reading.echo & ~beyond, self.values[place], 0.0)

@@ -1,0 +1,1 @@
+"""Where a model and a recording differ, what was left out, and the model corrected."""

@@ -1,0 +1,66 @@
+"""Link effects: what replaces a reading on its way to whoever asked for it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from acquisition import EchoStatus
+from noise.effects.base import Atom, Effect, Parameter, Stage, State, number
+
+FULL_SCALE = 11.008  # m; SRF08 with range register 255
+
+
+class Spike(Effect):
+    """With `probability` the reading is replaced by one anywhere on the scale: the thesis's SHORT fault."""
+
+    name = "spike"
+    stage = Stage.SEQUENCE
+    summary = "Now and then a reading is replaced by an arbitrary one"
+    parameters = (
+        Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: ours", (0.01,)),
+        Parameter("span_m", "m", FULL_SCALE, 0.1, 20.0, "register's scale: Devantech SRF08", (FULL_SCALE,)),
+    )
+    probability: Tensor
+    span_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Mix in a uniform reading."""
+        zero = number(0.0)
+        return state.with_atom(Atom(self.probability, self._uniform, zero, zero))
+
+    def _uniform(self, edge: Tensor) -> Tensor:
+        return torch.clamp(edge / self.span_m, 0.0, 1.0)
+
+
+class DroppedReading(Effect):
+    """With `probability` the sensor says nothing of an echo it heard: a wire or a poll failed."""
+
+    name = "dropped_reading"
+    stage = Stage.SEQUENCE
+    summary = "Now and then a reading is lost, whatever the target"
+    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: ours", (0.02,)),)
+    probability: Tensor
+
+    def apply(self, state: State) -> State:
+        """Mix in silence."""
+        return state.with_atom(Atom(self.probability, torch.zeros_like, number(1.0), number(0.0)))
+
+
+class StaleRepeat(Effect):
+    """With `probability` the register still holds the previous reading: the command was lost."""
+
+    name = "stale_repeat"
+    stage = Stage.SEQUENCE
+    summary = "Now and then the previous reading is given again"
+    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "lost commands 0 to 5 %; wider: ours", (0.02,)),)
+    remembers = True
+    probability: Tensor
+
+    def apply(self, state: State) -> State:
+        """Mix in the previous reading, where there was one."""
+        past, status = state.conditions.past_range, state.conditions.past_status
+        known = (status != EchoStatus.NO_ANSWER).to(torch.float64)
+        echo = (status == EchoStatus.ECHO).to(torch.float64)
+        atom = Atom(self.probability * known, lambda edge: echo * (edge >= past), 1.0 - echo, number(0.0))
+        return state.with_atom(atom)

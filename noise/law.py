@@ -1,0 +1,113 @@
+"""The law of what a ping reads: p(reading | ping), exact on the grid of numbers that the sensor can report.
+
+A law gives an arrival function `arrival(z)`: the probability that an echo is registered at an exact range <= z. The
+register holds whole steps of `resolution` q: step j stands for exact ranges in ((j - 1/2) q, (j + 1/2) q], the first
+step for everything below 3/2 q (a register of 0 means no echo), the last for everything above. What is left is
+split between no echo and no answer, so all probabilities sum to one.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition import EchoStatus, Reading
+
+Floats = NDArray[np.float64]
+CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
+
+
+class EchoLaw(ABC):
+    """Law of the readings of n pings.
+
+    Attributes:
+        distance: true distances, m, (n,).
+        resolution: step of the register, m.
+        max_range: of the register's last step, m.
+    """
+
+    def __init__(self, distance: Floats, resolution: float, max_range: float) -> None:
+        self.distance = distance
+        self.resolution = resolution
+        self.max_range = max_range
+
+    @abstractmethod
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf allowed."""
+
+    @property
+    @abstractmethod
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer), (n,)."""
+
+    def __len__(self) -> int:
+        """Return the number of pings."""
+        return len(self.distance)
+
+    @property
+    def last_step(self) -> int:
+        """Number of the register's last step."""
+        return max(1, round(self.max_range / self.resolution))
+
+    @property
+    def echo(self) -> Floats:
+        """P(an echo is registered), (n,)."""
+        return self.arrival(np.full(len(self), np.inf))
+
+    @property
+    def no_echo(self) -> Floats:
+        """P(the sensor answers that there is no echo), (n,)."""
+        return np.clip(1.0 - self.echo - self.no_answer, 0.0, 1.0)
+
+    def step(self, range_: ArrayLike) -> NDArray[np.int64]:
+        """Return the register's step nearest to a range in m, 1 to `last_step`."""
+        nearest = np.rint(np.asarray(range_, dtype=np.float64) / self.resolution)
+        return np.clip(nearest, 1, self.last_step).astype(np.int64)
+
+    def cdf_step(self, step: NDArray[np.int64]) -> Floats:
+        """Return P(echo and register <= step), (n,) or (m, n); steps below 1 give 0."""
+        edge = np.where(step >= self.last_step, np.inf, (step + 0.5) * self.resolution)
+        return np.where(step < 1, 0.0, self.arrival(edge))
+
+    def cdf(self, range_: ArrayLike) -> Floats:
+        """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
+        return self.cdf_step(np.floor(np.asarray(range_) / self.resolution + 1e-9).astype(np.int64))
+
+    def log_prob(self, reading: Reading) -> Floats:
+        """Return the log probability of each reading, nats, (n,); -inf where the law excludes it."""
+        step = self.step(reading.range)
+        with np.errstate(divide="ignore"):
+            echo = np.log(np.maximum(self.cdf_step(step) - self.cdf_step(step - 1), 0.0))
+            table = np.stack([np.log(self.no_echo), echo, np.log(self.no_answer)])
+        return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Draw a reading for each ping by inverting the law on its grid: one uniform number a ping."""
+        u = rng.random(len(self))
+        p_echo = self.echo
+        step = self._invert(np.minimum(u, p_echo))
+        status = np.where(u < p_echo, EchoStatus.ECHO, EchoStatus.NO_ECHO)
+        status = np.where(u >= 1.0 - self.no_answer, EchoStatus.NO_ANSWER, status)
+        return Reading.of(np.where(status == EchoStatus.ECHO, step * self.resolution, 0.0), status)
+
+    def _invert(self, u: Floats) -> NDArray[np.int64]:
+        """Return the smallest step whose cdf exceeds u, by bisection."""
+        low, high = np.zeros(len(self), dtype=np.int64), np.full(len(self), self.last_step)
+        while np.any(high - low > 1):
+            middle = (low + high) // 2
+            above = self.cdf_step(middle) > u
+            low, high = np.where(above, low, middle), np.where(above, middle, high)
+        return high
+
+    def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
+        """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
+        low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)
+        high = np.floor((1 + tolerance) * self.distance / self.resolution + 1e-9).astype(np.int64)
+        return np.clip(self.cdf_step(high) - self.cdf_step(low - 1), 0.0, 1.0)
+
+    def quantile(self, p: ArrayLike) -> Floats:
+        """Return the reading below which a share p of the *echoes* lies, m, (n,); 0 where an echo cannot be."""
+        echo = self.echo
+        return np.where(echo > 0, self._invert(np.asarray(p) * echo * (1 - 1e-12)) * self.resolution, 0.0)

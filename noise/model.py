@@ -1,0 +1,147 @@
+"""Sonar models: maps from what a ping faced to the law of its reading. Those here need numpy and scipy alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.special import ndtr
+
+from acquisition import Ping, Reading, SettingError, previous
+from noise.law import EchoLaw, Floats
+
+MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
+
+
+@runtime_checkable
+class SonarModel(Protocol):
+    """A map from pings to laws.
+
+    Attributes:
+        resolution: step of the register, m.
+        remembers: whether the law depends on the previous reading.
+    """
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        ...
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the law depends on the previous reading."""
+        ...
+
+    def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
+        """Return the law of n pings, given the reading before each (None: nothing is known of it)."""
+        ...
+
+
+class NormalLaw(EchoLaw):
+    """One normal arrival per ping, with a chance of no echo; `sigma` 0 is certainty."""
+
+    def __init__(
+        self, ping: Ping, mean: Floats, sigma: Floats, miss: Floats, resolution: float, max_range: float
+    ) -> None:
+        super().__init__(ping.distance, resolution, max_range)
+        self.mean, self.sigma, self.miss = mean, sigma, miss
+
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z)."""
+        certain = np.where(z >= self.mean, np.inf, -np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            score = np.where(self.sigma > 0, (z - self.mean) / self.sigma, certain)
+        return (1.0 - self.miss) * ndtr(score)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer): never."""
+        return np.zeros(len(self))
+
+
+@dataclass(frozen=True)
+class IdealModel:
+    """A sonar that reads the true distance, always: what most simulators assume.
+
+    Args:
+        resolution: step of the register, m.
+        max_range: farther reflectors give no echo, m.
+
+    >>> import numpy as np
+    >>> law = IdealModel().law(Ping.of(distance=[0.5, 2.0]))
+    >>> law.sample(np.random.default_rng(0)).range
+    array([0.5, 2. ])
+    >>> law.credence()
+    array([1., 1.])
+    """
+
+    resolution: float = 0.001
+    max_range: float = MAX_RANGE
+    remembers: bool = False
+
+    def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
+        """Return the law of n pings: certainty."""
+        miss = (ping.distance > self.max_range).astype(np.float64)
+        return NormalLaw(ping, ping.distance, np.zeros(len(ping)), miss, self.resolution, self.max_range)
+
+
+@dataclass(frozen=True)
+class GaussianModel:
+    """True distance plus normal noise, the usual stand-in for a sonar.
+
+    Args:
+        sigma: standard deviation at zero distance, m.
+        sigma_per_metre: its growth with distance, m per m.
+        miss: probability of no echo.
+        resolution: step of the register, m.
+        max_range: farther reflectors give no echo, m.
+    """
+
+    sigma: float = 0.01
+    sigma_per_metre: float = 0.005
+    miss: float = 0.0
+    resolution: float = 0.001
+    max_range: float = MAX_RANGE
+    remembers: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what is no probability or no deviation."""
+        if self.sigma < 0 or self.sigma_per_metre < 0:
+            raise SettingError(f"GaussianModel.sigma must be >= 0 m, got {self.sigma:g} m")
+        if not 0 <= self.miss <= 1:
+            raise SettingError(f"GaussianModel.miss must lie in [0, 1], got {self.miss:g}")
+
+    def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
+        """Return the law of n pings."""
+        sigma = self.sigma + self.sigma_per_metre * ping.distance
+        miss = np.where(ping.distance > self.max_range, 1.0, self.miss)
+        return NormalLaw(ping, ping.distance, sigma, miss, self.resolution, self.max_range)
+
+
+def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading:
+    """Draw a reading for every ping, in the order of each run where the model remembers.
+
+    Args:
+        model: whose laws to sample.
+        ping: the conditions, (n,), in the order in which they were faced.
+        rng: the only source of chance.
+    """
+    if not model.remembers:
+        return model.law(ping).sample(rng)
+    reading = Reading.of(np.zeros(len(ping)), np.full(len(ping), 2))
+    value, status = reading.range.copy(), reading.status.copy()
+    for rows, before in _in_step(ping.run):
+        past = previous(Reading(value, status), ping.run)[rows] if before else None
+        drawn = model.law(ping[rows], past).sample(rng)
+        value[rows], status[rows] = drawn.range, drawn.status
+    return Reading.of(value, status)
+
+
+def _in_step(run: np.ndarray) -> list[tuple[np.ndarray, bool]]:
+    """Return for k = 0, 1, ... the rows that are k-th in their run, and whether any came before."""
+    order = np.argsort(run, kind="stable")
+    starts = np.r_[0, np.flatnonzero(np.diff(run[order])) + 1]
+    rank = np.empty(len(run), dtype=np.int64)
+    rank[order] = np.arange(len(run)) - np.repeat(starts, np.diff(np.r_[starts, len(run)]))
+    return [(np.flatnonzero(rank == k), k > 0) for k in range(int(rank.max(initial=-1)) + 1)]

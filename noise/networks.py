@@ -1,0 +1,1 @@
+"""Learned laws: networks from conditions to mixtures over what a register reads."""

@@ -1,0 +1,85 @@
+"""Models by name or path: `load_model("srf08-mlp")`, `load_model("run/corrected")`, `save_model(model, folder)`.
+
+A saved model is a folder with `model.json` (what it is, its parameters) and, for networks, `weights.safetensors`.
+Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from acquisition import ModelError, UnknownModelError
+from noise.model import GaussianModel, IdealModel, SonarModel
+
+FORMAT = 1
+WEIGHTS = Path(__file__).parent / "weights"
+BUILT_IN = {"ideal": IdealModel, "gaussian": GaussianModel}
+KINDS = {  # kind in model.json -> module and class; imported when asked for, since they need torch
+    "physical": ("noise.physical", "PhysicalModel"),
+}
+
+
+def model_names() -> list[str]:
+    """Return the names that `load_model` knows."""
+    shipped = sorted(path.parent.name for path in WEIGHTS.glob("*/model.json"))
+    return [*BUILT_IN, *shipped]
+
+
+def load_model(name: str | os.PathLike[str]) -> SonarModel:
+    """Return a model by name ("ideal", "gaussian", "srf08-mlp", ...) or by the path of its folder.
+
+    Raises:
+        UnknownModelError: neither a known name nor a folder.
+        ModelError: the folder does not hold a model that this version can read.
+    """
+    if str(name) in BUILT_IN:
+        return BUILT_IN[str(name)]()
+    shipped = WEIGHTS / str(name)
+    folder = shipped if (shipped / "model.json").is_file() else Path(name)
+    if not folder.is_dir():
+        known = ", ".join(model_names())
+        raise UnknownModelError(f"model {str(name)!r}: no such name or folder; known names: {known}")
+    data = _read(folder)
+    module, attribute = KINDS[data["kind"]]
+    cls = getattr(importlib.import_module(module), attribute)
+    return cls.load(folder, data) if hasattr(cls, "load") else cls.from_dict(data)
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    path = folder / "model.json"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ModelError(f"{folder}: holds no model.json; give the folder of a saved model") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: not a model file ({error}); it may be damaged") from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("kind") not in KINDS:
+        raise ModelError(f"{path}: not a model of format {FORMAT} and kind {', '.join(KINDS)}")
+    return data
+
+
+def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
+    """Write a model's folder atomically, replacing one that is there; returns the folder.
+
+    Args:
+        model: anything with `to_dict()`; `write_weights(folder)` is called where there is one.
+        folder: to write.
+    """
+    folder = Path(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=folder.name))
+    if hasattr(model, "write_weights"):
+        model.write_weights(temporary)
+    text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
+    (temporary / "model.json").write_text(text + "\n", encoding="utf-8")
+    temporary.chmod(0o755)
+    if folder.exists():
+        shutil.rmtree(folder)
+    os.replace(temporary, folder)
+    return folder

@@ -1,0 +1,1 @@
+"""Gymnasium environments and wrappers with a real sonar."""

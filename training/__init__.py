@@ -1,0 +1,1 @@
+"""Commands: training, diagnosis, demonstrations. Imported by nothing."""
