@@ -19,6 +19,7 @@ from noise.effects.base import DETECTION_WIDTH_DB, new_path, number, wall_level_
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE
 
+EVERYTHING = 1e6  # m; beyond any gate
 TINY = 1e-300  # keeps the logarithm of an excluded reading finite where gradients are taken
 
 
@@ -42,7 +43,8 @@ class PhysicalLaw(EchoLaw):
         state = self.state
         if state.step > 0:
             edge = (torch.floor(edge / state.step + 1e-9) + 0.5) * state.step
-        z = torch.minimum((edge - state.offset) / state.scale, state.gate)
+        # a finite "everything": the derivative of inf / scale is not a number
+        z = torch.minimum((torch.clamp(edge, max=EVERYTHING) - state.offset) / state.scale, state.gate)
         log_weight = state.log_weight - torch.logsumexp(state.log_weight, dim=0)
         core = -torch.expm1(torch.logsumexp(self.log_survival(z.unsqueeze(-2)) + log_weight, dim=-2))
         for atom in state.atoms:
