@@ -248,7 +248,7 @@ def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Genera
     keys = [(name, p.name) for p in stack.known[name].parameters]
     columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
     first = [column[0] for column in columns]
-    points = [first]
+    points = [[stack.get(key) for key in keys], first]
     for j, column in enumerate(columns):
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)

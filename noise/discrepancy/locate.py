@@ -21,6 +21,7 @@ from noise.fit import Stack
 from noise.law import EchoLaw, Floats
 
 ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "time_correlation", "repeat")
+ONE_SIDED = ("early", "late")  # fewer strays than expected only says that the scatter was fitted too wide
 EXTRA = 1e-3  # share of echoes beyond which a reading counts as one of an extra mode
 FLIPS = 400
 LEAST_BLOCKS = 6
@@ -221,10 +222,17 @@ def locate(stack: Stack, batch: Batch, rng: np.random.Generator, most: int = 5, 
         p = scanned.p_value(abs(value))
         if p > level or len(out) >= most:
             break
+        if ASPECTS[column] in ONE_SIDED and value < 0:
+            continue
         finding = describe(ASPECTS[column], scanned.where[row], seen, batch, p, value)
-        if finding.aspect not in {f.aspect for f in out}:
+        if _family(finding.aspect) not in {_family(f.aspect) for f in out}:
             out.append(finding)
     return out
+
+
+def _family(aspect: str) -> str:
+    """Return what an aspect is a shadow of: a bias also bends spread and skew wherever it changes."""
+    return "bias" if aspect in ("bias", "scale", "spread", "skew") else aspect
 
 
 def describe(aspect: str, where: Region, seen: Residuals, batch: Batch, p: float, statistic: float) -> Finding:
