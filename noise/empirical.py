@@ -43,7 +43,6 @@ class Flexible(Effect):
         *_knots("spread", "m", 0.0, 0.0, 0.2),
         *_knots("silence", "1", 0.0, 0.0, 0.98),
     )
-    prior_share = 0.125  # standard deviation of each knot's prior, as a share of its bounds
 
     def _line(self, kind: str, state: State) -> Tensor:
         distance, angle = state.conditions.distance, torch.abs(state.conditions.angle)

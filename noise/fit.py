@@ -34,6 +34,7 @@ NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 TOLERANCE = 1e-7  # of the log likelihood, relative: about 0.002 nats in 20,000
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
+PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,19 @@ class _Objective:
         """Return value and gradient at physical parameter values x, (p,)."""
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         model, cells = self.stack.build(self.free, numbers)
-        total = -log_prob(law_of(model, self.batch), cells, self.batch).sum()
+        total = -log_prob(law_of(model, self.batch), cells, self.batch).sum() + self._prior(numbers)
         (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
         gradient = torch.zeros_like(numbers) if gradient is None else gradient
         return float(total.detach()), np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0)
+
+    def _prior(self, numbers: Tensor) -> Tensor:
+        """Return minus the log prior: normal around the null for what has no cause, flat for everything else."""
+        total = numbers.new_zeros(())
+        for number, key in zip(numbers, self.free, strict=True):
+            if key[0] in self.stack.extra:
+                p = self.stack.parameter(key)
+                total = total + 0.5 * ((number - p.null) / (PRIOR_SHARE * (p.high - p.low))) ** 2
+        return total
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Return least and greatest values, null included, (p,) each."""
@@ -215,11 +225,7 @@ def extra_modes(batch: Batch, most: int = 3) -> list[float]:
     """Return lengths that explain clusters of readings away from the true distance, m: offsets, then fixed ranges."""
     echo = batch.reading.echo
     error = batch.error[echo]
-    if len(error) < 8:
-        return []
-    middle = np.median(error)
-    wide = max(6.0 * 1.4826 * float(np.median(np.abs(error - middle))), 0.05)
-    far = np.abs(error - middle) > wide
+    far = np.abs(error) > np.maximum(0.06, 0.05 * batch.ping.distance[echo])
     return [*_peaks(error[far], most), *_peaks(batch.reading.range[echo][far], most)]
 
 

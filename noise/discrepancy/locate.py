@@ -21,8 +21,9 @@ from noise.fit import Stack
 from noise.law import EchoLaw, Floats
 
 ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "time_correlation", "repeat")
-ONE_SIDED = ("early", "late")  # fewer strays than expected only says that the scatter was fitted too wide
+ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
 EXTRA = 1e-3  # share of echoes beyond which a reading counts as one of an extra mode
+SMALL = 0.01  # keeps the score of what hardly ever happens from outweighing everything else
 FLIPS = 400
 LEAST_BLOCKS = 6
 MM, DEG = 1e-3, np.pi / 180.0
@@ -57,12 +58,14 @@ class Residuals:
 
     Attributes:
         score: of every aspect, (n, aspects).
+        variance: of each score under the law, pings taken as independent, (n, aspects).
         u: randomised PIT value of echoes, nan elsewhere, (n,).
         middle: median reading that the law expects of an echo, m, (n,).
         silent: probability of no echo that the law gives, (n,).
     """
 
     score: Floats
+    variance: Floats
     u: Floats
     middle: Floats
     silent: Floats
@@ -83,41 +86,40 @@ def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals
         given = law_of(model, batch)
         law, sequential = marginal(given, cells), shifted(given, *predicted_offset(given, cells, batch))
     u = pit(law, batch.reading, rng)
-    x = np.nan_to_num(2.0 * u - 1.0)
+    x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, pit(sequential, batch.reading, rng)))
     heard = (~np.isnan(u)).astype(np.float64)
     stretch = (batch.ping.distance - batch.ping.distance.mean()) / max(float(np.std(batch.ping.distance)), 1e-9)
-    p = np.clip(law.no_echo, 0.0, 1.0)
-    score = np.stack(
-        [
-            x,
-            x * stretch,
-            heard * (3.0 * x**2 - 1.0) / 2.0,
-            (5.0 * x**3 - 3.0 * x) / 2.0,
-            ((~batch.reading.echo) - p) / np.sqrt(p * (1.0 - p) + 0.01),
-            heard * ((u < EXTRA) - EXTRA) / np.sqrt(EXTRA),
-            heard * ((u > 1.0 - EXTRA) - EXTRA) / np.sqrt(EXTRA),
-            _neighbours(sequential, batch, rng),
-            _repeats(sequential, batch),
-        ],
-        axis=1,
-    )
-    return Residuals(np.nan_to_num(score), u, law.quantile(0.5), p)
+    p, binary = np.clip(law.no_echo, 0.0, 1.0), np.sqrt(EXTRA)
+    repeat, repeat_variance = _repeats(sequential, batch)
+    pairs = [
+        (x, heard / 3.0),
+        (x * stretch, heard * stretch**2 / 3.0),
+        # within the block: block sums of squares about an unknown offset are too lopsided for flips of sign
+        (heard * (3.0 * own**2 - 1.0) / 2.0, heard / 5.0),
+        ((5.0 * own**3 - 3.0 * own) / 2.0, heard / 7.0),
+        (((~batch.reading.echo) - p) / np.sqrt(p * (1.0 - p) + SMALL), _share(p)),
+        (heard * ((u < EXTRA) - EXTRA) / binary, heard),
+        (heard * ((u > 1.0 - EXTRA) - EXTRA) / binary, heard),
+        (np.where(batch.count > 0, 3.0 * own * np.r_[0.0, own[:-1]], 0.0), heard),
+        (repeat, repeat_variance),
+    ]
+    score, variance = (np.nan_to_num(np.stack(part, axis=1)) for part in zip(*pairs, strict=True))
+    return Residuals(score, variance, u, law.quantile(0.5), p)
 
 
-def _neighbours(law: EchoLaw, batch: Batch, rng: np.random.Generator) -> Floats:
-    """Return the product of neighbouring sequential residuals in a block, (n,)."""
-    x = np.nan_to_num(2.0 * pit(law, batch.reading, rng) - 1.0)
-    before = np.r_[0.0, x[:-1]]
-    return np.where(batch.count > 0, 3.0 * x * before, 0.0)
+def _share(p: Floats) -> Floats:
+    """Return the variance of a yes or no of probability p after division by sqrt(p (1 - p) + SMALL)."""
+    return p * (1.0 - p) / (p * (1.0 - p) + SMALL)
 
 
-def _repeats(law: EchoLaw, batch: Batch) -> Floats:
-    """Return how much more often than expected an echo repeats the one before it to the last digit, (n,)."""
+def _repeats(law: EchoLaw, batch: Batch) -> tuple[Floats, Floats]:
+    """Return how much more often than expected an echo repeats the last to the digit, and its variance, (n,) each."""
     step = law.step(batch.past.range)
     expected = law.cdf_step(step) - law.cdf_step(step - 1)
     known = batch.past.echo & batch.reading.echo
     same = np.abs(batch.past.range - batch.reading.range) < batch.resolution / 2.0
-    return np.where(known, (same - expected) / np.sqrt(expected * (1.0 - expected) + 0.01), 0.0)
+    score = (same - expected) / np.sqrt(expected * (1.0 - expected) + SMALL)
+    return np.where(known, score, 0.0), np.where(known, _share(expected), 0.0)
 
 
 def features(batch: Batch) -> dict[str, Floats]:
@@ -133,7 +135,7 @@ def features(batch: Batch) -> dict[str, Floats]:
     }
     if np.allclose(ping.incidence, ping.angle):
         del table["incidence_deg"]
-    return {name: value for name, value in table.items() if np.ptp(value) > 0}
+    return {name: value for name, value in table.items() if np.ptp(value) > 1e-6 * np.abs(value).max()}
 
 
 def _intervals(value: Floats, bins: int) -> list[tuple[float, float, NDArray[np.bool_]]]:
@@ -189,18 +191,27 @@ class Scan:
         return float(np.abs(self.statistic).max(initial=0.0))
 
 
-def scan(score: Floats, batch: Batch, rng: np.random.Generator) -> Scan:
-    """Scan all regions for every column of scores, (n, aspects)."""
+def scan(seen: Residuals, batch: Batch, rng: np.random.Generator) -> Scan:
+    """Scan all regions for every aspect.
+
+    A statistic is studentised by its blocks, but never by less than independent pings would vary: where an event of
+    small probability did not happen, all blocks agree and their own scatter would be nothing.
+    """
     where = regions(batch)
-    by_block = batch.per_block(score)
+    by_block = batch.per_block(seen.score)
     mask = np.stack([region[1] for region in where]).astype(np.float64)
-    root = np.sqrt(mask @ by_block**2) + 1e-9
+    root = np.sqrt(np.maximum(mask @ by_block**2, mask @ batch.per_block(seen.variance))) + 1e-9
+    one_sided = np.array([aspect in ONE_SIDED for aspect in ASPECTS])
     statistic = (mask @ by_block) / root
     highest = np.empty(FLIPS)
     for k in range(FLIPS):
         sign = rng.integers(0, 2, len(by_block)) * 2.0 - 1.0
-        highest[k] = np.abs((mask @ (by_block * sign[:, None])) / root).max()
-    return Scan(statistic, highest, where)
+        highest[k] = _two_sided((mask @ (by_block * sign[:, None])) / root, one_sided).max()
+    return Scan(np.where(one_sided, np.maximum(statistic, 0.0), statistic), highest, where)
+
+
+def _two_sided(statistic: Floats, one_sided: NDArray[np.bool_]) -> Floats:
+    return np.where(one_sided, statistic, np.abs(statistic))
 
 
 def locate(stack: Stack, batch: Batch, rng: np.random.Generator, most: int = 5, level: float = 0.05) -> list[Finding]:
@@ -214,7 +225,7 @@ def locate(stack: Stack, batch: Batch, rng: np.random.Generator, most: int = 5, 
         level: greatest p-value.
     """
     seen = residuals(stack, batch, rng)
-    scanned = scan(seen.score, batch, rng)
+    scanned = scan(seen, batch, rng)
     out: list[Finding] = []
     for flat in np.argsort(-np.abs(scanned.statistic), axis=None, kind="stable"):
         row, column = np.unravel_index(flat, scanned.statistic.shape)
@@ -222,12 +233,25 @@ def locate(stack: Stack, batch: Batch, rng: np.random.Generator, most: int = 5, 
         p = scanned.p_value(abs(value))
         if p > level or len(out) >= most:
             break
-        if ASPECTS[column] in ONE_SIDED and value < 0:
-            continue
-        finding = describe(ASPECTS[column], scanned.where[row], seen, batch, p, value)
+        aspect = _bias_or_scale(ASPECTS[column], scanned.where[row], seen, batch)
+        finding = describe(aspect, scanned.where[row], seen, batch, p, value)
         if _family(finding.aspect) not in {_family(f.aspect) for f in out}:
             out.append(finding)
     return out
+
+
+def _bias_or_scale(aspect: str, where: Region, seen: Residuals, batch: Batch) -> str:
+    """Return which of the two leaves less over, block by block: the same error everywhere, or a share of distance."""
+    rows = _typical(seen, batch, where[1][batch.block])
+    if aspect not in ("bias", "scale") or rows.sum() < 4:
+        return aspect
+    block, distance = batch.block[rows], batch.ping.distance[rows]
+    error = (batch.reading.range - seen.middle)[rows]
+    count = np.maximum(np.bincount(block), 1)
+    e, d = np.bincount(block, error) / count, np.bincount(block, distance) / count
+    e, d = e[np.bincount(block) > 0], d[np.bincount(block) > 0]
+    constant, share = np.median(e), np.median(e / np.maximum(d, 0.01))
+    return "bias" if np.abs(e - constant).sum() <= np.abs(e - share * d).sum() else "scale"
 
 
 def _family(aspect: str) -> str:
@@ -260,10 +284,10 @@ def _bias(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size:
 
 def _scale(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size:
     rows = _typical(seen, batch, inside)
-    if rows.sum() < 3 or np.ptp(batch.ping.distance[rows]) == 0:
+    if rows.sum() < 3:
         return 0.0, "1", None
-    slope = np.polyfit(batch.ping.distance[rows], (batch.reading.range - seen.middle)[rows], 1)[0]
-    return float(slope), "1", None
+    share = (batch.reading.range - seen.middle)[rows] / np.maximum(batch.ping.distance[rows], 0.01)
+    return float(np.median(share)), "1", None
 
 
 def _spread(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size:

@@ -32,7 +32,9 @@ class Rules:
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
         most_effects: at most so many are added.
         grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
-        fitted: candidates that are fitted after the grid, and of those cross-fitted.
+        fitted: candidates that are fitted after the grid.
+        crossed: of those, the ones that are cross-fitted.
+        rivals: effects that are tried in the place of each chosen one.
     """
 
     least_nats: float = 6.0
@@ -44,6 +46,7 @@ class Rules:
     full_pings: int = 3000
     fitted: int = 10
     crossed: int = 4
+    rivals: int = 6
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class Search:
 
     Attributes:
         base: the given model with its nuisances; effects in it are candidates too, with their values as null.
-        discover, confirm: the two parts.
+        discover, confirm: the two parts; `both` together.
         seed: of the quasi-random starts.
         rules: see `Rules`.
         progress: called with a message and a share done.
@@ -95,6 +98,7 @@ class Search:
     base: Stack
     discover: Batch
     confirm: Batch
+    both: Batch
     seed: int = 0
     rules: Rules = field(default_factory=Rules)
     progress: Progress | None = None
@@ -106,6 +110,7 @@ class Search:
         self.screen = self.discover.thin(self.rules.screen_pings)
         self.discover = self.discover.thin(self.rules.full_pings)
         self.confirm = self.confirm.thin(self.rules.full_pings)
+        self.both = self.both.thin(self.rules.full_pings)
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
