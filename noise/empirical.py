@@ -74,7 +74,7 @@ class EmpiricalModel(PhysicalModel):
             ModelError: an effect is unknown, or a value is not usable.
         """
         effects = data.get("effects", {})
-        known = {**CATALOGUE, Flexible.name: Flexible}
+        known: dict[str, type[Effect]] = {**CATALOGUE, Flexible.name: Flexible}
         if not isinstance(effects, dict) or any(name not in known for name in effects):
             raise ModelError(f"model: `effects` must map known effect ids to parameters: {', '.join(known)}")
         stack = [known[name](**values) for name, values in effects.items()]

@@ -25,6 +25,7 @@ from noise.law import Floats
 from noise.model import SonarModel
 
 Z90 = 1.6449  # two-sided 90 % of a normal
+LEAST_P = 1e-12  # no p-value of a model of the world means more
 ALARM = 0.01  # p-value of a scan below which something is there
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
 
@@ -38,7 +39,8 @@ class Diagnosis:
         corrected: the model with what was found in it; sample it, save it, drive with it. What cells share is in it
             as scatter from ping to ping: a single reading, of whose cell nothing else is known.
         given: the model that was handed in.
-        before: the physical law that stood for it in the search.
+        shown_before: the model, or the physical law that stands for the simulated readings: "before" in every score.
+        before: the law that stood for it in the search, its scatter fitted.
         split: the parts; the vault was used for `verdict.held_out` alone.
         rivals: everything that was tried in the place of each named effect.
         recording: its name; `pings` of it were used, `unanswered` were not.
@@ -47,6 +49,7 @@ class Diagnosis:
     verdict: Verdict
     corrected: EmpiricalModel
     given: SonarModel
+    shown_before: SonarModel
     before: EmpiricalModel
     split: Split
     rivals: tuple[Rival, ...]
@@ -105,6 +108,7 @@ def diagnose(
         replace(verdict, held_out=held, next_measurement=tuple(ahead)),
         corrected_model(final.stack, recording),
         model,
+        base.raw,
         corrected_model(fitted.stack, recording),
         split,
         tuple(all_rivals),
@@ -175,8 +179,9 @@ def _verdict(
     kind = judge(named, rest, gain, p_scan, base)
     shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
     empty = HeldOut("cells", 0, Score(0.0, 0.0), Score(0.0, 0.0), 0.0, 0.0)
-    p = min(1.0, 2.0 * min(p_scan, p_gain))
-    rest = replace(rest, present=False, description=None) if kind == "none" else rest
+    p = max(LEAST_P, min(1.0, 2.0 * min(p_scan, p_gain)))
+    if kind in ("none", "named", "confounded"):
+        rest = replace(rest, present=False, description=None)
     return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts))
 
 
@@ -189,14 +194,15 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
     if not named:
         return "unknown" if p_scan < ALARM and rest.present else "none"
     left = sum(finding.nats for finding in rest.findings)
-    if rest.present:
+    if rest.present and left > SMALL_SHARE * gain:
         catch_all = all(n.effect in CATCH_ALL for n in named)
         return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
     return "confounded" if any(n.indistinguishable_from for n in named) else "named"
 
 
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
-LEFT_SHARE = 0.5
+LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
+SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 
 
 def corrected_model(stack: Stack, recording: Recording) -> EmpiricalModel:

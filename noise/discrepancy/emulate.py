@@ -51,7 +51,9 @@ class Baseline:
         null = Search(self.stack, self.own.discover, self.own.confirm, self.own.both, search.seed, search.rules)
         for name in list(chosen):
             share = self._gain_on_own(null, name, cross)
-            gain = cross.nats - search.cross(search.reset(cross.first.stack, name), [n for n in chosen if n != name]).nats
+            gain = (
+                cross.nats - search.cross(search.reset(cross.first.stack, name), [n for n in chosen if n != name]).nats
+            )
             if share > 0.5 * gain.sum() / len(gain):
                 chosen = [other for other in chosen if other != name]
                 nats, error = float(gain.sum()), spread_over_blocks(gain)

@@ -148,5 +148,3 @@ def _tell(ping: Ping) -> str:
 def _span(value: Floats, unit: str, style: str) -> str:
     low, high = format(value.min(), style), format(value.max(), style)
     return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
-
-

@@ -17,7 +17,7 @@ import torch
 from acquisition import Ping
 from noise.cells import Batch, law_of
 from noise.discrepancy.search import Search
-from noise.fit import CELLS, NUISANCES, SPREAD, Stack, log_likelihood, maximise
+from noise.fit import CELLS, NUISANCES, SPREAD, Stack, maximise
 from noise.law import Floats
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %

@@ -19,6 +19,7 @@ class Split:
     confirm: Batch
     vault: Batch
     both: Batch  # discover and confirm together
+    whole: Batch  # everything, for pictures alone
 
     @classmethod
     def of(cls, batch: Batch, rng: np.random.Generator) -> Split:
@@ -31,4 +32,5 @@ class Split:
         rank[np.lexsort((angle, distance))] = np.arange(len(cells))
         deal = np.concatenate([rng.permutation(DEAL) for _ in range(-(-len(cells) // 4))])
         part = deal[rank][index]
-        return cls(*(batch.select(part == k) for k in range(3)), batch.select(part < 2))
+        discover, confirm, vault = (batch.select(part == k) for k in range(3))
+        return cls(discover, confirm, vault, batch.select(part < 2), batch)
