@@ -96,7 +96,8 @@ def cast_cones(
                 continue
             met = incidence_at(x, y, x2 - x1, y2 - y1)
             if away < distance[i] - TIE or index[i] == NOTHING or met < incidence[i]:
-                distance[i], bearing[i], incidence[i], index[i] = away, math.atan2(y, x), met, k
+                distance[i], incidence[i], index[i] = away, met, k
+                bearing[i] = math.atan2(y, x) if away > TIE else 0.0  # on the face itself no direction is left
                 c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
                 point[i, 0], point[i, 1] = poses[i, 0] + c * x - s * y, poses[i, 1] + s * x + c * y
     return distance, bearing, incidence, index, point
