@@ -21,7 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from acquisition.errors import RecordingError, RecordingNotFoundError
-from acquisition.ping import EchoStatus, Ping, Reading
+from acquisition.ping import EchoStatus, Ping, Reading, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
 TEXT = ("session", "sensor")
@@ -91,11 +91,11 @@ def _read_text(path: Path) -> pd.DataFrame:
         raise RecordingError(f"{path}: not UTF-8 text (byte {error.start}); expected a CSV file") from None
 
 
-def _check_header(path: Path, columns: Sequence[str]) -> None:
-    missing = [name for name in REQUIRED if name not in columns]
+def _check_header(name: str, columns: Sequence[str]) -> None:
+    missing = [column for column in REQUIRED if column not in columns]
     if missing:
         raise RecordingError(
-            f"{path}, line 1: column {missing[0]} is missing, expected {', '.join(REQUIRED)}; "
+            f"{name}, line 1: column {missing[0]} is missing, expected {', '.join(REQUIRED)}; "
             f"found {', '.join(columns)}. `sonar-gym import` maps other names and units"
         )
 
@@ -127,17 +127,21 @@ class Recording:
             RecordingError: a column is missing or a value breaks the format; the first fault is named in full.
         """
         path = Path(path)
-        text = _read_text(path)
-        _check_header(path, list(text.columns))
-        table, faults = _convert(path, text)
+        return cls.from_text(_read_text(path), str(path), skip_bad_rows)
+
+    @classmethod
+    def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
+        """Check a table of text cells as read from a CSV; see `load`. Row k of it stands on line k + 2."""
+        _check_header(name, list(text.columns))
+        table, faults = _convert(name, text)
         if faults and not skip_bad_rows:
             more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
             raise RecordingError(f"{faults[0]}{more}")
         bad_rows = sorted({fault.line - 2 for fault in faults})
         table = table.drop(index=bad_rows).reset_index(drop=True)
         if table.empty:
-            raise RecordingError(f"{path}: holds no rows below its header, expected one row a ping")
-        return cls(table, str(path), tuple(faults))
+            raise RecordingError(f"{name}: holds no rows below its header, expected one row a ping")
+        return cls(table, name, tuple(faults))
 
     @classmethod
     def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
@@ -172,7 +176,13 @@ class Recording:
     def select(self, mask: NDArray[Any]) -> Recording:
         """Return the rows at a mask or array of indices, in their order."""
         rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
-        return replace(self, table=self.table.iloc[rows].reset_index(drop=True))
+        return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))
+
+    def _with_interval(self) -> pd.DataFrame:
+        """Return the table with the time since each run's ping before: among picked rows it can no longer be seen."""
+        if not self.has("time_s") or self.has("interval_s"):
+            return self.table
+        return self.table.assign(interval_s=interval(self.table["time_s"].to_numpy(), self.run))
 
     @cached_property
     def run(self) -> NDArray[np.int64]:
@@ -193,6 +203,7 @@ class Recording:
         """What the sensor faced."""
         angle = self.table["angle_deg"].to_numpy() * DEG
         column = self.table.get
+        table = self._with_interval()
         return Ping.of(
             distance=self.table["distance_mm"].to_numpy() * MM,
             angle=angle,
@@ -200,7 +211,10 @@ class Recording:
             reflectance=column("reflectance", pd.Series(1.0, self.table.index)).to_numpy(),
             time=column("time_s", pd.Series(np.arange(len(self)), dtype=np.float64)).to_numpy(),
             run=self.run,
-            **{name: self.table[name].to_numpy() for name in self.covariates},
+            **{
+                name: table[name].to_numpy()
+                for name in (*self.covariates, *table.columns.difference(self.table.columns))
+            },
         )
 
     @cached_property
@@ -239,12 +253,15 @@ class Recording:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        with os.fdopen(handle, "w", newline="") as file:
-            self.table.to_csv(file, index=False, float_format="%.10g")
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        try:
+            with os.fdopen(handle, "w", newline="") as file:
+                self.table.to_csv(file, index=False, float_format="%.10g")
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        finally:
+            Path(temporary).unlink(missing_ok=True)
         return path
 
 
@@ -252,7 +269,7 @@ def _is_complete_number(column: pd.Series) -> bool:
     return pd.api.types.is_numeric_dtype(column) and bool(np.isfinite(column.to_numpy(dtype=np.float64)).all())
 
 
-def _convert(path: Path, text: pd.DataFrame) -> tuple[pd.DataFrame, list[Fault]]:
+def _convert(file: str, text: pd.DataFrame) -> tuple[pd.DataFrame, list[Fault]]:
     """Turn text columns into numbers where they are numbers, and list what breaks the rules."""
     faults: list[Fault] = []
     columns: dict[str, pd.Series] = {}
@@ -260,7 +277,7 @@ def _convert(path: Path, text: pd.DataFrame) -> tuple[pd.DataFrame, list[Fault]]
         number = _numbers(text[name])
         if name in CONDITION or _is_reading(name):
             rows = np.flatnonzero(_faulty(name, text[name], number))
-            faults += [Fault(str(path), int(r) + 2, name, text[name].iloc[r], _expectation(name)) for r in rows]
+            faults += [Fault(file, int(r) + 2, name, text[name].iloc[r], _expectation(name)) for r in rows]
             columns[name] = number
         else:
             empty = text[name] == ""

@@ -1,58 +1,72 @@
-"""The console command `sonar-gym`: one subcommand a module, each a frozen `Args` dataclass with a `main`."""
+"""The console command `sonar-gym`: one subcommand a module, each with a frozen `Args` dataclass and a `main`."""
 
 from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
 
 import tyro
 
-from acquisition import SonarError
+from acquisition import MissingExtraError, SonarError
 
-# subcommand -> module under `training` that holds `Args` and `main(args) -> None`
+# subcommand -> (module under `training` with `Args` and `main(args)`, what it does); imported only when it runs,
+# so that recording on a small machine needs none of the heavy packages
 COMMANDS = {
-    "demo": "training.demo",
-    "record": "training.record",
-    "import": "training.foreign",
-    "train-noise": "training.noise_model",
-    "diagnose": "training.diagnose",
+    "demo": ("training.demo", "the whole chain in three minutes: record, diagnose, correct, drive"),
+    "record": ("training.record", "record a survey with a sonar, or with the waveform rig where there is none"),
+    "import": ("training.foreign", "turn a log of another program into a recording"),
+    "train-noise": ("training.noise_model", "train a noise model on a recording"),
+    "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
 }
-USAGE = 2
-
-
-def _commands(names: Sequence[str]) -> tuple[dict[str, Any], dict[str, Callable[[Any], None]]]:
-    modules = {name: importlib.import_module(COMMANDS[name]) for name in names}
-    return {name: module.Args for name, module in modules.items()}, {n: m.main for n, m in modules.items()}
+USAGE_ERROR, INTERRUPTED = 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run one subcommand; what a user can mend is told in one line on stderr, with exit code 2."""
     argv = list(sys.argv[1:] if argv is None else argv)
-    # importing only the module that runs keeps `sonar-gym record` free of torch
-    names = [argv[0]] if argv and argv[0] in COMMANDS else list(COMMANDS)
-    types, mains = _commands(names)
-    parser = tyro.extras.SubcommandApp()
-    for name, args in types.items():
-        parser.command(name=name)(_runner(args, mains[name]))
+    if not argv or argv[0] in ("-h", "--help"):
+        print(overview())
+    elif argv[0] == "--version":
+        print(f"sonar-gym {version('sonar-gym')}")
+    elif argv[0] not in COMMANDS:
+        _stop(f"{argv[0]!r} is no command; there are {', '.join(COMMANDS)}. `sonar-gym --help` tells what they do")
+    else:
+        _run(argv[0], argv[1:])
+
+
+def overview() -> str:
+    """Return what the commands do, a line each."""
+    lines = [f"  {name:<12} {summary}" for name, (_, summary) in COMMANDS.items()]
+    head = "sonar-gym: real sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]\n\ncommands:"
+    return "\n".join([head, *lines, "\n`sonar-gym COMMAND --help` lists the options of each."])
+
+
+def _run(name: str, argv: Sequence[str]) -> None:
     try:
-        parser.cli(prog="sonar-gym", args=argv, description=__doc__)
+        module = _load(name)
+        args = tyro.cli(module.Args, prog=f"sonar-gym {name}", description=module.__doc__, args=argv)
+        module.main(args)
     except SonarError as error:
-        print(f"sonar-gym: {' '.join(str(error).split())}", file=sys.stderr)
-        raise SystemExit(USAGE) from None
+        _stop(str(error))
     except KeyboardInterrupt:
         print("sonar-gym: interrupted; what was written before is whole", file=sys.stderr)
-        raise SystemExit(130) from None
+        raise SystemExit(INTERRUPTED) from None
 
 
-def _runner(args: type, run: Callable[[Any], None]) -> Callable[[Any], None]:
-    def command(settings: Any) -> None:
-        run(settings)
+def _load(name: str) -> Any:  # a module with Args and main
+    try:
+        return importlib.import_module(COMMANDS[name][0])
+    except ModuleNotFoundError as error:
+        hint = "pip install 'sonar-gym[all]'"
+        raise MissingExtraError(f"`sonar-gym {name}` needs the package {error.name!r}: {hint}") from None
 
-    command.__annotations__ = {"settings": Annotated[args, tyro.conf.arg(name="")], "return": None}
-    command.__doc__ = args.__doc__
-    return command
+
+def _stop(message: str) -> None:
+    print(f"sonar-gym: {' '.join(message.split())}", file=sys.stderr)
+    raise SystemExit(USAGE_ERROR)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,131 @@
+"""The CSV format: what is kept, what is refused, and how a fault is named."""
+
+import os
+import stat
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError
+
+HEADER = "distance_mm,angle_deg,reading_mm"
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_zero_is_no_echo_and_empty_is_no_answer(tmp_path):
+    recording = Recording.load(write(tmp_path / "r.csv", f"{HEADER}\n1000,0,1003\n1000,0,0\n1000,0,\n"))
+    assert recording.reading.status.tolist() == [EchoStatus.ECHO, EchoStatus.NO_ECHO, EchoStatus.NO_ANSWER]
+    assert recording.reading.range.tolist() == pytest.approx([1.003, 0.0, 0.0])
+
+
+def test_units_become_si(tmp_path):
+    ping = Recording.load(write(tmp_path / "r.csv", f"{HEADER},incidence_deg\n1500,30,1503,10\n")).ping
+    assert ping.distance[0] == pytest.approx(1.5)
+    assert ping.angle[0] == pytest.approx(np.pi / 6)
+    assert ping.incidence[0] == pytest.approx(np.pi / 18)
+
+
+def test_unknown_columns_are_kept_numbers_as_covariates(tmp_path):
+    text = f"{HEADER},light,note,pressure_hpa\n1000,0,1003,12,door open,1010\n1000,0,1003,13,,\n"
+    recording = Recording.load(write(tmp_path / "r.csv", text))
+    assert recording.covariates == ("light",)  # pressure is not logged in every row: kept, but no covariate
+    assert recording.table["note"].tolist() == ["door open", ""]
+    assert recording.table["pressure_hpa"][0] == 1010
+    again = Recording.load(recording.save(tmp_path / "again.csv"))
+    assert list(again.table.columns) == list(recording.table.columns)
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("abc,0,1003", "line 3, column distance_mm: 'abc', expected a number from 0 to 100000"),
+        ("-5,0,1003", "line 3, column distance_mm: '-5', expected a number from 0 to 100000"),
+        ("nan,0,1003", "line 3, column distance_mm: 'nan', expected a number from 0 to 100000"),
+        (",0,1003", "line 3, column distance_mm: '', expected a number from 0 to 100000"),
+        ("1000,inf,1003", "line 3, column angle_deg: 'inf', expected a number from -180 to 180"),
+        ("1000,0,-1", "line 3, column reading_mm: '-1', expected a number from 0 to 100000, 0 for no echo, or nothing"),
+        (
+            "1000,0,NaN",
+            "line 3, column reading_mm: 'NaN', expected a number from 0 to 100000, 0 for no echo, or nothing",
+        ),
+    ],
+)
+def test_a_bad_row_is_named_to_the_letter_and_costs_no_other(tmp_path, row, message):
+    path = write(tmp_path / "bad.csv", f"{HEADER}\n1000,0,1003\n{row}\n1000,0,1004\n")
+    with pytest.raises(RecordingError) as caught:
+        Recording.load(path)
+    assert str(caught.value).startswith(f"{path}, {message}")
+    rest = Recording.load(path, skip_bad_rows=True)
+    assert rest.table["reading_mm"].tolist() == [1003.0, 1004.0]
+    assert [fault.line for fault in rest.rejected] == [3]
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    with pytest.raises(RecordingNotFoundError, match="no such file"):
+        Recording.load(tmp_path / "nothing.csv")
+    with pytest.raises(RecordingError, match="is a folder"):
+        Recording.load(tmp_path)
+    with pytest.raises(RecordingError, match="the file is empty"):
+        Recording.load(write(tmp_path / "empty.csv", ""))
+    with pytest.raises(RecordingError, match="holds no rows"):
+        Recording.load(write(tmp_path / "header.csv", HEADER + "\n"))
+    with pytest.raises(RecordingError, match="column angle_deg is missing"):
+        Recording.load(write(tmp_path / "short.csv", "distance_mm,reading_mm\n1,2\n"))
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00\x81" * 10)
+    with pytest.raises(RecordingError):
+        Recording.load(tmp_path / "bytes.csv")
+
+
+def test_sessions_make_runs_and_conditions_make_cells(tmp_path):
+    text = f"{HEADER},session,sensor\n1000,0,1003,a,left\n1000,0,1003,a,right\n2000,0,2003,a,left\n1000,0,1003,b,left\n"
+    recording = Recording.load(write(tmp_path / "r.csv", text))
+    assert recording.run.tolist() == [0, 1, 0, 2]
+    assert recording.cell.tolist() == [0, 0, 1, 0]
+
+
+@pytest.mark.parametrize(("step", "expected"), [(10.0, 0.01), (25.4, 0.0254), (1.0, 0.001), (0.17, 0.001)])
+def test_the_grid_of_the_readings_is_found(step, expected):
+    rng = np.random.default_rng(0)
+    reading = np.rint(rng.uniform(300, 5000, 200) / step) * step
+    recording = Recording.of(Ping.of(np.full(200, 1.0)), Reading.of(reading / 1000))
+    assert recording.resolution == pytest.approx(expected)
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(
+        st.tuples(st.floats(0.03, 6), st.floats(-0.7, 0.7), st.sampled_from([0.0, 0.5, 3.25]), st.integers(0, 2)),
+        min_size=1,
+        max_size=20,
+    )
+)
+def test_saving_and_loading_changes_nothing(tmp_path_factory, rows):
+    distance, angle, reading, run = (np.array(column) for column in zip(*rows, strict=True))
+    recording = Recording.of(Ping.of(distance, angle, run=run, temperature_c=20.0), Reading.of(reading))
+    again = Recording.load(recording.save(tmp_path_factory.mktemp("r") / "r.csv"))
+    np.testing.assert_allclose(again.ping.distance, distance, atol=1e-9)
+    np.testing.assert_allclose(again.ping.angle, angle, atol=1e-7)
+    np.testing.assert_array_equal(again.reading.status, recording.reading.status)
+    assert again.covariates == ("temperature_c",)
+
+
+def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
+    recording = Recording.of(Ping.of([1.0]), Reading.of([1.0]))
+    path = recording.save(tmp_path / "r.csv")
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        recording.save(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["r.csv"]
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644

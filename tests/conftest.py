@@ -1,0 +1,19 @@
+"""What all tests share: where real recordings lie, and quiet libraries."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+os.environ.setdefault("MPLBACKEND", "Agg")
+SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def real_recordings() -> Path:
+    """Folder of real recordings, which are not part of the project."""
+    folder = SHARED / "recordings"
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings at {folder}: set SONAR_GYM_SHARED to the folder that holds them")
+    return folder
