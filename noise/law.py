@@ -98,7 +98,7 @@ class EchoLaw(ABC):
         """Return the smallest step whose cdf exceeds u, by cutting what is left into equal parts again and again."""
         low, high = np.zeros(len(self), dtype=np.int64), np.full(len(self), self.last_step)
         # a call costs more than its numbers where pings are few, as in a simulator's step: many parts, few calls
-        parts = 32 if len(self) <= FEW else 2
+        parts = 128 if len(self) <= FEW else 2
         share = np.arange(1, parts)[:, None]
         columns = np.arange(len(self))
         while np.any(high - low > 1):

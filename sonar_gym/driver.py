@@ -196,7 +196,7 @@ class ParkingDriver:
     def _choose(self, space: Space, pose: Floats) -> None:
         """Plan two arcs into a space; its beginning is the mean of what both sonars on the right say."""
         rear, heard = self._profile("right rear")
-        again = [s for s in spaces(rear[:, 0], heard, self._half[self.index["right rear"]])]
+        again = spaces(rear[:, 0], heard, self._half[self.index["right rear"]])
         close = [s.begin for s in again if abs(s.begin - space.begin) < 0.1]
         self.space = Space(float(np.mean([space.begin, *close])), space.end)
         self.kerb = self._kerb_y(self.space)
