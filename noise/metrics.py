@@ -131,10 +131,13 @@ def credence_reliability(
     place = np.minimum((said * bins).astype(np.int64), bins - 1)
     scores = [_score_or_none(true, g, place == k) for k in range(bins)]
     count = np.bincount(place, minlength=bins)
-    mean_said = np.divide(
-        np.bincount(place, weights=said, minlength=bins), count, where=count > 0, out=np.full(bins, np.nan)
+    total = np.bincount(place, weights=said, minlength=bins)
+    return Reliability(
+        said=np.divide(total, count, where=count > 0, out=np.full(bins, np.nan)),
+        came_true=np.array([score.mean for score in scores]),
+        error=np.array([score.error for score in scores]),
+        pings=count,
     )
-    return Reliability(mean_said, *np.array([(s.mean, s.error) for s in scores]).T, count)
 
 
 def _score_or_none(value: NDArray[np.bool_], cluster: NDArray, rows: NDArray[np.bool_]) -> Score:
