@@ -39,6 +39,10 @@ class EchoLaw(ABC):
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf allowed."""
 
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range in (low, high]); laws that know their tails do better."""
+        return np.maximum(self.arrival(high) - self.arrival(low), 0.0)
+
     @property
     @abstractmethod
     def no_answer(self) -> Floats:
@@ -70,8 +74,12 @@ class EchoLaw(ABC):
 
     def cdf_step(self, step: NDArray[np.int64]) -> Floats:
         """Return P(echo and register <= step), (n,) or (m, n); steps below 1 give 0."""
-        edge = np.where(step >= self.last_step, np.inf, (step + 0.5) * self.resolution)
-        return np.where(step < 1, 0.0, self.arrival(edge))
+        return np.where(step < 1, 0.0, self.arrival(self.edge(step)))
+
+    def edge(self, step: NDArray[np.int64]) -> Floats:
+        """Return the exact range up to which a step stands, m; -inf below the first step, +inf from the last on."""
+        inside = (step + 0.5) * self.resolution
+        return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
 
     def cdf(self, range_: ArrayLike) -> Floats:
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
@@ -81,7 +89,7 @@ class EchoLaw(ABC):
         """Return the log probability of each reading, nats, (n,); -inf where the law excludes it."""
         step = self.step(reading.range)
         with np.errstate(divide="ignore"):
-            echo = np.log(np.maximum(self.cdf_step(step) - self.cdf_step(step - 1), 0.0))
+            echo = np.log(self.between(self.edge(step - 1), self.edge(step)))
             table = np.stack([np.log(self.no_echo), echo, np.log(self.no_answer)])
         return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
 
