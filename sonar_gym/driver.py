@@ -303,14 +303,14 @@ def run_episode(env: gymnasium.Env, driver: Driver, seed: int | None = None, pic
     driver.reset()
     observation, info = env.reset(seed=seed)
     seen, truths, score, done = [observation], [info["distance"]], 0.0, False
-    frames = [env.render()] if draw else []
+    frames = [_picture(env)] if draw else []
     while not done:
         observation, reward, terminated, truncated, info = env.step(driver.act(observation))
         seen.append(observation)
         truths.append(info["distance"])
         score, done = score + float(reward), terminated or truncated
         if draw:
-            frames.append(env.render())
+            frames.append(_picture(env))
     return Episode(
         bool(info["is_success"]),
         bool(info["collision"]),
@@ -322,3 +322,7 @@ def run_episode(env: gymnasium.Env, driver: Driver, seed: int | None = None, pic
         np.array([o["credence"] for o in seen], dtype=np.float64),
         np.array(truths),
     )
+
+
+def _picture(env: gymnasium.Env) -> NDArray[np.uint8]:
+    return np.asarray(env.render(), dtype=np.uint8)
