@@ -105,8 +105,8 @@ class Session:
         kept = reading.echoes[:, : self.echoes - 1]
         echoes[:, : kept.shape[1]] = kept
         fixed = Reading(reading.range, reading.status, echoes)
-        columns = {"session": str(session), "sensor": self.sensor, **measured.columns}
-        return Recording.of(measured.ping, fixed).table.assign(**columns)
+        table = Recording.of(measured.ping, fixed).table
+        return table.assign(session=str(session), sensor=self.sensor, **measured.columns)
 
     def _append(self, rows: pd.DataFrame) -> None:
         """Write a cell, with the header before the first, and do not return before it is on disk."""
