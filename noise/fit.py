@@ -172,7 +172,9 @@ class _Objective:
         return out
 
 
-def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:
+def maximise(
+    stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60, enough: float = ENOUGH
+) -> Fit:
     """Climb from where the stack is; never returns less than it started from.
 
     Args:
@@ -180,6 +182,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         free: parameters to move.
         batch: readings.
         iterations: of L-BFGS-B, shared by its restarts.
+        enough: nats that a climb must gain for another to follow it.
     """
     objective = _Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
@@ -191,7 +194,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         gain, left = best - result, left - used
         if gain > 0:
             x, best = result_x, result
-        if gain < ENOUGH or left <= 0:
+        if gain < enough or left <= 0:
             break
     return Fit(stack.put(free, x), tuple(free), -best)
 
@@ -238,7 +241,7 @@ def _peaks(value: Floats, most: int, bin_m: float = 0.05) -> list[float]:
     return [float(place[k] * bin_m) for k in fullest if count[k] >= 4]
 
 
-def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 16) -> list[Stack]:
+def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 8) -> list[Stack]:
     """Return stacks with an effect switched on in different ways.
 
     Starts of the catalogue, lengths where the data show extra modes, and a Sobol design over the bounds; the effect's

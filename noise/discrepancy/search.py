@@ -20,6 +20,7 @@ from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]
+ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class Rules:
     least_t: float = 2.0
     keep_nats: float = 2.0
     most_effects: int = 4
-    grid_pings: int = 500
+    grid_pings: int = 400
     screen_pings: int = 1200
-    full_pings: int = 3000
+    full_pings: int = 2500
     fitted: int = 10
     crossed: int = 4
     rivals: int = 6
@@ -147,11 +148,17 @@ class Search:
     def climbed(
         self, points: Sequence[tuple[float, Stack]], chosen: Sequence[str], name: str, batch: Batch | None = None
     ) -> Fit:
-        """Return the best climb from the two best points."""
+        """Return the best climb from the two best points; from one, where nothing beat the present values."""
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
-        fits = [maximise(stack, free, batch, 25) for _, stack in points[:2]]
+        starts = points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]
+        fits = [maximise(stack, free, batch, 25, ROUGH) for _, stack in starts]
         return max(fits, key=lambda fit: fit.nats)
+
+    def present(self, name: str) -> dict[str, float]:
+        """Return the values at which an effect does what the given model says of it."""
+        held = self.base.values.get(name, {})
+        return {p.name: held.get(p.name, p.null) for p in self.base.known[name].parameters}
 
     def cross(self, stack: Stack, chosen: Sequence[str]) -> Crossed:
         """Fit a hypothesis on either part, score it on the other."""
@@ -176,7 +183,7 @@ class Search:
         open_ = [name for name in self.candidates() if name not in chosen]
         grids = {name: self.points(stack, name) for name in open_}
         order = sorted(open_, key=lambda name: -grids[name][0][0])
-        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25)
+        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH)
         fits = {name: self.climbed(grids[name], chosen, name) for name in order[: self.rules.fitted]}
         screened = {name: fit.nats - start.nats for name, fit in fits.items()}
         best = sorted(screened, key=lambda name: -screened[name])
