@@ -133,6 +133,8 @@ class _Objective:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         model, cells = self.stack.build(self.free, numbers)
         total = -log_prob(law_of(model, self.batch), cells, self.batch).sum() + self._prior(numbers)
+        if not total.requires_grad:  # a stepwise effect alone, such as rounding, has no slope anywhere
+            return float(total), np.zeros(len(x))
         (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
         gradient = torch.zeros_like(numbers) if gradient is None else gradient
         return float(total.detach()), np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0)
@@ -275,8 +277,11 @@ def _spread(p: Parameter, u: float) -> float:
     """Return a value between the bounds: evenly, in the logarithm where they span more than two decades."""
     if p.low > 0 and p.high / p.low > 100.0:
         return float(p.low * (p.high / p.low) ** u)
-    near_null = p.null in (p.low, p.high)
-    return float(p.null + (p.high + p.low - 2.0 * p.null) * u**2) if near_null else float(p.low + (p.high - p.low) * u)
+    if p.null in (p.low, p.high):
+        return float(p.null + (p.high + p.low - 2.0 * p.null) * u**2)
+    # small effects are likelier than large ones, and a sharp law sees no further than its own width
+    v = 2.0 * u - 1.0
+    return float(p.null + abs(v) ** 3 * ((p.high - p.null) if v > 0 else (p.low - p.null)))
 
 
 def nuisance_start(stack: Stack, batch: Batch) -> Stack:

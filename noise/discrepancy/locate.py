@@ -135,6 +135,8 @@ def features(batch: Batch) -> dict[str, Floats]:
     }
     if np.allclose(ping.incidence, ping.angle):
         del table["incidence_deg"]
+    if not batch.timed:
+        del table["time_s"]
     return {name: value for name, value in table.items() if np.ptp(value) > 1e-6 * np.abs(value).max()}
 
 

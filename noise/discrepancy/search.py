@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise.cells import Batch
+from noise.cells import Batch, direct_median
 from noise.effects import CATALOGUE
 from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]
+STEPS = 5  # of a climb that only ranks candidates
 ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
 
 
@@ -31,6 +32,7 @@ class Rules:
         least_nats: cross-fitted gain below which nothing is added.
         least_t: the same in standard errors over blocks.
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
+        tie_nats: a simpler effect is preferred to one that gains no more than this, or one standard error, beyond it.
         most_effects: at most so many are added.
         grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
         fitted: candidates that are fitted after the grid.
@@ -41,6 +43,7 @@ class Rules:
     least_nats: float = 6.0
     least_t: float = 2.0
     keep_nats: float = 2.0
+    tie_nats: float = 4.0
     most_effects: int = 4
     grid_pings: int = 400
     screen_pings: int = 1200
@@ -104,6 +107,7 @@ class Search:
     rules: Rules = field(default_factory=Rules)
     progress: Progress | None = None
     attempts: list[Attempt] = field(default_factory=list)
+    _clocked: dict[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Cut the batches to size."""
@@ -115,7 +119,16 @@ class Search:
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
-        return [name for name in CATALOGUE if name != JITTER]
+        return [name for name in CATALOGUE if name != JITTER and (self.discover.timed or not self._uses_time(name))]
+
+    def _uses_time(self, name: str) -> bool:
+        """Tell whether an effect looks at the clock, which says nothing where no time was logged."""
+        if name not in self._clocked:
+            few = self.grid.select(self.grid.block < 2)
+            conditions = replace(few.conditions, time=few.conditions.time.requires_grad_())
+            middle, _ = direct_median(Stack({name: {}}, extra=self.base.extra).model.law_of(conditions))
+            self._clocked[name] = middle.requires_grad
+        return self._clocked[name]
 
     def keys(self, names: Sequence[str]) -> tuple[Key, ...]:
         """Return the parameters of effects."""
@@ -142,6 +155,9 @@ class Search:
         rng = np.random.default_rng([self.seed, zlib.crc32(name.encode())])
         starts = starting_points(stack, name, self.grid, rng)
         scored = [(float(log_likelihood(s, self.grid).sum()), k, s) for k, s in enumerate(starts)]
+        # a sharp law sees no point of a coarse grid: a few steps from the present values show where it would go
+        stepped = maximise(starts[0], self.keys([name]), self.grid, STEPS, np.inf)
+        scored.append((stepped.nats, len(starts), stepped.stack))
         scored.sort(key=lambda item: (-item[0], item[1]))
         return [(nats, s) for nats, _, s in scored]
 
@@ -202,13 +218,22 @@ class Search:
         """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
         gains = {name: c.nats - current.nats for name, c in crossed.items()}
         good = [name for name in gains if self.believable(gains[name])]
-        winner = max(good, key=lambda name: gains[name].sum(), default=None)
+        winner = self.simplest(good, gains)
         for name, nats in screened.items():
             gain = gains.get(name)
             decision = "added" if name == winner else "gained less" if name in good else "not more than chance"
             total, error = (np.nan, np.nan) if gain is None else (float(gain.sum()), spread_over_blocks(gain))
             self.attempts.append(Attempt(name, tuple(chosen), nats, total, error, decision))
         return winner
+
+    def simplest(self, good: Sequence[str], gains: dict[str, Floats]) -> str | None:
+        """Return the effect of fewest parameters among those that gain as much as the best, within chance."""
+        if not good:
+            return None
+        best = max(good, key=lambda name: gains[name].sum())
+        behind = {name: gains[best] - gains[name] for name in good}
+        close = [n for n in good if behind[n].sum() <= max(self.rules.tie_nats, spread_over_blocks(behind[n]))]
+        return min(close, key=lambda name: (len(self.keys([name])), behind[name].sum()))
 
     def run(self) -> tuple[list[str], Crossed, Crossed]:
         """Return chosen effects, the cross-fitted base, and the cross-fitted explanation."""
