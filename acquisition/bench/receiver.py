@@ -28,6 +28,7 @@ GAINS = (
 GAIN_STEP = 70e-6  # s a step, from the burst's start
 ECHOES = 17
 OMEGA = 2.0 * np.pi * CARRIER
+SIGMAS = 7.0  # noise reaches no further: exp(-7^2/2) = 2e-11 a sample
 # time per unit: 58 us/cm and 148 us/inch, the constants of the family; microseconds are given as they are
 PER_UNIT: dict[Output, float] = {"cm": 58e-6, "inch": 148e-6, "us": 1e-6}
 BAND = float(np.exp(-np.pi * 10e3 * PERIOD))  # a sample of the amplifier's band-pass, Q = 4 at 40 kHz, on the next
@@ -69,29 +70,21 @@ class Air:
 def _sum_pulses(delay: Floats, weight: Complexes, phases: Complexes, samples: int) -> Complexes:
     """Return sum of weight * pulse(t - delay) at whole periods, (samples,).
 
-    A delay lies between two fine steps and is shared linearly between them. The fine steps of one period are a
-    row of `rows`; each row's sum of pulses begins one sample after the row before it.
+    A delay lies between two fine steps and is shared linearly between them; all delays within one period make one row
+    of fine steps, and only rows that hold any are turned into pulses.
     """
-    out = np.zeros(samples, dtype=np.complex128)
-    keep = delay < (samples - 1) * PERIOD
-    if not keep.any():
-        return out
+    length = phases.shape[1]
+    out = np.zeros(samples + length + 1, dtype=np.complex128)
+    keep = delay < samples * PERIOD
     position = delay[keep] / (PERIOD / FINE)
-    index = np.floor(position).astype(np.int64)
-    share = position - index
-    first = int(index.min()) // FINE
-    count = int(index.max() + 1) // FINE - first + 1
-    grid = np.zeros(count * FINE, dtype=np.complex128)
-    for shift, part in ((0, 1.0 - share), (1, share)):
-        grid += _histogram(index - first * FINE + shift, weight[keep] * part, count * FINE)
-    rows = grid.reshape(count, FINE) @ phases
-    span = rows.shape[1] + count
-    staggered = np.zeros((count, span), dtype=np.complex128)
-    staggered[:, : rows.shape[1]] = rows
-    total = staggered.reshape(-1)[: count * (span - 1)].reshape(count, span - 1).sum(axis=0)
-    stop = min(samples, first + span - 1)
-    out[first:stop] = total[: stop - first]
-    return out
+    step = np.floor(position).astype(np.int64)
+    share = position - step
+    steps, parts = np.append(step, step + 1), np.append(weight[keep] * (1.0 - share), weight[keep] * share)
+    starts, row = np.unique(steps // FINE, return_inverse=True)
+    grid = _histogram(row * FINE + steps % FINE, parts, len(starts) * FINE).reshape(-1, FINE)
+    for start, pulse in zip(starts, grid @ phases, strict=True):
+        out[start : start + length] += pulse
+    return out[:samples]
 
 
 def _histogram(index: NDArray[np.int64], weight: Complexes, size: int) -> Complexes:
@@ -115,8 +108,10 @@ def noise(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.comple
 
 def voltages(
     waves: list[Waveform], factor: Complexes, delay: Floats, unit: Unit, setup: Setup, rng: np.random.Generator
-) -> NDArray[np.complex64]:
-    """Return the amplified waveforms of m pings, (m, samples), over the comparator's threshold.
+) -> tuple[NDArray[np.complex64], int]:
+    """Return the amplified waveforms of m pings over the comparator's threshold, (m, k), and their first sample.
+
+    Only the k samples are worked out between the first and the last where the threshold can be reached at all.
 
     Args:
         waves: one a group, g of them.
@@ -126,14 +121,21 @@ def voltages(
         setup: the gain's cap.
         rng: the noise.
     """
-    samples = len(waves[0].signal)
-    gain = gain_over_time(setup.gain, samples)
+    gain = gain_over_time(setup.gain, len(waves[0].signal))
     signal = np.stack([wave.signal for wave in waves] + [wave.slope for wave in waves]) * gain
     turned = factor * np.exp(-1j * OMEGA * delay)
-    weight = np.concatenate([turned, -turned * delay], axis=1).astype(np.complex64)
-    total = weight @ signal.astype(np.complex64)
-    total += noise(total.shape, rng) * (unit.noise * gain).astype(np.float32)
-    return total
+    weight = np.concatenate([turned, -turned * delay], axis=1)
+    hiss = unit.noise * gain
+    live = _live(np.abs(weight).max(axis=0) @ np.abs(signal) + SIGMAS * hiss)
+    total = weight.astype(np.complex64) @ signal[:, live].astype(np.complex64)
+    total += noise(total.shape, rng) * hiss[live].astype(np.float32)
+    return total, live.start
+
+
+def _live(bound: Floats) -> slice:
+    """Return the samples between the first and the last at which an upper bound of the level reaches the threshold."""
+    reached = np.flatnonzero(bound >= 1.0)
+    return slice(max(int(reached[0]) - 1, 0), int(reached[-1]) + 2) if len(reached) else slice(0, 0)
 
 
 def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], Floats]:
@@ -143,6 +145,8 @@ def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], 
     preceded by a crossing, a quarter period or less before it.
     """
     trip = 1.0 + 0.5 * unit.hysteresis
+    if not z.size:
+        return np.empty(0, dtype=np.int64), np.empty(0)
     power = z.real**2 + z.imag**2
     over = power >= trip**2
     over[:, :-1] |= over[:, 1:]

@@ -141,9 +141,11 @@ class Rig:
         return np.concatenate(out)
 
     def _hear(self, waves: list[Waveform], factor: Complexes, late: Floats, rng: np.random.Generator) -> Floats:
-        z = voltages(waves, factor, late, self.unit, self.setup, rng)
+        z, start = voltages(waves, factor, late, self.unit, self.setup, rng)
         ping, time = crossings(z, self.unit)
-        return first_echoes(ping, time, len(z), self.unit, self.setup.listening / (1.0 + self.unit.clock_error))
+        return first_echoes(
+            ping, time + start * PERIOD, len(z), self.unit, self.setup.listening / (1.0 + self.unit.clock_error)
+        )
 
     def _humidity(self, ping: Ping) -> float:
         given = ping.covariates.get("humidity_pct")

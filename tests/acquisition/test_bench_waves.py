@@ -7,7 +7,17 @@ import pytest
 
 from acquisition.bench import MIRROR, RUBBER, Disc, Plate, Post, Room, Setup, Unit, Wall
 from acquisition.bench.air import sound_speed
-from acquisition.bench.receiver import GAINS, Air, Waveform, crossings, first_echoes, gain_over_time, noise, to_codes
+from acquisition.bench.receiver import (
+    GAINS,
+    Air,
+    Waveform,
+    crossings,
+    first_echoes,
+    gain_over_time,
+    noise,
+    to_codes,
+    voltages,
+)
 from acquisition.bench.scene import BOUNCE, CEILING, FACE, FLOOR, POST, WALL, Arrivals, Pose, Scene
 from acquisition.bench.transducer import PERIOD, Piston, pulse_at, pulse_phases
 
@@ -294,3 +304,22 @@ def test_floor_detour_matches_the_mirror_law_where_the_floor_is_near():
     half = (np.sqrt(1.0 + 0.1**2 / 4) * 2) / 2
     phase = np.exp(-4j * np.pi * detour.length / WAVELENGTH)
     assert abs((detour.amplitude * phase).sum()) == pytest.approx(2.0 / (2.0 * half), rel=0.35)
+
+
+def test_working_out_only_what_can_trip_loses_nothing(monkeypatch):
+    """With the shortcut off, the same echoes: their shares and spreads agree."""
+    waves = [Waveform.of(Unit.nominal(), Arrivals.of((2.0, 0.11)), AIR, 1440)]
+    setup, none = Setup(gain=20), np.zeros((400, 1))
+
+    def times(seed):
+        z, start = voltages(waves, none + 1.0 + 0j, none, Unit.nominal(), setup, np.random.default_rng(seed))
+        ping, time = crossings(z, Unit.nominal())
+        return first_echoes(ping, time + start * PERIOD, 400, Unit.nominal(), 1.0)[:, 0], z.shape[1]
+
+    short, width = times(0)
+    monkeypatch.setattr("acquisition.bench.receiver.SIGMAS", 1e9)
+    whole, full = times(1)
+    assert width < 0.2 * full == 0.2 * 1440
+    assert np.mean(np.isnan(short)) == pytest.approx(np.mean(np.isnan(whole)), abs=0.05)
+    assert np.nanmean(short) == pytest.approx(np.nanmean(whole), abs=2e-6)
+    assert np.nanstd(short) == pytest.approx(np.nanstd(whole), rel=0.25)
