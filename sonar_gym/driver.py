@@ -196,7 +196,7 @@ class ParkingDriver:
     def _choose(self, space: Space, pose: Floats) -> None:
         """Plan two arcs into a space; its beginning is the mean of what both sonars on the right say."""
         rear, heard = self._profile("right rear")
-        again = [s for s in spaces(rear[:, 0], heard, self._half[self.index["right rear"]])]
+        again = spaces(rear[:, 0], heard, self._half[self.index["right rear"]])
         close = [s.begin for s in again if abs(s.begin - space.begin) < 0.1]
         self.space = Space(float(np.mean([space.begin, *close])), space.end)
         self.kerb = self._kerb_y(self.space)
@@ -303,14 +303,14 @@ def run_episode(env: gymnasium.Env, driver: Driver, seed: int | None = None, pic
     driver.reset()
     observation, info = env.reset(seed=seed)
     seen, truths, score, done = [observation], [info["distance"]], 0.0, False
-    frames = [env.render()] if draw else []
+    frames = [_picture(env)] if draw else []
     while not done:
         observation, reward, terminated, truncated, info = env.step(driver.act(observation))
         seen.append(observation)
         truths.append(info["distance"])
         score, done = score + float(reward), terminated or truncated
         if draw:
-            frames.append(env.render())
+            frames.append(_picture(env))
     return Episode(
         bool(info["is_success"]),
         bool(info["collision"]),
@@ -322,3 +322,7 @@ def run_episode(env: gymnasium.Env, driver: Driver, seed: int | None = None, pic
         np.array([o["credence"] for o in seen], dtype=np.float64),
         np.array(truths),
     )
+
+
+def _picture(env: gymnasium.Env) -> NDArray[np.uint8]:
+    return np.asarray(env.render(), dtype=np.uint8)

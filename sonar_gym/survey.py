@@ -43,7 +43,8 @@ def lane_heading(x: Floats, y: Floats, wall: Floats) -> float:
     prior, and readings off the first fit by more than three spreads are left out of the second.
 
     Args:
-        x, y: of the sonar, m, (n,).
+        x: of the sonar, m, (n,).
+        y: of the sonar, m, (n,).
         wall: what it read, m, (n,).
     """
     if len(x) < LEAST_RUN:
