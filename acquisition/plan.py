@@ -97,9 +97,12 @@ PLANS = {
         pings=30,
         interval_s=0.1,
     ),
-    # Esmi (2016), sections 3.2 and 4.1: 133,100 pings
+    # Esmi (2016), sections 3.2 and 4.1: 133,100 pings. Its table 4.1 has the mirror at 30 degrees and 3900 mm read 3950
+    # to 3970 mm in 88 % of pings; parallel to the sensor's face it would mirror at 3377 mm or not at all, so it faced
+    # the sensor.
     "thesis": Plan(
         angles_deg=(0.0, 5.0, 10.0, 15.0, 20.0, 22.5, 25.0, 30.0, 35.0, 40.0, 45.0),
         distances_mm=(30.0, *(float(d) for d in range(50, 6001, 50))),
+        facing=True,
     ),
 }

@@ -220,7 +220,7 @@ def test_ambient_noise_raises_false_alarms_while_it_lasts():
     setup = replace(STILL, gain=31, ambient=Ambient(share=0.3, dwell_s=1.0, factor=2.0))
     ping = Ping.of(distance=5.0, reflectance=0.0, time=np.arange(1500) * 0.1)
     false = heard(Unit.nominal(), replace(setup, room=Room(None, None, None)), ping).code[:, 0] > 0
-    assert false.mean() == pytest.approx(0.3, abs=0.08)
+    assert false.mean() == pytest.approx(0.3, abs=0.17)  # three standard errors of 75 independent spells
     assert np.corrcoef(false[1:], false[:-1])[0, 1] > 0.5
 
 
@@ -231,3 +231,19 @@ def test_reflector_that_faces_the_sensor_keeps_its_echo_aside():
     unit = replace(Unit.nominal(), sensitivity_db=6.0)
     assert not heard(unit, setup, parallel).code[:, 0].any()
     assert heard(unit, setup, facing).code[:, 0] == pytest.approx(395, abs=3)
+
+
+def test_published_readings_of_one_cell_follow_from_its_published_credence():
+    """Esmi (2016), table 4.1: mirror at 30 degrees, 3900 mm, credence 0.88, readings of 3950 to 3970 mm.
+
+    The unit's sensitivity is unknown; the share of echoes fixes it, and so the time walk, and so the readings.
+    """
+    setup = replace(STILL, gain=31, scintillation_db=1.0)
+    ping = pings(3.9, 200, reflectance=0.9, angle=np.deg2rad(30.0), incidence=0.0)
+    for sensitivity in np.arange(0.0, 6.0, 0.25):
+        code = heard(replace(Unit.nominal(), sensitivity_db=sensitivity), setup, ping).code[:, 0]
+        if np.mean(code > 0) > 0.88:
+            break
+    assert np.median(code[code > 0]) * 10.0 == pytest.approx(3960.0, abs=15.0)
+    inner = np.percentile(code[code > 0] * 10.0, [10, 90])
+    assert 3935.0 <= inner[0] <= inner[1] <= 3985.0
