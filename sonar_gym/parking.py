@@ -225,7 +225,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         )
         along, across = x / ODOMETRY_SPAN[0], y / ODOMETRY_SPAN[1]
         ego = (speed, steering, math.cos(turn), math.sin(turn), along, across, self.steps / MAX_STEPS)
-        return np.array([min(max(value, -1.0), 1.0) for value in ego], dtype=np.float32)
+        return np.minimum(np.maximum(np.array(ego, dtype=np.float32), -1.0), 1.0)
 
     def _info(self, terms: dict[str, float]) -> dict[str, Any]:
         return {
