@@ -256,6 +256,11 @@ def marginal(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
     return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + cells.placement_m**2)
 
 
+def silence(batch: Batch) -> float:
+    """Return the share of answered pings without an echo."""
+    return float(np.mean(~batch.reading.echo))
+
+
 def law_of(model: PhysicalModel, batch: Batch) -> PhysicalLaw:
     """Return a model's law of a batch, on the batch's own register."""
     return PhysicalLaw(model.state(batch.conditions), batch.ping.distance, batch.resolution, model.max_range)

@@ -174,9 +174,7 @@ class _Objective:
         return out
 
 
-def maximise(
-    stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60, enough: float = ENOUGH
-) -> Fit:
+def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60, enough: float = ENOUGH) -> Fit:
     """Climb from where the stack is; never returns less than it started from.
 
     Args:

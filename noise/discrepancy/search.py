@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise.cells import Batch, direct_median
+from noise.cells import Batch, direct_median, silence
 from noise.effects import CATALOGUE
 from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]
+THRESHOLD = "sensitivity"
 STEPS = 5  # of a climb that only ranks candidates
 ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
 
@@ -107,6 +108,7 @@ class Search:
     rules: Rules = field(default_factory=Rules)
     progress: Progress | None = None
     attempts: list[Attempt] = field(default_factory=list)
+    fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
     _clocked: dict[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -185,6 +187,12 @@ class Search:
         on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
         return Crossed(first, second, np.r_[on_discover, on_confirm])
 
+    def contribution(self, chosen: Sequence[str], cross: Crossed, name: str) -> tuple[Floats, Crossed]:
+        """Return what one effect adds to the others, nats by block, and the explanation without it."""
+        others = [other for other in chosen if other != name]
+        without = self.cross(self.reset(cross.first.stack, name), others)
+        return cross.nats - without.nats, without
+
     def believable(self, gain: Floats) -> bool:
         """Tell whether gains by block are more than chance, and not the work of one block."""
         total, error = gain.sum(), spread_over_blocks(gain)
@@ -201,6 +209,7 @@ class Search:
         order = sorted(open_, key=lambda name: -grids[name][0][0])
         start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH)
         fits = {name: self.climbed(grids[name], chosen, name) for name in order[: self.rules.fitted]}
+        self.fits[tuple(chosen)] = fits
         screened = {name: fit.nats - start.nats for name, fit in fits.items()}
         best = sorted(screened, key=lambda name: -screened[name])
         crossed: dict[str, Crossed] = {}
@@ -239,6 +248,8 @@ class Search:
         """Return chosen effects, the cross-fitted base, and the cross-fitted explanation."""
         base = current = self.cross(self.base, [])
         chosen: list[str] = []
+        if self.needs_a_threshold():
+            chosen, current = self.with_threshold(current)
         while len(chosen) < self.rules.most_effects:
             self.tell(f"searching, {len(chosen)} found", 0.1 + 0.6 * len(chosen) / (self.rules.most_effects + 1))
             found = self.round(chosen, current)
@@ -247,6 +258,24 @@ class Search:
             chosen, current = [*chosen, found[0]], found[1]
             chosen, current = self.prune(chosen, current)
         return chosen, base, current
+
+    def needs_a_threshold(self) -> bool:
+        """Tell whether echoes are missed although the model hears everything: then no loss of level can show."""
+        return THRESHOLD not in self.base.values and silence(self.discover) > 0.005
+
+    def with_threshold(self, base: Crossed) -> tuple[list[str], Crossed]:
+        """Give the receiver a threshold before anything else is weighed, where that is believed.
+
+        What weakens an echo (tilt, distance, air) can silence it only near a threshold, and an ideal sonar has none:
+        one by one, neither would be found.
+        """
+        fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
+        crossed = self.cross(fitted.stack, [THRESHOLD])
+        gain = crossed.nats - base.nats
+        good = self.believable(gain)
+        told = "added first: echoes are missed" if good else "not more than chance"
+        self.attempts.append(Attempt(THRESHOLD, (), np.nan, float(gain.sum()), spread_over_blocks(gain), told))
+        return ([THRESHOLD], crossed) if good else ([], base)
 
     def prune(self, chosen: list[str], current: Crossed) -> tuple[list[str], Crossed]:
         """Drop what a later effect made needless."""
