@@ -34,8 +34,9 @@ class Args:
     """Recording to write; each condition is on disk as soon as it is measured."""
     driver: Literal["rig", "twin", "srf08"] = "rig"
     """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. srf08: a real one on I2C."""
-    plan: Literal["quick", "thesis"] = "quick"
-    """quick: 3,600 pings on 120 conditions. thesis: 133,100 pings on 2,662 conditions."""
+    plan: Literal["quick", "turned", "thesis"] = "quick"
+    """quick: 3,600 pings on 120 conditions. turned: 55,296 on 6,912, reflectors turned apart from their bearing.
+    thesis: 133,100 pings on 2,662 conditions."""
     resume: bool = False
     """Go on with a recording that was interrupted; plan, seed and settings must be those it was begun with."""
     seed: int = 0
@@ -115,7 +116,8 @@ def _twin_source(args: Args) -> Source:
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
     def arrange(cell: Cell) -> None:
-        twin.place(Ping.of(cell.distance_mm * 1e-3, np.deg2rad(cell.angle_deg), reflectance=cell.reflectance))
+        bearing, incidence = np.deg2rad([cell.angle_deg, cell.incidence_deg])
+        twin.place(Ping.of(cell.distance_mm * 1e-3, bearing, incidence, cell.reflectance))
 
     return DriverSource(sonar, arrange, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
 
