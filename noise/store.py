@@ -22,6 +22,7 @@ WEIGHTS = Path(__file__).parent / "weights"
 BUILT_IN = {"ideal": IdealModel, "gaussian": GaussianModel}
 KINDS = {  # kind in model.json -> module and class; imported when asked for, since some need torch
     "physical": ("noise.physical", "PhysicalModel"),
+    "empirical": ("noise.empirical", "EmpiricalModel"),
     "mlp": ("noise.networks", "MlpModel"),
 }
 

@@ -46,6 +46,10 @@ def test_thesis_plan_is_the_thesis():
     assert plan.distances_mm[:4] == (30.0, 50.0, 100.0, 150.0)
     assert plan.distances_mm[-1] == 6000.0
     assert {cell.reflectance for cell in plan.cells} == {0.1, 0.9}
+    assert plan.facing
+    aside = next(k for k, cell in enumerate(plan.cells) if cell.angle_deg == 45.0)
+    assert plan.ping(aside).incidence[0] == 0.0
+    assert SMALL.ping(0).incidence[0] == SMALL.ping(0).angle[0]
 
 
 def test_plans_order_is_a_permutation_fixed_by_its_seed():
@@ -201,3 +205,13 @@ def test_recording_needs_none_of_the_heavy_packages():
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_turned_plan_turns_reflectors_apart_from_their_bearing():
+    plan = PLANS["turned"]
+    assert len(plan) == 6912
+    assert len(plan) * plan.pings == 55_296
+    angle, incidence = np.array([(cell.angle_deg, cell.incidence_deg) for cell in plan.cells]).T
+    assert abs(np.corrcoef(angle, incidence)[0, 1]) < 1e-9
+    ping = plan.ping(7)
+    np.testing.assert_allclose(np.degrees(ping.incidence), plan.cell(7).incidence_deg)
