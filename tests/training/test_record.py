@@ -32,7 +32,8 @@ def test_same_seed_same_file_and_resuming_a_whole_one_changes_nothing(tmp_path, 
     capsys.readouterr()
     with pytest.raises(SystemExit):
         main(["record", "--out", str(paths[0]), "--seed", "1", *FEW])
-    assert capsys.readouterr().err.strip().endswith("a.csv: is there already; go on with it (--resume) or give another file")
+    error = capsys.readouterr().err.strip()
+    assert error.endswith("a.csv: is there already; go on with it (--resume) or give another file")
     main(["record", "--out", str(paths[0]), "--seed", "1", "--resume", *FEW])
     assert paths[0].read_bytes() == first
 
