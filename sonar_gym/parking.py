@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -145,7 +147,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self.reward_weights: RewardWeights = _settings(RewardWeights, reward)
         self.max_range = MAX_RANGE
         self.sonar = Sonar(sonar, len(self.mounts), MAX_RANGE)
-        self.sonar_name = sonar if isinstance(sonar, str) else type(self.sonar.model).__name__
+        named = isinstance(sonar, (str, os.PathLike))
+        self.sonar_name = Path(str(sonar)).name if named else type(self.sonar.model).__name__
         self._poses, self._half = mount_arrays(self.mounts)
         self._sonar_seeded = False
         self._renderer: Any = None
