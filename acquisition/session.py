@@ -73,7 +73,7 @@ class Session:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             return 0, 0
         if not self.resume:
-            raise RecordingError(f"{self.path}: is there already; resume it, or give another file")
+            raise RecordingError(f"{self.path}: is there already; go on with it (--resume) or give another file")
         whole, done = _whole_cells(self.path.read_bytes(), self.plan.pings)
         table = pd.read_csv(io.BytesIO(whole), dtype={"session": str}) if done else None
         if table is not None:

@@ -20,6 +20,7 @@ from acquisition.session import Session
 from acquisition.sources import DriverSource, RigSource, Source
 
 OPERATOR = Console(stderr=True)
+Arrange = Callable[[Cell], None]
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,11 @@ class Args:
 def main(args: Args) -> None:
     """Record, show how far it is, and say what came of it."""
     plan = plan_of(args)
-    session = Session(plan, SOURCES[args.driver](args), args.out, args.resume, args.echoes)
     with _bar() as bar:
-        task = bar.add_task(args.out.name, total=len(plan) * plan.pings)
-        session.run(lambda done, total: bar.update(task, completed=done, total=total))
+        source = SOURCES[args.driver](args, lambda cell: _ask_operator(cell, bar))
+        session = Session(plan, source, args.out, args.resume, args.echoes)
+        task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
+        session.run(lambda done, total: bar.update(task, completed=done, total=total, visible=True))
     print(summary(Recording.load(args.out), args.out))
 
 
@@ -107,30 +109,34 @@ def _rig(args: Args) -> Rig:
     return Rig(Unit.draw(args.unit) if args.unit else Unit.nominal(), setup)
 
 
-def _rig_source(args: Args) -> Source:
+def _rig_source(args: Args, arrange: Arrange) -> Source:
     return RigSource(_rig(args), args.seed)
 
 
-def _twin_source(args: Args) -> Source:
+def _twin_source(args: Args, arrange: Arrange) -> Source:
     if args.resume:
         raise SettingError("--resume does not go with --driver twin, which forgets its state; record it anew")
     twin = Srf08Twin(_rig(args), np.random.default_rng([args.seed, args.unit]))
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
-    def arrange(cell: Cell) -> None:
+    def place(cell: Cell) -> None:
         twin.place(Ping.of(cell.distance_mm * 1e-3, np.deg2rad(cell.angle_deg), reflectance=cell.reflectance))
 
-    return DriverSource(sonar, arrange, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
+    return DriverSource(sonar, place, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
 
 
-def _srf08_source(args: Args) -> Source:
+def _srf08_source(args: Args, arrange: Arrange) -> Source:
     sonar = DRIVERS["srf08"].open(args.bus, address=args.address, **_registers(args))
     OPERATOR.print(f"{sonar} answers, revision {sonar.revision()}")
-    return DriverSource(sonar, _ask_operator, _columns(args))
+    return DriverSource(sonar, arrange, _columns(args))
 
 
 # how each kind of driver becomes something that a session measures with
-SOURCES: dict[str, Callable[[Args], Source]] = {"rig": _rig_source, "twin": _twin_source, "srf08": _srf08_source}
+SOURCES: dict[str, Callable[[Args, Arrange], Source]] = {
+    "rig": _rig_source,
+    "twin": _twin_source,
+    "srf08": _srf08_source,
+}
 
 
 def _registers(args: Args) -> dict[str, Any]:
@@ -146,8 +152,10 @@ def _columns(args: Args) -> dict[str, float]:
     }
 
 
-def _ask_operator(cell: Cell) -> None:
+def _ask_operator(cell: Cell, bar: Progress) -> None:
+    bar.stop()  # a bar that redraws itself would write over the question
     OPERATOR.input(f"Place the reflector at {cell}, then press Enter ")
+    bar.start()
 
 
 def _bar() -> Progress:

@@ -110,7 +110,7 @@ def test_nothing_is_overwritten_unasked(tmp_path):
     source, path = RigSource(RIG), tmp_path / "r.csv"
     Session(SMALL, source, path).run()
     before = path.read_bytes()
-    with pytest.raises(RecordingError, match="is there already; resume it, or give another file"):
+    with pytest.raises(RecordingError, match=r"is there already; go on with it \(--resume\) or give another file"):
         Session(SMALL, source, path).run()
     assert path.read_bytes() == before
 
