@@ -35,8 +35,9 @@ class Args:
     """Recording to write; each condition is on disk as soon as it is measured."""
     driver: Literal["rig", "twin", "srf08"] = "rig"
     """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. srf08: a real one on I2C."""
-    plan: Literal["quick", "thesis"] = "quick"
-    """quick: 3,600 pings on 120 conditions. thesis: 133,100 pings on 2,662 conditions."""
+    plan: Literal["quick", "turned", "thesis"] = "quick"
+    """quick: 3,600 pings on 120 conditions. turned: 55,296 on 6,912, reflectors turned apart from their bearing.
+    thesis: 133,100 pings on 2,662 conditions."""
     resume: bool = False
     """Go on with a recording that was interrupted; plan, seed and settings must be those it was begun with."""
     seed: int = 0
@@ -84,7 +85,8 @@ def plan_of(args: Args) -> Plan:
     pings = plan.pings if args.pings is None else args.pings
     facing = plan.facing if args.pose == "plan" else args.pose == "facing"
     interval_s = plan.interval_s if args.interval_s is None else args.interval_s
-    return replace(plan, pings=pings, interval_s=interval_s, facing=facing, seed=args.seed)
+    incidences = plan.incidences_deg if args.pose == "plan" else ()
+    return replace(plan, pings=pings, interval_s=interval_s, facing=facing, incidences_deg=incidences, seed=args.seed)
 
 
 def summary(recording: Recording, path: Path) -> str:
@@ -120,7 +122,8 @@ def _twin_source(args: Args, arrange: Arrange) -> Source:
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
     def place(cell: Cell) -> None:
-        twin.place(Ping.of(cell.distance_mm * 1e-3, np.deg2rad(cell.angle_deg), reflectance=cell.reflectance))
+        bearing, incidence = np.deg2rad([cell.angle_deg, cell.incidence_deg])
+        twin.place(Ping.of(cell.distance_mm * 1e-3, bearing, incidence, cell.reflectance))
 
     return DriverSource(sonar, place, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
 
