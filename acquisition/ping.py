@@ -175,3 +175,20 @@ def previous(reading: Reading, run: NDArray[np.int64]) -> Reading:
     value = np.where(first, 0.0, reading.range[before])
     status = np.where(first, EchoStatus.NO_ANSWER, reading.status[before])
     return Reading.of(value, status)
+
+
+def interval(time: Floats, run: NDArray[np.int64]) -> Floats:
+    """Return the time since the ping before in the same run, s, (n,); 0 for the first of a run.
+
+    Args:
+        time: of each ping, s, (n,), in the order they were taken within each run.
+        run: which run each belongs to, (n,).
+
+    >>> interval(np.array([0.0, 0.5, 0.0, 0.7]), np.array([0, 0, 1, 0]))
+    array([0. , 0.5, 0. , 0.2])
+    """
+    order = np.argsort(run, kind="stable")
+    same = run[order][1:] == run[order][:-1]
+    since = np.zeros(len(run))
+    since[order[1:]] = np.where(same, np.diff(time[order]), 0.0)
+    return since

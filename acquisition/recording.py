@@ -21,7 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from acquisition.errors import RecordingError, RecordingNotFoundError
-from acquisition.ping import EchoStatus, Ping, Reading
+from acquisition.ping import EchoStatus, Ping, Reading, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
 TEXT = ("session", "sensor")
@@ -173,7 +173,13 @@ class Recording:
     def select(self, mask: NDArray[Any]) -> Recording:
         """Return the rows at a mask or array of indices, in their order."""
         rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
-        return replace(self, table=self.table.iloc[rows].reset_index(drop=True))
+        return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))
+
+    def _with_interval(self) -> pd.DataFrame:
+        """Return the table with the time since each run's ping before: among picked rows it can no longer be seen."""
+        if not self.has("time_s") or self.has("interval_s"):
+            return self.table
+        return self.table.assign(interval_s=interval(self.table["time_s"].to_numpy(), self.run))
 
     @cached_property
     def run(self) -> NDArray[np.int64]:
@@ -194,6 +200,7 @@ class Recording:
         """What the sensor faced."""
         angle = self.table["angle_deg"].to_numpy() * DEG
         column = self.table.get
+        table = self._with_interval()
         return Ping.of(
             distance=self.table["distance_mm"].to_numpy() * MM,
             angle=angle,
@@ -201,7 +208,10 @@ class Recording:
             reflectance=column("reflectance", pd.Series(1.0, self.table.index)).to_numpy(),
             time=column("time_s", pd.Series(np.arange(len(self)), dtype=np.float64)).to_numpy(),
             run=self.run,
-            **{name: self.table[name].to_numpy() for name in self.covariates},
+            **{
+                name: table[name].to_numpy()
+                for name in (*self.covariates, *table.columns.difference(self.table.columns))
+            },
         )
 
     @cached_property

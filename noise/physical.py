@@ -3,10 +3,12 @@
 Paths are independent given the level: no echo comes before exact range z with probability
 S(z) = exp(-clutter z) * prod_k (1 - pi_k F_k(z)), averaged over the latent level; a register's probability is the
 difference of S at its edges, and no echo is S at the end of listening. Replacements (atoms) are mixed in last.
+Differences are formed path by path, so that a likelihood far out in a tail is exact and has a slope to climb.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -15,11 +17,12 @@ from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading
 from noise.effects import CATALOGUE, Conditions, Effect, State
-from noise.effects.base import DETECTION_WIDTH_DB, new_path, number, wall_level_db
+from noise.effects.base import DETECTION_WIDTH_DB, direct_path, number
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE
 
 TINY = 1e-300  # keeps the logarithm of an excluded reading finite where gradients are taken
+END = 1e4  # m; stands for the end of the register: beyond any range, yet finite, so that gradients are
 
 
 class PhysicalLaw(EchoLaw):
@@ -29,25 +32,46 @@ class PhysicalLaw(EchoLaw):
         super().__init__(distance, resolution, max_range)
         self.state = state
 
-    def log_survival(self, z: Tensor) -> Tensor:
-        """Return log P(nothing registered at an exact range <= z), for z (..., 1, n) -> (..., Q, n)."""
-        state = self.state
-        total = -state.clutter_per_metre * torch.clamp(torch.minimum(z, state.gate), min=0.0)
-        for path in state.paths:
-            total = total + torch.log1p(-path.detection(state.width_db) * path.arrival(z) * (1.0 - 1e-15))
-        return total
-
-    def arrival_tensor(self, edge: Tensor) -> Tensor:
-        """Return P(echo, register <= edge) for register edges in m, (..., n), atoms included."""
+    def register_to_range(self, edge: Tensor) -> Tensor:
+        """Return the exact range at which the register passes an edge, m, (..., n)."""
         state = self.state
         if state.step > 0:
             edge = (torch.floor(edge / state.step + 1e-9) + 0.5) * state.step
-        z = torch.minimum((edge - state.offset) / state.scale, state.gate)
-        log_weight = state.log_weight - torch.logsumexp(state.log_weight, dim=0)
-        core = -torch.expm1(torch.logsumexp(self.log_survival(z.unsqueeze(-2)) + log_weight, dim=-2))
-        for atom in state.atoms:
-            core = (1.0 - atom.weight) * core + atom.weight * atom.cdf(edge)
-        return core
+        return torch.minimum((edge - state.offset) / state.scale, state.gate)
+
+    def silence(self, z: Tensor) -> Tensor:
+        """Return P(nothing registered at an exact range <= z), for z (..., n)."""
+        z = z.unsqueeze(-2)
+        parts = [path.silence(z, self.state.width_db) for path in self.state.paths]
+        return self._average(math.prod(parts, start=self._unhurt(z)))
+
+    def between(self, low: Tensor, high: Tensor) -> Tensor:
+        """Return P(registered at an exact range in (low, high]), (..., n): sums of what is positive, exact in tails.
+
+        With S = prod u_k: S(low) - S(high) = sum_k prod_{j<k} u_j(high) (u_k(low) - u_k(high)) prod_{j>k} u_j(low).
+        """
+        low, high, width = low.unsqueeze(-2), high.unsqueeze(-2), self.state.width_db
+        so_far = self._unhurt(high)
+        total = self._unhurt(low) - so_far
+        for path in self.state.paths:
+            total = total * path.silence(low, width) + so_far * path.detection(width) * path.between(low, high)
+            so_far = so_far * path.silence(high, width)
+        return self._average(total)
+
+    def _unhurt(self, z: Tensor) -> Tensor:
+        """Return P(no clutter before z)."""
+        return torch.exp(-self.state.clutter_per_metre * torch.clamp(z, min=0.0))
+
+    def _average(self, by_level: Tensor) -> Tensor:
+        return (torch.softmax(self.state.log_weight, dim=0) * by_level).sum(-2)
+
+    def arrival_tensor(self, edge: Tensor) -> Tensor:
+        """Return P(echo, register <= edge) for register edges in m, (..., n), atoms included."""
+        edge = torch.clamp(edge, -END, END)
+        there = 1.0 - self.silence(self.register_to_range(edge))
+        for atom in self.state.atoms:
+            there = (1.0 - atom.weight) * there + atom.weight * atom.cdf(edge)
+        return there
 
     def no_answer_tensor(self) -> Tensor:
         """Return P(no answer), (n,)."""
@@ -56,20 +80,38 @@ class PhysicalLaw(EchoLaw):
             out = (1.0 - atom.weight) * out + atom.weight * atom.no_answer
         return out
 
+    def no_echo_tensor(self) -> Tensor:
+        """Return P(the sensor answers that there is no echo), (n,)."""
+        out = self.silence(self.register_to_range(torch.full((len(self),), END, dtype=torch.float64)))
+        for atom in self.state.atoms:
+            out = (1.0 - atom.weight) * out + atom.weight * atom.no_echo
+        return out
+
+    def echo_tensor(self, step: np.ndarray) -> Tensor:
+        """Return P(the register holds a step), (n,)."""
+        low, high = torch.from_numpy(self._edges(step - 1)), torch.from_numpy(self._edges(step))
+        out = self.between(self.register_to_range(low), self.register_to_range(high))
+        for atom in self.state.atoms:
+            out = (1.0 - atom.weight) * out + atom.weight * (atom.cdf(high) - atom.cdf(low))
+        return out
+
+    def probability_tensor(self, reading: Reading) -> Tensor:
+        """Return the probability of each reading, (n,), differentiable."""
+        mass = torch.stack([self.no_echo_tensor(), self.echo_tensor(self.step(reading.range)), self.no_answer_tensor()])
+        return mass.gather(0, torch.from_numpy(reading.status.astype(np.int64))[None])[0]
+
     def log_prob_tensor(self, reading: Reading) -> Tensor:
         """Return the log probability of each reading, nats, (n,), differentiable; bounded below by log(1e-300)."""
-        step = self.step(reading.range)
-        edges = torch.from_numpy(self._edges(np.stack([step - 1, step])))
-        low, high = self.arrival_tensor(edges)
-        low = torch.where(torch.from_numpy(step <= 1), torch.zeros_like(low), low)
-        echo = self.arrival_tensor(torch.full((len(self),), torch.inf, dtype=torch.float64))
-        no_answer = self.no_answer_tensor()
-        mass = torch.stack([1.0 - echo - no_answer, high - low, no_answer])
-        chosen = mass.gather(0, torch.from_numpy(reading.status.astype(np.int64))[None])[0]
-        return torch.log(torch.clamp(chosen, min=TINY))
+        return torch.log(torch.clamp(self.probability_tensor(reading), min=TINY))
+
+    def log_prob(self, reading: Reading) -> Floats:
+        """Return the log probability of each reading, nats, (n,); -inf where the law excludes it."""
+        with torch.no_grad(), np.errstate(divide="ignore"):
+            return np.log(np.maximum(self.probability_tensor(reading).numpy(), 0.0))
 
     def _edges(self, step: np.ndarray) -> Floats:
-        return np.where(step >= self.last_step, np.inf, (step + 0.5) * self.resolution)
+        inside = (step + 0.5) * self.resolution
+        return np.where(step < 1, -END, np.where(step >= self.last_step, END, inside))
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at a range <= z)."""
@@ -113,10 +155,9 @@ class PhysicalModel:
 
     def state(self, conditions: Conditions) -> State:
         """Return what the law is made of, every effect applied at its stage."""
-        direct = new_path("direct", conditions.distance, wall_level_db(conditions.distance))
         state = State(
             conditions,
-            (direct,),
+            (direct_path(conditions),),
             log_weight=torch.zeros((1, 1), dtype=torch.float64),
             width_db=number(DETECTION_WIDTH_DB),
             clutter_per_metre=number(0.0),

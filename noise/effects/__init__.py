@@ -1,20 +1,69 @@
-"""The catalogue of effects: one literal table, by id. Signatures and confounds are told in docs/catalogue.md."""
+"""The catalogue of effects: one literal table, by id."""
 
 from noise.effects.base import Atom, Conditions, Effect, Parameter, Path, Stage, State
-from noise.effects.link import DroppedReading, Spike, StaleRepeat
-from noise.effects.medium import AirAbsorption, SoundSpeed
-from noise.effects.receiver import ClockScale, Sensitivity, TravelTimeJitter, ZeroOffset
+from noise.effects.interping import PreviousPing, SynchronousCrosstalk
+from noise.effects.link import DroppedReading, NoiseBurst, Spike, StaleRepeat, Stuck
+from noise.effects.medium import AirAbsorption, Scintillation, SoundSpeed, ThermalDrift
+from noise.effects.mounting import BaselineParallax, BeamWidth, Boresight, PivotOffset
+from noise.effects.receiver import (
+    ClockScale,
+    CycleSlip,
+    FalseAlarm,
+    Quantisation,
+    RangeGate,
+    RingDown,
+    Sensitivity,
+    TimeWalk,
+    TravelTimeJitter,
+    WarmUp,
+    ZeroOffset,
+)
+from noise.effects.target import (
+    BackgroundReflector,
+    EdgeDiffraction,
+    FixedClutter,
+    Multipath,
+    PerpendicularFoot,
+    ReflectanceLoss,
+    RepeatedBounce,
+    SpecularLoss,
+)
 
 CATALOGUE: dict[str, type[Effect]] = {
     "sound_speed": SoundSpeed,
+    "thermal_drift": ThermalDrift,
     "air_absorption": AirAbsorption,
+    "scintillation": Scintillation,
+    "beam_width": BeamWidth,
+    "boresight": Boresight,
+    "pivot_offset": PivotOffset,
+    "baseline_parallax": BaselineParallax,
+    "zero_offset": ZeroOffset,
+    "reflectance_loss": ReflectanceLoss,
+    "specular_loss": SpecularLoss,
+    "edge_diffraction": EdgeDiffraction,
+    "perpendicular_foot": PerpendicularFoot,
+    "background_reflector": BackgroundReflector,
+    "fixed_clutter": FixedClutter,
+    "multipath": Multipath,
+    "repeated_bounce": RepeatedBounce,
     "sensitivity": Sensitivity,
     "travel_time_jitter": TravelTimeJitter,
+    "time_walk": TimeWalk,
+    "cycle_slip": CycleSlip,
+    "ring_down": RingDown,
+    "false_alarm": FalseAlarm,
+    "quantisation": Quantisation,
+    "range_gate": RangeGate,
     "clock_scale": ClockScale,
-    "zero_offset": ZeroOffset,
+    "warm_up": WarmUp,
+    "previous_ping": PreviousPing,
+    "synchronous_crosstalk": SynchronousCrosstalk,
     "dropped_reading": DroppedReading,
     "stale_repeat": StaleRepeat,
+    "stuck": Stuck,
     "spike": Spike,
+    "noise_burst": NoiseBurst,
 }
 
 __all__ = ["CATALOGUE", "Atom", "Conditions", "Effect", "Parameter", "Path", "Stage", "State"]

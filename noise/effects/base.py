@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import ClassVar
@@ -105,6 +105,7 @@ class Path:
         spread: standard deviation of the arrival, m, (n,) or scalar.
         slip_m: offsets of the path's repeated detection points, m, (J,).
         slip_weight: their probabilities, (J,).
+        bearing: off the beam axis at which it leaves and comes back, rad, (n,) or scalar.
     """
 
     name: str
@@ -115,16 +116,45 @@ class Path:
     spread: Tensor
     slip_m: Tensor
     slip_weight: Tensor
+    bearing: Tensor
 
     def detection(self, width_db: Tensor) -> Tensor:
         """Return the probability that this path crosses the threshold, (Q, n)."""
-        return self.presence * torch.special.ndtr(self.level_db / width_db)
+        return self.presence * ndtr(self.level_db / width_db)
 
-    def arrival(self, z: Tensor) -> Tensor:
-        """Return P(registered at a range <= z | detected), for z broadcasting with (Q, n)."""
+    def silence(self, z: Tensor, width_db: Tensor) -> Tensor:
+        """Return P(nothing registered at a range <= z), for z broadcasting with (Q, n)."""
+        missed = (1.0 - self.presence) + self.presence * ndtr(-self.level_db / width_db)
+        return missed + self.detection(width_db) * self.lateness(z)
+
+    def lateness(self, z: Tensor) -> Tensor:
+        """Return P(registered beyond z | detected)."""
+        return _total(w * ndtr(-s) for w, s in self._scores(z))
+
+    def between(self, low: Tensor, high: Tensor) -> Tensor:
+        """Return P(registered in (low, high] | detected), exact far out in either tail."""
+        scores = zip(self._scores(low), self._scores(high), strict=True)
+        return _total(w * _normal_between(below, above) for (w, below), (_, above) in scores)
+
+    def _scores(self, z: Tensor) -> list[tuple[Tensor, Tensor]]:
         sigma = torch.sqrt(self.spread**2 + FLOOR_M**2)
-        score = [(z - (self.length + self.lag + slip)) / sigma for slip in self.slip_m]
-        return sum((w * torch.special.ndtr(s) for w, s in zip(self.slip_weight, score, strict=True)), z.new_zeros(()))
+        centre = self.length + self.lag
+        return [(w, (z - (centre + slip)) / sigma) for w, slip in zip(self.slip_weight, self.slip_m, strict=True)]
+
+
+def ndtr(score: Tensor) -> Tensor:
+    """Return the normal cdf. `torch.special.ndtr` is (1 + erf) / 2: nothing is left of it below -8."""
+    return 0.5 * torch.erfc(score * -math.sqrt(0.5))
+
+
+def _normal_between(low: Tensor, high: Tensor) -> Tensor:
+    """Return Phi(high) - Phi(low), taken on the side where both are small."""
+    sign = torch.where(low + high > 0, -1.0, 1.0)
+    return sign * (ndtr(sign * high) - ndtr(sign * low))
+
+
+def _total(parts: Iterable[Tensor]) -> Tensor:
+    return torch.stack(torch.broadcast_tensors(*parts)).sum(0)
 
 
 @dataclass(frozen=True)
@@ -180,6 +210,10 @@ class State:
         """Replace the direct path."""
         return replace(self, paths=(path, *self.paths[1:]))
 
+    def facing(self, conditions: Conditions) -> State:
+        """Change what the pings face, the direct path with it."""
+        return replace(self, conditions=conditions, paths=(direct_path(conditions), *self.paths[1:]))
+
     def with_path(self, path: Path) -> State:
         """Add a path."""
         return replace(self, paths=(*self.paths, path))
@@ -203,10 +237,19 @@ def wall_level_db(length: Tensor) -> Tensor:
     return MARGIN_DB - 20.0 / math.log(10.0) * torch.log(torch.clamp(length, min=0.01))
 
 
-def new_path(name: str, length: Tensor, level_db: Tensor, presence: float | Tensor = 1.0) -> Path:
+def new_path(
+    name: str, length: Tensor, level_db: Tensor, presence: float | Tensor = 1.0, bearing: float | Tensor = 0.0
+) -> Path:
     """Return a path as an ideal sonar hears it: sharp, in time, without slips."""
     zero = number(0.0)
-    return Path(name, length, torch.atleast_2d(level_db), number(presence), zero, zero, number([0.0]), number([1.0]))
+    slips = number([0.0]), number([1.0])
+    return Path(name, length, torch.atleast_2d(level_db), number(presence), zero, zero, *slips, number(bearing))
+
+
+def direct_path(conditions: Conditions) -> Path:
+    """Return the way to the reflector and back: level of a flat wall, at the reflector's bearing."""
+    distance = conditions.distance
+    return new_path("direct", distance, wall_level_db(distance), bearing=conditions.angle)
 
 
 class Effect(ABC):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from noise.effects.base import Effect, Parameter, Path, Stage, State
@@ -45,6 +48,15 @@ class SoundSpeed(Effect):
         ratio = ((CELSIUS + ASSUMED_TEMPERATURE_C) / (CELSIUS + self.temperature_c)) ** 0.5
         return state.map_paths(lambda path: replace(path, length=path.length * ratio))
 
+    def statement(self) -> str:
+        """Return the error as a share of distance and the temperature behind it."""
+        warm = self.values["temperature_c"]
+        error = ((CELSIUS + ASSUMED_TEMPERATURE_C) / (CELSIUS + warm)) ** 0.5 - 1.0
+        return (
+            f"Readings run {'long' if error >= 0 else 'short'} by {100 * abs(error):.2g} % of distance: "
+            f"the air was at {warm:.1f} degC, the sensor assumes {ASSUMED_TEMPERATURE_C:.1f} degC."
+        )
+
 
 class AirAbsorption(Effect):
     """Air takes `alpha_db_per_m` from the level for every metre there and back: level -> level - 2 alpha length."""
@@ -63,3 +75,80 @@ class AirAbsorption(Effect):
 
     def _absorb(self, path: Path) -> Path:
         return replace(path, level_db=path.level_db - 2.0 * self.alpha_db_per_m * path.length)
+
+    def statement(self) -> str:
+        """Return the absorption and what it takes there and back at 6 m."""
+        alpha = self.values["alpha_db_per_m"]
+        return f"{self.summary}: {alpha:.2g} dB/m, {12 * alpha:.1f} dB there and back at 6 m."
+
+
+class Scintillation(Effect):
+    """Turbulence makes the level of a whole ping rise and fall: sigma = sigma(6 m) (length / 6 m)^(11/12).
+
+    One latent normal level for all paths of a ping, integrated by Gauss-Hermite quadrature.
+    """
+
+    name = "scintillation"
+    stage = Stage.MEDIUM
+    summary = "Turbulent air makes echoes stronger and weaker from ping to ping, far ones most"
+    parameters = (
+        Parameter("sigma_at_6m_db", "dB", 0.0, 0.0, 8.0, "Tatarskii; 0.1-1 dB still, 1-3 dB heated", (1.0, 3.0)),
+    )
+    sigma_at_6m_db: Tensor
+    nodes = 7
+
+    def apply(self, state: State) -> State:
+        """Spread every path over the nodes of the level."""
+        node, weight = np.polynomial.hermite_e.hermegauss(self.nodes)
+        spread = torch.from_numpy(node)[:, None] * self.sigma_at_6m_db
+        faded = state.map_paths(lambda path: replace(path, level_db=path.level_db + spread * _growth(path.length)))
+        return replace(faded, log_weight=torch.log(torch.from_numpy(weight / weight.sum()))[:, None])
+
+    def statement(self) -> str:
+        """Return its size at 6 m."""
+        return f"{self.summary}: by {self.values['sigma_at_6m_db']:.2g} dB at 6 m."
+
+
+def _growth(length: Tensor) -> Tensor:
+    return (torch.clamp(length, min=0.01) / 6.0) ** (11.0 / 12.0)
+
+
+class ThermalDrift(Effect):
+    """The air's temperature moves while recording: T(t) = T + rate t + a sin(2 pi t / period) + b cos(2 pi t / period).
+
+    `sine_k` and `cosine_k` together are the amplitude and phase of one swing; time counts from the recording's start.
+    """
+
+    name = "thermal_drift"
+    stage = Stage.MEDIUM
+    summary = "The air warms or cools while recording: ranges are scaled by an amount that changes with time"
+    parameters = (
+        Parameter(
+            "rate_k_per_h", "K/h", 0.0, -20.0, 20.0, "rooms: 0.3 to 1.5 K within hours; wider: ours", (0.5, -0.5)
+        ),
+        Parameter("sine_k", "K", 0.0, -5.0, 5.0, "heating cycles, 0.3 to 1.5 K; wider: ours", (0.3,)),
+        Parameter("cosine_k", "K", 0.0, -5.0, 5.0, "heating cycles, 0.3 to 1.5 K; wider: ours", (0.0,)),
+        Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating cycles to a day: ours", (600.0, 3600.0)),
+    )
+    rate_k_per_h: Tensor
+    sine_k: Tensor
+    cosine_k: Tensor
+    period_s: Tensor
+
+    def apply(self, state: State) -> State:
+        """Stretch every path by the speed of the moment."""
+        warmer = self.warming(state.conditions.time)
+        ratio = (1.0 + warmer / (CELSIUS + ASSUMED_TEMPERATURE_C)) ** -0.5
+        return state.map_paths(lambda path: replace(path, length=path.length * ratio))
+
+    def warming(self, time: Tensor) -> Tensor:
+        """Return how much warmer than at rest the air is at a time in s, K, bounded to +-50 K."""
+        phase = 2.0 * math.pi * time / self.period_s
+        swing = self.sine_k * torch.sin(phase) + self.cosine_k * torch.cos(phase)
+        return torch.clamp(self.rate_k_per_h * time / 3600.0 + swing, -50.0, 50.0)
+
+    def statement(self) -> str:
+        """Return rate and swing."""
+        v = self.values
+        swing = math.hypot(v["sine_k"], v["cosine_k"])
+        return f"{self.summary}: {v['rate_k_per_h']:+.2g} K/h and a swing of {swing:.2g} K every {v['period_s']:.0f} s."

@@ -7,7 +7,34 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Path, Stage, State
+from noise.effects.base import (
+    FLOOR_M,
+    MARGIN_DB,
+    Effect,
+    Parameter,
+    Path,
+    Stage,
+    State,
+    new_path,
+    number,
+    wall_level_db,
+)
+
+HALF_WAVE = 4.29e-3  # m; one period of 40 kHz as range, 25 us at 343.4 m/s there and back
+
+# Lag of the threshold crossing behind the start of the echo, as range, by the level of its peak over the threshold:
+# 8 cycles of 40 kHz through two resonators of 2 kHz width at -6 dB, first crossing of one polarity.
+WALK_DB = (0.2, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)
+WALK_M = (0.061, 0.048, 0.044, 0.0395, 0.035, 0.031, 0.0265, 0.022, 0.018, 0.0135, 0.009, 0.0047)
+
+
+def interpolate(x: Tensor, at: tuple[float, ...], values: tuple[float, ...]) -> Tensor:
+    """Return a piecewise linear function, held at its ends; differentiable in x."""
+    knots, heights = number(list(at)), number(list(values))
+    inside = torch.clamp(x, at[0], at[-1])
+    k = torch.clamp(torch.searchsorted(knots, inside.detach().contiguous()), 1, len(at) - 1)
+    share = (inside - knots[k - 1]) / (knots[k] - knots[k - 1])
+    return heights[k - 1] + share * (heights[k] - heights[k - 1])
 
 
 class Sensitivity(Effect):
@@ -24,6 +51,12 @@ class Sensitivity(Effect):
     def apply(self, state: State) -> State:
         """Lower the level of every path."""
         return state.map_paths(lambda path: replace(path, level_db=path.level_db - self.loss_db))
+
+    def statement(self) -> str:
+        """Return the loss and how far a wall is still heard."""
+        loss = self.values["loss_db"]
+        reach = 10 ** ((MARGIN_DB - loss) / 20)
+        return f"{self.summary}; {loss:.0f} dB less, so half the echoes of a wall at {reach:.2g} m are missed."
 
 
 class ClockScale(Effect):
@@ -42,6 +75,12 @@ class ClockScale(Effect):
         factor = 1.0 + self.error
         return replace(state, scale=state.scale * factor, offset=state.offset * factor)
 
+    def statement(self) -> str:
+        """Return the error as a share of distance."""
+        error = self.values["error"]
+        sense = "long" if error >= 0 else "short"
+        return f"Readings run {sense} by {100 * abs(error):.2g} % of distance: the clock or its constant is off."
+
 
 class ZeroOffset(Effect):
     """The range is counted from another plane than distances are: register = range + offset."""
@@ -57,6 +96,10 @@ class ZeroOffset(Effect):
     def apply(self, state: State) -> State:
         """Shift the register."""
         return replace(state, offset=state.offset + self.offset_m)
+
+    def statement(self) -> str:
+        """Return the shift."""
+        return f"{self.summary}, by {1000 * self.values['offset_m']:+.1f} mm."
 
 
 class TravelTimeJitter(Effect):
@@ -76,7 +119,178 @@ class TravelTimeJitter(Effect):
         """Widen every path."""
         return state.map_paths(self._widen)
 
+    def statement(self) -> str:
+        """Return the scatter at 1 m and its growth."""
+        v = self.values
+        return f"{self.summary}: by {1000 * v['sigma_m']:.2g} mm and {1000 * v['per_metre']:.2g} mm per metre."
+
     def _widen(self, path: Path) -> Path:
         variance = path.spread**2 + self.sigma_m**2 + (self.per_metre * path.length) ** 2
         # sqrt has no derivative at 0: the tiny constant keeps gradients finite and is removed again
         return replace(path, spread=torch.sqrt(variance + 1e-18) - 1e-9)
+
+
+class TimeWalk(Effect):
+    """A weak echo takes longer to cross the threshold: lag -> lag + scale table(level); 1 is a 2 kHz wide SRF08."""
+
+    name = "time_walk"
+    stage = Stage.DETECTOR
+    summary = "Weak echoes cross the threshold late and read long"
+    parameters = (
+        Parameter("scale", "1", 0.0, 0.0, 2.5, "0.85 at 2.6 kHz to 1.35 at 1.2 kHz width; wider: ours", (1.0,)),
+    )
+    scale: Tensor
+
+    def apply(self, state: State) -> State:
+        """Delay every path by its level."""
+        return state.map_paths(self._delay)
+
+    def _delay(self, path: Path) -> Path:
+        return replace(path, lag=path.lag + self.scale * interpolate(path.level_db, WALK_DB, WALK_M))
+
+    def statement(self) -> str:
+        """Return the lag at two levels."""
+        scale = 1000 * self.values["scale"]
+        return f"{self.summary}: by {13.5e-3 * scale:.0f} mm at 20 dB over it, {44e-3 * scale:.0f} mm at 2 dB."
+
+
+class CycleSlip(Effect):
+    """The first, second or third cycle of an echo triggers: a comb of readings 4.29 mm apart."""
+
+    name = "cycle_slip"
+    stage = Stage.DETECTOR
+    summary = "Echoes trigger one or two cycles late: readings fall on a comb 4.29 mm apart"
+    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "of each further cycle; ours", (0.3,)),)
+    probability: Tensor
+
+    def apply(self, state: State) -> State:
+        """Let each further cycle be needed with the probability."""
+        p = self.probability
+        slip_m = number([0.0, HALF_WAVE, 2.0 * HALF_WAVE])
+        weight = torch.stack([1.0 - p, p * (1.0 - p), p * p])
+        return state.map_paths(lambda path: replace(path, slip_m=slip_m, slip_weight=weight))
+
+    def statement(self) -> str:
+        """Return how often."""
+        return f"{self.summary}, {100 * self.values['probability']:.3g} % of echoes late."
+
+
+class DecayingPath(Path):
+    """A way whose arrivals begin at `length` and thin out over `spread`: 1 - exp(-(z - length) / spread)."""
+
+    def lateness(self, z: Tensor) -> Tensor:
+        """Return P(registered beyond z | detected)."""
+        return torch.exp(-self._past(z))
+
+    def between(self, low: Tensor, high: Tensor) -> Tensor:
+        """Return P(registered in (low, high] | detected)."""
+        return -self.lateness(low) * torch.expm1(self._past(low) - self._past(high))
+
+    def _past(self, z: Tensor) -> Tensor:
+        return torch.clamp(z - (self.length + self.lag), min=0.0) / torch.clamp(self.spread, min=FLOOR_M)
+
+
+class RingDown(Effect):
+    """The transducer still rings when listening begins: false near echoes from `range_m` on, thinning out."""
+
+    name = "ring_down"
+    stage = Stage.PATHS
+    summary = "The transducer's own ringing is read as a near echo"
+    parameters = (
+        Parameter("probability", "1", 0.0, 0.0, 1.0, "ours", (0.2,)),
+        Parameter("range_m", "m", 0.1, 0.005, 0.8, "end of blanking to 0.8 m", (0.05, 0.25)),
+        Parameter("decay_m", "m", 0.047, 0.003, 0.2, "c tau / 2, tau 220 to 460 us; wider: ours", (0.04,)),
+    )
+    probability: Tensor
+    range_m: Tensor
+    decay_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add it as a way of its own."""
+        length = self.range_m + torch.zeros_like(state.conditions.distance)
+        path = vars(new_path("ring-down", length, wall_level_db(length), self.probability))
+        return state.with_path(DecayingPath(**{**path, "spread": self.decay_m}))
+
+    def statement(self) -> str:
+        """Return where and how often."""
+        v = self.values
+        return f"{self.summary}: from {1000 * v['range_m']:.0f} mm on, in {100 * v['probability']:.3g} % of pings."
+
+
+class FalseAlarm(Effect):
+    """Noise crosses the threshold at a steady rate while the sensor listens: only ever before the echo."""
+
+    name = "false_alarm"
+    stage = Stage.DETECTOR
+    summary = "Noise is taken for an echo before the true one comes"
+    parameters = (Parameter("per_metre", "1/m", 0.0, 0.0, 1.0, "1e-5 to 1e-2 a ping; wider: ours", (0.005,)),)
+    per_metre: Tensor
+
+    def apply(self, state: State) -> State:
+        """Raise the rate of clutter."""
+        return replace(state, clutter_per_metre=state.clutter_per_metre + self.per_metre)
+
+    def statement(self) -> str:
+        """Return the rate."""
+        return f"{self.summary}: {100 * self.values['per_metre']:.2g} % for every metre listened."
+
+
+class Quantisation(Effect):
+    """The reading is rounded to whole steps, centimetres say. A step has no derivative: a fit tries the starts."""
+
+    name = "quantisation"
+    stage = Stage.REGISTER
+    summary = "Readings come in coarse steps"
+    parameters = (Parameter("step_m", "m", 0.0, 0.0, 0.2, "cm or inch output, Devantech SRF08", (0.01, 0.0254)),)
+    step_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Round the register."""
+        return replace(state, step=float(self.step_m.detach()))
+
+    def statement(self) -> str:
+        """Return the step."""
+        return f"{self.summary} of {1000 * self.values['step_m']:.1f} mm."
+
+
+class RangeGate(Effect):
+    """Listening stops early: echoes from beyond `listen_m` are not heard."""
+
+    name = "range_gate"
+    stage = Stage.REGISTER
+    summary = "The sensor stops listening: farther echoes are not heard"
+    parameters = (
+        Parameter("listen_m", "m", 11.008, 0.3, 11.008, "range register (r + 1) 43 mm, Devantech SRF08", (6.0, 3.0)),
+    )
+    listen_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Close the gate."""
+        return replace(state, gate=torch.minimum(state.gate, self.listen_m))
+
+    def statement(self) -> str:
+        """Return where."""
+        return f"{self.summary}: beyond {self.values['listen_m']:.2f} m."
+
+
+class WarmUp(Effect):
+    """The zero drifts after power-on: register = range + offset exp(-t / tau), t from the recording's start."""
+
+    name = "warm_up"
+    stage = Stage.REGISTER
+    summary = "The zero drifts while the sensor warms up"
+    parameters = (
+        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "ours", (0.01, -0.01)),
+        Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: ours", (60.0, 600.0)),
+    )
+    offset_m: Tensor
+    tau_s: Tensor
+
+    def apply(self, state: State) -> State:
+        """Shift the register by what is left of the drift."""
+        return replace(state, offset=state.offset + self.offset_m * torch.exp(-state.conditions.time / self.tau_s))
+
+    def statement(self) -> str:
+        """Return size and time."""
+        v = self.values
+        return f"{self.summary}: {1000 * v['offset_m']:+.1f} mm at first, gone with a time of {v['tau_s']:.0f} s."

@@ -1,0 +1,121 @@
+"""Mounting effects: how the sensor is built, pointed and turned."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from noise.effects.base import Effect, Parameter, Path, Stage, State
+
+HALF_AMPLITUDE = 2.215  # x at which 2 J1(x) / x = 1/2, the edge of a quoted -6 dB beam
+LEAK = 0.01  # amplitude that housing and side lobes let through at any bearing: ours
+TERMS = 30  # of the power series of J1; exact to 1e-12 out to x = 8
+
+
+def directivity(x: Tensor) -> Tensor:
+    """Return the amplitude of a piston off its axis, 2 J1(x) / x, as its power series: differentiable, 1 at 0."""
+    quarter = -(x**2) / 4.0
+    term = total = torch.ones_like(x)
+    for m in range(1, TERMS):
+        term = term * quarter / (m * (m + 1))
+        total = total + term
+    return total
+
+
+class BeamWidth(Effect):
+    """A piston's beam, out and back: level -> level + 40 log10 D(ka sin(bearing)), D(x) = 2 J1(x) / x."""
+
+    name = "beam_width"
+    stage = Stage.MEDIUM
+    summary = "The beam is narrower than assumed: echoes from the side are weaker"
+    parameters = (
+        Parameter("ka", "1", 0.0, 0.0, 8.0, "piston; 4.8 = the 55 deg at -6 dB that Devantech quotes", (3.0, 4.8)),
+    )
+    ka: Tensor
+
+    def apply(self, state: State) -> State:
+        """Weaken every path by its bearing; `LEAK` stands in for what the nulls of a perfect piston lack."""
+        return state.map_paths(self._point)
+
+    def _point(self, path: Path) -> Path:
+        amplitude = directivity(self.ka * torch.sin(torch.clamp(path.bearing.abs(), max=math.pi / 2)))
+        loss_db = 20.0 * torch.log10((amplitude**2 + LEAK**2) / (1.0 + LEAK**2))
+        return replace(path, level_db=path.level_db + loss_db)
+
+    def statement(self) -> str:
+        """Return the full -6 dB angle in words."""
+        ka = self.values["ka"]
+        if ka <= HALF_AMPLITUDE:
+            return f"{self.summary} (ka {ka:.2g}: no -6 dB edge within 90 deg)."
+        return f"{self.summary}: {2 * math.degrees(math.asin(HALF_AMPLITUDE / ka)):.0f} deg in full at -6 dB."
+
+
+class Boresight(Effect):
+    """The beam points `yaw_deg` beside the axis that bearings are counted from; shows only through a beam's width."""
+
+    name = "boresight"
+    stage = Stage.CONDITION
+    summary = "The beam does not point along the axis that angles are counted from"
+    parameters = (Parameter("yaw_deg", "deg", 0.0, -15.0, 15.0, "0 to 3 deg; wider: ours", (-3.0, 3.0)),)
+    yaw_deg: Tensor
+
+    def apply(self, state: State) -> State:
+        """Turn the bearing of what the sensor faces."""
+        turned = state.conditions.angle - self.yaw_deg * (math.pi / 180.0)
+        return state.facing(replace(state.conditions, angle=turned))
+
+    def statement(self) -> str:
+        """Return the angle and its sense."""
+        return f"{self.summary}: it is off by {self.values['yaw_deg']:+.1f} deg."
+
+
+class PivotOffset(Effect):
+    """The reflector turns about an axis behind (and beside) its face: d -> d + e (1 - cos t) + f sin t."""
+
+    name = "pivot_offset"
+    stage = Stage.CONDITION
+    summary = "The turning axis lies off the reflector's face: the distance changes as it is turned"
+    parameters = (
+        Parameter("axial_m", "m", 0.0, -0.35, 0.35, "thesis stand 0 to 320 mm behind the face", (0.1, -0.1)),
+        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; ours", (0.0,)),
+    )
+    axial_m: Tensor
+    lateral_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Move the reflector by the geometry of its turning."""
+        turn = state.conditions.incidence
+        moved = state.conditions.distance + self.axial_m * (1.0 - torch.cos(turn)) + self.lateral_m * torch.sin(turn)
+        return state.facing(replace(state.conditions, distance=torch.clamp(moved, min=0.0)))
+
+    def statement(self) -> str:
+        """Return what happens at 45 degrees."""
+        shift = self.values["axial_m"] * (1 - math.cos(math.pi / 4)) + self.values["lateral_m"] * math.sin(math.pi / 4)
+        return f"{self.summary}: by {1000 * shift:+.0f} mm at 45 deg."
+
+
+class BaselineParallax(Effect):
+    """Transmitter and receiver sit apart: half the way is sqrt(d^2 + (spacing/2)^2), longer only when near."""
+
+    name = "baseline_parallax"
+    stage = Stage.PATHS
+    summary = "Transmitter and receiver sit apart: near ranges read long"
+    parameters = (Parameter("spacing_m", "m", 0.0, 0.0, 0.2, "25 mm on the SRF08's board; wider: ours", (0.03, 0.1)),)
+    spacing_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Lengthen every path by the triangle over the spacing."""
+        return state.map_paths(self._slant)
+
+    def _slant(self, path: Path) -> Path:
+        near = torch.clamp(path.length, min=1e-3)  # sqrt has no derivative at 0
+        return replace(path, length=path.length + torch.sqrt(near**2 + (self.spacing_m / 2.0) ** 2) - near)
+
+    def statement(self) -> str:
+        """Return the spacing and the error at 100 mm."""
+        spacing = self.values["spacing_m"]
+        error = math.hypot(0.1, spacing / 2) - 0.1
+        return f"{self.summary}: {1000 * spacing:.0f} mm apart, {1000 * error:+.1f} mm at 100 mm."

@@ -1,0 +1,256 @@
+"""Target effects: what the reflector and its surroundings do to the direct echo, and the further ways they open.
+
+An added way has a `presence`, the probability that it exists at all; 0 is its null. Since the first echo wins, a way
+behind the reflector shows only where the direct echo is missed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from noise.effects.base import Effect, Parameter, Stage, State, new_path, wall_level_db
+
+WAVELENGTH = 8.584e-3  # m; 40 kHz at 19 degC and 50 % relative humidity
+NEAR = 0.02  # m; the asymptotic formulas below are held at this distance
+
+
+def presence(start: float = 0.5) -> Parameter:
+    """Return the parameter that every added way has."""
+    return Parameter("presence", "1", 0.0, 0.0, 1.0, "probability; ours", (start,))
+
+
+def half_width(null: float = 0.1) -> Parameter:
+    """Return half the width of a reflector; 0.1 m is the radius of the thesis's disc."""
+    return Parameter("half_width_m", "m", null, 0.02, 2.0, "disc of Esmi (2016): radius 0.1 m", (null,))
+
+
+def miss(state: State, half_width_m: Tensor) -> Tensor:
+    """Return by how much the foot of the perpendicular misses the face, in Fresnel units v, (n,).
+
+    The edge stands midway on the way to the mirror image, as a knife edge (ITU-R P.526):
+    v = m sqrt(2 / lambda (1/d + 1/d)), m = d sin t - a.
+    """
+    c = state.conditions
+    d = torch.clamp(c.distance, min=NEAR)
+    return 2.0 * (d * torch.sin(c.incidence).abs() - half_width_m) / torch.sqrt(WAVELENGTH * d)
+
+
+class ReflectanceLoss(Effect):
+    """Amplitude falls with the reflectance that was written down: level -> level + strength 20 log10 R."""
+
+    name = "reflectance_loss"
+    stage = Stage.PATHS
+    summary = "Reflectors of low reflectance send weaker echoes"
+    parameters = (
+        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = amplitude in proportion to reflectance; ours", (1.0,)),
+    )
+    strength: Tensor
+
+    def apply(self, state: State) -> State:
+        """Weaken the direct path."""
+        loss_db = 20.0 * torch.log10(torch.clamp(state.conditions.reflectance, min=1e-3))
+        return state.with_direct(replace(state.direct, level_db=state.direct.level_db + self.strength * loss_db))
+
+    def statement(self) -> str:
+        """Return the loss at reflectance 0.1."""
+        return f"{self.summary}: {20 * self.values['strength']:.0f} dB at reflectance 0.1."
+
+
+class SpecularLoss(Effect):
+    """A smooth face is seen while the perpendicular hits it; beyond its edge the level falls as at a knife edge.
+
+    level -> level - strength J(v), J(v) = 6.9 + 20 log10(sqrt((v - 0.1)^2 + 1) + v - 0.1) dB for v > -0.78.
+    """
+
+    name = "specular_loss"
+    stage = Stage.PATHS
+    summary = "Smooth reflectors send sound away when they are tilted: their echoes fade and are lost"
+    parameters = (
+        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = knife edge, ITU-R P.526; other: ours", (1.0,)),
+        half_width(),
+    )
+    strength: Tensor
+    half_width_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Weaken the direct path where its perpendicular misses."""
+        v = miss(state, self.half_width_m) - 0.1
+        loss_db = torch.relu(6.9 + 20.0 * torch.log10(torch.sqrt(v**2 + 1.0) + v))
+        return state.with_direct(replace(state.direct, level_db=state.direct.level_db - self.strength * loss_db))
+
+    def statement(self) -> str:
+        """Return where the face is lost at 1 m."""
+        angle = math.degrees(math.asin(min(1.0, self.values["half_width_m"])))
+        return (
+            f"{self.summary}, at 1 m from {angle:.0f} deg on ({100 * self.values['strength']:.0f} % of a knife edge)."
+        )
+
+
+class EdgeDiffraction(Effect):
+    """The near edge of the face echoes too: length sqrt(d^2 + a^2 - 2 d a sin t), -33 dB re a wall at 1 m (GTD)."""
+
+    name = "edge_diffraction"
+    stage = Stage.PATHS
+    summary = "The reflector's near edge echoes, weakly and earlier than its middle"
+    parameters = (presence(), half_width())
+    presence: Tensor
+    half_width_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add the way over the near edge."""
+        c, a = state.conditions, self.half_width_m
+        turn = torch.clamp(c.incidence.abs(), max=1.4)
+        d = torch.clamp(c.distance, min=NEAR)
+        length = torch.sqrt(d**2 + a**2 - 2.0 * d * a * torch.sin(turn) + 1e-12)
+        amplitude = torch.sqrt(WAVELENGTH / d) * (1.0 + 1.0 / torch.cos(turn)) / (2.0 * math.sqrt(2.0) * math.pi)
+        level_db = wall_level_db(d) + 20.0 * torch.log10(torch.clamp(amplitude, max=1.0))
+        return state.with_path(new_path("edge", length, level_db, self.presence, c.angle))
+
+    def statement(self) -> str:
+        """Return how much earlier the edge is at 45 degrees."""
+        early = self.values["half_width_m"] * math.sin(math.pi / 4)
+        return (
+            f"{self.summary}: about {1000 * early:.0f} mm at 45 deg, in {_percent(self.values['presence'])} of pings."
+        )
+
+
+class PerpendicularFoot(Effect):
+    """A tilted face that is still seen reads the foot of the perpendicular, d cos t, not the distance to its middle."""
+
+    name = "perpendicular_foot"
+    stage = Stage.PATHS
+    summary = "Tilted reflectors read the foot of the perpendicular: short by 1 - cos(incidence)"
+    parameters = (Parameter("share", "1", 0.0, 0.0, 1.0, "1 = mirror geometry", (1.0,)), half_width())
+    share: Tensor
+    half_width_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Shorten the direct path where the perpendicular hits the face."""
+        c = state.conditions
+        # lost about 1 deg beyond the edge at 1 m, as the Kirchhoff integral of a disc has it
+        seen = torch.sigmoid(-6.0 * (miss(state, self.half_width_m) - 0.4))
+        short = c.distance * (1.0 - torch.cos(c.incidence)) * self.share * seen
+        return state.with_direct(replace(state.direct, length=state.direct.length - short))
+
+    def statement(self) -> str:
+        """Return the shift at 5 degrees and 1 m."""
+        short = self.values["share"] * (1 - math.cos(math.radians(5)))
+        return f"{self.summary}, {1000 * short:.1f} mm at 5 deg and 1 m."
+
+
+class BackgroundReflector(Effect):
+    """Something stands `behind_m` behind the reflector and answers where the reflector does not."""
+
+    name = "background_reflector"
+    stage = Stage.PATHS
+    summary = "Something behind the reflector is read when the reflector itself is missed"
+    parameters = (
+        presence(0.9),
+        Parameter("behind_m", "m", 0.3, 0.02, 2.0, "stand of Esmi (2016): 0.3 m behind", (0.1, 0.3, 0.7)),
+        Parameter("loss_db", "dB", 19.0, -10.0, 45.0, "post of 15 mm at 1.3 m: 19 dB below a wall", (5.0,)),
+    )
+    presence: Tensor
+    behind_m: Tensor
+    loss_db: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add the way to it."""
+        length = state.conditions.distance + self.behind_m
+        level_db = wall_level_db(length) - self.loss_db
+        return state.with_path(new_path("background", length, level_db, self.presence, state.conditions.angle))
+
+    def statement(self) -> str:
+        """Return how far behind it stands."""
+        v = self.values
+        return f"{self.summary}: {1000 * v['behind_m']:.0f} mm behind, {v['loss_db']:.0f} dB below a wall."
+
+
+class FixedClutter(Effect):
+    """Something else in the room answers from `range_m`, wherever the reflector stands."""
+
+    name = "fixed_clutter"
+    stage = Stage.PATHS
+    summary = "Something else in the room is read at a fixed range"
+    parameters = (
+        presence(0.2),
+        Parameter("range_m", "m", 3.25, 0.05, 11.0, "floor in a beam at 1.5 m height: 3.25 m", (0.5, 1.5, 3.25)),
+        Parameter("spread_m", "m", 0.005, 0.001, 0.3, "ours", (0.02,)),
+    )
+    presence: Tensor
+    range_m: Tensor
+    spread_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add the way to it."""
+        length = self.range_m + torch.zeros_like(state.conditions.distance)
+        path = new_path("clutter", length, wall_level_db(length), self.presence)
+        return state.with_path(replace(path, spread=self.spread_m))
+
+    def statement(self) -> str:
+        """Return its range and how often it is there."""
+        return f"{self.summary}: {self.values['range_m']:.2f} m, in {_percent(self.values['presence'])} of pings."
+
+
+class Multipath(Effect):
+    """Sound comes back over the floor: half the way is (sqrt(d^2 + 4 h^2) + d) / 2, one leg at atan(2 h / d)."""
+
+    name = "multipath"
+    stage = Stage.PATHS
+    summary = "Echoes that bounced off the floor are read when the direct one is missed"
+    parameters = (
+        presence(0.9),
+        Parameter("height_m", "m", 0.3, 0.02, 3.0, "of the axis over the floor; 1.5 m in Esmi (2016)", (0.2, 0.5, 1.5)),
+        Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "of the bounce against a wall; ours", (5.0,)),
+    )
+    presence: Tensor
+    height_m: Tensor
+    loss_db: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add the way over the floor; its bearing gives the mean of both legs' losses."""
+        c = state.conditions
+        slant = torch.sqrt(c.distance**2 + 4.0 * self.height_m**2)
+        length = 0.5 * (slant + c.distance)
+        both = 0.5 * ((2.0 * self.height_m / slant) ** 2 + torch.sin(c.angle) ** 2)
+        bearing = torch.asin(torch.clamp(torch.sqrt(both + 1e-12), max=0.999))
+        return state.with_path(
+            new_path("floor", length, wall_level_db(length) - self.loss_db, self.presence, bearing),
+        )
+
+    def statement(self) -> str:
+        """Return the height that fits."""
+        late = 0.5 * (math.hypot(1.0, 2 * self.values["height_m"]) - 1.0)
+        return f"{self.summary}: axis {self.values['height_m']:.2f} m above it, {1000 * late:.0f} mm late at 1 m."
+
+
+class RepeatedBounce(Effect):
+    """The echo bounces off the sensor and goes out again: a second echo at twice the distance."""
+
+    name = "repeated_bounce"
+    stage = Stage.PATHS
+    summary = "The echo goes to and fro twice and is read at twice the distance when the first is missed"
+    parameters = (
+        presence(0.9),
+        Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "p0 / (4 d) R_face: 6 dB and the sensor's face; ours", (6.0,)),
+    )
+    presence: Tensor
+    loss_db: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add the doubled way."""
+        c = state.conditions
+        level_db = wall_level_db(2.0 * c.distance) - self.loss_db
+        return state.with_path(new_path("twice", 2.0 * c.distance, level_db, self.presence, c.angle))
+
+    def statement(self) -> str:
+        """Return its loss."""
+        v = self.values
+        return f"{self.summary}: {v['loss_db']:.0f} dB below a wall there, in {_percent(v['presence'])} of pings."
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
