@@ -157,7 +157,10 @@ class Recording:
                 "reflectance": ping.reflectance,
                 **{key: np.asarray(value) for key, value in ping.covariates.items()},
                 "reading_mm": np.where(reading.answered, reading.range / MM, np.nan),
-                **{f"echo_{k + 2}_mm": column / MM for k, column in enumerate(reading.echoes.T)},
+                **{
+                    f"echo_{k + 2}_mm": np.where(reading.answered, column / MM, np.nan)
+                    for k, column in enumerate(reading.echoes.T)
+                },
             }
         )
         return cls(table.assign(**columns).round(6), name)

@@ -31,7 +31,7 @@ class ConditionPrior:
 
     near: float = 0.03
     far: float = 6.0
-    distances: int = 240
+    distances: int = 600  # two a bin of the table, so that no bin is empty even for a sonar without noise
     angles_deg: tuple[float, ...] = (0.0, 7.5, 15.0, 22.5, 30.0, 45.0)
     reflectances: tuple[float, ...] = (0.1, 0.5, 0.9)
 
@@ -95,6 +95,5 @@ class CredenceTable:
 
     def given(self, reading: Reading) -> Floats:
         """Return the credence of each reading, (n,); 0 where there was no echo or no answer."""
-        place = np.clip(np.searchsorted(self.edges, reading.range, side="right") - 1, 0, len(self.values) - 1)
-        beyond = reading.range > self.edges[-1]
-        return np.where(reading.echo & ~beyond, self.values[place], 0.0)
+        place = np.minimum(np.searchsorted(self.edges, reading.range, side="right") - 1, len(self.values) - 1)
+        return np.where(reading.echo & (reading.range <= self.edges[-1]), self.values[place], 0.0)

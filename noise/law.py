@@ -105,7 +105,8 @@ class EchoLaw(ABC):
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
         low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)
         high = np.floor((1 + tolerance) * self.distance / self.resolution + 1e-9).astype(np.int64)
-        return np.clip(self.cdf_step(high) - self.cdf_step(low - 1), 0.0, 1.0)
+        below, upto = self.cdf_step(np.stack([low - 1, high]))
+        return np.minimum(np.maximum(upto - below, 0.0), 1.0)
 
     def quantile(self, p: ArrayLike) -> Floats:
         """Return the reading below which a share p of the *echoes* lies, m, (n,); 0 where an echo cannot be."""

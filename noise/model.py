@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.special import ndtr
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from acquisition import Ping, Reading, SettingError, previous
 from noise.law import EchoLaw, Floats
@@ -55,9 +56,28 @@ class NormalLaw(EchoLaw):
         return (1.0 - self.miss) * ndtr(score)
 
     @property
+    def echo(self) -> Floats:
+        """P(an echo is registered), (n,)."""
+        return 1.0 - self.miss
+
+    @property
     def no_answer(self) -> Floats:
         """P(the sensor does not answer): never."""
         return np.zeros(len(self))
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Draw a reading for each ping from one uniform number, in closed form: a simulator does so at every step."""
+        u = rng.random(len(self))
+        echo = u < 1.0 - self.miss
+        step = self._invert(np.where(echo, u, 0.0))
+        return Reading(np.where(echo, step * self.resolution, 0.0), echo.astype(np.uint8))
+
+    def _invert(self, u: Floats) -> NDArray[np.int64]:
+        """Return the smallest step whose cdf exceeds u."""
+        # u is kept inside (0, 1 - miss): the ends stand at infinite distance even where sigma is 0
+        share = np.minimum(np.maximum(u / np.maximum(1.0 - self.miss, 1e-300), 1e-300), 1.0 - 1e-16)
+        nearest = np.ceil((self.mean + self.sigma * ndtri(share)) / self.resolution - 0.5)
+        return np.minimum(np.maximum(nearest, 1), self.last_step).astype(np.int64)
 
 
 @dataclass(frozen=True)

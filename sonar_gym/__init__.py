@@ -1,1 +1,31 @@
-"""Gymnasium environments and wrappers with a real sonar."""
+"""Gymnasium environments and wrappers with a real sonar.
+
+Importing this package registers `SonarParking-v0`; torch is imported only by models that need it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import gymnasium
+
+ENV_ID = "SonarParking-v0"
+_LAZY = {
+    "SonarParkingEnv": "sonar_gym.parking",
+    "SonarObservation": "sonar_gym.wrappers",
+    "ParkingDriver": "sonar_gym.driver",
+    "run_episode": "sonar_gym.driver",
+}
+
+__all__ = ["ENV_ID", "ParkingDriver", "SonarObservation", "SonarParkingEnv", "run_episode"]
+
+if ENV_ID not in gymnasium.registry:
+    gymnasium.register(id=ENV_ID, entry_point="sonar_gym.parking:SonarParkingEnv", max_episode_steps=400)
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is heavier than registration on first use."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'sonar_gym' has no attribute {name!r}")

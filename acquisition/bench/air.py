@@ -1,0 +1,97 @@
+"""Air: how fast sound goes in it, what it takes away, and how it wanders during a session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+CELSIUS = 273.15
+PRESSURE = 101_325.0  # Pa
+CARBON_DIOXIDE = 4.0e-4  # mole fraction in a room
+CARRIER = 40e3  # Hz, of the SRF08's burst
+
+# Cramer, J. Acoust. Soc. Am. 93 (1993) 2510, table III
+CRAMER = (
+    (331.5024, 0.603055, -0.000528),
+    (51.471935, 0.1495874, -0.000782),
+    (-1.82e-7, 3.73e-8, -2.93e-10),
+    (-85.20931, -0.228525, 5.91e-5),
+)
+CRAMER_SQUARES = (-2.835149, -2.15e-13, 29.179762, 0.000486)
+COMPONENTS = 48  # of the slow drift's harmonic series
+
+
+def _water(t: Floats, humidity_pct: ArrayLike) -> Floats:
+    """Return the mole fraction of water vapour (Cramer 1993, eq. A1 to A3)."""
+    kelvin = t + CELSIUS
+    saturation = np.exp(1.2811805e-5 * kelvin**2 - 1.9509874e-2 * kelvin + 34.04926034 - 6.3536311e3 / kelvin)
+    enhancement = 1.00062 + 3.14e-8 * PRESSURE + 5.6e-7 * t**2
+    return np.asarray(humidity_pct, dtype=np.float64) / 100.0 * enhancement * saturation / PRESSURE
+
+
+def sound_speed(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Floats:
+    """Return the speed of sound, m/s (Cramer 1993).
+
+    >>> round(float(sound_speed(19.0, 50.0)), 1)
+    343.4
+    """
+    t = np.asarray(temperature_c, dtype=np.float64)
+    water = _water(t, humidity_pct)
+    dry, wet, pressed, carbonated = (a + b * t + c * t**2 for a, b, c in CRAMER)
+    first = dry + wet * water + pressed * PRESSURE + carbonated * CARBON_DIOXIDE
+    a, b, c, d = CRAMER_SQUARES
+    second = a * water**2 + b * PRESSURE**2 + c * CARBON_DIOXIDE**2 + d * water * PRESSURE * CARBON_DIOXIDE
+    return np.asarray(first + second)
+
+
+def absorption_db(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, frequency: float = CARRIER) -> Floats:
+    """Return what air takes away, dB/m (ISO 9613-1, eq. 3 to 5, at one atmosphere).
+
+    >>> round(float(absorption_db(19.0, 50.0)), 2)
+    1.29
+    """
+    kelvin = np.asarray(temperature_c, dtype=np.float64) + CELSIUS
+    ratio = kelvin / 293.15
+    water_pct = np.asarray(humidity_pct) * 10.0 ** (4.6151 - 6.8346 * (273.16 / kelvin) ** 1.261)
+    oxygen = 24.0 + 4.04e4 * water_pct * (0.02 + water_pct) / (0.391 + water_pct)
+    nitrogen = ratio**-0.5 * (9.0 + 280.0 * water_pct * np.exp(-4.170 * (ratio ** (-1.0 / 3.0) - 1.0)))
+    relaxation = 0.01275 * np.exp(-2239.1 / kelvin) / (oxygen + frequency**2 / oxygen)
+    relaxation += 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen + frequency**2 / nitrogen)
+    return 8.686 * frequency**2 * (1.84e-11 * ratio**0.5 + ratio**-2.5 * relaxation)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A slow stationary wander, a function of time alone, so a session can be taken up again where it stopped.
+
+    A harmonic series whose frequencies are drawn from a Lorentzian has the covariance sigma^2 exp(-|dt|/tau).
+    """
+
+    frequency: Floats
+    phase: Floats
+    sigma: float
+
+    @classmethod
+    def draw(cls, sigma: float, tau: float, rng: np.random.Generator) -> Drift:
+        """Draw one wander of standard deviation `sigma` and correlation time `tau`, s."""
+        return cls(rng.standard_cauchy(COMPONENTS) / tau, rng.uniform(0.0, 2.0 * np.pi, COMPONENTS), sigma)
+
+    def __call__(self, time: Floats) -> Floats:
+        """Return the wander at times in s, (n,)."""
+        if self.sigma == 0.0:
+            return np.zeros(len(time))
+        waves = np.cos(time[:, None] * self.frequency + self.phase)
+        return self.sigma * np.sqrt(2.0 / COMPONENTS) * waves.sum(axis=1)
+
+
+def flutter(time: Floats, tau: float, rows: int, rng: np.random.Generator) -> Floats:
+    """Draw `rows` independent Ornstein-Uhlenbeck processes of unit variance at given times, (n, rows)."""
+    white = rng.standard_normal((len(time), rows))
+    keep = np.exp(-np.abs(np.diff(time)) / tau) if tau > 0 else np.zeros(len(time) - 1)
+    fresh = np.sqrt(1.0 - keep**2)
+    for k in range(1, len(time)):
+        white[k] = keep[k - 1] * white[k - 1] + fresh[k - 1] * white[k]
+    return white

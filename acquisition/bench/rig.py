@@ -1,0 +1,217 @@
+"""The rig: a unit in a laboratory, asked for pings, giving registers or a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.bench.air import Drift, Floats, absorption_db, flutter, sound_speed
+from acquisition.bench.receiver import PER_UNIT, Air, Waveform, crossings, first_echoes, to_codes, voltages
+from acquisition.bench.scene import BOUNCE, GHOST, GROUPS, LEAK, Arrivals, Pose, Scene
+from acquisition.bench.setup import Setup
+from acquisition.bench.transducer import PERIOD, Complexes
+from acquisition.bench.unit import DEG, Unit
+from acquisition.bench.wire import Link, faults
+from acquisition.ping import EchoStatus, Ping, Reading
+from acquisition.recording import Recording
+
+CM = 0.01
+INCH = 0.0254
+METRES = {"cm": CM, "inch": INCH, "us": PER_UNIT["us"] / PER_UNIT["cm"] * CM}
+GHOST_S = 0.15  # pings further apart than this cannot hear each other: 25 m of air take 65 dB
+BATCH = 256  # pings worked on at once: about 6 MB of waveforms
+VISIT_C = 0.2  # degC; pings of a visit whose air differs more get an echo of their own
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Registers:
+    """What n pings left in the registers.
+
+    Attributes:
+        code: echo registers 2..35 as whole numbers in the unit of output, 0 for none, (n, 17) uint16.
+        answered: whether the sensor answered at all, (n,).
+        temperature_c: of the air at each ping, degC, (n,); no register holds it, a thermometer would.
+        fault: what the wire did to each ping, (n,), a `Link` each.
+    """
+
+    code: NDArray[np.uint16]
+    answered: NDArray[np.bool_]
+    temperature_c: Floats
+    fault: NDArray[np.uint8]
+
+    def reading(self, setup: Setup) -> Reading:
+        """Return the registers as ranges, keeping as many further echoes as any ping has."""
+        code = np.where(self.answered[:, None], self.code, 0)
+        status = np.where(code[:, 0] > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO)
+        status = np.where(self.answered, status, EchoStatus.NO_ANSWER)
+        deepest = int((code > 0).sum(axis=1).max(initial=1))
+        ranges = code[:, :deepest] * METRES[setup.output]
+        return Reading.of(ranges[:, 0], status, ranges[:, 1:])
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A sonar on a stand in front of a reflector on another, to the level of the waveform.
+
+    >>> import numpy as np
+    >>> rig = Rig(Unit.nominal(), Setup(gain=31, output="us", placement_m=0.0))
+    >>> heard = rig.ping(Ping.of(distance=1.0, reflectance=0.9), np.random.default_rng(0))
+    >>> bool(5_700 < heard.code[0, 0] < 5_900)
+    True
+    """
+
+    unit: Unit = field(default_factory=Unit.nominal)
+    setup: Setup = field(default_factory=Setup)
+
+    def draw_drift(self, rng: np.random.Generator) -> Drift:
+        """Draw how this laboratory's temperature will wander."""
+        return Drift.draw(self.setup.drift_c, self.setup.drift_tau_s, rng)
+
+    def ping(
+        self, ping: Ping, rng: np.random.Generator, drift: Drift | None = None, progress: Progress | None = None
+    ) -> Registers:
+        """Fire n pings, any n, and return what they left in the registers.
+
+        Args:
+            ping: the conditions; consecutive pings of one condition in one run are one visit, for which the reflector
+                is placed once. Covariates `temperature_c` and `humidity_pct` replace the setup's.
+            rng: all randomness.
+            drift: how the temperature wanders; drawn anew where it is not given.
+            progress: called with pings done and pings in all.
+        """
+        drift = self.draw_drift(rng) if drift is None else drift
+        temperature = ping.covariates.get("temperature_c", self.setup.temperature_c) + drift(ping.time)
+        code = np.zeros((len(ping), 17), dtype=np.uint16)
+        for start, stop in _visits(ping):
+            placed = self._place(ping[start : start + 1], rng)
+            moved = _flutter(self.setup, ping.time[start:stop], rng)
+            for rows in _alike(temperature[start:stop], start):
+                times = self._listen(placed, ping[rows], temperature[rows], moved[rows - start], rng)
+                code[rows] = to_codes(times, self.unit, self.setup.output)
+            if progress is not None:
+                progress(stop, len(ping))
+        return _through_wire(code, ping, temperature, self.setup, rng)
+
+    def record(self, ping: Ping, rng: np.random.Generator, progress: Progress | None = None) -> Recording:
+        """Fire n pings and return them as a recording, with what was logged beside them."""
+        registers = self.ping(ping, rng, progress=progress)
+        return Recording.of(ping, registers.reading(self.setup), name="rig", **self.columns(ping, registers))
+
+    def columns(self, ping: Ping, registers: Registers) -> dict[str, Floats]:
+        """Return the covariates that a laboratory logs: air to 0.1, settings of the sensor."""
+        n = len(ping)
+        return {
+            "temperature_c": registers.temperature_c.round(1),
+            "humidity_pct": ping.covariates.get("humidity_pct", np.full(n, self.setup.humidity_pct)),
+            "gain": np.full(n, float(self.setup.gain)),
+            "range_mm": np.full(n, 43.0 * (self.setup.range_register + 1)),
+        }
+
+    def _place(self, ping: Ping, rng: np.random.Generator) -> Ping:
+        """Return where the reflector of one visit really stands; the fourth draw is its backward tilt."""
+        setup = self.setup
+        along, bearing, turn, tilt = rng.standard_normal(4)
+        return replace(
+            ping,
+            distance=np.maximum(ping.distance + setup.zero_m + setup.placement_m * along, 0.005),
+            angle=ping.angle + setup.placement_deg * DEG * bearing,
+            incidence=ping.incidence + setup.tilt_deg * DEG * turn,
+            covariates={**ping.covariates, "_tilt": np.array([setup.tilt_deg * DEG * tilt])},
+        )
+
+    def _listen(self, placed: Ping, ping: Ping, temperature: Floats, moved: Floats, rng: np.random.Generator) -> Floats:
+        """Return the echo times of pings that share one placement and nearly one air, s, (n, 17)."""
+        air = self._air(float(temperature.mean()), ping)
+        groups, waves = self._waves(placed, ping, air)
+        speed = sound_speed(temperature, self._humidity(ping))
+        length = np.array([wave.length for wave in waves])
+        spread = np.sqrt(length / 6.0)
+        late = 2.0 * length * (1.0 / speed - 1.0 / air.speed)[:, None]
+        late = late + 2.0 * self.setup.jitter_m * spread * moved[:, groups, 1] / air.speed
+        level = self.setup.scintillation_db * (length / 6.0) ** (11.0 / 12.0) * moved[:, groups, 0]
+        factor = (10.0 ** (level / 20.0)).astype(np.complex128)
+        still = groups == LEAK
+        factor[:, still], late[:, still] = 1.0, 0.0
+        out = [self._hear(waves, factor[k : k + BATCH], late[k : k + BATCH], rng) for k in range(0, len(ping), BATCH)]
+        return np.concatenate(out)
+
+    def _hear(self, waves: list[Waveform], factor: Complexes, late: Floats, rng: np.random.Generator) -> Floats:
+        z = voltages(waves, factor, late, self.unit, self.setup, rng)
+        ping, time = crossings(z, self.unit)
+        return first_echoes(ping, time, len(z), self.unit, self.setup.listening / (1.0 + self.unit.clock_error))
+
+    def _humidity(self, ping: Ping) -> float:
+        given = ping.covariates.get("humidity_pct")
+        return self.setup.humidity_pct if given is None else float(given[0])
+
+    def _air(self, temperature: float, ping: Ping) -> Air:
+        humidity = self._humidity(ping)
+        return Air(temperature, float(sound_speed(temperature, humidity)), float(absorption_db(temperature, humidity)))
+
+    def scene(self, ping: Ping, speed: float) -> Scene:
+        """Return the geometry of one ping, as it is placed."""
+        tilt = float(ping.covariates.get("_tilt", np.zeros(1))[0])
+        pose = Pose(float(ping.distance[0]), float(ping.angle[0]), float(ping.incidence[0]), tilt)
+        return Scene(self.unit, self.setup, pose, float(ping.reflectance[0]), speed)
+
+    def _waves(self, placed: Ping, ping: Ping, air: Air) -> tuple[NDArray[np.int64], list[Waveform]]:
+        samples = int(np.ceil(self.setup.listening / PERIOD)) + 2
+        found = self.scene(placed, air.speed).groups()
+        ghost = _ghost(found, ping, air)
+        if len(ghost.length):
+            found[GHOST] = ghost
+        waves = {name: Waveform.of(self.unit, way, air, samples) for name, way in found.items()}
+        return np.array(list(waves)), list(waves.values())
+
+
+def _ghost(groups: dict[int, Arrivals], ping: Ping, air: Air) -> Arrivals:
+    """Return the echoes of the ping before, which are still under way when this one begins.
+
+    A waveform takes the air's share of the way after this ping began; the share before it is taken here.
+    """
+    if len(ping) < 2:
+        return Arrivals.of()
+    interval = float(np.median(np.diff(ping.time)))
+    if not 0.0 < interval < GHOST_S:
+        return Arrivals.of()
+    every = [way for name, way in groups.items() if name not in (LEAK, BOUNCE)]
+    before = 0.5 * interval * air.speed
+    length = np.concatenate([way.length for way in every]) - before
+    amplitude = np.concatenate([way.amplitude for way in every]) * 10.0 ** (-air.absorption_db * before / 10.0)
+    return Arrivals(length[length > 0], amplitude[length > 0])
+
+
+def _visits(ping: Ping) -> list[tuple[int, int]]:
+    """Return first and last-plus-one of each stretch of pings of one condition in one run."""
+    humidity = ping.covariates.get("humidity_pct", np.zeros(len(ping)))
+    table = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run, humidity])
+    new = np.flatnonzero((table[:, 1:] != table[:, :-1]).any(axis=0)) + 1
+    edges = [0, *new.tolist(), len(ping)]
+    return list(pairwise(edges)) if len(ping) else []
+
+
+def _alike(temperature: Floats, start: int) -> list[NDArray[np.int64]]:
+    """Return the pings of a visit in groups of nearly one temperature."""
+    bin_ = np.rint((temperature - temperature[0]) / VISIT_C)
+    return [start + np.flatnonzero(bin_ == value) for value in np.unique(bin_)]
+
+
+def _flutter(setup: Setup, time: Floats, rng: np.random.Generator) -> Floats:
+    """Draw level and delay of each group in each ping, unit variance, (n, groups, 2)."""
+    return flutter(time, setup.flutter_tau_s, 2 * len(GROUPS), rng).reshape(len(time), len(GROUPS), 2)
+
+
+def _through_wire(
+    code: NDArray[np.uint16], ping: Ping, temperature: Floats, setup: Setup, rng: np.random.Generator
+) -> Registers:
+    fault = faults(setup.bus, ping, rng)
+    answered = (fault != Link.NACK) & (fault != Link.ALL_ONES)
+    code = np.where((fault == Link.DROPPED)[:, None], 0, code).astype(np.uint16)
+    lost = fault == Link.LOST_WRITE
+    source = np.maximum.accumulate(np.where(lost, -1, np.arange(len(ping))))
+    return Registers(code[source], answered, temperature, fault)

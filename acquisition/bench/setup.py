@@ -1,0 +1,129 @@
+"""The laboratory around a unit: its settings, the air, the stand, the room and the wire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from acquisition.bench.shapes import Shape
+from acquisition.errors import SettingError
+
+Output = Literal["inch", "cm", "us"]
+
+
+@dataclass(frozen=True)
+class Room:
+    """Where the stands are. `None` takes a surface away; factors are amplitudes, ours.
+
+    Attributes:
+        height: of the beam's axis over the floor, m.
+        ceiling: height of the ceiling over the floor, m.
+        wall: distance of the wall ahead of the sensor, m; the default is beyond the usual range gate.
+        floor_factor, ceiling_factor, wall_factor: what each returns of the pressure that meets it.
+    """
+
+    height: float | None = 1.5
+    ceiling: float | None = 3.0
+    wall: float | None = 9.0
+    floor_factor: float = 0.9
+    ceiling_factor: float = 0.7
+    wall_factor: float = 0.9
+
+
+@dataclass(frozen=True)
+class Post:
+    """The upright round post of the reflector's stand; `behind` is counted along the reflector's normal, m."""
+
+    radius: float = 0.015
+    behind: float = 0.300
+
+
+@dataclass(frozen=True)
+class Bus:
+    """How often the wire fails, as probabilities a ping, each independent of what the sonar hears.
+
+    Attributes:
+        nack: nobody acknowledges: no answer.
+        all_ones: an open line reads 0xFF for ever: no answer.
+        lost_write: the command never arrives, so the registers still hold the previous ping.
+        dropped: read before the registers were filled: the answer is "no echo".
+        dwell_s: how long a fault lasts on average, s; 0 draws each ping anew.
+    """
+
+    nack: float = 0.0
+    all_ones: float = 0.0
+    lost_write: float = 0.0
+    dropped: float = 0.0
+    dwell_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no probability."""
+        for name in ("nack", "all_ones", "lost_write", "dropped"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 1.0:
+                raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability a ping")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything about a recording that is not the unit; the defaults are the laboratory of Esmi (2016).
+
+    Attributes:
+        gain: code 0..31 of the amplifier's cap (register 1).
+        range_register: 0..255; echoes are awaited for (r + 1) * 256 us (register 2).
+        output: unit of the echo registers.
+        temperature_c, humidity_pct: of the air. A `temperature_c` or `humidity_pct` among a ping's covariates wins.
+        drift_c, drift_tau_s: standard deviation and correlation time of the slow wander of temperature.
+        scintillation_db: standard deviation of an echo's level for a path of 12 m (6 m there and back), dB.
+        jitter_m: standard deviation of a range at 6 m from eddies in the air, m; grows as the root of distance.
+        flutter_tau_s: correlation time of scintillation and jitter, s.
+        placement_m, placement_deg: scatter of where the reflector really stands at each visit of a condition, along
+            the line of sight and in bearing.
+        tilt_deg: scatter of its pose at each visit, about the vertical and the horizontal alike.
+        zero_m: how far behind the mark the sensor's own zero lies, m; added to every distance.
+        reflector: shape in front; None takes the thesis's by the ping's reflectance.
+        post: of the reflector's stand; None takes it away.
+        room: around the stands.
+        bus: how the wire fails.
+    """
+
+    gain: int = 14
+    range_register: int = 140
+    output: Output = "cm"
+    temperature_c: float = 19.0
+    humidity_pct: float = 50.0
+    drift_c: float = 0.3
+    drift_tau_s: float = 3600.0
+    scintillation_db: float = 0.6
+    jitter_m: float = 0.6e-3
+    flutter_tau_s: float = 2.0
+    placement_m: float = 0.002
+    placement_deg: float = 0.2
+    tilt_deg: float = 0.3
+    zero_m: float = 0.0
+    reflector: Shape | None = None
+    post: Post | None = field(default_factory=Post)
+    room: Room = field(default_factory=Room)
+    bus: Bus = field(default_factory=Bus)
+
+    def __post_init__(self) -> None:
+        """Refuse settings that the registers cannot hold."""
+        check_register("gain", self.gain, 31)
+        check_register("range register", self.range_register, 255)
+        if self.output not in ("inch", "cm", "us"):
+            raise SettingError(f"output must be inch, cm or us, got {self.output!r}")
+
+    @property
+    def listening(self) -> float:
+        """How long echoes are awaited, s."""
+        return (self.range_register + 1) * 256e-6
+
+
+def check_register(name: str, value: int, high: int) -> None:
+    """Refuse a register value outside 0..high.
+
+    Raises:
+        SettingError: naming register, limit and value.
+    """
+    if not 0 <= value <= high or value != int(value):
+        raise SettingError(f"{name} must be a whole number from 0 to {high}, got {value:g}: the SRF08 holds no other")

@@ -1,0 +1,99 @@
+"""One SRF08: the electronics that no datasheet states, so that nobody can know them from the code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+DEG = np.pi / 180.0
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What one sensor is made of; ranges as drawn by `draw` (physics of the device: ours where unsourced).
+
+    Attributes:
+        serial: number it was drawn from.
+        q_tx, q_rx: quality of each transducer's resonance; 35 is a width of 2 kHz at -6 dB.
+        f_tx, f_rx: resonances at 20 degC, Hz.
+        f_slope: change of both resonances with temperature, Hz/K.
+        radius: effective radius of the pistons, m; 6.55 mm gives the quoted beam of 55 degrees.
+        sensitivity_db: echo level over that at which a wall at 6 m just trips the comparator at full gain, dB.
+        noise: rms of the noise at full gain over the comparator's threshold.
+        hysteresis: of the comparator, as a share of its threshold.
+        rail: level at which the amplifier clips, over the threshold.
+        recovery: how long it is deaf after clipping, s.
+        t_offset: what the firmware adds to a time, s.
+        tick: of the timer, s.
+        rounding: what the firmware does to a broken centimetre or inch.
+        blanking: how long it does not listen after the burst's start, s.
+        rearm: dead time after each echo, s.
+        yaw, pitch: of the beam against the housing, rad.
+        clock_error: relative; a positive one counts too many ticks.
+        leak_db: direct sound from transmitter to receiver, against the pressure at 1 m on the axis, dB.
+        leak_delay: when it begins, s.
+        baseline: distance between the transducers, m.
+        light: what the light register reads.
+    """
+
+    serial: int = 0
+    q_tx: float = 35.0
+    q_rx: float = 35.0
+    f_tx: float = 40e3
+    f_rx: float = 40e3
+    f_slope: float = -40.0
+    radius: float = 6.55e-3
+    sensitivity_db: float = 3.0
+    noise: float = 0.19
+    hysteresis: float = 0.07
+    rail: float = 5.0
+    recovery: float = 75e-6
+    t_offset: float = -60e-6
+    tick: float = 1e-6
+    rounding: Literal["nearest", "down"] = "nearest"
+    blanking: float = 250e-6
+    rearm: float = 2.5e-3
+    yaw: float = 0.0
+    pitch: float = 0.0
+    clock_error: float = 0.0
+    leak_db: float = -40.0
+    leak_delay: float = 100e-6
+    baseline: float = 0.025
+    light: int = 92
+
+    @classmethod
+    def nominal(cls) -> Unit:
+        """Return the middle of what is plausible."""
+        return cls()
+
+    @classmethod
+    def draw(cls, serial: int) -> Unit:
+        """Return the unit of a serial number: the same number is the same unit in every process."""
+        rng = np.random.default_rng([serial, 0x5AF08])
+        uniform = rng.uniform
+        return cls(
+            serial=serial,
+            q_tx=uniform(20.0, 58.0),
+            q_rx=uniform(20.0, 58.0),
+            f_tx=uniform(39.5e3, 40.5e3),
+            f_rx=uniform(39.5e3, 40.5e3),
+            f_slope=uniform(-60.0, -20.0),
+            radius=uniform(6.0e-3, 7.0e-3),
+            sensitivity_db=uniform(-6.0, 12.0),
+            noise=uniform(1.0 / 6.0, 0.2),
+            hysteresis=uniform(0.05, 0.10),
+            recovery=uniform(50e-6, 100e-6),
+            t_offset=uniform(-120e-6, 0.0),
+            tick=float(rng.choice([1e-6, 2e-6, 4e-6, 8e-6, 16e-6])),
+            rounding="nearest" if rng.random() < 0.5 else "down",
+            blanking=uniform(150e-6, 500e-6),
+            rearm=uniform(1e-3, 4e-3),
+            yaw=uniform(-3.0, 3.0) * DEG,
+            pitch=uniform(-3.0, 3.0) * DEG,
+            clock_error=uniform(-0.005, 0.005),
+            leak_db=uniform(-60.0, -30.0),
+            leak_delay=uniform(70e-6, 150e-6),
+            light=int(rng.integers(1, 249)),
+        )

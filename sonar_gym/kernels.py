@@ -1,0 +1,201 @@
+"""Geometry on plain arrays, compiled by numba: pure functions, one world at a time.
+
+Segments are rows (x1, y1, x2, y2) in m; poses are rows (x, y, heading) in m, m, rad. Angles count anticlockwise.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+NOTHING = -1  # index of the hit where a cone is empty
+TIE = 1e-9  # m; two faces that meet in a corner are equally near up to rounding
+
+
+@njit(cache=True)
+def clip_half_plane(f0: float, f1: float, low: float, high: float) -> tuple[float, float]:
+    """Narrow [low, high] to where f0 + t (f1 - f0) >= 0; an empty interval has low > high."""
+    slope = f1 - f0
+    if slope == 0.0:
+        return (low, high) if f0 >= 0.0 else (1.0, 0.0)
+    t = -f0 / slope
+    return (max(low, t), high) if slope > 0.0 else (low, min(high, t))
+
+
+@njit(cache=True)
+def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
+    """Return a point of the world in the frame of a pose."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = x - pose[0], y - pose[1]
+    return c * dx + s * dy, c * dy - s * dx
+
+
+@njit(cache=True)
+def nearest_in_wedge(x1: float, y1: float, x2: float, y2: float, half: float) -> tuple[float, float, bool]:
+    """Return the point of a segment nearest to the origin among those within +-half rad of the x axis.
+
+    A wedge below half a turn is convex, so the segment's part inside is one piece, and the nearest point of a piece
+    is the foot of the perpendicular, clamped to it.
+    """
+    s, c = math.sin(half), math.cos(half)
+    low, high = clip_half_plane(s * x1 - c * y1, s * x2 - c * y2, 0.0, 1.0)
+    low, high = clip_half_plane(s * x1 + c * y1, s * x2 + c * y2, low, high)
+    if low > high:
+        return 0.0, 0.0, False
+    dx, dy = x2 - x1, y2 - y1
+    square = dx * dx + dy * dy
+    foot = -(x1 * dx + y1 * dy) / square if square > 0.0 else 0.0
+    t = min(max(foot, low), high)
+    return x1 + t * dx, y1 + t * dy, True
+
+
+@njit(cache=True)
+def incidence_at(x: float, y: float, dx: float, dy: float) -> float:
+    """Return the angle between the ray to (x, y) and the normal of a face along (dx, dy), 0 to pi/2."""
+    scale = math.hypot(x, y) * math.hypot(dx, dy)
+    if scale == 0.0:
+        return 0.0
+    return math.acos(min(1.0, abs(x * dy - y * dx) / scale))
+
+
+@njit(cache=True)
+def cast_cones(
+    poses: Floats, half: Floats, segments: Floats, limit: float
+) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+    """Find for each cone the nearest point of any segment within it.
+
+    The line to the nearest point of all lies inside the convex cone, so nothing can stand in its way: no occlusion
+    test is needed.
+
+    Args:
+        poses: of the sensors, (s, 3).
+        half: half opening angles, rad, below pi/2, (s,).
+        segments: (m, 4).
+        limit: nothing farther is found, m.
+
+    Returns:
+        distance, m, (s,), `limit` where the cone is empty; bearing off the axis, rad, (s,); incidence to the
+        surface normal, rad, (s,), of the face met more squarely where two meet; segment's index, (s,), -1 for none;
+        point in the world, m, (s, 2).
+    """
+    count = poses.shape[0]
+    distance, bearing, incidence = np.full(count, limit), np.zeros(count), np.zeros(count)
+    index, point = np.full(count, NOTHING), np.zeros((count, 2))
+    for i in range(count):
+        for k in range(segments.shape[0]):
+            x1, y1 = to_frame(segments[k, 0], segments[k, 1], poses[i])
+            x2, y2 = to_frame(segments[k, 2], segments[k, 3], poses[i])
+            x, y, inside = nearest_in_wedge(x1, y1, x2, y2, half[i])
+            away = math.hypot(x, y)
+            if not inside or away > distance[i] + TIE or away > limit:
+                continue
+            met = incidence_at(x, y, x2 - x1, y2 - y1)
+            if away < distance[i] - TIE or index[i] == NOTHING or met < incidence[i]:
+                distance[i], incidence[i], index[i] = away, met, k
+                bearing[i] = math.atan2(y, x) if away > TIE else 0.0  # on the face itself no direction is left
+                c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+                point[i, 0], point[i, 1] = poses[i, 0] + c * x - s * y, poses[i, 1] + s * x + c * y
+    return distance, bearing, incidence, index, point
+
+
+@njit(cache=True)
+def touches(pose: Floats, body: Floats, segments: Floats) -> int:
+    """Return the first segment that meets a rectangle, or -1.
+
+    Args:
+        pose: of the body's frame, (3,).
+        body: the rectangle in that frame, (rear, right, front, left), m.
+        segments: (m, 4).
+    """
+    for k in range(segments.shape[0]):
+        x1, y1 = to_frame(segments[k, 0], segments[k, 1], pose)
+        x2, y2 = to_frame(segments[k, 2], segments[k, 3], pose)
+        low, high = clip_half_plane(x1 - body[0], x2 - body[0], 0.0, 1.0)
+        low, high = clip_half_plane(body[2] - x1, body[2] - x2, low, high)
+        low, high = clip_half_plane(y1 - body[1], y2 - body[1], low, high)
+        low, high = clip_half_plane(body[3] - y1, body[3] - y2, low, high)
+        if low <= high:
+            return k
+    return NOTHING
+
+
+@njit(cache=True)
+def approach(value: float, target: float, rate: float, lag: float, dt: float) -> float:
+    """Return a first-order follower's value after dt s: time constant `lag` s, slope at most `rate` a second."""
+    change = (target - value) * (1.0 - math.exp(-dt / lag)) if lag > 0.0 else target - value
+    return value + min(max(change, -rate * dt), rate * dt)
+
+
+@njit(cache=True)
+def roll(pose: Floats, travel: float, curvature: float) -> Floats:
+    """Return a pose after `travel` m of the rear axle along an arc of `curvature` 1/m: exact.
+
+    The chord of an arc of angle a is travel * sin(a/2)/(a/2) long and leaves at half the angle.
+    """
+    turn = travel * curvature
+    half = 0.5 * turn
+    chord = travel * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    along = pose[2] + half
+    heading = pose[2] + turn
+    return np.array(
+        [
+            pose[0] + chord * math.cos(along),
+            pose[1] + chord * math.sin(along),
+            (heading + math.pi) % (2.0 * math.pi) - math.pi,
+        ]
+    )
+
+
+@njit(cache=True)
+def drive(
+    state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, dt: float, parts: int
+) -> tuple[Floats, int]:
+    """Drive a car for dt s in equal parts; it stops dead where its body touches a segment.
+
+    Args:
+        state: x, y, heading, speed, steering angle: m, m, rad, m/s, rad.
+        steering: wanted steering angle, rad.
+        speed: wanted speed, m/s.
+        car: wheelbase m, steering rate rad/s, steering lag s, acceleration m/s^2, speed lag s.
+        body: the rectangle in the car's frame, (rear, right, front, left), m.
+        segments: what must not be touched, (m, 4).
+        dt: duration, s.
+        parts: number of equal parts of dt.
+
+    Returns:
+        The state after dt, and the index of the segment touched or -1.
+    """
+    out = state.copy()
+    h = dt / parts
+    for _ in range(parts):
+        out[4] = approach(out[4], steering, car[1], car[2], h)
+        out[3] = approach(out[3], speed, car[3], car[4], h)
+        out[:3] = roll(out[:3], out[3] * h, math.tan(out[4]) / car[0])
+        hit = touches(out[:3], body, segments)
+        if hit != NOTHING:
+            out[3] = 0.0
+            return out, hit
+    return out, NOTHING
+
+
+@njit(cache=True)
+def cost_to_go(pose: Floats, path: Floats, per_metre: float, per_radian: float) -> float:
+    """Return the least of what is left of a path from any of its poses, plus the price of being off that pose.
+
+    Args:
+        pose: (3,).
+        path: rows x, y, heading, m left, (k, 4).
+        per_metre: price of a metre off the path, m.
+        per_radian: price of a radian off its heading, m.
+    """
+    best = np.inf
+    for k in range(path.shape[0]):
+        off = math.hypot(pose[0] - path[k, 0], pose[1] - path[k, 1])
+        turn = abs((pose[2] - path[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
+        best = min(best, path[k, 3] + per_metre * off + per_radian * turn)
+    return best

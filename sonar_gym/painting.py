@@ -1,0 +1,159 @@
+"""Colours, camera and brushes of the picture; pygame is imported here, at the first drawing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pygame
+from numpy.typing import ArrayLike
+
+Colour = tuple[int, int, int]
+Place = tuple[float, float]
+
+PAPER: Colour = (247, 246, 242)
+INK: Colour = (34, 40, 49)
+FAINT: Colour = (134, 142, 153)
+HAIRLINE: Colour = (221, 221, 214)
+ASPHALT: Colour = (88, 96, 108)
+STRIP: Colour = (104, 112, 124)
+PAVEMENT: Colour = (205, 201, 190)
+MARKING: Colour = (240, 240, 236)
+CAR: Colour = (42, 111, 219)
+GLASS: Colour = (24, 40, 66)
+TYRE: Colour = (22, 24, 28)
+SPACE: Colour = (120, 214, 158)
+TRUTH: Colour = (255, 255, 255)
+GOOD: Colour = (38, 162, 118)
+BAD: Colour = (205, 62, 66)
+# credence 0, 1/2, 1: told apart by lightness too, for those who do not see red and green alike
+CREDENCE: tuple[Colour, Colour, Colour] = ((214, 64, 69), (246, 190, 68), (38, 190, 150))
+DARK_BOX: Colour = (78, 58, 44)  # reflectance 0
+LIGHT_BOX: Colour = (226, 194, 148)  # reflectance 1
+
+
+def blend(a: Colour, b: Colour, share: float) -> Colour:
+    """Return the colour at a share of the way from a to b."""
+    r, g, b_ = (round(x + (y - x) * share) for x, y in zip(a, b, strict=True))
+    return r, g, b_
+
+
+def credence_colour(credence: float) -> Colour:
+    """Return the colour of a credence, 0 to 1."""
+    low, middle, high = CREDENCE
+    credence = min(max(credence, 0.0), 1.0)
+    return blend(low, middle, 2 * credence) if credence < 0.5 else blend(middle, high, 2 * credence - 1)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """From metres to pixels: y up in the world, down in the picture.
+
+    Attributes:
+        left, top: the world's point at the window's upper left corner, m.
+        scale: px/m.
+        x, y: the window's upper left corner, px.
+    """
+
+    left: float
+    top: float
+    scale: float
+    x: float = 0.0
+    y: float = 0.0
+
+    def place(self, point: ArrayLike) -> Place:
+        """Return a point's pixel."""
+        px, py = np.asarray(point, dtype=np.float64)[:2]
+        return self.x + (px - self.left) * self.scale, self.y + (self.top - py) * self.scale
+
+    def places(self, points: Iterable[ArrayLike]) -> list[Place]:
+        """Return the pixels of points."""
+        return [self.place(point) for point in points]
+
+
+class Brush:
+    """Draws on a surface in points of the final picture; the surface is larger by `detail` to smooth edges.
+
+    Args:
+        surface: to draw on.
+        detail: pixels of the surface for each of the picture.
+    """
+
+    def __init__(self, surface: pygame.Surface, detail: int) -> None:
+        pygame.font.init()
+        self.surface = surface
+        self.detail = detail
+        self._fonts: dict[int, pygame.font.Font] = {}
+
+    def _up(self, points: Iterable[Place]) -> list[Place]:
+        return [(x * self.detail, y * self.detail) for x, y in points]
+
+    def polygon(self, points: Sequence[Place], fill: Colour, alpha: int = 255) -> None:
+        """Fill a polygon."""
+        if alpha == 255:
+            pygame.draw.polygon(self.surface, fill, self._up(points))
+        else:
+            self._veil(points, fill, alpha)
+
+    def _veil(self, points: Sequence[Place], fill: Colour, alpha: int) -> None:
+        """Fill a polygon that what is below shines through: on a layer no larger than the polygon."""
+        up = np.array(self._up(points))
+        low = np.floor(np.clip(up.min(axis=0), 0, self.surface.get_size())).astype(int)
+        high = np.ceil(np.clip(up.max(axis=0), 0, self.surface.get_size())).astype(int) + 1
+        size = np.minimum(high, self.surface.get_size()) - low
+        if np.any(size <= 0):
+            return
+        layer = pygame.Surface(tuple(size), pygame.SRCALPHA)
+        pygame.draw.polygon(layer, (*fill, alpha), [tuple(p) for p in up - low])
+        self.surface.blit(layer, tuple(low))
+
+    def line(self, points: Sequence[Place], colour: Colour, width: float = 1.0, closed: bool = False) -> None:
+        """Draw a line through points."""
+        thickness = max(1, round(width * self.detail))
+        pygame.draw.lines(self.surface, colour, closed, self._up(points), thickness)
+
+    def dashes(self, start: Place, end: Place, colour: Colour, dash: float, gap: float, width: float) -> None:
+        """Draw a broken line."""
+        length = math.dist(start, end)
+        for begin in np.arange(0.0, length, dash + gap):
+            a, b = begin / length, min(begin + dash, length) / length
+            ends = [(start[0] + t * (end[0] - start[0]), start[1] + t * (end[1] - start[1])) for t in (a, b)]
+            self.line(ends, colour, width)
+
+    def disc(self, centre: Place, radius: float, fill: Colour) -> None:
+        """Fill a circle."""
+        ((x, y),) = self._up([centre])
+        pygame.draw.circle(self.surface, fill, (x, y), radius * self.detail)
+
+    def ring(self, centre: Place, radius: float, colour: Colour, width: float = 2.0) -> None:
+        """Draw a circle."""
+        ((x, y),) = self._up([centre])
+        pygame.draw.circle(self.surface, colour, (x, y), radius * self.detail, max(1, round(width * self.detail)))
+
+    def panel(self, x: float, y: float, width: float, height: float, fill: Colour, radius: float = 0.0) -> None:
+        """Fill a rectangle with round corners."""
+        d = self.detail
+        box = pygame.Rect(round(x * d), round(y * d), round(width * d), round(height * d))
+        pygame.draw.rect(self.surface, fill, box, border_radius=round(radius * d))
+
+    def text(self, words: str, place: Place, size: int, colour: Colour = INK, at: str = "w") -> None:
+        """Write; `at` says which side of the words the place is: "w" left, "e" right, "c" centre."""
+        picture = self._font(size).render(words, True, colour)
+        box = picture.get_rect()
+        x, y = round(place[0] * self.detail), round(place[1] * self.detail)
+        side = {"w": "midleft", "e": "midright", "c": "center"}[at]
+        setattr(box, side, (x, y))
+        self.surface.blit(picture, box)
+
+    def _font(self, size: int) -> pygame.font.Font:
+        if size not in self._fonts:
+            self._fonts[size] = pygame.font.Font(None, round(size * 1.35 * self.detail))
+        return self._fonts[size]
+
+
+def wedge(apex: Place, axis: float, half: float, radius: float, parts: int = 24) -> list[Place]:
+    """Return the outline of a sector in metres: apex, then the arc."""
+    angles = np.linspace(axis - half, axis + half, parts)
+    return [apex, *((apex[0] + radius * math.cos(a), apex[1] + radius * math.sin(a)) for a in angles)]

@@ -1,0 +1,112 @@
+"""A set of sonars that share a model: its own random stream, its memory, and its credence table."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition import EchoStatus, Ping, Reading, SettingError
+from noise import ConditionPrior, CredenceTable, SonarModel, load_model
+
+Floats = NDArray[np.float64]
+SonarChoice = str | os.PathLike[str] | SonarModel
+STREAM_TAG = 0x50E4  # keeps the sonars' stream apart from the world's: SeedSequence([seed, tag])
+ECHO_CODE = np.array([0.0, 1.0, -1.0], dtype=np.float32)  # by EchoStatus: silence, echo, no answer
+PRIOR_DISTANCES = 300  # two a bin of the table, so that no bin is empty even for a sonar without noise
+BEARINGS_DEG = (0.0, 7.5, 15.0, 22.5, 27.5)  # inside the cone of a sonar of 55 deg
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What s sonars said to one ping each.
+
+    Attributes:
+        reading: the readings; what lies beyond the listening range is silence.
+        credence: given the readings alone, 0..1, (s,); 0 without an echo.
+        credence_given_condition: needs the truth, 0..1, (s,); 0 where the cone is empty.
+    """
+
+    reading: Reading
+    credence: Floats
+    credence_given_condition: Floats
+
+    def scaled(self, max_range: float) -> NDArray[np.float32]:
+        """Ranges as shares of `max_range` m, 1 where there is no echo, (s,)."""
+        value = np.where(self.reading.echo, self.reading.range / max_range, 1.0)
+        return np.minimum(value, 1.0).astype(np.float32)
+
+    @property
+    def echo_code(self) -> NDArray[np.float32]:
+        """1 for an echo, 0 for silence, -1 for no answer, (s,)."""
+        return ECHO_CODE[self.reading.status]
+
+
+def resolve(sonar: SonarChoice) -> SonarModel:
+    """Return a model by name, by the path of its folder, or as it is."""
+    if isinstance(sonar, (str, os.PathLike)):
+        return load_model(sonar)
+    if isinstance(sonar, SonarModel):
+        return sonar
+    raise SettingError(f"sonar is a {type(sonar).__name__}, expected a name, the path of a model, or a SonarModel")
+
+
+def credence_table(model: SonarModel, max_range: float) -> CredenceTable:
+    """Return the credence given a reading of a model that listens to `max_range` m; computed once a model."""
+    return _credence_table(cast(Hashable, model), max_range)
+
+
+@lru_cache(maxsize=16)
+def _credence_table(model: Any, max_range: float) -> CredenceTable:
+    prior = ConditionPrior(near=0.01, far=max_range, distances=PRIOR_DISTANCES, angles_deg=BEARINGS_DEG)
+    return CredenceTable.of(model, prior, bins=PRIOR_DISTANCES // 2)
+
+
+class Sonar:
+    """Draws the readings of `count` sonars in one batch.
+
+    Args:
+        model: by name, path or itself.
+        count: number of sonars.
+        max_range: greatest range listened to, m.
+    """
+
+    def __init__(self, model: SonarChoice, count: int, max_range: float) -> None:
+        self.model: SonarModel = resolve(model)
+        self.count = count
+        self.max_range = max_range
+        self.table = credence_table(self.model, max_range)
+        self.rng = np.random.default_rng()
+        self._past: Reading | None = None
+
+    def seed(self, seed: int) -> None:
+        """Start the stream anew; worlds seeded alike are left alone."""
+        self.rng = np.random.default_rng(np.random.SeedSequence([seed, STREAM_TAG]))
+
+    def forget(self) -> None:
+        """Clear the memory of previous readings: a new episode begins."""
+        self._past = None
+
+    def listen(self, ping: Ping, seen: NDArray[np.bool_]) -> Heard:
+        """Draw what every sonar says.
+
+        Args:
+            ping: the conditions, one a sonar.
+            seen: whether there is anything in the cone, (count,).
+        """
+        law = self.model.law(ping, self._past)
+        reading = self._gate(law.sample(self.rng))
+        self._past = reading if self.model.remembers else None
+        return Heard(reading, self.table.given(reading), np.where(seen, law.credence(), 0.0))
+
+    def _gate(self, reading: Reading) -> Reading:
+        late = reading.range > self.max_range
+        if not late.any():
+            return reading
+        status = np.where(late, np.uint8(EchoStatus.NO_ECHO), reading.status)
+        return Reading(np.where(late, 0.0, reading.range), status)

@@ -1,0 +1,181 @@
+"""The rig as a whole: what a recording from it shows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition import EchoStatus, Ping, Recording, SettingError
+from acquisition.bench import Bus, Post, Rig, Room, Setup, Unit, Wall
+from acquisition.bench.air import sound_speed
+
+STILL = Setup(
+    drift_c=0.0, scintillation_db=0.0, jitter_m=0.0, placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, post=None
+)
+HALL = replace(STILL, reflector=Wall(), gain=31, output="us", room=Room(None, None, None), range_register=255)
+
+
+def pings(distance, n, **conditions):
+    return Ping.of(distance=np.repeat(distance, n), time=np.arange(n * np.size(distance)) * 2.4, **conditions)
+
+
+def heard(unit, setup, ping, seed=0):
+    return Rig(unit, setup).ping(ping, np.random.default_rng(seed))
+
+
+def test_same_seed_same_registers_and_another_seed_others():
+    rig, ping = Rig(Unit.draw(3), Setup(output="us")), pings([0.7, 1.9], 30, reflectance=0.9)
+    first, again = (rig.ping(ping, np.random.default_rng(5)).code for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert np.any(first != rig.ping(ping, np.random.default_rng(6)).code)
+
+
+def test_serial_numbers_are_units():
+    assert Unit.draw(7) == Unit.draw(7)
+    assert Unit.draw(7) != Unit.draw(8)
+    drawn = [Unit.draw(k) for k in range(50)]
+    assert all(20.0 <= u.q_tx <= 58.0 and -120e-6 <= u.t_offset <= 0.0 and 6e-3 <= u.radius <= 7e-3 for u in drawn)
+
+
+def test_scale_error_of_58_us_a_centimetre_at_19_degrees():
+    """+0.43 %: slope of readings on distance at constant level over threshold, so without the time walk."""
+    unit = replace(Unit.nominal(), noise=0.0, leak_db=-300.0)
+    near, far = 2.0, 4.0
+    gap = 20.0 * np.log10(far / near) + 1.2858 * 2.0 * (far - near)
+    code = [
+        float(heard(replace(unit, sensitivity_db=20.0 + extra), HALL, pings(d, 1)).code[0, 0])
+        for d, extra in ((near, 0.0), (far, gap))
+    ]
+    assert (code[1] - code[0]) / 5800.0 / (far - near) - 1.0 == pytest.approx(0.0043, abs=1e-4)
+
+
+def test_readings_follow_the_temperature():
+    unit = replace(Unit.nominal(), noise=0.0, f_slope=0.0, sensitivity_db=10.0)
+    code = {t: int(heard(unit, replace(HALL, temperature_c=t), pings(3.0, 1)).code[0, 0]) for t in (19.0, 29.0)}
+    expected = float(sound_speed(19.0) / sound_speed(29.0))
+    assert code[29.0] / code[19.0] == pytest.approx(expected, abs=2e-3)
+    given = Ping.of(distance=3.0, temperature_c=29.0)
+    assert heard(unit, HALL, given).code[0, 0] == code[29.0]
+
+
+def test_slips_of_half_a_wavelength_make_a_comb():
+    """Readings of a wall near the threshold lie on a comb of 25 us = 4.29 mm."""
+    unit = replace(Unit.nominal(), sensitivity_db=9.0)
+    code = heard(unit, replace(HALL, scintillation_db=1.0), pings(5.0, 400)).code[:, 0].astype(float)
+    code = code[(code > 29_000) & (code < 30_500)]
+    assert len(code) > 350
+    phase = np.exp(2j * np.pi * code / 25.0)
+    assert np.abs(phase.mean()) > 0.8
+    assert len(np.unique(np.rint((code - np.median(code)) / 25.0))) >= 3
+
+
+def test_gain_sets_how_far_is_heard():
+    """Limits over distance for a unit that just hears a wall at 6 m at full gain, within a grid step."""
+    unit = replace(Unit.nominal(), sensitivity_db=0.0)
+    limits = {}
+    for gain in (11, 14, 27):
+        setup = replace(HALL, gain=gain, scintillation_db=0.5)
+        distance = np.arange(1.5, 5.51, 0.1)
+        echo = heard(unit, setup, pings(distance, 10)).code[:, 0].reshape(-1, 10) > 0
+        limits[gain] = distance[echo.mean(axis=1) > 0.5].max()
+    assert limits[11] == pytest.approx(2.35, abs=0.11)
+    assert limits[14] == pytest.approx(2.55, abs=0.11)
+    assert limits[27] == pytest.approx(4.3, abs=0.11)
+
+
+def test_disc_is_deaf_at_its_null_and_a_degree_of_tilt_mends_it():
+    unit = replace(Unit.nominal(), sensitivity_db=-6.0, noise=0.02)
+    setup = replace(STILL, gain=9)
+    level = [heard(unit, setup, pings(d, 5, reflectance=0.9)).code[:, 0] for d in (0.9, 1.163)]
+    assert (level[0] > 0).all()
+    assert (level[1] == 0).all()
+    tilted = pings(1.163, 5, reflectance=0.9, incidence=np.deg2rad(1.0))
+    assert (heard(unit, setup, tilted).code[:, 0] > 0).all()
+
+
+def test_face_is_lost_and_the_post_takes_over():
+    setup = replace(STILL, gain=31, post=Post(), room=Room(None, None, None))
+    straight = heard(Unit.nominal(), setup, pings(0.5, 5, reflectance=0.9, angle=0.0)).code[:, 0]
+    aside = heard(Unit.nominal(), setup, pings(0.5, 5, reflectance=0.9, angle=np.deg2rad(42.0))).code[:, 0]
+    assert np.median(straight) == pytest.approx(50, abs=2)
+    assert np.median(aside) > 70
+
+
+def test_no_echo_is_an_answer():
+    record = Rig(Unit.nominal(), STILL).record(pings(5.9, 20, reflectance=0.1), np.random.default_rng(0))
+    assert (record.reading.status == EchoStatus.NO_ECHO).all()
+
+
+def test_echo_of_the_ping_before_is_heard_at_short_intervals():
+    """A wall at 9 m and pings each 48 ms: its echo comes 4.4 ms into the next ping and moves with the interval."""
+    unit = replace(Unit.nominal(), sensitivity_db=40.0, noise=0.01, leak_db=-300.0)
+    setup = replace(HALL, range_register=100, reflector=None)
+    setup = replace(setup, room=Room(None, None, 9.0))
+    where = {}
+    for interval in (48e-3, 49e-3, 2.4):
+        ping = Ping.of(distance=3.0, reflectance=0.0, time=np.arange(20) * interval)
+        where[interval] = np.median(heard(unit, setup, ping).code[1:, 0])
+    assert where[48e-3] == pytest.approx(18.0 / 343.36 * 1e6 - 48e3, abs=100)
+    assert where[48e-3] - where[49e-3] == pytest.approx(1000.0, abs=26)
+    assert where[2.4] == 0
+
+
+def test_wire_faults_are_told_apart_from_silence():
+    bus = Bus(nack=0.1, dropped=0.1, lost_write=0.1)
+    ping = pings(1.0, 3000, reflectance=0.9)
+    setup = replace(Setup(output="us"), bus=bus)
+    registers = heard(Unit.nominal(), setup, ping)
+    reading = registers.reading(setup)
+    share = [np.mean(reading.status == status) for status in (EchoStatus.NO_ANSWER, EchoStatus.NO_ECHO)]
+    assert share[0] == pytest.approx(0.1, abs=0.02)
+    assert 0.07 < share[1] < 0.12  # dropped, less those that a dead wire hid, with their stale repeats
+    assert heard(Unit.nominal(), Setup(output="us"), ping).answered.all()
+    table = Rig(Unit.nominal(), setup).record(ping, np.random.default_rng(0)).table
+    silent = table["reading_mm"].isna()
+    assert table.loc[silent, [c for c in table if c.startswith("echo_")]].isna().all().all()
+
+
+def test_lost_writes_repeat_the_whole_block():
+    setup = replace(Setup(output="us"), bus=Bus(lost_write=0.3))
+    code = heard(Unit.nominal(), setup, pings(1.0, 500, reflectance=0.9)).code
+    fault = heard(Unit.nominal(), setup, pings(1.0, 500, reflectance=0.9)).fault
+    stale = np.flatnonzero(fault == 3)
+    assert len(stale) > 100
+    np.testing.assert_array_equal(code[stale], code[stale - 1])
+
+
+def test_faults_of_a_loose_contact_come_in_bursts():
+    ping = Ping.of(distance=1.0, reflectance=0.9, time=np.arange(4000) * 0.1)
+    answered = heard(Unit.nominal(), replace(STILL, bus=Bus(nack=0.2, dwell_s=1.0)), ping).answered
+    lost = ~answered
+    assert lost.mean() == pytest.approx(0.2, abs=0.08)
+    assert np.corrcoef(lost[1:], lost[:-1])[0, 1] == pytest.approx(np.exp(-0.1), abs=0.08)
+
+
+def test_recording_has_the_columns_and_the_grid_of_its_format(tmp_path):
+    rig = Rig(Unit.draw(1), Setup(gain=20))
+    record = rig.record(pings([0.5, 1.0], 40, reflectance=0.9), np.random.default_rng(0))
+    loaded = Recording.load(record.save(tmp_path / "rig.csv"))
+    assert {"temperature_c", "humidity_pct", "gain", "range_mm"} <= set(loaded.covariates)
+    assert loaded.resolution == pytest.approx(0.01)
+    assert loaded.table["range_mm"].iloc[0] == 6063.0
+    assert loaded.table["temperature_c"].mean() == pytest.approx(19.0, abs=1.5)
+    assert np.abs(loaded.reading.range - loaded.ping.distance).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"gain": 49}, "gain must be a whole number from 0 to 31, got 49: the SRF08 holds no other"),
+        ({"range_register": 256}, "range register must be a whole number from 0 to 255, got 256: the SRF08 holds no"),
+    ],
+)
+def test_registers_refuse_what_they_cannot_hold(setting, message):
+    with pytest.raises(SettingError, match=message):
+        Setup(**setting)
+
+
+def test_progress_is_told():
+    told = []
+    Rig().ping(pings([1.0, 2.0], 3), np.random.default_rng(0), progress=lambda done, total: told.append((done, total)))
+    assert told == [(3, 6), (6, 6)]

@@ -1,0 +1,296 @@
+"""What the geometry, the transducers and the comparator must come out at: numbers computed apart from the rig."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.bench import MIRROR, RUBBER, Disc, Plate, Post, Room, Setup, Unit, Wall
+from acquisition.bench.air import sound_speed
+from acquisition.bench.receiver import GAINS, Air, Waveform, crossings, first_echoes, gain_over_time, noise, to_codes
+from acquisition.bench.scene import BOUNCE, CEILING, FACE, FLOOR, POST, WALL, Arrivals, Pose, Scene
+from acquisition.bench.transducer import PERIOD, Piston, pulse_at, pulse_phases
+
+SPEED = float(sound_speed(19.0, 50.0))
+WAVELENGTH = SPEED / 40e3
+# no beam pattern, no baseline, no noise, no hysteresis, no rail: what is left is the quantity under test
+BARE = replace(
+    Unit.nominal(), radius=1e-6, baseline=0.0, noise=0.0, hysteresis=0.0, rail=1e9, leak_db=-300.0, sensitivity_db=0.0
+)
+EMPTY = Setup(post=None, room=Room(None, None, None))
+AIR = Air(19.0, SPEED, 0.0)
+
+
+def scene(distance, incidence_deg=0.0, shape=MIRROR, bearing_deg=0.0, setup=EMPTY, unit=BARE):
+    pose = Pose(distance, np.deg2rad(bearing_deg), np.deg2rad(incidence_deg))
+    return Scene(unit, replace(setup, reflector=shape), pose, 1.0, SPEED)
+
+
+def steady_db(arrivals, distance):
+    """Level of a continuous wave against a wall at the same distance, dB."""
+    phase = np.exp(-4j * np.pi * arrivals.length / WAVELENGTH)
+    return 20.0 * np.log10(abs((arrivals.amplitude * phase).sum()) * 2.0 * distance)
+
+
+def burst_db(arrivals, distance):
+    """Level of the burst's peak against a wall at the same distance, dB."""
+    wall = Arrivals.of((distance, 1.0 / (2.0 * distance)))
+    echo, reference = (Waveform.of(BARE, way, AIR, 1600).signal for way in (arrivals, wall))
+    return 20.0 * np.log10(np.abs(echo).max() / np.abs(reference).max())
+
+
+def test_pulse_peaks_when_and_where_the_cascade_does():
+    pulse = np.abs(pulse_at(Unit.nominal(), 20.0, 1e-6))
+    assert np.argmax(pulse) * 1e-6 == pytest.approx(394e-6, abs=6e-6)
+    assert 20.0 * np.log10(pulse.max()) == pytest.approx(-11.7, abs=0.1)
+
+
+@pytest.mark.parametrize(("apart", "loss"), [(1e3, -1.0), (2e3, -3.0)])
+def test_transducers_out_of_tune_are_heard_worse(apart, loss):
+    tuned, apart_by = (
+        np.abs(pulse_at(replace(Unit.nominal(), f_rx=40e3 + f / 2, f_tx=40e3 - f / 2), 20.0, 1e-6)).max()
+        for f in (0.0, apart)
+    )
+    assert 20.0 * np.log10(apart_by / tuned) == pytest.approx(loss, abs=0.3)
+
+
+@pytest.mark.parametrize(("db", "millimetres"), [(-20, 253), (-40, 382), (-60, 506)])
+def test_ringing_dies_by_half_a_metre(db, millimetres):
+    pulse = np.abs(pulse_at(Unit.nominal(), 20.0, 1e-6))
+    last = np.flatnonzero(pulse > pulse.max() * 10.0 ** (db / 20.0))[-1] * 1e-6
+    assert last * SPEED / 2.0 * 1e3 == pytest.approx(millimetres, rel=0.015)
+
+
+def test_beam_is_55_degrees_wide_and_falls_as_a_piston_does():
+    ka = 4.80
+    angles = np.deg2rad([5.0, 10.0, 15.0, 20.0, 22.5, 25.0, 30.0, 35.0, 40.0, 45.0])
+    expected = [-0.4, -1.5, -3.5, -6.2, -7.9, -9.9, -14.5, -20.4, -28.0, -39.0]
+    assert 40.0 * np.log10(np.abs(Piston(ka)(angles))) == pytest.approx(expected, abs=0.25)
+    assert 20.0 * np.log10(Piston(ka)(np.deg2rad(np.array([27.5])))[0]) == pytest.approx(-6.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("over_db", "microseconds"),
+    [(40, 28), (30, 52), (20, 79), (16, 104), (12, 129), (9, 154), (6, 180), (4, 205), (3, 230), (2, 255), (0.2, 356)],
+)
+def test_time_walk_of_the_first_crossing(over_db, microseconds):
+    pulse = pulse_phases(Unit.nominal(), 20.0)[0] * 10.0 ** (over_db / 20.0)
+    _, time = crossings(pulse[None].astype(np.complex64), BARE)
+    assert time[0] * 1e6 == pytest.approx(microseconds, abs=1.6)
+
+
+def test_time_walk_in_millimetres_and_its_comb():
+    """13.5 mm at +20 dB, 44 mm at +2 dB, and everything between in steps of 4.29 mm."""
+    levels = np.linspace(1.0, 25.0, 97)
+    pulse = pulse_phases(Unit.nominal(), 20.0)[0]
+    z = (pulse * 10.0 ** (levels[:, None] / 20.0)).astype(np.complex64)
+    ping, time = crossings(z, BARE)
+    walk = time[np.searchsorted(ping, np.arange(len(levels)))] * SPEED / 2.0 * 1e3
+    assert np.interp([2.0, 20.0], levels, walk) == pytest.approx([44.0, 13.5], abs=0.5)
+    steps = -np.diff(walk)
+    slips = steps[steps > 1.0]
+    assert len(slips) >= 8
+    assert slips == pytest.approx(4.29, abs=0.75)
+    assert (walk.max() - walk.min()) / len(slips) == pytest.approx(4.29, abs=0.15)
+
+
+def test_disc_on_its_axis_is_the_exact_solution():
+    """1/(2d) [delta(2d) - (d/R)^2 delta(2R)], summed over the outline."""
+    face = scene(0.7).face()
+    distance, rim = 0.7, np.hypot(0.7, 0.1)
+    assert face.amplitude[0] == pytest.approx(1.0 / (2.0 * distance))
+    assert face.length[1:] == pytest.approx(rim, abs=2e-6)
+    assert face.amplitude[1:].sum().real == pytest.approx(-distance / (2.0 * rim**2), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("distance", "level"), [(1.163, -18.0), (0.578, -12.0), (0.382, -9.0), (1.10, -9.0), (1.25, -7.0), (2.33, 6.0)]
+)
+def test_burst_from_the_disc_has_its_nulls_and_maxima(distance, level):
+    assert burst_db(scene(distance).face(), distance) == pytest.approx(level, abs=0.5)
+
+
+def test_a_degree_of_tilt_washes_the_null_out():
+    assert burst_db(scene(1.163, 1.0).face(), 1.163) > -1.0
+
+
+# dB against a wall, continuous wave, at 0, 1, 2, 3, 5, 10, 15, 20, 30 degrees of tilt
+TILTS = (0, 1, 2, 3, 5, 10, 15, 20)
+DISC = {
+    0.5: (4, -1, -1, 2, 0, -3, -13, -20),
+    1.0: (0, 0, 1, 2, -5, -20, -27, -30),
+    2.0: (6, 1, -1, -7, -18, -31, -36, -37),
+    6.0: (1, -7, -14, -23, -32, -43, -47, -47),
+}
+PLATE = {
+    0.5: (-4, -2, 0, -1, -3, -15, -21, -22),
+    1.0: (4, 2, 0, -2, -7, -21, -23, -23),
+    2.0: (4, 0, -8, -7, -13, -26, -26, -26),
+    6.0: (-4, -8, -25, -17, -22, -36, -35, -35),
+}
+
+
+@pytest.mark.parametrize(("shape", "table"), [(MIRROR, DISC), (RUBBER, PLATE)], ids=["disc", "plate"])
+def test_tilted_reflectors_against_the_surface_integral(shape, table):
+    for distance, row in table.items():
+        levels = [steady_db(scene(distance, tilt, shape).face(), distance) for tilt in TILTS]
+        assert levels == pytest.approx(row, abs=1.2), distance
+
+
+def test_face_is_lost_where_its_perpendicular_misses_it():
+    """At 1 m the disc mirrors up to atan(0.1/1) = 5.7 degrees; beyond, only its outline is left."""
+    assert scene(1.0, 5.5).face().amplitude[0].real > 0.0
+    assert scene(1.0, 5.9).face().amplitude[0] == 0.0
+    assert burst_db(scene(1.0, 8.0).face(), 1.0) < -12.0
+
+
+def test_seen_face_reads_the_perpendicular_and_an_edge_its_own_distance():
+    face = scene(0.5, 10.0).face()
+    assert face.length[0] == pytest.approx(0.5 * np.cos(np.deg2rad(10.0)))
+    tilted = scene(2.0, 22.5).face()
+    assert tilted.length[1:].min() == pytest.approx(
+        np.sqrt(2.0**2 + 0.1**2 - 2.0 * 2.0 * 0.1 * np.sin(np.deg2rad(22.5))), abs=1e-4
+    )
+
+
+def test_a_great_disc_is_a_wall_until_its_rim_is_heard():
+    face, wall = scene(1.0, 0.0, Disc(3.0)).face(), scene(1.0, 0.0, Wall()).face()
+    assert face.amplitude[0] == wall.amplitude[0] == pytest.approx(0.5)
+    assert face.length[1:].min() > 3.0
+
+
+def test_gain_steps_every_70_us_up_to_its_cap():
+    gain = gain_over_time(31, 1500)
+    assert gain[0] * 1025 == 94
+    assert np.flatnonzero(gain == 1.0)[0] * PERIOD == pytest.approx(31 * 70e-6, abs=PERIOD)
+    assert 20.0 * np.log10(gain[-1] / gain_over_time(11, 1500)[-1]) == pytest.approx(17.4, abs=0.05)
+    assert 20.0 * np.log10(1025 / 94) == pytest.approx(20.75, abs=0.01)
+    closed = 1.0 / (1.0 / 94.0 - 3.117e-4 * np.arange(32))
+    assert list(GAINS) == pytest.approx(list(closed), rel=0.008)
+
+
+def test_wall_at_six_metres_just_reaches_the_threshold_at_full_gain():
+    wave = Waveform.of(BARE, Arrivals.of((6.0, 1.0 / 12.0)), Air(19.0, SPEED, 1.29), 1600)
+    assert np.abs(wave.signal).max() == pytest.approx(1.0, abs=0.01)
+
+
+def test_waveform_is_the_sum_of_delayed_pulses():
+    """Against the pulse sampled at the exact delay."""
+    arrivals = Arrivals.of((1.2345, 0.3), (1.30, -0.1), (2.0, 0.2j))
+    wave = Waveform.of(BARE, arrivals, AIR, 900).signal
+    fine = pulse_at(BARE, 19.0, PERIOD / 32)
+    expected = np.zeros(900, dtype=complex)
+    for length, amplitude in zip(arrivals.length, arrivals.amplitude, strict=True):
+        delay = 2.0 * length / SPEED
+        at = np.arange(900) * PERIOD - delay
+        grid = np.arange(len(fine)) * PERIOD / 32
+        copy = np.interp(at, grid, fine.real, 0, 0) + 1j * np.interp(at, grid, fine.imag, 0, 0)
+        expected += amplitude * np.exp(-2j * np.pi * 40e3 * delay) * copy
+    scale = np.abs(wave).max() / np.abs(expected).max()
+    np.testing.assert_allclose(wave, expected * scale, atol=2e-3 * np.abs(wave).max())
+
+
+def test_noise_has_unit_variance_and_the_amplifiers_memory():
+    z = noise((200, 1000), np.random.default_rng(0))
+    assert z.real.std() == pytest.approx(1.0, abs=0.01)
+    assert (z[:, 1:] * z[:, :-1].conj()).mean().real / 2.0 == pytest.approx(np.exp(-np.pi / 4.0), abs=0.02)
+
+
+def test_false_alarms_at_full_gain_are_rare_but_real():
+    """Noise at a quarter to a sixth of the threshold: from one in 10,000 pings to some in a hundred."""
+    rng = np.random.default_rng(0)
+    rates = []
+    for level in (1.0 / 4.0, 1.0 / 6.0):
+        unit = replace(Unit.nominal(), noise=level)
+        ping, _ = crossings(noise((2000, 1440), rng) * np.float32(level), unit)
+        rates.append(len(np.unique(ping)) / 2000)
+    assert 0.02 < rates[0] < 0.3
+    assert rates[1] < 3e-3
+
+
+def test_dead_time_blanking_and_gate_bound_the_echoes():
+    unit = replace(Unit.nominal(), blanking=1e-3, rearm=2e-3)
+    time = np.array([0.5e-3, 1.5e-3, 2.0e-3, 3.4e-3, 3.6e-3, 9e-3, 0.9e-3, 12e-3])
+    ping = np.array([0, 0, 0, 0, 0, 0, 2, 2])
+    heard = first_echoes(ping, time, 3, unit, listening=10e-3)
+    np.testing.assert_allclose(heard[0, :4], [1.5e-3, 3.6e-3, 9e-3, np.nan])
+    assert np.isnan(heard[1:]).all()
+
+
+def test_at_most_seventeen_echoes():
+    time = np.arange(1, 40) * 1e-3
+    heard = first_echoes(np.zeros(39, dtype=int), time, 1, replace(Unit.nominal(), rearm=0.5e-3), 1.0)
+    assert heard.shape == (1, 17)
+    np.testing.assert_allclose(heard[0], time[:17])
+
+
+@pytest.mark.parametrize(("output", "code"), [("cm", 100), ("inch", 39), ("us", 5800)])
+def test_codes_of_a_metre(output, code):
+    unit = replace(Unit.nominal(), t_offset=0.0)
+    assert to_codes(np.array([5.8e-3, np.nan]), unit, output).tolist() == [code, 0]
+
+
+def test_a_fast_clock_counts_too_many_ticks_and_truncation_reads_short():
+    time = np.array([17.445e-3])
+    unit = replace(Unit.nominal(), t_offset=0.0)
+    assert to_codes(time, replace(unit, clock_error=0.005), "us")[0] == 17_532
+    assert to_codes(time, replace(unit, rounding="down"), "cm")[0] == 300
+    assert to_codes(time, replace(unit, rounding="nearest"), "cm")[0] == 301
+
+
+def test_clipping_makes_deaf_for_a_moment():
+    unit = replace(BARE, rail=5.0, recovery=75e-6)
+    z = np.zeros((1, 60), dtype=np.complex64)
+    z[0, 10:20], z[0, 20:40] = 6.0, 2.0
+    _, time = crossings(z, unit)
+    sample = np.unique((time / PERIOD).astype(int))
+    assert 20 not in sample
+    assert 22 not in sample
+    assert 23 in sample
+
+
+def test_room_returns_come_from_where_they_must():
+    setup = Setup(post=Post(radius=0.015, behind=0.3), room=Room(1.5, 3.0, 9.0))
+    groups = scene(4.0, 0.0, setup=setup, unit=replace(BARE, radius=6.55e-3)).groups()
+    assert groups[POST].length == pytest.approx([4.3 - 0.015, np.hypot(4.3, 1.5)])
+    assert groups[FLOOR].length[:2] == pytest.approx([1.5, np.hypot(9.0, 1.5)])
+    via_floor = groups[FLOOR].length[2:]
+    assert via_floor.mean() == pytest.approx((np.sqrt(4.0**2 + 3.0**2) + 4.0) / 2.0, abs=0.01)
+    assert groups[CEILING].length[0] == pytest.approx(1.5)
+    assert groups[WALL].length == pytest.approx([9.0])
+    assert groups[BOUNCE].length[0] == pytest.approx(8.0)
+
+
+def test_post_behind_the_face_is_shadowed_and_stands_free_beside_it():
+    setup = Setup(post=Post(), room=Room(None, None, None))
+    hidden = scene(1.0, 0.0, setup=setup)
+    beside = scene(1.0, 35.0, bearing_deg=35.0, setup=setup)
+    assert abs(hidden.groups()[POST].amplitude[0]) < 0.35 * abs(beside.groups()[POST].amplitude[0])
+    place = np.array([np.cos(np.deg2rad(35.0)) + 0.3, np.sin(np.deg2rad(35.0)), 0.0])
+    assert hidden.shadow(place) == pytest.approx(1.0, abs=0.15)
+
+
+def test_post_is_19_db_below_a_wall():
+    """A round post of 15 mm at 1.3 m, nothing in front of it."""
+    setup = Setup(post=Post(radius=0.015, behind=0.3), room=Room(None, None, None))
+    there = replace(scene(1.015, 0.0, setup=setup), reflectance=0.0)
+    front = there.groups()[POST]
+    assert 20.0 * np.log10(abs(front.amplitude[0]) * 2.0 * front.length[0]) == pytest.approx(-19.0, abs=0.5)
+
+
+def test_no_reflectance_no_face():
+    assert FACE not in replace(scene(1.0), reflectance=0.0).groups()
+
+
+def test_floor_detour_matches_the_mirror_law_where_the_floor_is_near():
+    """A tall plate on a near floor: sensor, floor, plate, sensor is the mirror image's perpendicular, if both exist.
+
+    With the beam's height h small and a plate reaching below the floor's image, the detour's perpendicular from the
+    image at -2h meets the plate; its amplitude is then that of a wall as far away as half the way, both senses.
+    """
+    setup = Setup(post=None, room=Room(0.05, None, None, floor_factor=1.0))
+    floor = scene(1.0, 0.0, Plate(0.8, 0.8), setup=setup).groups()[FLOOR]
+    detour = Arrivals(floor.length[1:], floor.amplitude[1:])
+    half = (np.sqrt(1.0 + 0.1**2 / 4) * 2) / 2
+    phase = np.exp(-4j * np.pi * detour.length / WAVELENGTH)
+    assert abs((detour.amplitude * phase).sum()) == pytest.approx(2.0 / (2.0 * half), rel=0.35)
