@@ -10,7 +10,12 @@ from noise.law import EchoLaw
 from noise.model import GaussianModel, IdealModel, SonarModel, simulate
 from noise.store import load_model, model_names, save_model
 
-_LAZY = {"PhysicalModel": "noise.physical", "CATALOGUE": "noise.effects", "diagnose": "noise.discrepancy"}
+_LAZY = {
+    "PhysicalModel": "noise.physical",
+    "CATALOGUE": "noise.effects",
+    "MlpModel": "noise.networks",
+    "diagnose": "noise.discrepancy",
+}
 
 __all__ = [
     "CATALOGUE",
@@ -19,6 +24,7 @@ __all__ = [
     "EchoLaw",
     "GaussianModel",
     "IdealModel",
+    "MlpModel",
     "PhysicalModel",
     "SonarModel",
     "diagnose",

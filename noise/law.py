@@ -18,6 +18,8 @@ from acquisition import EchoStatus, Reading
 Floats = NDArray[np.float64]
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 
+FEW = 64  # pings; below this the inverse is looked for in wide rows
+
 
 class EchoLaw(ABC):
     """Law of the readings of n pings.
@@ -36,6 +38,10 @@ class EchoLaw(ABC):
     @abstractmethod
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf allowed."""
+
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range in (low, high]); laws that know their tails do better."""
+        return np.maximum(self.arrival(high) - self.arrival(low), 0.0)
 
     @property
     @abstractmethod
@@ -68,8 +74,12 @@ class EchoLaw(ABC):
 
     def cdf_step(self, step: NDArray[np.int64]) -> Floats:
         """Return P(echo and register <= step), (n,) or (m, n); steps below 1 give 0."""
-        edge = np.where(step >= self.last_step, np.inf, (step + 0.5) * self.resolution)
-        return np.where(step < 1, 0.0, self.arrival(edge))
+        return np.where(step < 1, 0.0, self.arrival(self.edge(step)))
+
+    def edge(self, step: NDArray[np.int64]) -> Floats:
+        """Return the exact range up to which a step stands, m; -inf below the first step, +inf from the last on."""
+        inside = (step + 0.5) * self.resolution
+        return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
 
     def cdf(self, range_: ArrayLike) -> Floats:
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
@@ -79,7 +89,7 @@ class EchoLaw(ABC):
         """Return the log probability of each reading, nats, (n,); -inf where the law excludes it."""
         step = self.step(reading.range)
         with np.errstate(divide="ignore"):
-            echo = np.log(np.maximum(self.cdf_step(step) - self.cdf_step(step - 1), 0.0))
+            echo = np.log(self.between(self.edge(step - 1), self.edge(step)))
             table = np.stack([np.log(self.no_echo), echo, np.log(self.no_answer)])
         return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
 
@@ -93,13 +103,22 @@ class EchoLaw(ABC):
         return Reading.of(np.where(status == EchoStatus.ECHO, step * self.resolution, 0.0), status)
 
     def _invert(self, u: Floats) -> NDArray[np.int64]:
-        """Return the smallest step whose cdf exceeds u, by bisection."""
-        low, high = np.zeros(len(self), dtype=np.int64), np.full(len(self), self.last_step)
+        """Return the smallest step whose cdf exceeds u, (n,) or (m, n), by cutting what is left into equal parts."""
+        shape = np.broadcast_shapes(np.shape(u), (len(self),))
+        low, high = np.zeros(shape, dtype=np.int64), np.full(shape, self.last_step)
+        # a call costs more than its numbers where there are few, as in a simulator's step: many parts, few calls
+        parts = 128 if len(shape) == 1 and len(self) <= FEW else 2
+        share = np.arange(1, parts).reshape(-1, *[1] * len(shape))
         while np.any(high - low > 1):
-            middle = (low + high) // 2
-            above = self.cdf_step(middle) > u
-            low, high = np.where(above, low, middle), np.where(above, middle, high)
+            cuts = np.concatenate([low[None], low + (high - low) * share // parts, high[None]])
+            below = np.sum(self._cdf_rows(cuts[1:-1]) <= u, axis=0)[None]
+            low = np.take_along_axis(cuts, below, axis=0)[0]
+            high = np.take_along_axis(cuts, below + 1, axis=0)[0]
         return high
+
+    def _cdf_rows(self, step: NDArray[np.int64]) -> Floats:
+        """Return `cdf_step` of steps with any number of leading axes, (..., n)."""
+        return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 
     def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""

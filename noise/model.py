@@ -50,10 +50,19 @@ class NormalLaw(EchoLaw):
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
+        return (1.0 - self.miss) * ndtr(self._score(z))
+
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range in (low, high]), exact in both tails."""
+        below, above = self._score(low), self._score(high)
+        upper = below > 0  # beyond the mean, what is left of the upper tail is the smaller number
+        share = np.where(upper, ndtr(-below) - ndtr(-above), ndtr(above) - ndtr(below))
+        return (1.0 - self.miss) * share
+
+    def _score(self, z: Floats) -> Floats:
         certain = np.where(z >= self.mean, np.inf, -np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            score = np.where(self.sigma > 0, (z - self.mean) / self.sigma, certain)
-        return (1.0 - self.miss) * ndtr(score)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.where(self.sigma > 0, (z - self.mean) / self.sigma, certain)
 
     @property
     def echo(self) -> Floats:

@@ -45,7 +45,7 @@ class PhysicalLaw(EchoLaw):
         parts = [path.silence(z, self.state.width_db) for path in self.state.paths]
         return self._average(math.prod(parts, start=self._unhurt(z)))
 
-    def between(self, low: Tensor, high: Tensor) -> Tensor:
+    def between_tensor(self, low: Tensor, high: Tensor) -> Tensor:
         """Return P(registered at an exact range in (low, high]), (..., n): sums of what is positive, exact in tails.
 
         With S = prod u_k: S(low) - S(high) = sum_k prod_{j<k} u_j(high) (u_k(low) - u_k(high)) prod_{j>k} u_j(low).
@@ -89,8 +89,8 @@ class PhysicalLaw(EchoLaw):
 
     def echo_tensor(self, step: np.ndarray) -> Tensor:
         """Return P(the register holds a step), (n,)."""
-        low, high = torch.from_numpy(self._edges(step - 1)), torch.from_numpy(self._edges(step))
-        out = self.between(self.register_to_range(low), self.register_to_range(high))
+        low, high = self._edges(step - 1), self._edges(step)
+        out = self.between_tensor(self.register_to_range(low), self.register_to_range(high))
         for atom in self.state.atoms:
             out = (1.0 - atom.weight) * out + atom.weight * (atom.cdf(high) - atom.cdf(low))
         return out
@@ -109,9 +109,8 @@ class PhysicalLaw(EchoLaw):
         with torch.no_grad(), np.errstate(divide="ignore"):
             return np.log(np.maximum(self.probability_tensor(reading).numpy(), 0.0))
 
-    def _edges(self, step: np.ndarray) -> Floats:
-        inside = (step + 0.5) * self.resolution
-        return np.where(step < 1, -END, np.where(step >= self.last_step, END, inside))
+    def _edges(self, step: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.clip(self.edge(step), -END, END))
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at a range <= z)."""

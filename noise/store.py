@@ -20,8 +20,10 @@ from noise.model import GaussianModel, IdealModel, SonarModel
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
 BUILT_IN = {"ideal": IdealModel, "gaussian": GaussianModel}
-KINDS = {  # kind in model.json -> module and class; imported when asked for, since they need torch
+KINDS = {  # kind in model.json -> module and class; imported when asked for, since some need torch
     "physical": ("noise.physical", "PhysicalModel"),
+    "empirical": ("noise.empirical", "EmpiricalModel"),
+    "mlp": ("noise.networks", "MlpModel"),
 }
 
 

@@ -24,7 +24,7 @@ INCH = 0.0254
 METRES = {"cm": CM, "inch": INCH, "us": PER_UNIT["us"] / PER_UNIT["cm"] * CM}
 GHOST_S = 0.15  # pings further apart than this cannot hear each other: 25 m of air take 65 dB
 BATCH = 256  # pings worked on at once: about 6 MB of waveforms
-VISIT_C = 0.2  # degC; pings of a visit whose air differs more get an echo of their own
+VISIT_C = 0.4  # degC; pings of a visit whose air differs more get waveforms of their own
 Progress = Callable[[int, int], None]
 
 
@@ -88,7 +88,7 @@ class Rig:
         temperature = ping.covariates.get("temperature_c", self.setup.temperature_c) + drift(ping.time)
         code = np.zeros((len(ping), 17), dtype=np.uint16)
         for start, stop in _visits(ping):
-            placed = self._place(ping[start : start + 1], rng)
+            placed = self.place(ping[start : start + 1], rng)
             moved = _flutter(self.setup, ping.time[start:stop], rng)
             for rows in _alike(temperature[start:stop], start):
                 times = self._listen(placed, ping[rows], temperature[rows], moved[rows - start], rng)
@@ -112,8 +112,8 @@ class Rig:
             "range_mm": np.full(n, 43.0 * (self.setup.range_register + 1)),
         }
 
-    def _place(self, ping: Ping, rng: np.random.Generator) -> Ping:
-        """Return where the reflector of one visit really stands; the fourth draw is its backward tilt."""
+    def place(self, ping: Ping, rng: np.random.Generator) -> Ping:
+        """Return where the reflector of a single ping really stands; covariate `tilt_back` is its lean, rad."""
         setup = self.setup
         along, bearing, turn, tilt = rng.standard_normal(4)
         return replace(
@@ -121,7 +121,7 @@ class Rig:
             distance=np.maximum(ping.distance + setup.zero_m + setup.placement_m * along, 0.005),
             angle=ping.angle + setup.placement_deg * DEG * bearing,
             incidence=ping.incidence + setup.tilt_deg * DEG * turn,
-            covariates={**ping.covariates, "_tilt": np.array([setup.tilt_deg * DEG * tilt])},
+            covariates={**ping.covariates, "tilt_back": _lean(ping) + setup.tilt_deg * DEG * tilt},
         )
 
     def _listen(self, placed: Ping, ping: Ping, temperature: Floats, moved: Floats, rng: np.random.Generator) -> Floats:
@@ -155,8 +155,7 @@ class Rig:
 
     def scene(self, ping: Ping, speed: float) -> Scene:
         """Return the geometry of one ping, as it is placed."""
-        tilt = float(ping.covariates.get("_tilt", np.zeros(1))[0])
-        pose = Pose(float(ping.distance[0]), float(ping.angle[0]), float(ping.incidence[0]), tilt)
+        pose = Pose(float(ping.distance[0]), float(ping.angle[0]), float(ping.incidence[0]), float(_lean(ping)[0]))
         return Scene(self.unit, self.setup, pose, float(ping.reflectance[0]), speed)
 
     def _waves(self, placed: Ping, ping: Ping, air: Air) -> tuple[NDArray[np.int64], list[Waveform]]:
@@ -167,6 +166,10 @@ class Rig:
             found[GHOST] = ghost
         waves = {name: Waveform.of(self.unit, way, air, samples) for name, way in found.items()}
         return np.array(list(waves)), list(waves.values())
+
+
+def _lean(ping: Ping) -> Floats:
+    return ping.covariates.get("tilt_back", np.zeros(len(ping)))
 
 
 def _ghost(groups: dict[int, Arrivals], ping: Ping, air: Air) -> Arrivals:
@@ -197,8 +200,8 @@ def _visits(ping: Ping) -> list[tuple[int, int]]:
 
 def _alike(temperature: Floats, start: int) -> list[NDArray[np.int64]]:
     """Return the pings of a visit in groups of nearly one temperature."""
-    bin_ = np.rint((temperature - temperature[0]) / VISIT_C)
-    return [start + np.flatnonzero(bin_ == value) for value in np.unique(bin_)]
+    step = np.rint((temperature - temperature.mean()) / VISIT_C)
+    return [start + np.flatnonzero(step == value) for value in np.unique(step)]
 
 
 def _flutter(setup: Setup, time: Floats, rng: np.random.Generator) -> Floats:

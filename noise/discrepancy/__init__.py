@@ -1,1 +1,6 @@
-"""Where a model and a recording differ, what was left out, and the model corrected."""
+"""Diagnosis: where a simulation and a recording differ, why, by how much, and the corrected model."""
+
+from noise.discrepancy.diagnosis import Diagnosis, diagnose
+from noise.discrepancy.verdict import VERDICTS, Verdict
+
+__all__ = ["VERDICTS", "Diagnosis", "Verdict", "diagnose"]

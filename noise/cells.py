@@ -1,0 +1,259 @@
+"""Pings that share a cell agree more than any law of single pings says: the batch they form, and its likelihood.
+
+A target is put down once a cell, a few millimetres from where the log says; pings seconds apart meet the same air and
+the same interference of paths. Counted as independent, one misplaced cell of 50 pings is worth hundreds of nats. So
+every likelihood here is *prequential*: each reading is predicted from its condition and from the readings before it
+in its cell, and what the neighbours already told counts no more. The sum is what is called effective nats.
+
+The prediction is, in this order:
+1. a normal offset shared by the cell (`placement_m`), known ever better as readings come, by the rules of a Kalman
+   filter, and what is carried over from one ping to the next (`carry`);
+2. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
+   repeating (silence, another reflector) count about once a cell;
+3. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
+Any such prediction from the past makes a proper joint likelihood, whether the cell behaves like it or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from acquisition import Ping, Reading, Recording, RecordingError, previous
+from noise.effects import Conditions, Effect, Parameter, Stage, State
+from noise.effects.base import number
+from noise.physical import PhysicalLaw, PhysicalModel
+
+MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
+BLOCK = 25  # pings taken as one cell where conditions never repeat (a moving robot); ours
+FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
+FEW_CELLS = 12
+
+
+class CellNuisance(Effect):
+    """What pings of one cell share beyond their condition. It leaves the law of a single ping alone."""
+
+    name = "cells"
+    stage = Stage.SEQUENCE
+    summary = "Pings of one cell share an offset"
+    parameters = (
+        Parameter("placement_m", "m", 0.0, 0.0, 0.1, "ruler and mount, 1 to 5 mm; wider: ours", (0.003,)),
+        Parameter("carry", "1", 0.0, 0.0, 0.98, "correlation from ping to ping: ours", (0.1,)),
+        Parameter("sharing", "1", 0.0, 0.0, 5.0, "weight of one earlier reading against the law: ours", (0.02,)),
+        Parameter("kernel_m", "m", 0.004, 0.0003, 0.05, "width of what a cell repeats: ours", (0.004,)),
+    )
+    placement_m: Tensor
+    carry: Tensor
+    sharing: Tensor
+    kernel_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Leave the state as it is."""
+        return state
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Answered pings in the order of their cells, time running inside each.
+
+    Attributes:
+        ping: conditions, (n,).
+        past: the reading before each ping in its run, whatever its cell, (n,).
+        reading: (n,).
+        block: the uninterrupted stay in one cell that a ping belongs to, ascending, (n,).
+        cell: the cell of each ping, for splits, (n,).
+        resolution: step of the register, m.
+    """
+
+    ping: Ping
+    past: Reading
+    reading: Reading
+    block: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    resolution: float
+
+    @classmethod
+    def of(cls, recording: Recording) -> Batch:
+        """Sort a recording into cells; rows without an answer are left out (they are faults, not readings).
+
+        Raises:
+            RecordingError: nothing was answered.
+        """
+        answered = recording.reading.answered
+        if not answered.any():
+            raise RecordingError(f"{recording.name}: no ping was answered, so there is nothing to compare: check wires")
+        cell, block = cells_of(recording)
+        order = np.lexsort((np.arange(len(recording)), block))
+        order = order[answered[order]]
+        past = previous(recording.reading, recording.run)
+        ping, reading = recording.ping[order], recording.reading[order]
+        label = np.unique(block[order], return_inverse=True)[1]
+        return cls(ping, past[order], reading, label, cell[order], recording.resolution)
+
+    def __len__(self) -> int:
+        """Return the number of pings."""
+        return len(self.reading)
+
+    def select(self, mask: NDArray[np.bool_]) -> Batch:
+        """Return the pings at a mask; whole blocks or their beginnings, so that the past stays right."""
+        block = np.unique(self.block[mask], return_inverse=True)[1]
+        return replace(
+            self,
+            ping=self.ping[mask],
+            past=self.past[mask],
+            reading=self.reading[mask],
+            block=block,
+            cell=self.cell[mask],
+        )
+
+    def thin(self, n: int) -> Batch:
+        """Return at most about n pings: the first few of every block, and if need be every k-th block."""
+        if len(self) <= n:
+            return self
+        stride = -(-2 * self.blocks // n)
+        # the first pings of a cell carry most of what it can tell, so blocks are shortened before any is left out
+        most = max(2, n * stride // self.blocks)
+        return self.select((self.block % stride == 0) & (self.count < most))
+
+    @cached_property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self.block[-1]) + 1
+
+    @cached_property
+    def first(self) -> NDArray[np.int64]:
+        """Row at which each ping's block begins, (n,)."""
+        return np.searchsorted(self.block, self.block)
+
+    @cached_property
+    def count(self) -> NDArray[np.int64]:
+        """Number of pings before each in its block, (n,)."""
+        return np.arange(len(self)) - self.first
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """Conditions and past as tensors."""
+        return Conditions.of(self.ping, self.past)
+
+    @cached_property
+    def error(self) -> NDArray[np.float64]:
+        """Reading minus true distance, m, (n,); 0 where there was no echo."""
+        return np.where(self.reading.echo, self.reading.range - self.ping.distance, 0.0)
+
+    @cached_property
+    def urn(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Look-back over the block: (difference of errors, m, both echoes, both silent), each (MEMORY, n); number."""
+        lag = np.arange(1, MEMORY + 1)[:, None]
+        valid = lag <= self.count
+        row = np.maximum(np.arange(len(self)) - lag, 0)
+        echo = self.reading.echo
+        both = valid & echo & echo[row]
+        silent = valid & ~echo & ~echo[row]
+        delta = np.where(both, self.error - self.error[row], 1.0)
+        tensor = torch.as_tensor
+        return tensor(delta), tensor(both), tensor(silent), tensor(valid.sum(axis=0).astype(np.float64))
+
+    def per_block(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""
+        starts = np.unique(self.first)
+        return np.add.reduceat(value, starts, axis=0)
+
+
+def cells_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the cell of each ping, and the block (stay in one cell during one run), each (n,).
+
+    Where conditions hardly repeat, or hardly change, runs are cut into stretches of `BLOCK` pings instead.
+    """
+    n = len(recording)
+    pair = np.unique(np.stack([recording.cell, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
+    crowded = np.bincount(recording.cell)
+    if crowded.mean() < 2.0 and n > 2 * FEW_CELLS:
+        stretch = _stretches(recording.run)
+        return stretch, stretch
+    block = pair
+    if len(np.unique(pair)) < FEW_CELLS:
+        block = np.unique(pair * (n + 1) + _stretches(pair), return_inverse=True)[1]
+    cell = recording.cell if len(crowded) >= FEW_CELLS else block
+    return cell, block
+
+
+def _stretches(group: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number stretches of at most BLOCK consecutive pings of each group, (n,)."""
+    order = np.argsort(group, kind="stable")
+    starts = np.r_[0, np.flatnonzero(np.diff(group[order])) + 1]
+    rank = np.empty(len(group), dtype=np.int64)
+    rank[order] = np.arange(len(group)) - np.repeat(starts, np.diff(np.r_[starts, len(group)]))
+    return np.unique(group * (len(group) + 1) + rank // BLOCK, return_inverse=True)[1].ravel()
+
+
+def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:
+    """Return where the direct path's reading lies and how far it scatters in one cell, m, (n,) each."""
+    state, path = law.state, law.state.direct
+    weight = torch.exp(state.log_weight - torch.logsumexp(state.log_weight, dim=0))
+    slip = (path.slip_m * path.slip_weight).sum()
+    slip_variance = (path.slip_m**2 * path.slip_weight).sum() - slip**2
+    lag = (weight * path.lag).sum(dim=0) if path.lag.ndim == 2 else path.lag
+    middle = (path.length + lag + slip) * state.scale + state.offset
+    grid = max(law.resolution, state.step)
+    variance = path.spread**2 + torch.clamp(slip_variance, min=0.0) + grid**2 / 12.0
+    return middle, torch.broadcast_to(variance, middle.shape)
+
+
+def _before(value: Tensor, batch: Batch) -> Tensor:
+    """Return sums over the pings before each in its block, (n,)."""
+    total = torch.cumsum(value, dim=0) - value
+    return total - total[torch.from_numpy(batch.first)]
+
+
+def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (n,) each."""
+    middle, variance = direct_median(law)
+    echo = torch.from_numpy(batch.reading.echo)
+    error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
+    prior = cells.placement_m**2 + 1e-12
+    # a reading counts for the offset as far as it can be the direct path's: smoothly nothing beyond 4 deviations
+    near = error**2 / (16.0 * (variance + prior))
+    weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
+    precision = 1.0 / prior + _before(weight, batch)
+    mean = _before(weight * error, batch) / precision
+    last = torch.from_numpy(np.maximum(np.arange(len(batch)) - 1, batch.first))
+    known = torch.from_numpy(batch.count > 0)
+    carried = cells.carry * (weight * variance)[last] * (error - mean)[last]
+    return mean + torch.where(known, carried, torch.zeros_like(mean)), 1.0 / precision
+
+
+def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
+    """Return the law with its direct path moved by a mean and widened by a variance, (n,) each."""
+    path = law.state.direct
+    spread = torch.sqrt(path.spread**2 + variance + 1e-18)
+    state = law.state.with_direct(replace(path, length=path.length + mean, spread=spread))
+    return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
+
+
+def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
+    """Return the prequential log probability of each reading, nats, (n,), differentiable."""
+    mean, variance = predicted_offset(law, cells, batch)
+    own = torch.exp(shifted(law, mean, variance).log_prob_tensor(batch.reading))
+    silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
+    own = (1.0 - 2.0 * FLOOR) * own + FLOOR * torch.where(silent > 0, silent, number(1.0 / law.last_step))
+    delta, both, none, seen = batch.urn
+    half = batch.resolution / 2.0
+    upper = torch.special.ndtr((delta + half) / cells.kernel_m) - torch.special.ndtr((delta - half) / cells.kernel_m)
+    repeats = (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
+    return torch.log(own + cells.sharing * repeats) - torch.log1p(cells.sharing * seen)
+
+
+def marginal(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
+    """Return the law of a ping in a cell of which nothing is known yet: what a simulator should sample."""
+    middle, _ = direct_median(law)
+    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + cells.placement_m**2)
+
+
+def law_of(model: PhysicalModel, batch: Batch) -> PhysicalLaw:
+    """Return a model's law of a batch, on the batch's own register."""
+    return PhysicalLaw(model.state(batch.conditions), batch.ping.distance, batch.resolution, model.max_range)

@@ -1,0 +1,242 @@
+"""From a model and a recording to a verdict and a corrected model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from acquisition import Ping, Reading, Recording
+from noise.cells import Batch, law_of
+from noise.discrepancy.emulate import Baseline, baseline_of
+from noise.discrepancy.locate import Finding, locate
+from noise.discrepancy.next_measurement import next_measurement
+from noise.discrepancy.rest import check_rest
+from noise.discrepancy.rivals import Rival, posterior, rivals
+from noise.discrepancy.search import Crossed, Progress, Search, spread_over_blocks
+from noise.discrepancy.splits import Split
+from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
+from noise.empirical import EmpiricalModel
+from noise.fit import CELLS, JITTER, NUISANCES, Fit, Stack, covariance, log_likelihood, maximise, nuisance_start
+from noise.law import Floats
+from noise.model import SonarModel
+
+Z90 = 1.6449  # two-sided 90 % of a normal
+LEAST_P = 1e-12  # no p-value of a model of the world means more
+ALARM = 0.01  # p-value of a scan below which something is there
+CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """A verdict, the corrected model, and what figures and tables are made of.
+
+    Attributes:
+        verdict: everything that is claimed.
+        corrected: the model with what was found in it; sample it, save it, drive with it. What cells share is in it
+            as scatter from ping to ping: a single reading, of whose cell nothing else is known.
+        given: the model that was handed in.
+        shown_before: the model, or the physical law that stands for the simulated readings: "before" in every score.
+        before: the law that stood for it in the search, its scatter fitted.
+        split: the parts; the vault was used for `verdict.held_out` alone.
+        rivals: everything that was tried in the place of each named effect.
+        recording: its name; `pings` of it were used, `unanswered` were not.
+    """
+
+    verdict: Verdict
+    corrected: EmpiricalModel
+    given: SonarModel
+    shown_before: SonarModel
+    before: EmpiricalModel
+    split: Split
+    rivals: tuple[Rival, ...]
+    recording: str
+    pings: int
+    unanswered: int
+
+    def to_verdict(self) -> dict[str, Any]:
+        """Return the content of verdict.json."""
+        return self.verdict.to_dict()
+
+
+def diagnose(
+    model: SonarModel,
+    recording: Recording,
+    *,
+    simulated: Recording | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say where a recording differs from a model, why, by how much, and correct the model.
+
+    Args:
+        model: what the simulation uses. A `PhysicalModel` is taken as it is and `IdealModel` as one without effects;
+            any other (Gaussian, learned) is replaced by an emulator that is fitted to its own samples and checked
+            (`baseline_check`): what the emulator does not hold of it is not corrected.
+        recording: of the real sonar.
+        simulated: readings of a simulator on its own conditions; it then stands in the place of `model`.
+        seed: of splits, draws and starting points; the same seed gives the same verdict.
+        progress: called with a message and the share done, now and then.
+
+    Raises:
+        RecordingError: the recording holds no answered ping.
+    """
+    tell = progress or (lambda message, share: None)
+    batch = Batch.of(recording)
+    split = Split.of(batch, np.random.default_rng([seed, 1]))
+    tell("learning what the simulation says", 0.02)
+    base = baseline_of(model, recording, simulated, seed)
+    search, fitted = _prepare(base, split, seed, tell)
+    tell("locating", 0.08)
+    where = locate(fitted.stack, split.discover, np.random.default_rng([seed, 2]))
+    chosen, cross_base, cross = search.run()
+    chosen, cross = base.without_repairs(search, chosen, cross)
+    final = _final(search, cross, chosen)
+    tell("weighing rivals", 0.75)
+    named, all_rivals = _name(search, final, chosen, cross, seed)
+    tell("checking what is left", 0.9)
+    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]))
+    verdict = _verdict(base, where, named, rest, cross, cross_base, search)
+    held = _held_out(base.raw, fitted.stack, final.stack, split.vault)
+    surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
+    ahead = next_measurement(final.stack, surviving, seed)
+    tell("done", 1.0)
+    return Diagnosis(
+        replace(verdict, held_out=held, next_measurement=tuple(ahead)),
+        corrected_model(final.stack, recording),
+        model,
+        base.raw,
+        corrected_model(fitted.stack, recording),
+        split,
+        tuple(all_rivals),
+        recording.name,
+        len(batch),
+        len(recording) - len(batch),
+    )
+
+
+def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[Search, Fit]:
+    """Return the search, its base fitted in nuisances alone."""
+    start = nuisance_start(base.stack, split.discover)
+    fitted = maximise(start, NUISANCES, split.discover.thin(4000), 80)
+    return Search(fitted.stack, split.discover, split.confirm, split.both, seed, progress=tell), fitted
+
+
+def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Fit:
+    """Return the explanation fitted on discover and confirm together."""
+    free = (*search.keys(chosen), *NUISANCES)
+    return maximise(cross.first.stack, free, search.both, 80)
+
+
+def _name(
+    search: Search, final: Fit, chosen: Sequence[str], cross: Crossed, seed: int
+) -> tuple[list[Named], list[Rival]]:
+    """Return every chosen effect with intervals, gain and rivals."""
+    if not chosen:
+        return [], []
+    spread = np.sqrt(np.diag(covariance(final, search.both)))
+    named, all_rivals = [], []
+    for k, name in enumerate(chosen):
+        others = [other for other in chosen if other != name]
+        without = search.cross(search.reset(cross.first.stack, name), others)
+        gain = cross.nats - without.nats
+        own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
+        all_rivals += own
+        alike = tuple(rival.effect for rival in own if rival.survives)
+        effect = final.stack.known[name](**final.stack.values[name])
+        parameters = _intervals(final, name, spread)
+        weight, error = posterior(own), spread_over_blocks(gain)
+        named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, effect.statement()))
+    return named, all_rivals
+
+
+def _intervals(final: Fit, name: str, spread: Floats) -> dict[str, Interval]:
+    out = {}
+    for key, sd in zip(final.free, spread, strict=True):
+        if key[0] == name:
+            p, value = final.stack.parameter(key), final.stack.get(key)
+            low, high = max(value - Z90 * sd, min(p.low, p.null)), min(value + Z90 * sd, max(p.high, p.null))
+            out[key[1]] = Interval(value, float(low), float(high), p.unit)
+    return out
+
+
+def _verdict(
+    base: Baseline,
+    where: Sequence[Finding],
+    named: Sequence[Named],
+    rest: Rest,
+    cross: Crossed,
+    cross_base: Crossed,
+    search: Search,
+) -> Verdict:
+    """Return the verdict, its held-out part still open."""
+    gain = float((cross.nats - cross_base.nats).sum())
+    p_scan = min((finding.p_value for finding in where), default=1.0)
+    p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
+    kind = judge(named, rest, gain, p_scan, base)
+    shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
+    empty = HeldOut("cells", 0, Score(0.0, 0.0), Score(0.0, 0.0), 0.0, 0.0)
+    p = max(LEAST_P, min(1.0, 2.0 * min(p_scan, p_gain)))
+    if kind in ("none", "named", "confounded"):
+        rest = replace(rest, present=False, description=None)
+    return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts))
+
+
+def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: Baseline) -> str:
+    """Return the kind of verdict.
+
+    A large gain is never enough to name: what is left over must not weigh as much as what was explained, and an
+    effect that can pass for anything (a replaced reading) is not believed while structure remains.
+    """
+    if not named:
+        return "unknown" if p_scan < ALARM and rest.present else "none"
+    left = sum(finding.nats for finding in rest.findings)
+    if rest.present and left > SMALL_SHARE * gain:
+        catch_all = all(n.effect in CATCH_ALL for n in named)
+        return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
+    return "confounded" if any(n.indistinguishable_from for n in named) else "named"
+
+
+CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
+LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
+SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
+
+
+def corrected_model(stack: Stack, recording: Recording) -> EmpiricalModel:
+    """Return the model of a stack: what cells share becomes scatter, the register the recording's where coarser."""
+    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), stack.get((CELLS, "placement_m"))))
+    stack = stack.put([(JITTER, "sigma_m")], [sigma]).without(CELLS)
+    effects = [stack.known[name](**values) for name, values in stack.values.items()]
+    return EmpiricalModel(effects, max(stack.resolution, recording.resolution), stack.max_range)
+
+
+def _held_out(raw: SonarModel, before: Stack, after: Stack, vault: Batch) -> HeldOut:
+    """Open the vault: score before and after on cells that nothing was fitted to."""
+    nats = [log_likelihood(stack, vault) for stack in (before, after)]
+    gain = vault.per_block(nats[1] - nats[0])
+    error = spread_over_blocks(gain)
+    plain, n = gain.sum() / len(vault), len(vault)
+    with torch.no_grad():
+        law = law_of(after.model, vault)
+        scores = [crps_mm(raw, vault.ping, vault.past, vault.reading), _crps(law.quantile, vault.reading)]
+    first, last = (Score(float(x.mean()), c) for x, c in zip(nats, scores, strict=True))
+    return HeldOut("cells", n, first, last, float(plain - Z90 * error / n), float(plain + Z90 * error / n))
+
+
+def crps_mm(model: SonarModel, ping: Ping, past: Reading, reading: Reading) -> float:
+    """Return the mean CRPS of echoes under a model's law given that there is an echo, mm."""
+    return _crps(model.law(ping, past).quantile, reading)
+
+
+def _crps(quantile: Any, reading: Reading) -> float:
+    """Return twice the mean pinball loss over levels, which is the CRPS up to the levels' spacing, mm."""
+    if not reading.echo.any():
+        return 0.0
+    total = np.zeros(len(reading))
+    for level in CRPS_LEVELS:
+        difference = reading.range - quantile(level)
+        total += 2.0 * np.maximum(level * difference, (level - 1.0) * difference)
+    return float(1000.0 * (total / len(CRPS_LEVELS))[reading.echo].mean())

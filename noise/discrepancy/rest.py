@@ -1,0 +1,76 @@
+"""Whether the best explanation leaves anything over, on cells it was not fitted to, and what that looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from noise.cells import Batch
+from noise.discrepancy.locate import Finding, locate, residuals, scan
+from noise.discrepancy.search import Crossed, Search
+from noise.discrepancy.verdict import Rest
+from noise.fit import Stack
+
+LEVEL = 0.01
+_WORDS = {
+    "bias": "readings are off by {mm:+.0f} mm",
+    "scale": "readings stray by {percent:+.2f} % of distance",
+    "spread": "readings scatter {size:.2g} times as much as expected",
+    "skew": "readings lean to one side of what is expected",
+    "detection": "echoes are {more} often than expected, by {percent:.1f} % of pings",
+    "extra_mode": "{percent:.1f} % of readings are far from what is expected{place}",
+    "time_correlation": "successive readings hang together (correlation {size:.2f})",
+}
+
+
+def check_rest(search: Search, chosen: Sequence[str], cross: Crossed, rng: np.random.Generator) -> Rest:
+    """Scan the residuals of cells that were not fitted; both ways, the smaller p-value doubled.
+
+    Args:
+        search: holds the parts.
+        chosen: the effects of the explanation.
+        cross: the explanation, fitted on either part.
+        rng: for randomised PIT values and flips.
+    """
+    pairs = ((cross.first.stack, search.confirm), (cross.second.stack, search.discover))
+    p_values = [scan_p(stack, batch, rng) for stack, batch in pairs]
+    p = min(1.0, 2.0 * min(p_values))
+    if p >= LEVEL:
+        return Rest(False, p, None)
+    stack, batch = pairs[int(np.argmin(p_values))]
+    findings = tuple(locate(stack, batch, rng, most=3))
+    words = "; ".join(in_words(finding) for finding in findings)
+    return Rest(True, p, f"{words} (a description, not a cause)", findings)
+
+
+def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator) -> float:
+    """Return the family-wise p-value of the greatest residual statistic."""
+    scanned = scan(residuals(stack, batch, rng), batch, rng)
+    return scanned.p_value(scanned.best)
+
+
+def in_words(finding: Finding) -> str:
+    """Return a finding as a phrase."""
+    place = ""
+    if finding.place is not None:
+        kind, value = finding.place
+        place = f" ({kind} {value:.2f})" if kind == "times distance" else f" ({kind}, {value:.2f} m)"
+    text = _WORDS[finding.aspect].format(
+        mm=1000.0 * finding.size,
+        percent=100.0 * (abs(finding.size) if finding.aspect == "detection" else finding.size),
+        size=finding.size,
+        more="heard less" if finding.size < 0 else "heard more",
+        place=place,
+    )
+    return f"{text} {region_in_words(finding)}".strip()
+
+
+def region_in_words(finding: Finding) -> str:
+    """Return where a finding is, as a phrase; nothing where it is everywhere."""
+    names = {"distance_mm": ("distance", "m", 1000.0), "angle_deg": ("angle", "deg", 1.0), "time_s": ("time", "s", 1.0)}
+    parts = []
+    for column, (low, high) in finding.region.items():
+        name, unit, scale = names.get(column, (column, "", 1.0))
+        parts.append(f"{name} {low / scale:.3g} to {high / scale:.3g} {unit}".strip())
+    return f"at {' and '.join(parts)}" if parts else ""

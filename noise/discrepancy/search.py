@@ -1,0 +1,234 @@
+"""Greedy search of the catalogue: every effect scored given what is chosen, and believed only across unseen cells.
+
+Winning a round is easy; stopping is the problem. An effect is added only if its gain is *cross-fitted* (fitted on one
+part of the cells, scored on the other, both ways), exceeds `Rules.least_nats`, its standard error over blocks, and
+survives leaving out the block that speaks for it most. Under the null such a gain is negative on average; beyond 6 nats
+it lies with probability 0.0005 for one parameter, so the greatest of some thirty stays below 2 %.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from noise.cells import Batch
+from noise.effects import CATALOGUE
+from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
+from noise.law import Floats
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When an effect is believed, and how much work goes into the search.
+
+    Attributes:
+        least_nats: cross-fitted gain below which nothing is added.
+        least_t: the same in standard errors over blocks.
+        keep_nats: cross-fitted loss below which a chosen effect is dropped again.
+        most_effects: at most so many are added.
+        grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
+        fitted: candidates that are fitted after the grid.
+        crossed: of those, the ones that are cross-fitted.
+        rivals: effects that are tried in the place of each chosen one.
+    """
+
+    least_nats: float = 6.0
+    least_t: float = 2.0
+    keep_nats: float = 2.0
+    most_effects: int = 4
+    grid_pings: int = 500
+    screen_pings: int = 1200
+    full_pings: int = 3000
+    fitted: int = 10
+    crossed: int = 4
+    rivals: int = 6
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What was tried: an effect, given others, and what it gained.
+
+    Attributes:
+        effect: id.
+        given: effects already chosen.
+        screen_nats: gain where it was fitted.
+        gain_nats, gain_se: cross-fitted gain and its standard error over blocks; nan where it was not worth it.
+        decision: in words.
+    """
+
+    effect: str
+    given: tuple[str, ...]
+    screen_nats: float
+    gain_nats: float = np.nan
+    gain_se: float = np.nan
+    decision: str = "did not come near"
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """A hypothesis fitted on either part and scored on the other.
+
+    Attributes:
+        first, second: the fits.
+        nats: of each block of the discover part, then of the confirm part.
+    """
+
+    first: Fit
+    second: Fit
+    nats: Floats
+
+
+@dataclass
+class Search:
+    """State of a search: data, base, and the record of everything tried.
+
+    Attributes:
+        base: the given model with its nuisances; effects in it are candidates too, with their values as null.
+        discover, confirm: the two parts; `both` together.
+        seed: of the quasi-random starts.
+        rules: see `Rules`.
+        progress: called with a message and a share done.
+    """
+
+    base: Stack
+    discover: Batch
+    confirm: Batch
+    both: Batch
+    seed: int = 0
+    rules: Rules = field(default_factory=Rules)
+    progress: Progress | None = None
+    attempts: list[Attempt] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Cut the batches to size."""
+        self.grid = self.discover.thin(self.rules.grid_pings)
+        self.screen = self.discover.thin(self.rules.screen_pings)
+        self.discover = self.discover.thin(self.rules.full_pings)
+        self.confirm = self.confirm.thin(self.rules.full_pings)
+        self.both = self.both.thin(self.rules.full_pings)
+
+    def candidates(self) -> list[str]:
+        """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
+        return [name for name in CATALOGUE if name != JITTER]
+
+    def keys(self, names: Sequence[str]) -> tuple[Key, ...]:
+        """Return the parameters of effects."""
+        return tuple((name, p.name) for name in names for p in self.base.known[name].parameters)
+
+    def tell(self, message: str, share: float) -> None:
+        """Report progress, where anybody listens."""
+        if self.progress is not None:
+            self.progress(message, share)
+
+    def reset(self, stack: Stack, name: str) -> Stack:
+        """Return the stack with an effect back at what the given model says of it."""
+        stack = stack.without(name)
+        if name in self.base.values:
+            stack = replace(stack, values={**stack.values, name: dict(self.base.values[name])})
+        return stack
+
+    def tried(self, stack: Stack, chosen: Sequence[str], name: str, batch: Batch | None = None) -> Fit:
+        """Return the best fit of one more effect on the screening batch, from the best points of its grid."""
+        return self.climbed(self.points(stack, name), chosen, name, batch)
+
+    def points(self, stack: Stack, name: str) -> list[tuple[float, Stack]]:
+        """Return the starting points of an effect with their log likelihoods on the grid batch, best first."""
+        rng = np.random.default_rng([self.seed, zlib.crc32(name.encode())])
+        starts = starting_points(stack, name, self.grid, rng)
+        scored = [(float(log_likelihood(s, self.grid).sum()), k, s) for k, s in enumerate(starts)]
+        scored.sort(key=lambda item: (-item[0], item[1]))
+        return [(nats, s) for nats, _, s in scored]
+
+    def climbed(
+        self, points: Sequence[tuple[float, Stack]], chosen: Sequence[str], name: str, batch: Batch | None = None
+    ) -> Fit:
+        """Return the best climb from the two best points."""
+        free = (*self.keys([*chosen, name]), *SPREAD)
+        batch = self.screen if batch is None else batch
+        fits = [maximise(stack, free, batch, 25) for _, stack in points[:2]]
+        return max(fits, key=lambda fit: fit.nats)
+
+    def cross(self, stack: Stack, chosen: Sequence[str]) -> Crossed:
+        """Fit a hypothesis on either part, score it on the other."""
+        free = (*self.keys(chosen), *NUISANCES)
+        first = maximise(stack, free, self.discover)
+        second = maximise(first.stack, free, self.confirm)
+        on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
+        on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
+        return Crossed(first, second, np.r_[on_discover, on_confirm])
+
+    def believable(self, gain: Floats) -> bool:
+        """Tell whether gains by block are more than chance, and not the work of one block."""
+        total, error = gain.sum(), spread_over_blocks(gain)
+        without_best = total - gain.max(initial=0.0)
+        enough = self.rules.least_nats
+        return bool(total > enough and total > self.rules.least_t * error and without_best > 0.3 * enough)
+
+    def round(self, chosen: list[str], current: Crossed) -> tuple[str, Crossed] | None:
+        """Return the effect that gains most given the chosen ones, or None when none is believed."""
+        stack = current.first.stack
+        here = float(log_likelihood(stack, self.grid).sum())
+        open_ = [name for name in self.candidates() if name not in chosen]
+        grids = {name: self.points(stack, name) for name in open_}
+        order = sorted(open_, key=lambda name: -grids[name][0][0])
+        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25)
+        fits = {name: self.climbed(grids[name], chosen, name) for name in order[: self.rules.fitted]}
+        screened = {name: fit.nats - start.nats for name, fit in fits.items()}
+        best = sorted(screened, key=lambda name: -screened[name])
+        crossed: dict[str, Crossed] = {}
+        for name in best[: self.rules.crossed]:
+            if screened[name] > 1.0:
+                crossed[name] = self.cross(fits[name].stack, [*chosen, name])
+        winner = self._judge(chosen, current, screened, crossed)
+        rest = {name: grids[name][0][0] - here for name in order[self.rules.fitted :]}
+        self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
+        return None if winner is None else (winner, crossed[winner])
+
+    def _judge(
+        self, chosen: Sequence[str], current: Crossed, screened: dict[str, float], crossed: dict[str, Crossed]
+    ) -> str | None:
+        """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
+        gains = {name: c.nats - current.nats for name, c in crossed.items()}
+        good = [name for name in gains if self.believable(gains[name])]
+        winner = max(good, key=lambda name: gains[name].sum(), default=None)
+        for name, nats in screened.items():
+            gain = gains.get(name)
+            decision = "added" if name == winner else "gained less" if name in good else "not more than chance"
+            total, error = (np.nan, np.nan) if gain is None else (float(gain.sum()), spread_over_blocks(gain))
+            self.attempts.append(Attempt(name, tuple(chosen), nats, total, error, decision))
+        return winner
+
+    def run(self) -> tuple[list[str], Crossed, Crossed]:
+        """Return chosen effects, the cross-fitted base, and the cross-fitted explanation."""
+        base = current = self.cross(self.base, [])
+        chosen: list[str] = []
+        while len(chosen) < self.rules.most_effects:
+            self.tell(f"searching, {len(chosen)} found", 0.1 + 0.6 * len(chosen) / (self.rules.most_effects + 1))
+            found = self.round(chosen, current)
+            if found is None:
+                break
+            chosen, current = [*chosen, found[0]], found[1]
+            chosen, current = self.prune(chosen, current)
+        return chosen, base, current
+
+    def prune(self, chosen: list[str], current: Crossed) -> tuple[list[str], Crossed]:
+        """Drop what a later effect made needless."""
+        for name in list(chosen[:-1]):
+            others = [n for n in chosen if n != name]
+            without = self.cross(self.reset(current.first.stack, name), others)
+            loss = current.nats - without.nats
+            if loss.sum() < self.rules.keep_nats:
+                nats, error = float(loss.sum()), spread_over_blocks(loss)
+                self.attempts.append(Attempt(name, tuple(others), np.nan, nats, error, "dropped again"))
+                chosen, current = others, without
+        return chosen, current
+
+
+def spread_over_blocks(gain: Floats) -> float:
+    """Return the standard error of a sum of block gains."""
+    return float(np.sqrt(np.sum((gain - gain.mean()) ** 2))) if len(gain) > 1 else 0.0

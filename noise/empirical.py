@@ -1,0 +1,81 @@
+"""A physical law plus a flexible part that has no cause: what stands in for a simulator known by its readings alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from acquisition import ModelError
+from noise.effects import CATALOGUE, Atom, Effect, Parameter, Stage, State
+from noise.effects.base import number
+from noise.physical import PhysicalModel
+
+DISTANCE_KNOTS = (0.1, 0.3, 0.7, 1.2, 2.0, 3.0, 4.5, 6.0)  # m; ours: denser where sonars change fastest
+ANGLE_KNOTS = (0.0, 0.1, 0.25, 0.45, 0.8)  # rad
+OURS = "smooth correction: ours"
+
+
+def _knots(kind: str, unit: str, null: float, low: float, high: float) -> tuple[Parameter, ...]:
+    near = [Parameter(f"{kind}_d{k}", unit, null, low, high, OURS) for k in range(len(DISTANCE_KNOTS))]
+    wide = [Parameter(f"{kind}_a{k}", unit, null, low, high, OURS) for k in range(1, len(ANGLE_KNOTS))]
+    return (*near, *wide)
+
+
+def interpolate(x: Tensor, knots: tuple[float, ...], values: list[Tensor]) -> Tensor:
+    """Return the broken line through (knots, values) at x, constant beyond its ends, (n,)."""
+    place, height = number(list(knots)), torch.stack(values)
+    x = torch.clamp(x, knots[0], knots[-1])
+    left = torch.clamp(torch.searchsorted(place, x.contiguous(), right=True) - 1, 0, len(knots) - 2)
+    share = (x - place[left]) / (place[left + 1] - place[left])
+    return height[left] * (1.0 - share) + height[left + 1] * share
+
+
+class Flexible(Effect):
+    """Smooth corrections over distance and angle of bias, spread and silence: a description, never a cause."""
+
+    name = "flexible"
+    stage = Stage.SEQUENCE
+    summary = "A smooth correction without a cause"
+    parameters = (
+        *_knots("bias", "m", 0.0, -0.4, 0.4),
+        *_knots("spread", "m", 0.0, 0.0, 0.2),
+        *_knots("silence", "1", 0.0, 0.0, 0.98),
+    )
+
+    def _line(self, kind: str, state: State) -> Tensor:
+        distance, angle = state.conditions.distance, torch.abs(state.conditions.angle)
+        near = [getattr(self, f"{kind}_d{k}") for k in range(len(DISTANCE_KNOTS))]
+        wide = [number(0.0), *(getattr(self, f"{kind}_a{k}") for k in range(1, len(ANGLE_KNOTS)))]
+        return interpolate(distance, DISTANCE_KNOTS, near) + interpolate(angle, ANGLE_KNOTS, wide)
+
+    def apply(self, state: State) -> State:
+        """Move, widen and silence the direct path."""
+        path = state.direct
+        spread = torch.sqrt(path.spread**2 + self._line("spread", state) ** 2 + 1e-18) - 1e-9
+        state = state.with_direct(replace(path, length=path.length + self._line("bias", state), spread=spread))
+        weight = torch.clamp(self._line("silence", state), 0.0, 0.999)
+        return state.with_atom(Atom(weight, torch.zeros_like, number(1.0), number(0.0)))
+
+
+class EmpiricalModel(PhysicalModel):
+    """A `PhysicalModel` that may also hold a `Flexible` part; saved and loaded as kind "empirical"."""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as plain data."""
+        return {**super().to_dict(), "kind": "empirical"}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, object]) -> EmpiricalModel:
+        """Build a model from `to_dict`.
+
+        Raises:
+            ModelError: an effect is unknown, or a value is not usable.
+        """
+        effects = data.get("effects", {})
+        known: dict[str, type[Effect]] = {**CATALOGUE, Flexible.name: Flexible}
+        if not isinstance(effects, dict) or any(name not in known for name in effects):
+            raise ModelError(f"model: `effects` must map known effect ids to parameters: {', '.join(known)}")
+        stack = [known[name](**values) for name, values in effects.items()]
+        return cls(stack, float(str(data["resolution"])), float(str(data["max_range"])))

@@ -1,0 +1,221 @@
+"""The SRF08's driver over its twin: the same code that talks to a real bus."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from smbus2 import i2c_msg
+
+from acquisition import DeviceError, NoAnswerError, Ping, SettingError
+from acquisition.bench import Rig, Setup, Unit
+from acquisition.drivers import DRIVERS, Srf08
+from acquisition.drivers.twins import BadWire, Srf08Twin
+
+QUIET = Setup(placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, drift_c=0.0, post=None)
+
+
+def pair(wire=None, setup=QUIET, **settings):
+    twin = Srf08Twin(Rig(Unit.nominal(), setup), np.random.default_rng(0), wire=wire or BadWire())
+    settings = {"gain": 20, "range_register": 140, **settings}
+    return twin, Srf08(twin, sleep=twin.clock.sleep, clock=twin.clock, **settings)
+
+
+class Scripted:
+    """A bus that logs writes and reads what it is told."""
+
+    def __init__(self, block=bytes(34), revision=10, fail=None):
+        self.log, self.block, self.revision, self.fail = [], block, revision, fail
+
+    def write_byte_data(self, i2c_addr, register, value):
+        self.log.append((i2c_addr, register, value))
+        if self.fail:
+            raise self.fail
+
+    def read_byte_data(self, i2c_addr, register):
+        return self.revision if register == 0 else 77
+
+    def i2c_rdwr(self, *messages):
+        pointer, answer = messages
+        self.log.append(("pointer", list(pointer), answer.len))
+        for k, byte in enumerate(self.block):
+            answer.buf[k] = bytes([byte])
+
+
+def on(bus, **settings):
+    return Srf08(bus, sleep=lambda s: None, clock=iter(np.arange(0.0, 1e4, 0.01)).__next__, **settings)
+
+
+def test_ping_writes_gain_then_range_then_command_each_on_its_own():
+    bus = Scripted()
+    on(bus, gain=14, range_register=140, output="us").ping()
+    assert bus.log == [(0x70, 1, 14), (0x70, 2, 140), (0x70, 0, 0x52), ("pointer", [2], 34)]
+
+
+def test_echoes_are_unsigned_big_endian_and_end_at_the_first_zero():
+    block = bytes([0x00, 0x85, 0x01, 0x9E, 0xFF, 0xFE, 0, 0]) + bytes(26)
+    heard = on(Scripted(block)).ping()
+    assert heard.ranges == pytest.approx((1.33, 4.14, 655.34))
+    assert heard.light == 77
+
+
+def test_seventeen_echoes_all_come_through():
+    block = np.arange(1, 18).astype(">u2").tobytes()
+    assert len(on(Scripted(block)).ping().ranges) == 17
+
+
+@pytest.mark.parametrize(("output", "metres"), [("cm", 1.0), ("inch", 2.54), ("us", 100 / 5800)])
+def test_units(output, metres):
+    block = (100).to_bytes(2, "big") + bytes(32)
+    assert on(Scripted(block), output=output).ping().ranges[0] == pytest.approx(metres)
+
+
+def test_address_change_is_a0_aa_a5_new():
+    bus = Scripted()
+    sonar = on(bus)
+    sonar.move(0x79)
+    assert [value for _, _, value in bus.log] == [0xA0, 0xAA, 0xA5, 0xF2]
+    assert sonar.address == 0x79
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"gain": 49},
+            r"SRF08 gain must be a whole number from 0 to 31, got 49 \(code; the manual's table ends at 31\)",
+        ),
+        ({"gain": -1}, r"SRF08 gain must be a whole number from 0 to 31, got -1"),
+        ({"range_register": 256}, r"SRF08 range register must be .* 0 to 255, got 256 \(steps of 43 mm\)"),
+        ({"address": 0xE0}, r"SRF08 address must lie from 0x70 to 0x7F \(7 bits\), got 0xE0: halve an 8-bit address"),
+        ({"output": "mm"}, "SRF08 output must be one of inch, cm, us, got 'mm'"),
+    ],
+)
+def test_settings_are_refused_with_limit_value_and_unit(settings, message):
+    with pytest.raises(SettingError, match=message):
+        Srf08(Scripted(), **settings)
+
+
+def test_nobody_there_is_no_answer_after_three_tries():
+    bus = Scripted(fail=OSError(121, "Remote I/O error"))
+    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x70: no acknowledge in 3 tries 1 ms apart; check power"):
+        on(bus).ping()
+    assert len(bus.log) == 3
+
+
+def test_a_broken_bus_is_a_device_error_not_silence():
+    with pytest.raises(DeviceError, match="the bus failed: No such device"):
+        on(Scripted(fail=OSError(19, "No such device"))).ping()
+
+
+@pytest.mark.parametrize("revision", [0xFF, 0])
+def test_waiting_is_bounded(revision):
+    with pytest.raises(NoAnswerError, match="still busy 136 ms after a ping"):
+        on(Scripted(revision=revision), range_register=140).ping()
+
+
+def test_open_line_in_the_registers_is_no_answer():
+    with pytest.raises(NoAnswerError, match="0xFFFF"):
+        on(Scripted(b"\xff" * 34)).ping()
+
+
+def test_missing_bus_is_told(monkeypatch):
+    with pytest.raises(DeviceError, match=r"/dev/i2c-987: .*; switch I2C on"):
+        DRIVERS["srf08"].open(987)
+
+
+def test_driver_measures_through_the_twin():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert sonar.ping().ranges[0] == pytest.approx(1.01, abs=0.02)
+    twin.place(Ping.of(distance=5.9, reflectance=0.1))
+    assert sonar.ping().ranges == ()
+    assert sonar.revision() == 10
+    assert sonar.light() == Unit.nominal().light
+
+
+def test_twin_and_rig_agree_on_the_registers():
+    twin, sonar = pair(output="us")
+    twin.place(Ping.of(distance=1.5, reflectance=0.9))
+    readings = [sonar.ping().ranges[0] for _ in range(20)]
+    setup = replace(QUIET, gain=20, output="us")
+    ping = Ping.of(distance=1.5, reflectance=0.9, time=np.arange(20) * 2.4)
+    reading = Rig(Unit.nominal(), setup).ping(ping, np.random.default_rng(1)).reading(setup)
+    assert np.median(readings) == pytest.approx(np.median(reading.range), abs=0.005)
+
+
+@pytest.mark.parametrize("ones", [True, False], ids=["0xFF", "NACK"])
+def test_busy_lasts_as_long_as_listening(ones):
+    twin, _ = pair()
+    twin.busy_reads_ones = ones
+    twin.write_byte_data(0x70, 2, 140)
+    twin.write_byte_data(0x70, 0, 0x51)
+    twin.clock.sleep(0.036)
+    if ones:
+        assert twin.read_byte_data(0x70, 0) == 0xFF
+    else:
+        with pytest.raises(OSError, match="Remote I/O"):
+            twin.read_byte_data(0x70, 0)
+    twin.clock.sleep(0.002)
+    assert twin.read_byte_data(0x70, 0) == 10
+
+
+def test_twin_gives_way_to_another_address_only_in_order():
+    twin, sonar = pair()
+    for value in (0xA5, 0xAA, 0xA0, 0xF2):
+        twin.write_byte_data(0x70, 0, value)
+    assert twin.address == 0x70
+    sonar.move(0x79)
+    assert twin.address == 0x79
+    assert sonar.revision() == 10
+    with pytest.raises(NoAnswerError):
+        Srf08(twin, address=0x70, sleep=twin.clock.sleep, clock=twin.clock).revision()
+
+
+def test_settings_survive_a_brown_out_because_each_ping_writes_them():
+    twin, sonar = pair(gain=3)
+    sonar.ping()
+    twin.power_cycle()
+    assert twin.gain == 31
+    sonar.ping()
+    assert (twin.gain, twin.range_register) == (3, 140)
+
+
+def test_faults_of_the_wire_reach_the_caller_as_what_they_are():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    first = sonar.ping()
+    twin.wire.lost_write = 1.0
+    twin.place(Ping.of(distance=2.0, reflectance=0.9))
+    assert sonar.ping().ranges == first.ranges  # stale: the command never arrived
+    twin.wire = BadWire(stuck=True)
+    with pytest.raises(NoAnswerError, match="still busy"):
+        sonar.ping()
+    twin.wire = BadWire(nack=1.0)
+    with pytest.raises(NoAnswerError, match="no acknowledge"):
+        sonar.ping()
+    twin.wire = BadWire()
+    assert sonar.ping().ranges[0] == pytest.approx(2.02, abs=0.03)
+
+
+def test_a_few_missing_acknowledges_are_survived():
+    twin, sonar = pair(wire=BadWire(nack=0.1))
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert all(len(sonar.ping().ranges) for _ in range(20))
+
+
+def test_general_call_starts_the_sonar():
+    twin, _ = pair()
+    twin.write_byte_data(0, 0, 0x51)
+    with pytest.raises(OSError, match="Remote I/O"):
+        twin.read_byte_data(0x70, 0)
+    with pytest.raises(OSError, match="Remote I/O"):
+        twin.read_byte_data(0, 0)
+
+
+def test_twin_speaks_i2c_messages():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    sonar.ping()
+    answer = i2c_msg.read(0x70, 4)
+    twin.i2c_rdwr(i2c_msg.write(0x70, [0]), answer)
+    assert list(answer)[:2] == [10, Unit.nominal().light]

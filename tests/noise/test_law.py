@@ -1,0 +1,119 @@
+"""What every law promises, stated of laws with random parameters, and the models that need no torch."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from acquisition import EchoStatus, Ping, Reading, SettingError
+from noise import GaussianModel, IdealModel, simulate
+from noise.effects import CATALOGUE
+from noise.physical import PhysicalModel
+
+REACH = 3.0
+gaussians = st.builds(
+    GaussianModel,
+    sigma=st.floats(0.0, 0.2),
+    sigma_per_metre=st.floats(0.0, 0.1),
+    miss=st.floats(0.0, 1.0),
+    resolution=st.sampled_from([0.01, 0.0254, 0.003]),
+    max_range=st.just(REACH),
+)
+distances = st.floats(0.0, 4.0)
+
+
+def every_step(model, distance):
+    """Return the law of one condition, repeated for each step of its register, and those steps."""
+    steps = np.arange(1, model.law(Ping.of(distance=distance)).last_step + 1)
+    return model.law(Ping.of(distance=np.full(len(steps), distance))), steps
+
+
+@settings(max_examples=60, deadline=None)
+@given(gaussians, distances)
+def test_cdf_grows_and_probability_is_its_difference(model, distance):
+    law, steps = every_step(model, distance)
+    cdf = law.cdf_step(steps)
+    assert np.all(np.diff(cdf) >= -1e-15)
+    assert cdf[-1] == pytest.approx(law.echo[0])
+    probability = np.exp(law.log_prob(Reading.of(steps * model.resolution)))
+    np.testing.assert_allclose(probability, np.diff(cdf, prepend=0.0), atol=1e-12)
+    assert probability.sum() + law.no_echo[0] + law.no_answer[0] == pytest.approx(1.0, abs=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(gaussians, st.floats(0.05, 2.5), st.floats(0.02, 0.3))
+def test_credence_is_the_sum_over_readings_within_tolerance(model, distance, tolerance):
+    law, steps = every_step(model, distance)
+    right = np.abs(steps * model.resolution - distance) <= tolerance * distance + 1e-9
+    brute = np.exp(law.log_prob(Reading.of(steps * model.resolution)))[right].sum()
+    assert law.credence(tolerance)[0] == pytest.approx(brute, abs=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(gaussians, st.floats(0.05, 3.5), st.integers(0, 2**31))
+def test_samples_lie_on_the_register_and_follow_the_law(model, distance, seed):
+    law = model.law(Ping.of(distance=np.full(400, distance)))
+    drawn = law.sample(np.random.default_rng(seed))
+    step = drawn.range[drawn.echo] / model.resolution
+    np.testing.assert_allclose(step, np.rint(step), atol=1e-6)
+    assert np.all((np.rint(step) >= 1) & (np.rint(step) <= law.last_step))
+    # DKW: the greatest distance of an empirical cdf exceeds 0.15 with probability 2 exp(-2 400 0.15^2) = 3e-8
+    for z in np.linspace(0.0, REACH, 7):
+        assert abs(np.mean(drawn.echo & (drawn.range <= z)) - law.cdf(np.full(400, z))[0]) < 0.15
+
+
+@settings(max_examples=40, deadline=None)
+@given(gaussians, st.floats(0.05, 2.5), st.floats(0.01, 0.99))
+def test_quantile_inverts_the_cdf(model, distance, p):
+    law = model.law(Ping.of(distance=distance))
+    q = law.quantile(p)
+    if law.echo[0] == 0:
+        assert q[0] == 0
+    else:
+        assert law.cdf(q)[0] >= p * law.echo[0] - 1e-9
+        assert law.cdf(q - model.resolution)[0] <= p * law.echo[0] + 1e-9
+
+
+def test_tails_are_exact():
+    law = GaussianModel(sigma=0.01, sigma_per_metre=0.0).law(Ping.of(distance=[1.0, 1.0]))
+    expected = stats.norm.logpdf([20.0, -20.0]) + np.log(0.1)
+    # a step a tenth of sigma wide, 20 sigma out: density times width, tilted over the step by a factor sinh(1) / 1
+    np.testing.assert_allclose(law.log_prob(Reading.of([1.2, 0.8])), expected + np.log(np.sinh(1.0)), atol=0.01)
+
+
+def test_same_seed_same_readings_and_another_seed_others():
+    ping = Ping.of(distance=np.linspace(0.1, 5.0, 50))
+    model = GaussianModel()
+    first, again, other = (model.law(ping).sample(np.random.default_rng(seed)).range for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.any(first != other)
+
+
+def test_ideal_sonar_is_certain_and_silent_beyond_its_range():
+    law = IdealModel(max_range=6.0).law(Ping.of(distance=[3.0, 7.0]))
+    np.testing.assert_array_equal(law.credence(), [1.0, 0.0])
+    np.testing.assert_array_equal(law.no_echo, [0.0, 1.0])
+    np.testing.assert_array_equal(law.log_prob(Reading.of([3.0, 0.0])), [0.0, 0.0])
+    assert law.log_prob(Reading.of([3.1, 0.0]))[0] == -np.inf
+
+
+def test_settings_that_are_no_deviation_or_probability_are_refused():
+    with pytest.raises(SettingError, match=r"GaussianModel\.sigma must be >= 0 m, got -0\.1 m"):
+        GaussianModel(sigma=-0.1)
+    with pytest.raises(SettingError, match=r"GaussianModel\.miss must lie in \[0, 1\], got 1\.5"):
+        GaussianModel(miss=1.5)
+
+
+def test_memory_runs_along_each_run():
+    """A sensor that only ever repeats itself gives each run its first reading for ever."""
+    stack = [CATALOGUE["stale_repeat"](probability=0.9), CATALOGUE["travel_time_jitter"](sigma_m=0.02)]
+    model = PhysicalModel(stack)
+    ping = Ping.of(distance=np.full(3000, 2.0), run=np.repeat(np.arange(30), 100))
+    drawn = simulate(model, ping, np.random.default_rng(3))
+    value = drawn.range.reshape(30, 100)
+    repeats = np.mean(value[:, 1:] == value[:, :-1])
+    # 0.9 repeats, and 0.1 draws of which one in about sqrt(4 pi) 20 = 71 agrees by chance
+    assert repeats == pytest.approx(0.9 + 0.1 / 71, abs=4 * np.sqrt(0.09 / 2970))
+    assert len(np.unique(value[:, 0])) > 15
+    assert np.all(drawn.status == EchoStatus.ECHO)

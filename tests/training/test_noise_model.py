@@ -1,0 +1,118 @@
+"""Training against data whose law is known, and the command around it."""
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition import Ping, Recording, SettingError
+from noise import load_model, simulate
+from noise.effects import CATALOGUE
+from noise.metrics import evaluate
+from noise.networks import Head, Inputs
+from noise.physical import PhysicalModel
+from training.cli import main
+from training.networks import Batch, Network
+from training.noise_model import Args, Split, train
+
+torch.set_num_threads(1)
+
+
+def true_model():
+    """A sonar with silence, bias, scatter that grows, and a second mode: what a normal cannot say."""
+    stack = {
+        "sensitivity": {"loss_db": 46.0},
+        "beam_width": {"ka": 4.8},
+        "travel_time_jitter": {"sigma_m": 0.004, "per_metre": 0.004},
+        "time_walk": {"scale": 1.0},
+        "background_reflector": {"presence": 1.0, "behind_m": 0.3, "loss_db": -6.0},
+    }
+    return PhysicalModel([CATALOGUE[name](**values) for name, values in stack.items()], resolution=0.01)
+
+
+def recording(pings=12, distances=40):
+    rng = np.random.default_rng(11)
+    d, a = np.meshgrid(np.linspace(0.1, 5.5, distances), np.radians([0, 10, 20, 30, 40]), indexing="ij")
+    ping = Ping.of(distance=np.repeat(d.ravel(), pings), angle=np.repeat(a.ravel(), pings))
+    return Recording.of(ping, simulate(true_model(), ping, rng))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    settings = Args(tmp_path_factory.mktemp("x") / "rec.csv", tmp_path_factory.mktemp("y"), epochs=60, hidden=32)
+    return train(recording(), settings)
+
+
+def test_a_network_comes_close_to_the_truth_and_beats_a_normal(trained):
+    # conditions, and readings, that are new to it
+    rng = np.random.default_rng(5)
+    cell = np.repeat(np.arange(200), 20)
+    ping = Ping.of(distance=rng.uniform(0.1, 5.5, 200)[cell], angle=np.radians(rng.uniform(0, 40, 200))[cell])
+    reading = simulate(true_model(), ping, rng)
+    truth, network = (evaluate(m, ping, reading, cell) for m in (true_model(), trained.model))
+    regret = truth.log_likelihood.mean - network.log_likelihood.mean
+    assert 0.0 < regret < 0.25
+    assert network.crps_mm.mean < 1.15 * truth.crps_mm.mean + 1.0
+    assert network.credence_gap < 0.05
+    scores = trained.scores
+    assert scores["network"].log_likelihood.mean > scores["Gaussian, fitted"].log_likelihood.mean + 0.5
+    assert scores["network"].crps_mm.mean < scores["Gaussian, fitted"].crps_mm.mean
+
+
+def test_what_is_trained_is_what_is_run():
+    """The torch form and the numpy form give one likelihood, on the edges of the register too."""
+    ping = Ping.of(distance=np.linspace(0.0, 6.0, 60), angle=np.linspace(0.0, 0.7, 60), reflectance=0.5)
+    reading = simulate(true_model(), ping, np.random.default_rng(1))
+    reading.range[:3] = [0.01, 11.0, 0.02]
+    reading.status[:3] = 1
+    inputs, head = Inputs.of(ping, ("distance", "angle", "reflectance")), Head(4, 2, 0.01, 11.0, 0.01)
+    torch.manual_seed(0)
+    network = Network(inputs, head, hidden=16, depth=2)
+    with torch.no_grad():
+        here = network.log_prob(Batch.of(inputs, head, ping, reading)).numpy()
+    there = network.to_model(inputs, {}).law(ping).log_prob(reading)
+    np.testing.assert_allclose(here, there, atol=2e-3)
+
+
+def test_split_keeps_cells_whole_and_apart():
+    rec = recording(pings=5)
+    split = Split.by_cell(rec.cell, 0.15, 0.2, np.random.default_rng(0))
+    parts = [split.train, split.validation, split.test]
+    assert np.all(np.sum(parts, axis=0) == 1)
+    cells = [set(rec.cell[mask]) for mask in parts]
+    assert sum(map(len, cells)) == len(set.union(*cells))
+    assert [len(c) for c in cells] == [130, 30, 40]
+
+
+def test_same_seed_same_weights(tmp_path):
+    settings = Args(tmp_path / "rec.csv", tmp_path / "out", epochs=2, hidden=8)
+    one, other = (train(recording(pings=3), settings).model for _ in range(2))
+    for (w1, b1), (w2, b2) in zip(one.layers, other.layers, strict=True):
+        np.testing.assert_array_equal(w1, w2)
+        np.testing.assert_array_equal(b1, b2)
+
+
+def test_the_command_writes_a_model_that_loads(tmp_path, capsys):
+    path = recording(pings=3).save(tmp_path / "rec.csv")
+    main(["train-noise", str(path), "--out", str(tmp_path / "net"), "--epochs", "3", "--hidden", "8"])
+    told = capsys.readouterr().out
+    assert "Gaussian, fitted" in told
+    assert "noise.load_model" in told
+    model = load_model(tmp_path / "net")
+    assert model.resolution == pytest.approx(0.01)
+    assert 0 <= model.law(Ping.of(distance=1.0)).credence()[0] <= 1
+    card = (tmp_path / "net" / "README.md").read_text()
+    assert "sonar-gym train-noise rec.csv --out net --hidden 8 --epochs 3 --seed 0" in card
+    assert str(tmp_path) not in card
+
+
+def test_too_few_conditions_are_refused_in_one_line(tmp_path, capsys):
+    path = recording(pings=3, distances=1).save(tmp_path / "rec.csv")
+    with pytest.raises(SystemExit) as stop:
+        main(["train-noise", str(path), "--out", str(tmp_path / "net")])
+    assert stop.value.code == 2
+    assert "holds 5 conditions, training needs 10" in capsys.readouterr().err
+
+
+def test_an_unlogged_covariate_is_refused(tmp_path):
+    with pytest.raises(SettingError, match="covariate 'humidity_pct' is not logged in every row"):
+        train(recording(pings=3), Args(tmp_path, tmp_path, covariates=("humidity_pct",)))

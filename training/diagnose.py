@@ -1,0 +1,112 @@
+"""Say where a simulation and a recording differ and why, in a report for people and a verdict for machines."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import Progress
+
+from acquisition import Recording, SettingError
+from noise.discrepancy import Diagnosis, diagnose
+from noise.discrepancy.search import Progress as Tell
+from noise.store import load_model, save_model
+from training.report import headline, render
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym diagnose`."""
+
+    recorded: Annotated[Path, tyro.conf.Positional]
+    """Recording of the real sonar (CSV, one row a ping)."""
+    out: Path
+    """Folder to write: verdict.json, report.html, and the corrected model in corrected/."""
+    model: str = "ideal"
+    """What the simulation uses: a model's name (ideal, gaussian, ...) or the folder of a saved one."""
+    simulated: Path | None = None
+    """Readings of any simulator in the recording format; they then stand in the place of the model."""
+    seed: int = 0
+    """Same seed, same verdict."""
+
+
+def main(args: Args) -> None:
+    """Diagnose, write the folder, print the verdict."""
+    recorded = Recording.load(args.recorded)
+    simulated = None if args.simulated is None else Recording.load(args.simulated)
+    model = load_model(args.model)
+    _check_out(args.out)
+    with _one_thread(), _told() as tell:
+        diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=tell)
+        tell("drawing the report", 0.97)
+        page = render(diagnosis, str(args.out / "corrected"), args.seed)
+    write_text(args.out / "verdict.json", json.dumps(diagnosis.to_verdict(), indent=1, allow_nan=False) + "\n")
+    write_text(args.out / "report.html", page)
+    save_model(diagnosis.corrected, args.out / "corrected")
+    print("\n".join(summary(diagnosis, args.out)))
+
+
+def _check_out(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise SettingError(f"--out {out}: is a file, expected a folder to write into; give another name")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Run torch on one thread: its tensors are small here, and sums come out alike on every machine."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def _told() -> Iterator[Tell]:
+    """Show a progress bar on stderr, where it is a terminal."""
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda message, share: bar.update(task, completed=share, description=message)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.chmod(temporary, 0o644)
+    os.replace(temporary, path)
+
+
+def summary(diagnosis: Diagnosis, out: Path) -> list[str]:
+    """Return the verdict in about ten lines."""
+    verdict = diagnosis.verdict
+    held, p = verdict.held_out, verdict.p_value
+    lines = [f"verdict: {verdict.verdict} (p = {p:.2g})", headline(diagnosis)]
+    for named in verdict.effects:
+        alike = ", ".join(named.indistinguishable_from)
+        doubt = f"; not told apart from {alike}" if alike else ""
+        lines.append(f"  {named.effect}: {named.gain_nats:.0f} ± {named.gain_se:.0f} nats{doubt}")
+    if verdict.unknown.present:
+        lines.append(f"  left over: {verdict.unknown.description}")
+    lines += [f"  next: {m.do}" + (f" ({m.pings} pings)" if m.pings > 1 else "") for m in verdict.next_measurement[:2]]
+    lines.append(
+        f"unseen cells ({held.n_pings} pings): error {held.before.crps_mm:.1f} -> {held.after.crps_mm:.1f} mm (CRPS), "
+        f"gain {held.gain_per_ping_low:.3f} to {held.gain_per_ping_high:.3f} nats a ping"
+    )
+    if not verdict.baseline_check.describes_simulation:
+        lines.append(f"caution: {verdict.baseline_check.note}")
+    if diagnosis.unanswered:
+        lines.append(f"caution: {diagnosis.unanswered} pings were not answered (wire?) and left out")
+    return [*lines, f"report: {out / 'report.html'}   model: {out / 'corrected'}"]

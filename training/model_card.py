@@ -1,0 +1,81 @@
+"""What is told of a trained model: scores for the terminal, for model.json, and its card."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from rich.table import Table
+
+from acquisition import Recording
+from noise.metrics import Evaluation
+from noise.networks import MlpModel
+
+CARD = Path(__file__).parent / "templates" / "model_card.md"
+HEADINGS = ("model", "log-likelihood, nats a ping", "CRPS, mm", "credence gap")
+
+
+def rows(scores: dict[str, Evaluation]) -> list[tuple[str, ...]]:
+    """Return a row of text for each model: name, log-likelihood, CRPS, credence gap."""
+    return [(k, str(s.log_likelihood), str(s.crps_mm), f"{s.credence_gap:.3f}") for k, s in scores.items()]
+
+
+def table(scores: dict[str, Evaluation]) -> Table:
+    """Return the scores as a table for the terminal."""
+    first = next(iter(scores.values())).log_likelihood
+    out = Table(title=f"{first.pings} pings in {first.clusters} held-out conditions, standard errors over conditions")
+    for heading in HEADINGS:
+        out.add_column(heading, justify="left" if heading == "model" else "right")
+    for row in rows(scores):
+        out.add_row(*row)
+    return out
+
+
+def plain(scores: dict[str, Evaluation]) -> dict[str, Any]:
+    """Return scores as numbers for model.json, where minus infinity becomes null."""
+    return {
+        name: {
+            "log_likelihood_per_ping": _finite(s.log_likelihood.mean),
+            "log_likelihood_error": _finite(s.log_likelihood.error),
+            "crps_mm": _finite(s.crps_mm.mean),
+            "crps_mm_error": _finite(s.crps_mm.error),
+        }
+        for name, s in scores.items()
+    }
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def card(name: str, model: MlpModel, scores: dict[str, Evaluation], recording: Recording, commands: list[str]) -> str:
+    """Return the card of a model, in Markdown.
+
+    Args:
+        name: of the model.
+        model: that was trained.
+        scores: on held-out conditions, by model.
+        recording: that it learned from.
+        commands: that make it again, in order.
+    """
+    inputs, tested = model.inputs, next(iter(scores.values())).log_likelihood
+    learned = zip(inputs.names, inputs.low, inputs.high, strict=True)
+    return Template(CARD.read_text(encoding="utf-8")).substitute(
+        name=name,
+        sizes=" - ".join(map(str, model.sizes)),
+        near=model.head.near,
+        fixed=model.head.fixed,
+        recording=Path(recording.name).name,
+        pings=len(recording),
+        cells=int(recording.cell.max()) + 1,
+        step=f"{1e3 * model.resolution:g}",
+        no_answer=f"{model.head.no_answer:.3g}",
+        commands="\n".join(f"    {line}" for line in commands),
+        tested=tested.pings,
+        tested_cells=tested.clusters,
+        scores="\n".join(f"| {' | '.join(row)} |" for row in rows(scores)),
+        learned="\n".join(f"| `{n}` | {low:.4g} | {high:.4g} |" for n, low, high in learned),
+        tied=" Incidence always equalled bearing here, so other incidences count as outside." if inputs.tied else "",
+    )

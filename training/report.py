@@ -1,0 +1,141 @@
+"""One self-contained page for people: what differs, where, how much, what else was considered, what to do next."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from noise.discrepancy import Diagnosis
+from noise.discrepancy.rest import in_words
+from noise.discrepancy.verdict import Interval, Named
+from noise.effects import CATALOGUE
+from training.figures import all_figures
+
+TEMPLATES = Path(__file__).parent / "templates"
+BADGES = {
+    "none": ("No difference found", "good"),
+    "named": ("Cause found", "found"),
+    "confounded": ("Cause narrowed down", "found"),
+    "named_with_rest": ("Cause found, something remains", "partly"),
+    "unknown": ("Difference without a known cause", "open"),
+}
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict in one or two sentences of plain English, with the number that matters."""
+    verdict = diagnosis.verdict
+    if verdict.verdict == "none":
+        held = verdict.held_out
+        return f"The model agrees with the recording: its readings are {held.before.crps_mm:.1f} mm off on average."
+    if verdict.verdict == "unknown":
+        what = verdict.unknown.description or "; ".join(in_words(f) for f in verdict.where[:1])
+        what = what.replace(" (a description, not a cause)", "")
+        return f"The recording differs from the model, and no known effect explains it: {what}."
+    told = " ".join(named.statement for named in verdict.effects[:2])
+    alike = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
+    more = "" if len(verdict.effects) <= 2 else f" And {len(verdict.effects) - 2} smaller effects."
+    doubt = f" These data cannot tell this from {_list(alike)}." if verdict.verdict == "confounded" else ""
+    rest = " Something smaller remains unexplained." if verdict.verdict == "named_with_rest" else ""
+    return told + more + doubt + rest
+
+
+def _list(names: list[str]) -> str:
+    words = [plain(name) for name in names]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def plain(name: str) -> str:
+    """Return an effect's id as words."""
+    return name.replace("_", " ")
+
+
+def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
+    """Return the page as HTML.
+
+    Args:
+        diagnosis: to tell of.
+        corrected: where the corrected model is saved, for the instructions.
+        seed: of randomised PIT values.
+    """
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
+    )
+    figures = {name: Markup(text) for name, text in all_figures(diagnosis, seed).items()}
+    page = environment.get_template("report.html").render(**facts(diagnosis), figures=figures, corrected=corrected)
+    return re.sub(r"\n\s*\n+", "\n", page)
+
+
+def facts(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return everything that the page prints, ready to be printed."""
+    verdict = diagnosis.verdict
+    badge, kind = BADGES[verdict.verdict]
+    return {
+        "headline": headline(diagnosis),
+        "badge": badge,
+        "kind": kind,
+        "verdict": verdict,
+        "recording": Path(diagnosis.recording).name,
+        "pings": diagnosis.pings,
+        "unanswered": diagnosis.unanswered,
+        "certainty": certainty(verdict.p_value),
+        "effects": [effect_facts(named) for named in verdict.effects],
+        "where": [in_words(finding) for finding in verdict.where],
+        "rivals": rival_rows(diagnosis),
+        "tried": tried_rows(diagnosis),
+        "catalogue": len(CATALOGUE),
+    }
+
+
+def certainty(p_value: float) -> str:
+    """Return a p-value as a roboticist would say it."""
+    if p_value > 0.05:
+        return "The difference is no larger than chance."
+    return f"Chance alone would do this in fewer than one recording in {int(1 / max(p_value, 1e-6)):,}."
+
+
+def effect_facts(named: Named) -> dict[str, Any]:
+    """Return what is printed of one named effect."""
+    return {
+        **asdict(named),
+        "title": plain(named.effect),
+        "summary": CATALOGUE[named.effect].summary,
+        "alike": [plain(name) for name in named.indistinguishable_from],
+        "percent": f"{100 * named.probability:.0f}",
+        "numbers": [(plain(name), interval(value)) for name, value in named.parameters.items()],
+        "gain": f"{named.gain_nats:.0f} ± {named.gain_se:.0f}",
+    }
+
+
+def interval(value: Interval) -> str:
+    """Return a value with its 90 % interval and unit."""
+    unit = "" if value.unit == "1" else f" {value.unit}"
+    if value.unit == "m" and max(abs(value.low), abs(value.high)) < 1.0:
+        return f"{1000 * value.value:.3g} mm ({1000 * value.low:.3g} to {1000 * value.high:.3g})"
+    return f"{value.value:.3g}{unit} ({value.low:.3g} to {value.high:.3g})"
+
+
+def rival_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """Return one row for each effect that was tried in the place of a named one."""
+    rows = []
+    for rival in diagnosis.rivals:
+        reason = "cannot be excluded" if rival.survives else f"fits worse by {rival.observed:.0f} nats"
+        if not rival.survives and rival.observed > 10.8:
+            reason += ": excluded"
+        rows.append({"rival": plain(rival.effect), "instead": plain(rival.replaces), "why": reason})
+    return rows
+
+
+def tried_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """Return one row for each effect that was fitted in the search and judged on unseen cells."""
+    rows = []
+    for attempt in diagnosis.verdict.attempts:
+        if attempt.gain_nats == attempt.gain_nats:
+            given = ", ".join(plain(name) for name in attempt.given) or "nothing"
+            gain = f"{attempt.gain_nats:+.1f} ± {attempt.gain_se:.1f}"
+            rows.append({"effect": plain(attempt.effect), "given": given, "gain": gain, "decision": attempt.decision})
+    return rows
