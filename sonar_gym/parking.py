@@ -16,7 +16,7 @@ from acquisition import SettingError
 from sonar_gym import kernels
 from sonar_gym.mounts import Layout, in_world, layout, mount_arrays
 from sonar_gym.scene import Hits
-from sonar_gym.sonar import Heard, Sonar, SonarChoice
+from sonar_gym.sonar import Heard, Sonar, SonarChoice, sonar_spaces
 from sonar_gym.street import BEHIND, Street, StreetSettings, draw_street, reference_path
 from sonar_gym.vehicle import Car, CarSettings
 
@@ -149,16 +149,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self._poses, self._half = mount_arrays(self.mounts)
         self._sonar_seeded = False
         self._renderer: Any = None
-        n = len(self.mounts)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.observation_space = spaces.Dict(
-            {
-                "ranges": spaces.Box(0.0, 1.0, (n,), np.float32),
-                "credence": spaces.Box(0.0, 1.0, (n,), np.float32),
-                "echo": spaces.Box(-1.0, 1.0, (n,), np.float32),
-                "ego": spaces.Box(-1.0, 1.0, (7,), np.float32),
-            }
-        )
+        ego = spaces.Box(-1.0, 1.0, (7,), np.float32)
+        self.observation_space = spaces.Dict({**sonar_spaces(len(self.mounts)), "ego": ego})
 
     # ---- world -------------------------------------------------------------------------------------------------------
 
@@ -220,12 +213,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     # ---- what comes out ----------------------------------------------------------------------------------------------
 
     def _observation(self) -> Observation:
-        return {
-            "ranges": self.heard.scaled(self.max_range),
-            "credence": self.heard.credence.astype(np.float32),
-            "echo": self.heard.echo_code,
-            "ego": self._ego(),
-        }
+        return {**self.heard.observation(self.max_range), "ego": self._ego()}
 
     def _ego(self) -> NDArray[np.float32]:
         """Speed, steering, odometry since the start in the start's frame, time: nothing that the car cannot know."""

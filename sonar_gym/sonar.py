@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
@@ -36,15 +37,24 @@ class Heard:
     credence: Floats
     credence_given_condition: Floats
 
-    def scaled(self, max_range: float) -> NDArray[np.float32]:
-        """Ranges as shares of `max_range` m, 1 where there is no echo, (s,)."""
-        value = np.where(self.reading.echo, self.reading.range / max_range, 1.0)
-        return np.minimum(value, 1.0).astype(np.float32)
+    def observation(self, max_range: float) -> dict[str, NDArray[np.float32]]:
+        """Return what an agent gets, each (s,), inside `sonar_spaces`.
 
-    @property
-    def echo_code(self) -> NDArray[np.float32]:
-        """1 for an echo, 0 for silence, -1 for no answer, (s,)."""
-        return ECHO_CODE[self.reading.status]
+        `ranges`: shares of `max_range` m, 1 where there is no echo; `credence`: given the reading; `echo`: 1 for an
+        echo, 0 for silence, -1 for no answer.
+        """
+        ranges = np.where(self.reading.echo, self.reading.range / max_range, 1.0)
+        return {
+            "ranges": np.minimum(ranges, 1.0).astype(np.float32),
+            "credence": self.credence.astype(np.float32),
+            "echo": ECHO_CODE[self.reading.status],
+        }
+
+
+def sonar_spaces(count: int) -> dict[str, spaces.Space[Any]]:
+    """Return the spaces of what `count` sonars say: 1-D, float32, bounded."""
+    limits = {"ranges": 0.0, "credence": 0.0, "echo": -1.0}
+    return {name: spaces.Box(low, 1.0, (count,), np.float32) for name, low in limits.items()}
 
 
 def resolve(sonar: SonarChoice) -> SonarModel:
@@ -74,9 +84,11 @@ class Sonar:
         model: by name, path or itself.
         count: number of sonars.
         max_range: greatest range listened to, m.
+        tag: of the random stream; two sets of sonars in one environment need two.
     """
 
-    def __init__(self, model: SonarChoice, count: int, max_range: float) -> None:
+    def __init__(self, model: SonarChoice, count: int, max_range: float, tag: int = STREAM_TAG) -> None:
+        self.tag = tag
         self.model: SonarModel = resolve(model)
         self.count = count
         self.max_range = max_range
@@ -86,7 +98,7 @@ class Sonar:
 
     def seed(self, seed: int) -> None:
         """Start the stream anew; worlds seeded alike are left alone."""
-        self.rng = np.random.default_rng(np.random.SeedSequence([seed, STREAM_TAG]))
+        self.rng = np.random.default_rng(np.random.SeedSequence([seed, self.tag]))
 
     def forget(self) -> None:
         """Clear the memory of previous readings: a new episode begins."""

@@ -44,6 +44,8 @@ class Args:
     """Pings a condition; as the plan has it if not given."""
     interval_s: float | None = None
     """Seconds from ping to ping; as the plan has it if not given."""
+    pose: Literal["plan", "facing", "parallel"] = "plan"
+    """How the reflector is turned aside of the axis: facing the sensor, parallel to its face, or as the plan has it."""
     gain: int = 14
     """Code 0..31 of the amplifier's greatest gain."""
     range_register: int = 140
@@ -78,8 +80,9 @@ def plan_of(args: Args) -> Plan:
     """Return the plan with what the settings change."""
     plan = PLANS[args.plan]
     pings = plan.pings if args.pings is None else args.pings
+    facing = plan.facing if args.pose == "plan" else args.pose == "facing"
     interval_s = plan.interval_s if args.interval_s is None else args.interval_s
-    return replace(plan, pings=pings, interval_s=interval_s, seed=args.seed)
+    return replace(plan, pings=pings, interval_s=interval_s, facing=facing, seed=args.seed)
 
 
 def summary(recording: Recording, path: Path) -> str:

@@ -1,4 +1,4 @@
-"""The receiver: arrivals become a waveform, the waveform trips a comparator, and what tripped goes into registers.
+"""The receiver: arrivals become a waveform, and the waveform trips a comparator.
 
 Waveforms are complex baseband with one sample a carrier period; the voltage is Im[z exp(i 2 pi 40 kHz t)]. A
 comparator of one polarity sees one positive peak a period, so which period is first over the threshold, and hence the
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.air import CARRIER, Floats
+from acquisition.bench.air import Floats
 from acquisition.bench.scene import Arrivals
-from acquisition.bench.setup import Output, Setup
-from acquisition.bench.transducer import FINE, PERIOD, Complexes, pulse_phases
+from acquisition.bench.setup import Setup
+from acquisition.bench.transducer import FINE, OMEGA, PERIOD, Complexes, pulse_phases
 from acquisition.bench.unit import Unit
 
 # gain of the analogue stage over the code in register 1 (Devantech SRF08 manual; Linux drivers/iio/proximity/srf08.c)
@@ -26,10 +26,7 @@ GAINS = (
 )
 # fmt: on
 GAIN_STEP = 70e-6  # s a step, from the burst's start
-ECHOES = 17
-OMEGA = 2.0 * np.pi * CARRIER
-# time per unit: 58 us/cm and 148 us/inch, the constants of the family; microseconds are given as they are
-PER_UNIT: dict[Output, float] = {"cm": 58e-6, "inch": 148e-6, "us": 1e-6}
+SIGMAS = 7.0  # noise reaches no further: exp(-7^2/2) = 2e-11 a sample
 BAND = float(np.exp(-np.pi * 10e3 * PERIOD))  # a sample of the amplifier's band-pass, Q = 4 at 40 kHz, on the next
 # a wall at 6 m in air of 1.29 dB/m just reaches the threshold at full gain
 REFERENCE = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)
@@ -49,8 +46,7 @@ class Waveform:
         path = np.hypot(arrivals.length, 0.5 * unit.baseline)
         delay = 2.0 * path / air.speed
         loss = 10.0 ** (-air.absorption_db * 2.0 * path / 20.0)
-        level = REFERENCE * 10.0 ** (unit.sensitivity_db / 20.0)
-        weight = level * loss * arrivals.amplitude * np.exp(-1j * OMEGA * delay)
+        weight = loudness(unit) * loss * arrivals.amplitude * np.exp(-1j * OMEGA * delay)
         signal = _sum_pulses(delay, weight, pulse_phases(unit, round(air.temperature_c)), samples)
         share = np.abs(weight)
         length = float((share * path).sum() / max(share.sum(), 1e-300))
@@ -69,29 +65,21 @@ class Air:
 def _sum_pulses(delay: Floats, weight: Complexes, phases: Complexes, samples: int) -> Complexes:
     """Return sum of weight * pulse(t - delay) at whole periods, (samples,).
 
-    A delay lies between two fine steps and is shared linearly between them. The fine steps of one period are a
-    row of `rows`; each row's sum of pulses begins one sample after the row before it.
+    A delay lies between two fine steps and is shared linearly between them; all delays within one period make one row
+    of fine steps, and only rows that hold any are turned into pulses.
     """
-    out = np.zeros(samples, dtype=np.complex128)
-    keep = delay < (samples - 1) * PERIOD
-    if not keep.any():
-        return out
+    length = phases.shape[1]
+    out = np.zeros(samples + length + 1, dtype=np.complex128)
+    keep = delay < samples * PERIOD
     position = delay[keep] / (PERIOD / FINE)
-    index = np.floor(position).astype(np.int64)
-    share = position - index
-    first = int(index.min()) // FINE
-    count = int(index.max() + 1) // FINE - first + 1
-    grid = np.zeros(count * FINE, dtype=np.complex128)
-    for shift, part in ((0, 1.0 - share), (1, share)):
-        grid += _histogram(index - first * FINE + shift, weight[keep] * part, count * FINE)
-    rows = grid.reshape(count, FINE) @ phases
-    span = rows.shape[1] + count
-    staggered = np.zeros((count, span), dtype=np.complex128)
-    staggered[:, : rows.shape[1]] = rows
-    total = staggered.reshape(-1)[: count * (span - 1)].reshape(count, span - 1).sum(axis=0)
-    stop = min(samples, first + span - 1)
-    out[first:stop] = total[: stop - first]
-    return out
+    step = np.floor(position).astype(np.int64)
+    share = position - step
+    steps, parts = np.append(step, step + 1), np.append(weight[keep] * (1.0 - share), weight[keep] * share)
+    starts, row = np.unique(steps // FINE, return_inverse=True)
+    grid = _histogram(row * FINE + steps % FINE, parts, len(starts) * FINE).reshape(-1, FINE)
+    for start, pulse in zip(starts, grid @ phases, strict=True):
+        out[start : start + length] += pulse
+    return out[:samples]
 
 
 def _histogram(index: NDArray[np.int64], weight: Complexes, size: int) -> Complexes:
@@ -113,27 +101,60 @@ def noise(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.comple
     return (both * np.float32(1.0 / np.sqrt(1.0 + BAND**2 + BAND**4 + BAND**6))).astype(np.complex64, copy=False)
 
 
+@dataclass(frozen=True)
+class Sent:
+    """What differs from ping to ping of m pings that share their waveforms of g groups.
+
+    Attributes:
+        factor: level of each group, complex, (m, g).
+        delay: by how much each group comes late, s, (m, g); small against the pulse.
+        noise: factor on the receiver's noise, (m,).
+        other: what comes from elsewhere, over the threshold at full gain, (m, samples), or (1, samples) for all.
+    """
+
+    factor: Complexes
+    delay: Floats
+    noise: Floats
+    other: Complexes
+
+    def __getitem__(self, rows: slice) -> Sent:
+        """Return some of the pings."""
+        other = self.other if len(self.other) == 1 else self.other[rows]
+        return Sent(self.factor[rows], self.delay[rows], self.noise[rows], other)
+
+
 def voltages(
-    waves: list[Waveform], factor: Complexes, delay: Floats, unit: Unit, setup: Setup, rng: np.random.Generator
-) -> NDArray[np.complex64]:
-    """Return the amplified waveforms of m pings, (m, samples), over the comparator's threshold.
+    waves: list[Waveform], sent: Sent, unit: Unit, setup: Setup, rng: np.random.Generator
+) -> tuple[NDArray[np.complex64], int]:
+    """Return the amplified waveforms of m pings over the comparator's threshold, (m, k), and their first sample.
+
+    Only the k samples are worked out between the first and the last where the threshold can be reached at all.
 
     Args:
         waves: one a group, g of them.
-        factor: level of each group in each ping, complex, (m, g).
-        delay: by how much each group comes late in each ping, s, (m, g); small against the pulse.
+        sent: what differs from ping to ping.
         unit: the electronics.
         setup: the gain's cap.
         rng: the noise.
     """
-    samples = len(waves[0].signal)
-    gain = gain_over_time(setup.gain, samples)
+    gain = gain_over_time(setup.gain, len(waves[0].signal))
     signal = np.stack([wave.signal for wave in waves] + [wave.slope for wave in waves]) * gain
-    turned = factor * np.exp(-1j * OMEGA * delay)
-    weight = np.concatenate([turned, -turned * delay], axis=1).astype(np.complex64)
-    total = weight @ signal.astype(np.complex64)
-    total += noise(total.shape, rng) * (unit.noise * gain).astype(np.float32)
-    return total
+    turned = sent.factor * np.exp(-1j * OMEGA * sent.delay)
+    weight = np.concatenate([turned, -turned * sent.delay], axis=1)
+    hiss = unit.noise * gain
+    other = gain * np.abs(sent.other).max(axis=0)
+    live = _live(np.abs(weight).max(axis=0) @ np.abs(signal) + other + SIGMAS * sent.noise.max() * hiss)
+    total = weight.astype(np.complex64) @ signal[:, live].astype(np.complex64)
+    total += noise(total.shape, rng) * (sent.noise[:, None] * hiss[live]).astype(np.float32)
+    if sent.other.any():
+        total += (sent.other[:, live] * gain[live]).astype(np.complex64)
+    return total, live.start
+
+
+def _live(bound: Floats) -> slice:
+    """Return the samples between the first and the last at which an upper bound of the level reaches the threshold."""
+    reached = np.flatnonzero(bound >= 1.0)
+    return slice(max(int(reached[0]) - 1, 0), int(reached[-1]) + 2) if len(reached) else slice(0, 0)
 
 
 def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], Floats]:
@@ -143,6 +164,8 @@ def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], 
     preceded by a crossing, a quarter period or less before it.
     """
     trip = 1.0 + 0.5 * unit.hysteresis
+    if not z.size:
+        return np.empty(0, dtype=np.int64), np.empty(0)
     power = z.real**2 + z.imag**2
     over = power >= trip**2
     over[:, :-1] |= over[:, 1:]
@@ -167,31 +190,6 @@ def _deaf(power: NDArray[np.float32], flat: NDArray[np.int64], unit: Unit) -> ND
     return (power[np.maximum(flat[:, None] - before, 0)] >= rail).any(axis=1) & (power[flat] < rail)
 
 
-def first_echoes(ping: NDArray[np.int64], time: Floats, count: int, unit: Unit, listening: float) -> Floats:
-    """Return the times of up to 17 echoes of each of `count` pings, s, (count, 17); NaN where there is none.
-
-    Nothing counts before the blanking ends, within the dead time after an echo, or after listening ends.
-    """
-    stride = 1.0  # s: longer than any waveform
-    key = ping * stride + time
-    rows = np.arange(count)
-    earliest = np.full(count, unit.blanking)
-    out = np.full((count, ECHOES), np.nan)
-    for k in range(ECHOES):
-        at = np.searchsorted(key, rows * stride + earliest)
-        found = at < len(key)
-        found[found] = (ping[at[found]] == rows[found]) & (time[at[found]] <= listening)
-        rows, at = rows[found], at[found]
-        if not len(rows):
-            break
-        out[rows, k] = time[at]
-        earliest = time[at] + unit.rearm
-    return out
-
-
-def to_codes(time: Floats, unit: Unit, output: Output) -> NDArray[np.uint16]:
-    """Return what the firmware writes into its registers for times in s; 0 for none."""
-    ticks = np.floor(np.maximum(time + unit.t_offset, 0.0) * (1.0 + unit.clock_error) / unit.tick)
-    value = ticks * unit.tick / PER_UNIT[output]
-    whole = np.rint(value) if unit.rounding == "nearest" else np.floor(value + 1e-9)
-    return np.where(np.isnan(time), 0.0, np.clip(whole, 1.0, 65_535.0)).astype(np.uint16)
+def loudness(unit: Unit) -> float:
+    """Return what an amplitude of 1 (the pressure at 1 m) comes to over the threshold at full gain."""
+    return REFERENCE * float(10.0 ** (unit.sensitivity_db / 20.0))

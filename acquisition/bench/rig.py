@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench.air import Drift, Floats, absorption_db, flutter, sound_speed
-from acquisition.bench.receiver import PER_UNIT, Air, Waveform, crossings, first_echoes, to_codes, voltages
-from acquisition.bench.scene import BOUNCE, GHOST, GROUPS, LEAK, Arrivals, Pose, Scene
+from acquisition.bench.firmware import PER_UNIT, averaged, first_echoes, to_codes
+from acquisition.bench.interference import Ambient
+from acquisition.bench.receiver import Air, Sent, Waveform, crossings, loudness, voltages
+from acquisition.bench.scene import BOUNCE, FACE, GHOST, GROUPS, LEAK, POST, Arrivals, Pose, Scene
 from acquisition.bench.setup import Setup
-from acquisition.bench.transducer import PERIOD, Complexes
+from acquisition.bench.transducer import OMEGA, PERIOD, Complexes, Piston, pulse_phases
 from acquisition.bench.unit import DEG, Unit
-from acquisition.bench.wire import Link, faults
+from acquisition.bench.wire import Link, faults, present
 from acquisition.ping import EchoStatus, Ping, Reading
 from acquisition.recording import Recording
 
@@ -25,6 +27,8 @@ METRES = {"cm": CM, "inch": INCH, "us": PER_UNIT["us"] / PER_UNIT["cm"] * CM}
 GHOST_S = 0.15  # pings further apart than this cannot hear each other: 25 m of air take 65 dB
 BATCH = 256  # pings worked on at once: about 6 MB of waveforms
 VISIT_C = 0.4  # degC; pings of a visit whose air differs more get waveforms of their own
+# how far each group's way changes with the stand's swing, against the way to the reflector
+SWAYING = np.array([{FACE: 1.0, BOUNCE: 2.0, POST: 1.0}.get(group, 0.0) for group in range(len(GROUPS))])
 Progress = Callable[[int, int], None]
 
 
@@ -52,6 +56,23 @@ class Registers:
         deepest = int((code > 0).sum(axis=1).max(initial=1))
         ranges = code[:, :deepest] * METRES[setup.output]
         return Reading.of(ranges[:, 0], status, ranges[:, 1:])
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What differs between pings of one visit.
+
+    Attributes:
+        temperature_c: of the air, degC, (n,).
+        flutter: level and delay of each group, unit variance, (n, groups, 2).
+        noise: factor on the receiver's noise, (n,).
+        first: the visit's first ping, which no echo of a ping before it disturbs, (n,).
+    """
+
+    temperature_c: Floats
+    flutter: Floats
+    noise: Floats
+    first: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -86,15 +107,18 @@ class Rig:
         """
         drift = self.draw_drift(rng) if drift is None else drift
         temperature = ping.covariates.get("temperature_c", self.setup.temperature_c) + drift(ping.time)
+        noise = _loudness_of_noise(self.setup.ambient, ping, rng)
         code = np.zeros((len(ping), 17), dtype=np.uint16)
         for start, stop in _visits(ping):
             placed = self.place(ping[start : start + 1], rng)
             moved = _flutter(self.setup, ping.time[start:stop], rng)
             for rows in _alike(temperature[start:stop], start):
-                times = self._listen(placed, ping[rows], temperature[rows], moved[rows - start], rng)
-                code[rows] = to_codes(times, self.unit, self.setup.output)
+                moment = Moment(temperature[rows], moved[rows - start], noise[rows], rows == start)
+                code[rows] = to_codes(self._listen(placed, ping[rows], moment, rng), self.unit, self.setup.output)
             if progress is not None:
                 progress(stop, len(ping))
+        if self.unit.averaging > 1:
+            code = averaged(code, ping.run, self.unit.averaging)
         return _through_wire(code, ping, temperature, self.setup, rng)
 
     def record(self, ping: Ping, rng: np.random.Generator, progress: Progress | None = None) -> Recording:
@@ -124,26 +148,46 @@ class Rig:
             covariates={**ping.covariates, "tilt_back": _lean(ping) + setup.tilt_deg * DEG * tilt},
         )
 
-    def _listen(self, placed: Ping, ping: Ping, temperature: Floats, moved: Floats, rng: np.random.Generator) -> Floats:
+    def _listen(self, placed: Ping, ping: Ping, moment: Moment, rng: np.random.Generator) -> Floats:
         """Return the echo times of pings that share one placement and nearly one air, s, (n, 17)."""
-        air = self._air(float(temperature.mean()), ping)
+        air = self._air(float(moment.temperature_c.mean()), ping)
         groups, waves = self._waves(placed, ping, air)
-        speed = sound_speed(temperature, self._humidity(ping))
         length = np.array([wave.length for wave in waves])
-        spread = np.sqrt(length / 6.0)
-        late = 2.0 * length * (1.0 / speed - 1.0 / air.speed)[:, None]
-        late = late + 2.0 * self.setup.jitter_m * spread * moved[:, groups, 1] / air.speed
-        level = self.setup.scintillation_db * (length / 6.0) ** (11.0 / 12.0) * moved[:, groups, 0]
+        speed = sound_speed(moment.temperature_c, self._humidity(ping))
+        late = self._late(length, speed, air.speed, moment.flutter[:, groups, 1])
+        late += 2.0 * self._sway(ping.time)[:, None] * SWAYING[groups] / air.speed
+        level = self.setup.scintillation_db * (length / 6.0) ** (11.0 / 12.0) * moment.flutter[:, groups, 0]
         factor = (10.0 ** (level / 20.0)).astype(np.complex128)
-        still = groups == LEAK
-        factor[:, still], late[:, still] = 1.0, 0.0
-        out = [self._hear(waves, factor[k : k + BATCH], late[k : k + BATCH], rng) for k in range(0, len(ping), BATCH)]
-        return np.concatenate(out)
+        factor[:, groups == LEAK], late[:, groups == LEAK] = 1.0, 0.0
+        factor[np.ix_(moment.first, groups == GHOST)] = 0.0
+        sent = Sent(factor, late, moment.noise, self._others(ping.time, air, len(waves[0].signal)))
+        batches = [slice(k, k + BATCH) for k in range(0, len(ping), BATCH)]
+        return np.concatenate([self._hear(waves, sent[batch], rng) for batch in batches])
 
-    def _hear(self, waves: list[Waveform], factor: Complexes, late: Floats, rng: np.random.Generator) -> Floats:
-        z = voltages(waves, factor, late, self.unit, self.setup, rng)
+    def _late(self, length: Floats, speed: Floats, reference: float, moved: Floats) -> Floats:
+        """Return by how much eddies and drift delay each group in each ping, s, (n, groups)."""
+        drift = 2.0 * length * (1.0 / speed - 1.0 / reference)[:, None]
+        return drift + 2.0 * self.setup.jitter_m * np.sqrt(length / 6.0) * moved / reference
+
+    def _sway(self, time: Floats) -> Floats:
+        return self.setup.sway_m * np.sin(2.0 * np.pi * time / self.setup.sway_period_s)
+
+    def _others(self, time: Floats, air: Air, samples: int) -> Complexes:
+        """Return what another sonar sends into the pings."""
+        other = self.setup.neighbour
+        if other is None:
+            return np.zeros((1, samples), dtype=np.complex128)
+        beam = Piston(OMEGA * self.unit.radius / air.speed)(np.array(other.bearing_deg * DEG))
+        loss_db = other.strength_db - air.absorption_db * other.path_m
+        level = loudness(self.unit) * float(beam) * 10.0 ** (loss_db / 20.0) / other.path_m
+        phases = pulse_phases(self.unit, round(air.temperature_c))
+        return other.waveforms(time, air.speed, level, phases, samples)
+
+    def _hear(self, waves: list[Waveform], sent: Sent, rng: np.random.Generator) -> Floats:
+        z, start = voltages(waves, sent, self.unit, self.setup, rng)
         ping, time = crossings(z, self.unit)
-        return first_echoes(ping, time, len(z), self.unit, self.setup.listening / (1.0 + self.unit.clock_error))
+        listening = self.setup.listening / (1.0 + self.unit.clock_error)
+        return first_echoes(ping, time + start * PERIOD, len(z), self.unit, listening)
 
     def _humidity(self, ping: Ping) -> float:
         given = ping.covariates.get("humidity_pct")
@@ -182,11 +226,12 @@ def _ghost(groups: dict[int, Arrivals], ping: Ping, air: Air) -> Arrivals:
     interval = float(np.median(np.diff(ping.time)))
     if not 0.0 < interval < GHOST_S:
         return Arrivals.of()
-    every = [way for name, way in groups.items() if name not in (LEAK, BOUNCE)]
+    ways = [way for name, way in groups.items() if name not in (LEAK, BOUNCE)]
+    every = sum(ways, Arrivals.of())
     before = 0.5 * interval * air.speed
-    length = np.concatenate([way.length for way in every]) - before
-    amplitude = np.concatenate([way.amplitude for way in every]) * 10.0 ** (-air.absorption_db * before / 10.0)
-    return Arrivals(length[length > 0], amplitude[length > 0])
+    late = every.length > before
+    share = 10.0 ** (-air.absorption_db * before / 10.0)
+    return Arrivals(every.length[late] - before, every.amplitude[late] * share)
 
 
 def _visits(ping: Ping) -> list[tuple[int, int]]:
@@ -209,12 +254,21 @@ def _flutter(setup: Setup, time: Floats, rng: np.random.Generator) -> Floats:
     return flutter(time, setup.flutter_tau_s, 2 * len(GROUPS), rng).reshape(len(time), len(GROUPS), 2)
 
 
+def _loudness_of_noise(ambient: Ambient | None, ping: Ping, rng: np.random.Generator) -> Floats:
+    """Return the factor on the receiver's noise in each ping, (n,)."""
+    if ambient is None:
+        return np.ones(len(ping))
+    return np.where(present(ambient.share, ambient.dwell_s, ping, rng), ambient.factor, 1.0)
+
+
 def _through_wire(
     code: NDArray[np.uint16], ping: Ping, temperature: Floats, setup: Setup, rng: np.random.Generator
 ) -> Registers:
     fault = faults(setup.bus, ping, rng)
     answered = (fault != Link.NACK) & (fault != Link.ALL_ONES)
     code = np.where((fault == Link.DROPPED)[:, None], 0, code).astype(np.uint16)
+    flipped = np.flatnonzero(fault == Link.BIT_FLIP)
+    code[flipped, 0] ^= np.left_shift(1, rng.integers(0, 16, len(flipped))).astype(np.uint16)
     lost = fault == Link.LOST_WRITE
     source = np.maximum.accumulate(np.where(lost, -1, np.arange(len(ping))))
     return Registers(code[source], answered, temperature, fault)

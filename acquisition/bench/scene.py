@@ -14,15 +14,15 @@ from functools import lru_cache
 import numpy as np
 
 from acquisition.bench.air import CARRIER, Floats
-from acquisition.bench.setup import Post, Room, Setup
+from acquisition.bench.setup import Post, Room, Scatterer, Setup
 from acquisition.bench.shapes import Shape, Wall, facets, outline, shape_of, subtended, surface_of
 from acquisition.bench.transducer import Complexes, Piston
 from acquisition.bench.unit import Unit
 
 HOUSING = 0.043 * 0.020  # m^2, the sensor's own face, which sends an echo on its way again
-FACET = 2e-3  # m, a quarter of the wavelength
-LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, GHOST = range(8)
-GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "ghost")
+FACET = 2.5e-3  # m, under a third of the wavelength
+LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, CLUTTER, GHOST = range(9)
+GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "clutter", "ghost")
 
 
 @dataclass(frozen=True)
@@ -180,6 +180,15 @@ class Scene:
             ahead = np.array([room.wall, 0.0, 0.0])
             passed = float(self.beam(ahead)) ** 2 * self.shadow(ahead) ** 2
             yield WALL, Arrivals.of((room.wall, room.wall_factor * passed / (2.0 * room.wall)))
+
+        if room.clutter:
+            yield CLUTTER, Arrivals.of(*map(self._scattered, room.clutter))
+
+    def _scattered(self, thing: Scatterer) -> tuple[float, complex]:
+        place = np.array(thing.position_m)
+        length = float(np.linalg.norm(place))
+        passed = float(self.beam(place)) ** 2 * self.shadow(place) ** 2
+        return length, 10.0 ** (thing.strength_db / 20.0) * passed / length**2
 
     def _surface(self, z: float, factor: float, room: Room) -> Arrivals:
         """Return the echoes by a level surface at height z over the beam's axis, images of first order."""

@@ -5,10 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from acquisition.bench.interference import Ambient, Neighbour
 from acquisition.bench.shapes import Shape
 from acquisition.errors import SettingError
 
 Output = Literal["inch", "cm", "us"]
+
+
+@dataclass(frozen=True)
+class Scatterer:
+    """A small thing that stands about.
+
+    Attributes:
+        position_m: ahead of the sensor, to its left, and up, m.
+        strength_db: pressure at 1 m from it against what meets it, dB; half a sphere's radius in metres.
+    """
+
+    position_m: tuple[float, float, float]
+    strength_db: float = -26.0
 
 
 @dataclass(frozen=True)
@@ -20,6 +34,7 @@ class Room:
         ceiling: height of the ceiling over the floor, m.
         wall: distance of the wall ahead of the sensor, m; the default is beyond the usual range gate.
         floor_factor, ceiling_factor, wall_factor: what each returns of the pressure that meets it.
+        clutter: small things that stand about.
     """
 
     height: float | None = 1.5
@@ -28,6 +43,7 @@ class Room:
     floor_factor: float = 0.9
     ceiling_factor: float = 0.7
     wall_factor: float = 0.9
+    clutter: tuple[Scatterer, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,18 +63,20 @@ class Bus:
         all_ones: an open line reads 0xFF for ever: no answer.
         lost_write: the command never arrives, so the registers still hold the previous ping.
         dropped: read before the registers were filled: the answer is "no echo".
-        dwell_s: how long a fault lasts on average, s; 0 draws each ping anew.
+        bit_flip: one bit of the first echo's registers is read wrong.
+        dwell_s: after how long on average the state of the wire is drawn anew, s; 0 does so each ping.
     """
 
     nack: float = 0.0
     all_ones: float = 0.0
     lost_write: float = 0.0
     dropped: float = 0.0
+    bit_flip: float = 0.0
     dwell_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is no probability."""
-        for name in ("nack", "all_ones", "lost_write", "dropped"):
+        for name in ("nack", "all_ones", "lost_write", "dropped", "bit_flip"):
             value = getattr(self, name)
             if not 0.0 <= value <= 1.0:
                 raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability a ping")
@@ -80,10 +98,13 @@ class Setup:
         placement_m, placement_deg: scatter of where the reflector really stands at each visit of a condition, along
             the line of sight and in bearing.
         tilt_deg: scatter of its pose at each visit, about the vertical and the horizontal alike.
+        sway_m, sway_period_s: how far and how fast the stand swings along the line of sight, a few millimetres.
         zero_m: how far behind the mark the sensor's own zero lies, m; added to every distance.
         reflector: shape in front; None takes the thesis's by the ping's reflectance.
         post: of the reflector's stand; None takes it away.
         room: around the stands.
+        neighbour: another sonar at work, or none.
+        ambient: noise that comes and goes, or none.
         bus: how the wire fails.
     """
 
@@ -100,10 +121,14 @@ class Setup:
     placement_m: float = 0.002
     placement_deg: float = 0.2
     tilt_deg: float = 0.3
+    sway_m: float = 0.0
+    sway_period_s: float = 1.3
     zero_m: float = 0.0
     reflector: Shape | None = None
     post: Post | None = field(default_factory=Post)
     room: Room = field(default_factory=Room)
+    neighbour: Neighbour | None = None
+    ambient: Ambient | None = None
     bus: Bus = field(default_factory=Bus)
 
     def __post_init__(self) -> None:

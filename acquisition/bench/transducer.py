@@ -13,6 +13,7 @@ from acquisition.bench.unit import Unit
 
 Complexes = NDArray[np.complex128]
 CYCLES = 8  # of the burst: 200 us at 40 kHz
+OMEGA = 2.0 * np.pi * CARRIER
 PERIOD = 1.0 / CARRIER  # s; also the step of every waveform here, so each step holds one period of the carrier
 FINE = 8  # delays are resolved to PERIOD / FINE before the carrier's phase is put back exactly
 LENGTH = 5.0e-3  # s, after which a pulse has rung down: by 70 dB even at Q = 58

@@ -19,22 +19,30 @@ class Link(IntEnum):
     ALL_ONES = 2
     LOST_WRITE = 3
     DROPPED = 4
+    BIT_FLIP = 5
 
 
-RATES = {Link.DROPPED: "dropped", Link.LOST_WRITE: "lost_write", Link.ALL_ONES: "all_ones", Link.NACK: "nack"}
+# in the order in which they overrule each other
+RATES = {
+    Link.BIT_FLIP: "bit_flip",
+    Link.DROPPED: "dropped",
+    Link.LOST_WRITE: "lost_write",
+    Link.ALL_ONES: "all_ones",
+    Link.NACK: "nack",
+}
 
 
 def faults(bus: Bus, ping: Ping, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Draw what the wire does to each ping, (n,) of `Link`; where two faults meet, silence of the wire wins."""
     out = np.full(len(ping), Link.FINE, dtype=np.uint8)
     for link, name in RATES.items():
-        out[_present(getattr(bus, name), bus.dwell_s, ping, rng)] = link
+        out[present(getattr(bus, name), bus.dwell_s, ping, rng)] = link
     first = np.diff(ping.run, prepend=ping.run[:1] - 1) != 0
     out[first & (out == Link.LOST_WRITE)] = Link.FINE  # a run begins with registers of its own
     return out
 
 
-def _present(rate: float, dwell_s: float, ping: Ping, rng: np.random.Generator) -> NDArray[np.bool_]:
+def present(rate: float, dwell_s: float, ping: Ping, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Draw a two-state process that is on with probability `rate` and keeps its state for about `dwell_s`."""
     drawn = rng.random(len(ping)) < rate
     step = np.diff(ping.time, prepend=-np.inf)

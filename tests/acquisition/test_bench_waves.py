@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.bench import MIRROR, RUBBER, Disc, Plate, Post, Room, Setup, Unit, Wall
+from acquisition.bench import MIRROR, RUBBER, Disc, Neighbour, Plate, Post, Room, Scatterer, Setup, Unit, Wall
 from acquisition.bench.air import sound_speed
-from acquisition.bench.receiver import GAINS, Air, Waveform, crossings, first_echoes, gain_over_time, noise, to_codes
-from acquisition.bench.scene import BOUNCE, CEILING, FACE, FLOOR, POST, WALL, Arrivals, Pose, Scene
+from acquisition.bench.firmware import averaged, first_echoes, to_codes
+from acquisition.bench.receiver import GAINS, Air, Sent, Waveform, crossings, gain_over_time, noise, voltages
+from acquisition.bench.scene import BOUNCE, CEILING, CLUTTER, FACE, FLOOR, POST, WALL, Arrivals, Pose, Scene
 from acquisition.bench.transducer import PERIOD, Piston, pulse_at, pulse_phases
 
 SPEED = float(sound_speed(19.0, 50.0))
@@ -294,3 +295,51 @@ def test_floor_detour_matches_the_mirror_law_where_the_floor_is_near():
     half = (np.sqrt(1.0 + 0.1**2 / 4) * 2) / 2
     phase = np.exp(-4j * np.pi * detour.length / WAVELENGTH)
     assert abs((detour.amplitude * phase).sum()) == pytest.approx(2.0 / (2.0 * half), rel=0.35)
+
+
+def test_working_out_only_what_can_trip_loses_nothing(monkeypatch):
+    """With the shortcut off, the same echoes: their shares and spreads agree."""
+    waves = [Waveform.of(Unit.nominal(), Arrivals.of((2.0, 0.11)), AIR, 1440)]
+    setup, none = Setup(gain=20), np.zeros((400, 1))
+    sent = Sent(none + 1.0 + 0j, none, np.ones(400), np.zeros((1, 1440), dtype=complex))
+
+    def times(seed):
+        z, start = voltages(waves, sent, Unit.nominal(), setup, np.random.default_rng(seed))
+        ping, time = crossings(z, Unit.nominal())
+        return first_echoes(ping, time + start * PERIOD, 400, Unit.nominal(), 1.0)[:, 0], z.shape[1]
+
+    short, width = times(0)
+    monkeypatch.setattr("acquisition.bench.receiver.SIGMAS", 1e9)
+    whole, full = times(1)
+    assert width < 0.2 * full == 0.2 * 1440
+    assert np.mean(np.isnan(short)) == pytest.approx(np.mean(np.isnan(whole)), abs=0.05)
+    assert np.nanmean(short) == pytest.approx(np.nanmean(whole), abs=2e-6)
+    assert np.nanstd(short) == pytest.approx(np.nanstd(whole), rel=0.25)
+
+
+def test_firmware_that_averages_takes_the_last_first_echoes_of_its_run():
+    code = np.zeros((6, 17), dtype=np.uint16)
+    code[:, 0] = [100, 200, 0, 300, 400, 500]
+    run = np.array([0, 0, 0, 0, 1, 1])
+    assert averaged(code, run, 3)[:, 0].tolist() == [100, 150, 0, 200, 400, 450]
+    assert averaged(code, run, 1)[:, 0].tolist() == code[:, 0].tolist()
+
+
+def test_neighbours_bursts_arrive_by_its_clock():
+    other = Neighbour(period_s=0.070, first_s=0.010, path_m=3.4336)
+    assert other.arrivals(0.0, 343.36, 0.036, 0.005) == pytest.approx([0.020])
+    assert other.arrivals(0.093, 343.36, 0.036, 0.005) == pytest.approx([-0.003])
+    assert len(other.arrivals(0.030, 343.36, 0.036, 0.005)) == 0
+    waves = other.waveforms(np.array([0.0, 0.03]), 343.36, 2.0, pulse_phases(BARE, 19.0), 1440)
+    first = np.flatnonzero(np.abs(waves[0]) > 0.01)[0] * PERIOD
+    assert first == pytest.approx(0.020, abs=2 * PERIOD)
+    assert np.abs(waves[0]).max() == pytest.approx(2.0, abs=0.02)
+    assert not waves[1].any()
+
+
+def test_clutter_scatters_as_a_sphere():
+    thing = Scatterer((2.0, 0.0, 0.0), strength_db=20.0 * np.log10(0.05))
+    setup = Setup(post=None, room=Room(None, None, None, clutter=(thing,)))
+    way = replace(scene(1.0, setup=setup), reflectance=0.0).groups()[CLUTTER]
+    assert way.length == pytest.approx([2.0])
+    assert abs(way.amplitude[0]) == pytest.approx(0.05 / 4.0)

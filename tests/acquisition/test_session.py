@@ -46,6 +46,10 @@ def test_thesis_plan_is_the_thesis():
     assert plan.distances_mm[:4] == (30.0, 50.0, 100.0, 150.0)
     assert plan.distances_mm[-1] == 6000.0
     assert {cell.reflectance for cell in plan.cells} == {0.1, 0.9}
+    assert plan.facing
+    aside = next(k for k, cell in enumerate(plan.cells) if cell.angle_deg == 45.0)
+    assert plan.ping(aside).incidence[0] == 0.0
+    assert SMALL.ping(0).incidence[0] == SMALL.ping(0).angle[0]
 
 
 def test_plans_order_is_a_permutation_fixed_by_its_seed():

@@ -1,0 +1,24 @@
+"""Drive one episode with the scripted driver and keep it as a GIF: python examples/record_gif.py parking.gif."""
+
+import os
+import sys
+from pathlib import Path
+
+import gymnasium
+import imageio.v3 as iio
+
+from sonar_gym import ParkingDriver, run_episode
+
+
+def main(path: str = "parking.gif", sonar: str = "gaussian", seed: int = 3, every: int = 2) -> None:
+    env = gymnasium.make("SonarParking-v0", sonar=sonar, render_mode="rgb_array")
+    episode = run_episode(env, ParkingDriver(), seed=seed)
+    env.close()
+    temporary = Path(path).with_suffix(".part.gif")
+    iio.imwrite(temporary, episode.frames[::every], duration=100 * every, loop=0)
+    os.replace(temporary, path)
+    print(f"{path}: {len(episode.frames[::every])} pictures, parked: {episode.success}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])
