@@ -6,6 +6,7 @@ ever NaN, zero metres or maximum range.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -93,7 +94,7 @@ class Ping:
             if value.shape != n or value.ndim != 1:
                 raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value a ping")
             # a finite sum proves finite terms, in one pass: a simulator builds a Ping at every step
-            if not np.isfinite(value.sum()) and not np.all(np.isfinite(value)):
+            if not math.isfinite(value.sum()) and not np.all(np.isfinite(value)):
                 raise SettingError(f"Ping.{name} holds a value that is not finite: a condition must be known")
         if n[0] and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
@@ -140,7 +141,7 @@ class Reading:
         if self.range.shape != self.status.shape:
             raise SettingError(f"Reading.status has shape {self.status.shape}, expected {self.range.shape}")
         # a comparison with NaN is false, so NaN fails the second test
-        if not (np.array_equal(self.range > 0, self.echo) and np.all((self.range >= 0) & (self.range < np.inf))):
+        if not (((self.range > 0) == self.echo) & (self.range >= 0) & (self.range < np.inf)).all():
             raise SettingError("Reading.range must be > 0 m where there is an echo and 0 everywhere else")
 
     def __len__(self) -> int:

@@ -14,11 +14,12 @@ ENV_ID = "SonarParking-v0"
 _LAZY = {
     "SonarParkingEnv": "sonar_gym.parking",
     "SonarObservation": "sonar_gym.wrappers",
+    "HighwaySonar": "sonar_gym.highway",
     "ParkingDriver": "sonar_gym.driver",
     "run_episode": "sonar_gym.driver",
 }
 
-__all__ = ["ENV_ID", "ParkingDriver", "SonarObservation", "SonarParkingEnv", "run_episode"]
+__all__ = ["ENV_ID", "HighwaySonar", "ParkingDriver", "SonarObservation", "SonarParkingEnv", "run_episode"]
 
 if ENV_ID not in gymnasium.registry:
     gymnasium.register(id=ENV_ID, entry_point="sonar_gym.parking:SonarParkingEnv", max_episode_steps=400)

@@ -64,6 +64,41 @@ def incidence_at(x: float, y: float, dx: float, dy: float) -> float:
 
 
 @njit(cache=True)
+def into_frame(segments: Floats, pose: Floats) -> Floats:
+    """Return segments of the world in the frame of a pose, (m, 4)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    out = np.empty_like(segments)
+    for k in range(segments.shape[0]):
+        for end in (0, 2):
+            dx, dy = segments[k, end] - pose[0], segments[k, end + 1] - pose[1]
+            out[k, end], out[k, end + 1] = c * dx + s * dy, c * dy - s * dx
+    return out
+
+
+@njit(cache=True)
+def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
+    """Return a point in the frame of a pose in the world."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return pose[0] + c * x - s * y, pose[1] + s * x + c * y
+
+
+@njit(cache=True)
+def cast_cone(local: Floats, half: float, limit: float) -> tuple[float, float, float, int, float, float]:
+    """Find the nearest point of any segment within one cone about the x axis; see `cast_cones`."""
+    best, bearing, incidence, index, at_x, at_y = limit, 0.0, 0.0, NOTHING, 0.0, 0.0
+    for k in range(local.shape[0]):
+        x, y, inside = nearest_in_wedge(local[k, 0], local[k, 1], local[k, 2], local[k, 3], half)
+        away = math.sqrt(x * x + y * y)
+        if not inside or away > best + TIE or away > limit:
+            continue
+        met = incidence_at(x, y, local[k, 2] - local[k, 0], local[k, 3] - local[k, 1])
+        if away < best - TIE or index == NOTHING or met < incidence:
+            best, incidence, index, at_x, at_y = away, met, k, x, y
+            bearing = math.atan2(y, x) if away > TIE else 0.0  # on the face itself no direction is left
+    return best, bearing, incidence, index, at_x, at_y
+
+
+@njit(cache=True)
 def cast_cones(
     poses: Floats, half: Floats, segments: Floats, limit: float
 ) -> tuple[Floats, Floats, Floats, Ints, Floats]:
@@ -84,23 +119,24 @@ def cast_cones(
         point in the world, m, (s, 2).
     """
     count = poses.shape[0]
-    distance, bearing, incidence = np.full(count, limit), np.zeros(count), np.zeros(count)
-    index, point = np.full(count, NOTHING), np.zeros((count, 2))
+    distance, bearing, incidence = np.empty(count), np.empty(count), np.empty(count)
+    index, point = np.empty(count, np.int64), np.zeros((count, 2))
     for i in range(count):
-        for k in range(segments.shape[0]):
-            x1, y1 = to_frame(segments[k, 0], segments[k, 1], poses[i])
-            x2, y2 = to_frame(segments[k, 2], segments[k, 3], poses[i])
-            x, y, inside = nearest_in_wedge(x1, y1, x2, y2, half[i])
-            away = math.hypot(x, y)
-            if not inside or away > distance[i] + TIE or away > limit:
-                continue
-            met = incidence_at(x, y, x2 - x1, y2 - y1)
-            if away < distance[i] - TIE or index[i] == NOTHING or met < incidence[i]:
-                distance[i], incidence[i], index[i] = away, met, k
-                bearing[i] = math.atan2(y, x) if away > TIE else 0.0  # on the face itself no direction is left
-                c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
-                point[i, 0], point[i, 1] = poses[i, 0] + c * x - s * y, poses[i, 1] + s * x + c * y
+        local = into_frame(segments, poses[i])
+        distance[i], bearing[i], incidence[i], index[i], x, y = cast_cone(local, half[i], limit)
+        if index[i] != NOTHING:
+            point[i, 0], point[i, 1] = out_of_frame(x, y, poses[i])
     return distance, bearing, incidence, index, point
+
+
+@njit(cache=True)
+def mounted(mounts: Floats, car: Floats) -> Floats:
+    """Return poses of the car's frame in the world, (s, 3)."""
+    out = np.empty_like(mounts)
+    for i in range(mounts.shape[0]):
+        out[i, 0], out[i, 1] = out_of_frame(mounts[i, 0], mounts[i, 1], car)
+        out[i, 2] = car[2] + mounts[i, 2]
+    return out
 
 
 @njit(cache=True)
@@ -112,9 +148,9 @@ def touches(pose: Floats, body: Floats, segments: Floats) -> int:
         body: the rectangle in that frame, (rear, right, front, left), m.
         segments: (m, 4).
     """
-    for k in range(segments.shape[0]):
-        x1, y1 = to_frame(segments[k, 0], segments[k, 1], pose)
-        x2, y2 = to_frame(segments[k, 2], segments[k, 3], pose)
+    local = into_frame(segments, pose)
+    for k in range(local.shape[0]):
+        x1, y1, x2, y2 = local[k, 0], local[k, 1], local[k, 2], local[k, 3]
         low, high = clip_half_plane(x1 - body[0], x2 - body[0], 0.0, 1.0)
         low, high = clip_half_plane(body[2] - x1, body[2] - x2, low, high)
         low, high = clip_half_plane(y1 - body[1], y2 - body[1], low, high)
@@ -189,13 +225,17 @@ def cost_to_go(pose: Floats, path: Floats, per_metre: float, per_radian: float) 
 
     Args:
         pose: (3,).
-        path: rows x, y, heading, m left, (k, 4).
+        path: rows x, y, heading, m left, the last never growing, (k, 4).
         per_metre: price of a metre off the path, m.
         per_radian: price of a radian off its heading, m.
     """
     best = np.inf
-    for k in range(path.shape[0]):
-        off = math.hypot(pose[0] - path[k, 0], pose[1] - path[k, 1])
-        turn = abs((pose[2] - path[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
-        best = min(best, path[k, 3] + per_metre * off + per_radian * turn)
+    for k in range(path.shape[0] - 1, -1, -1):
+        if path[k, 3] >= best:
+            break  # what is left only grows from here on
+        dx, dy = pose[0] - path[k, 0], pose[1] - path[k, 1]
+        cost = path[k, 3] + per_metre * math.sqrt(dx * dx + dy * dy)
+        if cost < best:
+            turn = abs((pose[2] - path[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
+            best = min(best, cost + per_radian * turn)
     return best

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import SettingError
+from sonar_gym.kernels import mounted
 
 Floats = NDArray[np.float64]
 CONE_DEG = 55.0  # full beam of SRF04 and SRF08 at -6 dB; Devantech, Sonar FAQ
@@ -86,9 +86,4 @@ def mount_arrays(mounts: Sequence[Mount]) -> tuple[Floats, Floats]:
 
 def in_world(poses: Floats, car: Floats) -> Floats:
     """Return poses of the car's frame in the world, (s, 3), for a car at x, y, heading."""
-    c, s = math.cos(car[2]), math.sin(car[2])
-    out = np.empty_like(poses)
-    out[:, 0] = car[0] + c * poses[:, 0] - s * poses[:, 1]
-    out[:, 1] = car[1] + s * poses[:, 0] + c * poses[:, 1]
-    out[:, 2] = car[2] + poses[:, 2]
-    return out
+    return mounted(poses, car)

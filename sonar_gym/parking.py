@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -145,7 +147,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self.reward_weights: RewardWeights = _settings(RewardWeights, reward)
         self.max_range = MAX_RANGE
         self.sonar = Sonar(sonar, len(self.mounts), MAX_RANGE)
-        self.sonar_name = sonar if isinstance(sonar, str) else type(self.sonar.model).__name__
+        named = isinstance(sonar, (str, os.PathLike))
+        self.sonar_name = Path(str(sonar)).name if named else type(self.sonar.model).__name__
         self._poses, self._half = mount_arrays(self.mounts)
         self._sonar_seeded = False
         self._renderer: Any = None
@@ -225,7 +228,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         )
         along, across = x / ODOMETRY_SPAN[0], y / ODOMETRY_SPAN[1]
         ego = (speed, steering, math.cos(turn), math.sin(turn), along, across, self.steps / MAX_STEPS)
-        return np.array([min(max(value, -1.0), 1.0) for value in ego], dtype=np.float32)
+        return np.minimum(np.maximum(np.array(ego, dtype=np.float32), -1.0), 1.0)
 
     def _info(self, terms: dict[str, float]) -> dict[str, Any]:
         return {

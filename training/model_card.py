@@ -50,7 +50,9 @@ def _finite(value: float) -> float | None:
     return round(value, 4) if math.isfinite(value) else None
 
 
-def card(name: str, model: MlpModel, scores: dict[str, Evaluation], recording: Recording, commands: list[str]) -> str:
+def card(
+    name: str, model: MlpModel, scores: dict[str, Evaluation], recording: Recording, commands: list[str], note: str = ""
+) -> str:
     """Return the card of a model, in Markdown.
 
     Args:
@@ -59,6 +61,7 @@ def card(name: str, model: MlpModel, scores: dict[str, Evaluation], recording: R
         scores: on held-out conditions, by model.
         recording: that it learned from.
         commands: that make it again, in order.
+        note: on the data: what was in front of the sensor, where.
     """
     inputs, tested = model.inputs, next(iter(scores.values())).log_likelihood
     learned = zip(inputs.names, inputs.low, inputs.high, strict=True)
@@ -72,6 +75,7 @@ def card(name: str, model: MlpModel, scores: dict[str, Evaluation], recording: R
         cells=int(recording.cell.max()) + 1,
         step=f"{1e3 * model.resolution:g}",
         no_answer=f"{model.head.no_answer:.3g}",
+        note=note,
         commands="\n".join(f"    {line}" for line in commands),
         tested=tested.pings,
         tested_cells=tested.clusters,

@@ -64,6 +64,8 @@ class Args:
     """Decides the split, the first weights and the order of pings."""
     made_by: tuple[str, ...] = ()
     """Commands that made the recording, for the card."""
+    note: str = ""
+    """On the data, for the card: which sensor, what was in front of it, where."""
 
     @property
     def schedule(self) -> Schedule:
@@ -179,7 +181,7 @@ def command(args: Args) -> str:
     words = ["sonar-gym", "train-noise", args.recording.name, "--out", args.out.name]
     for f in fields(args):
         value = getattr(args, f.name)
-        if f.name not in ("recording", "out", "made_by") and (value != f.default or f.name == "seed"):
+        if f.name not in ("recording", "out", "made_by", "note") and (value != f.default or f.name == "seed"):
             words += [f"--{f.name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else [value])]
     return shlex.join(words)
 
@@ -196,7 +198,7 @@ def main(args: Args) -> None:
         )
     model, commands = trained.model, [*args.made_by, command(args)]
     model.about |= {"commands": commands, "seed": args.seed, "scores": plain(trained.scores)}
-    model.card = card(args.out.name, model, trained.scores, recording, commands)
+    model.card = card(args.out.name, model, trained.scores, recording, commands, args.note)
     save_model(model, args.out)
     console.print(table(trained.scores))
     print(f"{args.out}: best after {model.about['epoch']} passes; load it with noise.load_model({str(args.out)!r})")

@@ -114,7 +114,8 @@ class Rig:
             moved = _flutter(self.setup, ping.time[start:stop], rng)
             for rows in _alike(temperature[start:stop], start):
                 moment = Moment(temperature[rows], moved[rows - start], noise[rows], rows == start)
-                code[rows] = to_codes(self._listen(placed, ping[rows], moment, rng), self.unit, self.setup.output)
+                times = self._listen(placed, ping[rows], moment, rng) + self._cold(ping.time[rows])[:, None]
+                code[rows] = to_codes(times, self.unit, self.setup.output)
             if progress is not None:
                 progress(stop, len(ping))
         if self.unit.averaging > 1:
@@ -139,12 +140,16 @@ class Rig:
     def place(self, ping: Ping, rng: np.random.Generator) -> Ping:
         """Return where the reflector of a single ping really stands; covariate `tilt_back` is its lean, rad."""
         setup = self.setup
-        along, bearing, turn, tilt = rng.standard_normal(4)
+        along, aside, turn, tilt = rng.standard_normal(4)
+        distance = ping.distance + setup.zero_m + setup.placement_m * along
+        bearing = ping.angle + setup.placement_deg * DEG * aside
+        facing = bearing - ping.incidence - setup.tilt_deg * DEG * turn
+        centre = (distance + setup.pivot_m) * np.exp(1j * bearing) - setup.pivot_m * np.exp(1j * facing)
         return replace(
             ping,
-            distance=np.maximum(ping.distance + setup.zero_m + setup.placement_m * along, 0.005),
-            angle=ping.angle + setup.placement_deg * DEG * bearing,
-            incidence=ping.incidence + setup.tilt_deg * DEG * turn,
+            distance=np.maximum(np.abs(centre), 0.005),
+            angle=np.angle(centre),
+            incidence=np.angle(centre) - facing,
             covariates={**ping.covariates, "tilt_back": _lean(ping) + setup.tilt_deg * DEG * tilt},
         )
 
@@ -163,6 +168,9 @@ class Rig:
         sent = Sent(factor, late, moment.noise, self._others(ping.time, air, len(waves[0].signal)))
         batches = [slice(k, k + BATCH) for k in range(0, len(ping), BATCH)]
         return np.concatenate([self._hear(waves, sent[batch], rng) for batch in batches])
+
+    def _cold(self, time: Floats) -> Floats:
+        return self.unit.cold_s * np.exp(-time / self.unit.warm_up_tau_s)
 
     def _late(self, length: Floats, speed: Floats, reference: float, moved: Floats) -> Floats:
         """Return by how much eddies and drift delay each group in each ping, s, (n, groups)."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
 
 from acquisition.bench.interference import Ambient, Neighbour
 from acquisition.bench.shapes import Shape
@@ -99,6 +101,8 @@ class Setup:
             the line of sight and in bearing.
         tilt_deg: scatter of its pose at each visit, about the vertical and the horizontal alike.
         sway_m, sway_period_s: how far and how fast the stand swings along the line of sight, a few millimetres.
+        pivot_m: how far the reflector's face is ahead of the axis about which its stand turns; distances are marked
+            with the face square to the line of sight.
         zero_m: how far behind the mark the sensor's own zero lies, m; added to every distance.
         reflector: shape in front; None takes the thesis's by the ping's reflectance.
         post: of the reflector's stand; None takes it away.
@@ -123,6 +127,7 @@ class Setup:
     tilt_deg: float = 0.3
     sway_m: float = 0.0
     sway_period_s: float = 1.3
+    pivot_m: float = 0.0
     zero_m: float = 0.0
     reflector: Shape | None = None
     post: Post | None = field(default_factory=Post)
@@ -137,6 +142,26 @@ class Setup:
         check_register("range register", self.range_register, 255)
         if self.output not in ("inch", "cm", "us"):
             raise SettingError(f"output must be inch, cm or us, got {self.output!r}")
+
+    @classmethod
+    def draw(cls, serial: int, **fixed: Any) -> Setup:
+        """Return a laboratory by its number, plausible and unlike the next; `fixed` settings stay as given."""
+        rng = np.random.default_rng([serial, 0x1AB])
+        uniform = rng.uniform
+        room = Room(uniform(1.0, 1.5), uniform(2.5, 3.5), uniform(7.5, 12.0))
+        drawn: dict[str, Any] = {
+            "temperature_c": uniform(17.0, 24.0),
+            "humidity_pct": uniform(20.0, 60.0),
+            "drift_c": uniform(0.1, 0.5),
+            "drift_tau_s": uniform(1800.0, 7200.0),
+            "scintillation_db": uniform(0.3, 1.0),
+            "jitter_m": uniform(0.3e-3, 1.0e-3),
+            "flutter_tau_s": uniform(1.0, 5.0),
+            "placement_m": uniform(0.001, 0.004),
+            "post": Post(uniform(0.005, 0.030)),
+            "room": room,
+        }
+        return cls(**{**drawn, **fixed})
 
     @property
     def listening(self) -> float:

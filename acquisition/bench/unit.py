@@ -35,6 +35,7 @@ class Unit:
         leak_db: direct sound from transmitter to receiver, against the pressure at 1 m on the axis, dB.
         leak_delay: when it begins, s.
         baseline: distance between the transducers, m.
+        cold_s, warm_up_tau_s: by how much its times run long when it is switched on, s, and how fast that goes.
         averaging: how many first echoes the firmware takes the mean of; the SRF08's takes one.
         light: what the light register reads.
     """
@@ -62,6 +63,8 @@ class Unit:
     leak_db: float = -40.0
     leak_delay: float = 100e-6
     baseline: float = 0.025
+    cold_s: float = 0.0
+    warm_up_tau_s: float = 600.0
     averaging: int = 1
     light: int = 92
 

@@ -143,7 +143,9 @@ class Srf08Twin:
         now = self.clock()
         # a gain beyond the table is undocumented; the twin takes its lowest five bits
         asked = replace(self.rig.setup, gain=self.gain & 31, range_register=self.range_register)
-        setup = replace(asked, output=OUTPUTS[command], placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, zero_m=0.0)
+        setup = replace(
+            asked, output=OUTPUTS[command], placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, zero_m=0.0, pivot_m=0.0
+        )
         time = [now] if self._before is None else [self._before, now]
         heard = Rig(self.rig.unit, setup).ping(self._again(time), self.rng, self._drift)
         self._echoes = heard.code[-1].astype(">u2").tobytes()

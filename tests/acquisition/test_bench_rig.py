@@ -1,5 +1,6 @@
 """The rig as a whole: what a recording from it shows."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -247,3 +248,46 @@ def test_published_readings_of_one_cell_follow_from_its_published_credence():
     assert np.median(code[code > 0]) * 10.0 == pytest.approx(3960.0, abs=15.0)
     inner = np.percentile(code[code > 0] * 10.0, [10, 90])
     assert 3935.0 <= inner[0] <= inner[1] <= 3985.0
+
+
+def test_pivot_behind_the_face_pushes_a_turned_face_away():
+    """Turned by t about an axis e behind it, the face's centre is sqrt(d^2 + 2 e (d + e)(1 - cos t)) away."""
+    rig = Rig(Unit.nominal(), replace(STILL, pivot_m=0.3))
+    turn = np.deg2rad(45.0)
+    square, turned = (
+        rig.place(Ping.of(distance=2.0, angle=angle, incidence=incidence), np.random.default_rng(0))
+        for angle, incidence in ((0.3, 0.0), (0.0, turn))
+    )
+    assert square.distance[0] == pytest.approx(2.0)
+    assert square.angle[0] == pytest.approx(0.3)
+    expected = np.sqrt(2.0**2 + 2.0 * 0.3 * 2.3 * (1.0 - np.cos(turn)))
+    assert turned.distance[0] == pytest.approx(expected)
+    assert turned.distance[0] - 2.0 == pytest.approx(0.088, abs=0.015)
+    normal = turned.angle[0] - turned.incidence[0]
+    assert normal == pytest.approx(-turn)
+
+
+def test_cold_sensor_reads_long_and_warms_up():
+    ping = Ping.of(distance=1.0, reflectance=0.9, time=np.array([0.0, 600.0, 1e5]))
+    setup, unit = replace(STILL, output="us", gain=25), replace(Unit.nominal(), noise=0.0)
+    extra = heard(replace(unit, cold_s=100e-6), setup, ping).code[:, 0] - heard(unit, setup, ping).code[:, 0]
+    assert extra.tolist() == pytest.approx([100, 37, 0], abs=1)
+
+
+def test_laboratories_are_drawn_by_number_and_keep_what_is_given():
+    assert Setup.draw(3) == Setup.draw(3)
+    assert Setup.draw(3) != Setup.draw(4)
+    assert Setup.draw(3, gain=20, temperature_c=30.0).temperature_c == 30.0
+    assert all(17.0 <= Setup.draw(k).temperature_c <= 24.0 for k in range(20))
+
+
+@pytest.mark.slow
+def test_speed_of_a_survey():
+    """Half the target of 2,200 pings a second, in processor time of one core."""
+    rng = np.random.default_rng(0)
+    distance, angle = rng.uniform(0.1, 6.0, 100), np.deg2rad(rng.uniform(0.0, 45.0, 100))
+    ping = Ping.of(distance=np.repeat(distance, 50), angle=np.repeat(angle, 50), time=np.arange(5000) * 2.4)
+    heard(Unit.nominal(), Setup(), ping[:50])
+    start = time.process_time()
+    heard(Unit.nominal(), Setup(), ping)
+    assert 5000 / (time.process_time() - start) > 1100

@@ -131,6 +131,25 @@ def test_episode_tells_readings_and_truths_of_every_step():
     assert run_episode(env, ParkingDriver(), seed=0, pictures=False).frames == []
 
 
+def test_reward_prefers_parking_to_idling_and_to_chance():
+    class Idle(ParkingDriver):
+        def act(self, observation):
+            return np.zeros(2, dtype=np.float32)
+
+    class Chance(ParkingDriver):
+        rng = np.random.default_rng(0)
+
+        def act(self, observation):
+            return self.rng.uniform(-1.0, 1.0, 2).astype(np.float32)
+
+    env = gymnasium.make("SonarParking-v0")
+    scores = [[run_episode(env, driver(), seed).score for seed in range(5)] for driver in (ParkingDriver, Idle, Chance)]
+    parked, idle, chance = np.array(scores)
+    assert parked.min() > 10.0  # ten for parking, and the way there is worth more than its time
+    assert np.allclose(idle, -0.01 * 400)
+    assert parked.min() > max(idle.max(), chance.max()) + 5.0
+
+
 def test_layout_without_a_needed_sonar_is_refused():
     with pytest.raises(SettingError, match="ParkingDriver needs a sonar called 'left'"):
         ParkingDriver(LAYOUTS["four"])
