@@ -139,3 +139,18 @@ def test_registers_are_in_order_spaced_by_the_dead_time_and_inside_the_gate(
     assert code.max() <= (gate + 1) * 256 + unit.tick * 1e6
     steps = np.diff(code, axis=1)[heard[:, 1:]]
     assert (steps >= unit.rearm * (1.0 + unit.clock_error) * 1e6 - unit.tick * 1e6 - 1.0).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    distance=st.floats(0.2, 3.0),
+    angle=st.floats(0.0, 0.7),
+    incidence=st.floats(0.0, 0.7),
+    reflectance=st.sampled_from([0.1, 0.9]),
+)
+def test_left_is_as_right(distance, angle, incidence, reflectance):
+    """A beam along the housing's axis sees a mirrored world alike."""
+    rig = Rig(QUIET, replace(ANY_SETUP, gain=31))
+    sides = [Ping.of(distance, sign * angle, sign * incidence, reflectance) for sign in (1.0, -1.0)]
+    left, right = (rig.ping(side, np.random.default_rng(0)).code[0].astype(int) for side in sides)
+    assert np.abs(left - right).max() <= 1

@@ -128,7 +128,8 @@ def test_episode_tells_readings_and_truths_of_every_step():
     assert np.abs(episode.readings - episode.truths)[heard].max() < 0.001
     assert episode.frames[0].dtype == np.uint8
     assert not episode.success
-    assert run_episode(env, ParkingDriver(), seed=0, pictures=False).frames == []
+    assert run_episode(env, ParkingDriver(), seed=0, every=0).frames == []
+    assert len(run_episode(env, ParkingDriver(), seed=0, every=2).frames) == 3  # at the start, at two, at the end
 
 
 def test_reward_prefers_parking_to_idling_and_to_chance():
