@@ -17,17 +17,17 @@ Change = Callable[[Setup, np.random.Generator], tuple[Setup, str]]
 
 
 def _warm_hall(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
-    celsius = float(rng.uniform(29.0, 36.0).round(1))
+    celsius = round(rng.uniform(29.0, 36.0), 1)
     return replace(setup, temperature_c=celsius), f"the hall was at {celsius} degC, not at {setup.temperature_c} degC"
 
 
 def _moved_zero(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
-    metres = float(rng.uniform(0.02, 0.04).round(3))
+    metres = round(rng.uniform(0.02, 0.04), 3)
     return replace(setup, zero_m=metres), f"the sensor stood {1000 * metres:.0f} mm behind the mark"
 
 
 def _dropped(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
-    share = float(rng.uniform(0.08, 0.15).round(2))
+    share = round(rng.uniform(0.08, 0.15), 2)
     return replace(
         setup, bus=replace(setup.bus, dropped=share)
     ), f"{100 * share:.0f} % of readings were lost on the bus"
