@@ -19,9 +19,13 @@ class Cell:
     distance_mm: float
     angle_deg: float
     reflectance: float
+    incidence_deg: float
 
     def __str__(self) -> str:
-        return f"{self.distance_mm:g} mm, {self.angle_deg:g} deg, reflectance {self.reflectance:g}"
+        turned = (
+            "" if self.incidence_deg == self.angle_deg else f", turned to an incidence of {self.incidence_deg:g} deg"
+        )
+        return f"{self.distance_mm:g} mm, {self.angle_deg:g} deg, reflectance {self.reflectance:g}{turned}"
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class Plan:
             its incidence is its bearing.
         seed: of the random order of cells; None goes along distances, then angles, then reflectors, which asks for
             the fewest moves but lets drift pass for distance.
+        incidences_deg: between beam and surface normal, each at every bearing, rather than what `facing` says.
     """
 
     angles_deg: tuple[float, ...]
@@ -49,6 +54,7 @@ class Plan:
     move_s: float = 20.0
     facing: bool = False
     seed: int | None = 0
+    incidences_deg: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a plan without a ping."""
@@ -59,7 +65,11 @@ class Plan:
     def cells(self) -> tuple[Cell, ...]:
         """Return the conditions in the order in which they are measured."""
         grid = product(self.reflectances, self.angles_deg, self.distances_mm)
-        cells = [Cell(distance, angle, reflectance) for reflectance, angle, distance in grid]
+        cells = [
+            Cell(distance, angle, reflectance, incidence)
+            for reflectance, angle, distance in grid
+            for incidence in self.incidences_deg or (0.0 if self.facing else angle,)
+        ]
         if self.seed is None:
             return tuple(cells)
         return tuple(cells[k] for k in np.random.default_rng(self.seed).permutation(len(cells)))
@@ -83,7 +93,7 @@ class Plan:
         return Ping.of(
             distance=cell.distance_mm * 1e-3,
             angle=np.deg2rad(cell.angle_deg),
-            incidence=0.0 if self.facing else np.deg2rad(cell.angle_deg),
+            incidence=np.deg2rad(cell.incidence_deg),
             reflectance=cell.reflectance,
             time=start + self.interval_s * np.arange(self.pings),
         )
@@ -96,6 +106,15 @@ PLANS = {
         distances_mm=tuple(float(d) for d in range(200, 3001, 200)),
         pings=30,
         interval_s=0.1,
+    ),
+    # 6,912 conditions, 55,296 pings: reflectors turned apart from their bearing, as walls and boxes stand to a robot
+    "turned": Plan(
+        angles_deg=(0.0, 6.0, 12.0, 18.0, 24.0, 30.0),
+        distances_mm=(*(float(d) for d in range(30, 300, 45)), *(float(round(300 * 1.109**k)) for k in range(30))),
+        reflectances=(0.1, 0.4, 0.7, 1.0),
+        pings=8,
+        interval_s=0.1,
+        incidences_deg=(0.0, 2.0, 5.0, 10.0, 17.0, 28.0, 45.0, 65.0),
     ),
     # Esmi (2016), sections 3.2 and 4.1: 133,100 pings. Its table 4.1 has the mirror at 30 degrees and 3900 mm read 3950
     # to 3970 mm in 88 % of pings; parallel to the sensor's face it would mirror at 3377 mm or not at all, so it faced

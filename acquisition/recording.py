@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,6 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from acquisition.errors import RecordingError, RecordingNotFoundError
+from acquisition.files import write_atomic
 from acquisition.ping import EchoStatus, Ping, Reading, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
@@ -250,19 +250,7 @@ class Recording:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as CSV, atomically: the file is there whole or not at all."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        try:
-            with os.fdopen(handle, "w", newline="") as file:
-                self.table.to_csv(file, index=False, float_format="%.10g")
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        finally:
-            Path(temporary).unlink(missing_ok=True)
-        return path
+        return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
 
 
 def _is_complete_number(column: pd.Series) -> bool:

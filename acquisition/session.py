@@ -73,7 +73,7 @@ class Session:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             return 0, 0
         if not self.resume:
-            raise RecordingError(f"{self.path}: is there already; resume it, or give another file")
+            raise RecordingError(f"{self.path}: is there already; go on with it (--resume) or give another file")
         whole, done = _whole_cells(self.path.read_bytes(), self.plan.pings)
         table = pd.read_csv(io.BytesIO(whole), dtype={"session": str}) if done else None
         if table is not None:
@@ -89,7 +89,7 @@ class Session:
             raise RecordingError(
                 f"{self.path}: holds {deepest} echoes a ping, this session {self.echoes}; give the same number"
             )
-        there = table[["distance_mm", "angle_deg", "reflectance"]].to_numpy(dtype=np.float64)
+        there = table[["distance_mm", "angle_deg", "reflectance", "incidence_deg"]].to_numpy(dtype=np.float64)
         due = np.repeat([astuple(cell) for cell in self.plan.cells], self.plan.pings, axis=0)[: len(there)]
         same = np.isclose(there[: len(due)], due, rtol=0.0, atol=1e-5).all(axis=1)
         if len(due) < len(there) or not same.all():

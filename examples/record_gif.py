@@ -12,12 +12,12 @@ from sonar_gym import ParkingDriver, run_episode
 
 def main(path: str = "parking.gif", sonar: str = "gaussian", seed: int = 3, every: int = 2) -> None:
     env = gymnasium.make("SonarParking-v0", sonar=sonar, render_mode="rgb_array")
-    episode = run_episode(env, ParkingDriver(), seed=seed)
+    episode = run_episode(env, ParkingDriver(), seed=seed, every=every)
     env.close()
     temporary = Path(path).with_suffix(".part.gif")
-    iio.imwrite(temporary, episode.frames[::every], duration=100 * every, loop=0)
+    iio.imwrite(temporary, episode.frames, duration=100 * every, loop=0)
     os.replace(temporary, path)
-    print(f"{path}: {len(episode.frames[::every])} pictures, parked: {episode.success}")
+    print(f"{path}: {len(episode.frames)} pictures, parked: {episode.success}")
 
 
 if __name__ == "__main__":

@@ -194,8 +194,11 @@ class PhysicalModel:
         unknown = [name for name in effects if name not in CATALOGUE]
         if unknown:
             raise ModelError(f"model: effect {unknown[0]!r} is not in the catalogue: {', '.join(CATALOGUE)}")
-        stack = [CATALOGUE[name](**values) for name, values in effects.items()]
-        return cls(stack, float(str(data["resolution"])), float(str(data["max_range"])))
+        try:
+            stack = [CATALOGUE[name](**values) for name, values in effects.items()]
+            return cls(stack, float(str(data["resolution"])), float(str(data["max_range"])))
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"model: cannot be built from its parameters ({error}); it may be damaged") from None
 
     def __repr__(self) -> str:
         return f"PhysicalModel([{', '.join(map(repr, self.effects))}], resolution={self.resolution:g})"

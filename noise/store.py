@@ -75,10 +75,10 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
     """
     folder = Path(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=folder.name))
     if hasattr(model, "write_weights"):
         model.write_weights(temporary)
-    text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
     (temporary / "model.json").write_text(text + "\n", encoding="utf-8")
     temporary.chmod(0o755)
     if folder.exists():

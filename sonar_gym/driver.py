@@ -290,26 +290,26 @@ class Episode:
     truths: Floats = field(repr=False)
 
 
-def run_episode(env: gymnasium.Env, driver: Driver, seed: int | None = None, pictures: bool = True) -> Episode:
+def run_episode(env: gymnasium.Env, driver: Driver, seed: int | None = None, every: int = 1) -> Episode:
     """Drive one episode of SonarParking-v0.
 
     Args:
         env: made by `gymnasium.make`; with `render_mode="rgb_array"` the pictures are kept.
         driver: that acts on observations.
         seed: of the street and of the sonars.
-        pictures: whether to draw where the environment can.
+        every: draw at every so many steps, and at the end; 0 for no pictures.
     """
-    draw = pictures and env.render_mode == "rgb_array"
+    every = every if env.render_mode == "rgb_array" else 0
     driver.reset()
     observation, info = env.reset(seed=seed)
     seen, truths, score, done = [observation], [info["distance"]], 0.0, False
-    frames = [_picture(env)] if draw else []
+    frames = [_picture(env)] if every else []
     while not done:
         observation, reward, terminated, truncated, info = env.step(driver.act(observation))
         seen.append(observation)
         truths.append(info["distance"])
         score, done = score + float(reward), terminated or truncated
-        if draw:
+        if every and (done or (len(seen) - 1) % every == 0):
             frames.append(_picture(env))
     return Episode(
         bool(info["is_success"]),

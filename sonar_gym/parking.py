@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -145,10 +147,12 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self.reward_weights: RewardWeights = _settings(RewardWeights, reward)
         self.max_range = MAX_RANGE
         self.sonar = Sonar(sonar, len(self.mounts), MAX_RANGE)
-        self.sonar_name = sonar if isinstance(sonar, str) else type(self.sonar.model).__name__
+        named = isinstance(sonar, (str, os.PathLike))
+        self.sonar_name = Path(str(sonar)).name if named else type(self.sonar.model).__name__
         self._poses, self._half = mount_arrays(self.mounts)
         self._sonar_seeded = False
         self._renderer: Any = None
+        self.steps = -1  # no episode yet
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         ego = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self.observation_space = spaces.Dict({**sonar_spaces(len(self.mounts)), "ego": ego})
@@ -178,6 +182,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 0.1 s towards the wanted steering and speed, then listen."""
+        self._check_begun("step")
         steering, speed = self._checked(action)
         self.car, hit = self.car.drive(steering, speed, self.street.scene.segments, STEP_S)
         self.steps += 1
@@ -195,6 +200,10 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         if seed is not None or not self._sonar_seeded:
             self.sonar.seed(self.np_random_seed if seed is None else seed)
             self._sonar_seeded = True
+
+    def _check_begun(self, call: str) -> None:
+        if self.steps < 0:
+            raise gymnasium.error.ResetNeeded(f"SonarParking-v0: {call}() before the first reset(); call reset() first")
 
     def _checked(self, action: ArrayLike) -> tuple[float, float]:
         value = np.asarray(action, dtype=np.float64)
@@ -273,6 +282,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs a render_mode: gymnasium.make(..., render_mode='rgb_array')")
             return None
+        self._check_begun("render")
         if self._renderer is None:
             from sonar_gym.rendering import Renderer  # pygame is imported when it is first drawn
 

@@ -209,14 +209,18 @@ def _readings(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
     poses, _ = mount_arrays(env.mounts)
     poses, heard, hits = in_world(poses, env.car.pose), env.heard, env.hits
     for i, pose in enumerate(poses):
-        if hits.seen[i]:
-            brush.disc(camera.place(hits.point[i]), 4.0, paint.INK)
-            brush.disc(camera.place(hits.point[i]), 2.8, paint.TRUTH)
-        if heard.reading.echo[i]:
-            along = pose[2] + hits.bearing[i]
-            said = pose[:2] + heard.reading.range[i] * np.array([np.cos(along), np.sin(along)])
-            brush.ring(camera.place(said), 7.5, paint.INK, 3.5)
-            brush.ring(camera.place(said), 7.0, paint.credence_colour(heard.credence[i]), 2.5)
+        along = pose[2] + hits.bearing[i]
+        said = camera.place(pose[:2] + heard.reading.range[i] * np.array([np.cos(along), np.sin(along)]))
+        true, colour = camera.place(hits.point[i]), paint.credence_colour(heard.credence[i])
+        echo, seen = bool(heard.reading.echo[i]), bool(hits.seen[i])
+        if echo and seen:
+            brush.line([said, true], colour, 1.0)  # the error
+        if seen:
+            brush.disc(true, 4.0, paint.INK)
+            brush.disc(true, 2.8, paint.TRUTH)
+        if echo:
+            brush.ring(said, 7.5, paint.INK, 3.5)
+            brush.ring(said, 7.0, colour, 2.5)
 
 
 # ---- words and numbers -----------------------------------------------------------------------------------------------
@@ -308,3 +312,5 @@ def _legend(brush: Brush, top: float) -> None:
     brush.panel(x, top + 100, 8, 14, paint.DARK_BOX)
     brush.panel(x + 8, top + 100, 8, 14, paint.LIGHT_BOX)
     brush.text("boxes by reflectance", (x + 24, top + 107), 14)
+    brush.polygon([(x + 182, top + 114), (x + 176, top + 101), (x + 188, top + 101)], paint.FAINT)
+    brush.text("no echo", (x + 196, top + 107), 14)

@@ -10,6 +10,12 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "shared"))
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--hardware", type=int, metavar="BUS", help="also test the SRF08 on /dev/i2c-BUS, a wall before it"
+    )
+
+
 @pytest.fixture(scope="session")
 def real_recordings() -> Path:
     """Folder of real recordings, which are not part of the project."""

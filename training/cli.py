@@ -20,6 +20,7 @@ COMMANDS = {
     "import": ("training.foreign", "turn a log of another program into a recording"),
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
+    "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from acquisition import Recording, SettingError
+from acquisition.files import write_text
 from noise.discrepancy import Diagnosis, diagnose
 from noise.discrepancy.search import Progress as Tell
 from noise.store import load_model, save_model
@@ -41,6 +40,11 @@ class Args:
 
 def main(args: Args) -> None:
     """Diagnose, write the folder, print the verdict."""
+    print("\n".join(summary(examine(args), args.out)))
+
+
+def examine(args: Args) -> Diagnosis:
+    """Diagnose and write the folder."""
     recorded = Recording.load(args.recorded)
     simulated = None if args.simulated is None else Recording.load(args.simulated)
     model = load_model(args.model)
@@ -52,7 +56,7 @@ def main(args: Args) -> None:
     write_text(args.out / "verdict.json", json.dumps(diagnosis.to_verdict(), indent=1, allow_nan=False) + "\n")
     write_text(args.out / "report.html", page)
     save_model(diagnosis.corrected, args.out / "corrected")
-    print("\n".join(summary(diagnosis, args.out)))
+    return diagnosis
 
 
 def _check_out(out: Path) -> None:
@@ -78,15 +82,6 @@ def _told() -> Iterator[Tell]:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda message, share: bar.update(task, completed=share, description=message)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.chmod(temporary, 0o644)
-    os.replace(temporary, path)
 
 
 def summary(diagnosis: Diagnosis, out: Path) -> list[str]:

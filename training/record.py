@@ -20,6 +20,7 @@ from acquisition.session import Session
 from acquisition.sources import DriverSource, RigSource, Source
 
 OPERATOR = Console(stderr=True)
+Arrange = Callable[[Cell], None]
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,9 @@ class Args:
     """Recording to write; each condition is on disk as soon as it is measured."""
     driver: Literal["rig", "twin", "srf08"] = "rig"
     """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. srf08: a real one on I2C."""
-    plan: Literal["quick", "thesis"] = "quick"
-    """quick: 3,600 pings on 120 conditions. thesis: 133,100 pings on 2,662 conditions."""
+    plan: Literal["quick", "turned", "thesis"] = "quick"
+    """quick: 3,600 pings on 120 conditions. turned: 55,296 on 6,912, reflectors turned apart from their bearing.
+    thesis: 133,100 pings on 2,662 conditions."""
     resume: bool = False
     """Go on with a recording that was interrupted; plan, seed and settings must be those it was begun with."""
     seed: int = 0
@@ -69,10 +71,11 @@ class Args:
 def main(args: Args) -> None:
     """Record, show how far it is, and say what came of it."""
     plan = plan_of(args)
-    session = Session(plan, SOURCES[args.driver](args), args.out, args.resume, args.echoes)
     with _bar() as bar:
-        task = bar.add_task(args.out.name, total=len(plan) * plan.pings)
-        session.run(lambda done, total: bar.update(task, completed=done, total=total))
+        source = SOURCES[args.driver](args, lambda cell: _ask_operator(cell, bar))
+        session = Session(plan, source, args.out, args.resume, args.echoes)
+        task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
+        session.run(lambda done, total: bar.update(task, completed=done, total=total, visible=True))
     print(summary(Recording.load(args.out), args.out))
 
 
@@ -82,7 +85,8 @@ def plan_of(args: Args) -> Plan:
     pings = plan.pings if args.pings is None else args.pings
     facing = plan.facing if args.pose == "plan" else args.pose == "facing"
     interval_s = plan.interval_s if args.interval_s is None else args.interval_s
-    return replace(plan, pings=pings, interval_s=interval_s, facing=facing, seed=args.seed)
+    incidences = plan.incidences_deg if args.pose == "plan" else ()
+    return replace(plan, pings=pings, interval_s=interval_s, facing=facing, incidences_deg=incidences, seed=args.seed)
 
 
 def summary(recording: Recording, path: Path) -> str:
@@ -107,30 +111,35 @@ def _rig(args: Args) -> Rig:
     return Rig(Unit.draw(args.unit) if args.unit else Unit.nominal(), setup)
 
 
-def _rig_source(args: Args) -> Source:
+def _rig_source(args: Args, arrange: Arrange) -> Source:
     return RigSource(_rig(args), args.seed)
 
 
-def _twin_source(args: Args) -> Source:
+def _twin_source(args: Args, arrange: Arrange) -> Source:
     if args.resume:
         raise SettingError("--resume does not go with --driver twin, which forgets its state; record it anew")
     twin = Srf08Twin(_rig(args), np.random.default_rng([args.seed, args.unit]))
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
-    def arrange(cell: Cell) -> None:
-        twin.place(Ping.of(cell.distance_mm * 1e-3, np.deg2rad(cell.angle_deg), reflectance=cell.reflectance))
+    def place(cell: Cell) -> None:
+        bearing, incidence = np.deg2rad([cell.angle_deg, cell.incidence_deg])
+        twin.place(Ping.of(cell.distance_mm * 1e-3, bearing, incidence, cell.reflectance))
 
-    return DriverSource(sonar, arrange, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
+    return DriverSource(sonar, place, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
 
 
-def _srf08_source(args: Args) -> Source:
+def _srf08_source(args: Args, arrange: Arrange) -> Source:
     sonar = DRIVERS["srf08"].open(args.bus, address=args.address, **_registers(args))
     OPERATOR.print(f"{sonar} answers, revision {sonar.revision()}")
-    return DriverSource(sonar, _ask_operator, _columns(args))
+    return DriverSource(sonar, arrange, _columns(args))
 
 
 # how each kind of driver becomes something that a session measures with
-SOURCES: dict[str, Callable[[Args], Source]] = {"rig": _rig_source, "twin": _twin_source, "srf08": _srf08_source}
+SOURCES: dict[str, Callable[[Args, Arrange], Source]] = {
+    "rig": _rig_source,
+    "twin": _twin_source,
+    "srf08": _srf08_source,
+}
 
 
 def _registers(args: Args) -> dict[str, Any]:
@@ -146,8 +155,10 @@ def _columns(args: Args) -> dict[str, float]:
     }
 
 
-def _ask_operator(cell: Cell) -> None:
+def _ask_operator(cell: Cell, bar: Progress) -> None:
+    bar.stop()  # a bar that redraws itself would write over the question
     OPERATOR.input(f"Place the reflector at {cell}, then press Enter ")
+    bar.start()
 
 
 def _bar() -> Progress:

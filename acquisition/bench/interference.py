@@ -1,4 +1,4 @@
-"""Sound that is not the ping's own: another sonar that works nearby, and noise that comes and goes."""
+"""Sound that is not the ping's own: the ping before, another sonar nearby, and noise that comes and goes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ import numpy as np
 from acquisition.bench.air import Floats
 from acquisition.bench.transducer import FINE, OMEGA, PERIOD, Complexes
 from acquisition.errors import SettingError
+from acquisition.ping import Ping
+
+GHOST_S = 0.15  # pings further apart than this cannot hear each other: 25 m of air and back take 65 dB
 
 
 @dataclass(frozen=True)
@@ -67,3 +70,27 @@ class Ambient:
     share: float = 0.05
     dwell_s: float = 5.0
     factor: float = 3.0
+
+
+def intervals(ping: Ping) -> Floats:
+    """Return the time since the ping before in the same run, s, (n,); infinite where there is none."""
+    step = np.diff(ping.time, prepend=-np.inf)
+    same = np.diff(ping.run, prepend=ping.run[:1] - 1) == 0
+    return np.where(same & (step > 0.0), step, np.inf)
+
+
+def shifted(ghosts: list[Complexes | None], interval: Floats, samples: int) -> Complexes:
+    """Return what is left of earlier waveforms an interval later, (n, samples), or (1, samples) of nothing.
+
+    A part of a period turns the carrier and moves the pulse along its slope.
+    """
+    if all(ghost is None for ghost in ghosts):
+        return np.zeros((1, samples), dtype=np.complex128)
+    out = np.zeros((len(ghosts), samples), dtype=np.complex128)
+    for row, ghost, wait in zip(out, ghosts, interval, strict=True):
+        if ghost is not None:
+            start = round(wait / PERIOD)
+            rest = wait - start * PERIOD
+            part = ghost[start : start + samples + 1]
+            row[:] = np.exp(1j * OMEGA * rest) * (part[:-1] + rest / PERIOD * np.diff(part))
+    return out

@@ -10,52 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench.air import Drift, Floats, absorption_db, flutter, sound_speed
-from acquisition.bench.firmware import PER_UNIT, averaged, first_echoes, to_codes
-from acquisition.bench.interference import Ambient
+from acquisition.bench.firmware import averaged, first_echoes, to_codes
+from acquisition.bench.interference import GHOST_S, Ambient, intervals, shifted
 from acquisition.bench.receiver import Air, Sent, Waveform, crossings, loudness, voltages
-from acquisition.bench.scene import BOUNCE, FACE, GHOST, GROUPS, LEAK, POST, Arrivals, Pose, Scene
+from acquisition.bench.registers import Registers
+from acquisition.bench.scene import BOUNCE, FACE, GROUPS, LEAK, POST, Arrivals, Pose, Scene
 from acquisition.bench.setup import Setup
 from acquisition.bench.transducer import OMEGA, PERIOD, Complexes, Piston, pulse_phases
 from acquisition.bench.unit import DEG, Unit
 from acquisition.bench.wire import Link, faults, present
-from acquisition.ping import EchoStatus, Ping, Reading
+from acquisition.ping import Ping
 from acquisition.recording import Recording
 
-CM = 0.01
-INCH = 0.0254
-METRES = {"cm": CM, "inch": INCH, "us": PER_UNIT["us"] / PER_UNIT["cm"] * CM}
-GHOST_S = 0.15  # pings further apart than this cannot hear each other: 25 m of air take 65 dB
 BATCH = 256  # pings worked on at once: about 6 MB of waveforms
 VISIT_C = 0.4  # degC; pings of a visit whose air differs more get waveforms of their own
 # how far each group's way changes with the stand's swing, against the way to the reflector
 SWAYING = np.array([{FACE: 1.0, BOUNCE: 2.0, POST: 1.0}.get(group, 0.0) for group in range(len(GROUPS))])
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Registers:
-    """What n pings left in the registers.
-
-    Attributes:
-        code: echo registers 2..35 as whole numbers in the unit of output, 0 for none, (n, 17) uint16.
-        answered: whether the sensor answered at all, (n,).
-        temperature_c: of the air at each ping, degC, (n,); no register holds it, a thermometer would.
-        fault: what the wire did to each ping, (n,), a `Link` each.
-    """
-
-    code: NDArray[np.uint16]
-    answered: NDArray[np.bool_]
-    temperature_c: Floats
-    fault: NDArray[np.uint8]
-
-    def reading(self, setup: Setup) -> Reading:
-        """Return the registers as ranges, keeping as many further echoes as any ping has."""
-        code = np.where(self.answered[:, None], self.code, 0)
-        status = np.where(code[:, 0] > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO)
-        status = np.where(self.answered, status, EchoStatus.NO_ANSWER)
-        deepest = int((code > 0).sum(axis=1).max(initial=1))
-        ranges = code[:, :deepest] * METRES[setup.output]
-        return Reading.of(ranges[:, 0], status, ranges[:, 1:])
 
 
 @dataclass(frozen=True)
@@ -66,13 +37,19 @@ class Moment:
         temperature_c: of the air, degC, (n,).
         flutter: level and delay of each group, unit variance, (n, groups, 2).
         noise: factor on the receiver's noise, (n,).
-        first: the visit's first ping, which no echo of a ping before it disturbs, (n,).
+        interval: since the ping before it, s, (n,); infinite for the first of a run.
+        before: what faced the ping before the visit, and its air; None where it is too long ago to matter.
     """
 
     temperature_c: Floats
     flutter: Floats
     noise: Floats
-    first: NDArray[np.bool_]
+    interval: Floats
+    before: tuple[Ping, Air] | None
+
+    def after(self) -> NDArray[np.bool_]:
+        """Tell which pings begin while the one before may still be under way, (n,)."""
+        return self.interval < GHOST_S
 
 
 @dataclass(frozen=True)
@@ -108,14 +85,18 @@ class Rig:
         drift = self.draw_drift(rng) if drift is None else drift
         temperature = ping.covariates.get("temperature_c", self.setup.temperature_c) + drift(ping.time)
         noise = _loudness_of_noise(self.setup.ambient, ping, rng)
+        interval = intervals(ping)
         code = np.zeros((len(ping), 17), dtype=np.uint16)
+        before = None
         for start, stop in _visits(ping):
             placed = self.place(ping[start : start + 1], rng)
             moved = _flutter(self.setup, ping.time[start:stop], rng)
             for rows in _alike(temperature[start:stop], start):
-                moment = Moment(temperature[rows], moved[rows - start], noise[rows], rows == start)
+                first = before if rows[0] == start else None
+                moment = Moment(temperature[rows], moved[rows - start], noise[rows], interval[rows], first)
                 times = self._listen(placed, ping[rows], moment, rng) + self._cold(ping.time[rows])[:, None]
                 code[rows] = to_codes(times, self.unit, self.setup.output)
+            before = placed, self._air(float(temperature[stop - 1]), ping[stop - 1 : stop])
             if progress is not None:
                 progress(stop, len(ping))
         if self.unit.averaging > 1:
@@ -156,18 +137,42 @@ class Rig:
     def _listen(self, placed: Ping, ping: Ping, moment: Moment, rng: np.random.Generator) -> Floats:
         """Return the echo times of pings that share one placement and nearly one air, s, (n, 17)."""
         air = self._air(float(moment.temperature_c.mean()), ping)
-        groups, waves = self._waves(placed, ping, air)
-        length = np.array([wave.length for wave in waves])
+        found = self.scene(placed, air.speed).groups()
+        waves = [Waveform.of(self.unit, way, air, self._samples) for way in found.values()]
+        groups, length = np.array(list(found)), np.array([wave.length for wave in waves])
         speed = sound_speed(moment.temperature_c, self._humidity(ping))
         late = self._late(length, speed, air.speed, moment.flutter[:, groups, 1])
         late += 2.0 * self._sway(ping.time)[:, None] * SWAYING[groups] / air.speed
         level = self.setup.scintillation_db * (length / 6.0) ** (11.0 / 12.0) * moment.flutter[:, groups, 0]
         factor = (10.0 ** (level / 20.0)).astype(np.complex128)
         factor[:, groups == LEAK], late[:, groups == LEAK] = 1.0, 0.0
-        factor[np.ix_(moment.first, groups == GHOST)] = 0.0
-        sent = Sent(factor, late, moment.noise, self._others(ping.time, air, len(waves[0].signal)))
-        batches = [slice(k, k + BATCH) for k in range(0, len(ping), BATCH)]
-        return np.concatenate([self._hear(waves, sent[batch], rng) for batch in batches])
+        ghosts = self._ghosts(placed, air, moment)
+        out = []
+        for rows in (slice(k, k + BATCH) for k in range(0, len(ping), BATCH)):
+            other = self._neighbour(ping.time[rows], air) + shifted(ghosts[rows], moment.interval[rows], self._samples)
+            out.append(self._hear(waves, Sent(factor[rows], late[rows], moment.noise[rows], other), rng))
+        return np.concatenate(out)
+
+    @property
+    def _samples(self) -> int:
+        return int(np.ceil(self.setup.listening / PERIOD)) + 2
+
+    def _ghosts(self, placed: Ping, air: Air, moment: Moment) -> list[Complexes | None]:
+        """Return for each ping the waveform of the ping before it, where that may still be under way."""
+        after = moment.after()
+        if not after.any():
+            return [None] * len(after)
+        own = self._whole(placed, air)
+        ghosts = [own if is_after else None for is_after in after]
+        if moment.before is not None and after[0]:
+            ghosts[0] = self._whole(*moment.before)
+        return ghosts
+
+    def _whole(self, placed: Ping, air: Air) -> Complexes:
+        """Return the waveform of one ping for as long as it may disturb the next."""
+        groups = self.scene(placed, air.speed).groups()
+        ways = sum((way for name, way in groups.items() if name not in (LEAK, BOUNCE)), Arrivals.of())
+        return Waveform.of(self.unit, ways, air, self._samples + round(GHOST_S / PERIOD) + 2).signal
 
     def _cold(self, time: Floats) -> Floats:
         return self.unit.cold_s * np.exp(-time / self.unit.warm_up_tau_s)
@@ -180,16 +185,16 @@ class Rig:
     def _sway(self, time: Floats) -> Floats:
         return self.setup.sway_m * np.sin(2.0 * np.pi * time / self.setup.sway_period_s)
 
-    def _others(self, time: Floats, air: Air, samples: int) -> Complexes:
-        """Return what another sonar sends into the pings."""
+    def _neighbour(self, time: Floats, air: Air) -> Complexes:
+        """Return what another sonar sends into pings at given times, (n, samples), or (1, samples) of nothing."""
         other = self.setup.neighbour
         if other is None:
-            return np.zeros((1, samples), dtype=np.complex128)
+            return np.zeros((1, self._samples), dtype=np.complex128)
         beam = Piston(OMEGA * self.unit.radius / air.speed)(np.array(other.bearing_deg * DEG))
         loss_db = other.strength_db - air.absorption_db * other.path_m
         level = loudness(self.unit) * float(beam) * 10.0 ** (loss_db / 20.0) / other.path_m
         phases = pulse_phases(self.unit, round(air.temperature_c))
-        return other.waveforms(time, air.speed, level, phases, samples)
+        return other.waveforms(time, air.speed, level, phases, self._samples)
 
     def _hear(self, waves: list[Waveform], sent: Sent, rng: np.random.Generator) -> Floats:
         z, start = voltages(waves, sent, self.unit, self.setup, rng)
@@ -210,36 +215,9 @@ class Rig:
         pose = Pose(float(ping.distance[0]), float(ping.angle[0]), float(ping.incidence[0]), float(_lean(ping)[0]))
         return Scene(self.unit, self.setup, pose, float(ping.reflectance[0]), speed)
 
-    def _waves(self, placed: Ping, ping: Ping, air: Air) -> tuple[NDArray[np.int64], list[Waveform]]:
-        samples = int(np.ceil(self.setup.listening / PERIOD)) + 2
-        found = self.scene(placed, air.speed).groups()
-        ghost = _ghost(found, ping, air)
-        if len(ghost.length):
-            found[GHOST] = ghost
-        waves = {name: Waveform.of(self.unit, way, air, samples) for name, way in found.items()}
-        return np.array(list(waves)), list(waves.values())
-
 
 def _lean(ping: Ping) -> Floats:
     return ping.covariates.get("tilt_back", np.zeros(len(ping)))
-
-
-def _ghost(groups: dict[int, Arrivals], ping: Ping, air: Air) -> Arrivals:
-    """Return the echoes of the ping before, which are still under way when this one begins.
-
-    A waveform takes the air's share of the way after this ping began; the share before it is taken here.
-    """
-    if len(ping) < 2:
-        return Arrivals.of()
-    interval = float(np.median(np.diff(ping.time)))
-    if not 0.0 < interval < GHOST_S:
-        return Arrivals.of()
-    ways = [way for name, way in groups.items() if name not in (LEAK, BOUNCE)]
-    every = sum(ways, Arrivals.of())
-    before = 0.5 * interval * air.speed
-    late = every.length > before
-    share = 10.0 ** (-air.absorption_db * before / 10.0)
-    return Arrivals(every.length[late] - before, every.amplitude[late] * share)
 
 
 def _visits(ping: Ping) -> list[tuple[int, int]]:

@@ -21,8 +21,8 @@ from acquisition.bench.unit import Unit
 
 HOUSING = 0.043 * 0.020  # m^2, the sensor's own face, which sends an echo on its way again
 FACET = 2.5e-3  # m, under a third of the wavelength
-LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, CLUTTER, GHOST = range(9)
-GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "clutter", "ghost")
+LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, CLUTTER = range(8)
+GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "clutter")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ NACK = 121  # EREMOTEIO
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 GENERAL_CALL = 0
 READ_OUT = 1e-3  # s from the end of listening until the sensor answers again
+CONDITION = ("distance", "angle", "incidence", "reflectance", "time")
 OUTPUTS = {code: output for output, code in RANGING.items()}
 
 
@@ -72,7 +73,7 @@ class Srf08Twin:
     def __post_init__(self) -> None:
         """Power up with nothing in front."""
         self._drift = self.rig.draw_drift(self.rng)
-        self._before: float | None = None
+        self._before: Ping | None = None
         self._ready = 0.0
         self._unlocking: list[int] = []
         self._echoes = bytes(34)
@@ -146,11 +147,18 @@ class Srf08Twin:
         setup = replace(
             asked, output=OUTPUTS[command], placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, zero_m=0.0, pivot_m=0.0
         )
-        time = [now] if self._before is None else [self._before, now]
-        heard = Rig(self.rig.unit, setup).ping(self._again(time), self.rng, self._drift)
-        self._echoes = heard.code[-1].astype(">u2").tobytes()
-        self._before, self._ready = now, now + setup.listening + READ_OUT
+        this = replace(self._placed, time=np.array([now]))
+        pings = this if self._before is None else _joined(self._before, this)
+        self._echoes = Rig(self.rig.unit, setup).ping(pings, self.rng, self._drift).code[-1].astype(">u2").tobytes()
+        self._before, self._ready = this, now + setup.listening + READ_OUT
 
-    def _again(self, time: list[float]) -> Ping:
-        placed = self._placed
-        return replace(placed[np.zeros(len(time), dtype=np.int64)], time=np.array(time))
+
+def _joined(first: Ping, second: Ping) -> Ping:
+    """Return two single pings as one run."""
+    both = {name: np.append(getattr(first, name), getattr(second, name)) for name in CONDITION}
+    logged = {
+        name: np.append(first.covariates[name], second.covariates[name])
+        for name in first.covariates
+        if name in second.covariates
+    }
+    return Ping.of(**both, **logged)

@@ -108,18 +108,31 @@ def test_no_echo_is_an_answer():
     assert (record.reading.status == EchoStatus.NO_ECHO).all()
 
 
-def test_echo_of_the_ping_before_is_heard_at_short_intervals():
-    """A wall at 9 m and pings each 48 ms: its echo comes 4.4 ms into the next ping and moves with the interval."""
-    unit = replace(Unit.nominal(), sensitivity_db=40.0, noise=0.01, leak_db=-300.0)
-    setup = replace(HALL, range_register=100, reflector=None)
-    setup = replace(setup, room=Room(None, None, 9.0))
-    where = {}
-    for interval in (48e-3, 49e-3, 2.4):
-        ping = Ping.of(distance=3.0, reflectance=0.0, time=np.arange(20) * interval)
-        where[interval] = np.median(heard(unit, setup, ping).code[1:, 0])
-    assert where[48e-3] == pytest.approx(18.0 / 343.36 * 1e6 - 48e3, abs=100)
-    assert where[48e-3] - where[49e-3] == pytest.approx(1000.0, abs=26)
-    assert where[2.4] == 0
+ECHOING = replace(Unit.nominal(), sensitivity_db=40.0, noise=0.01, leak_db=-300.0)
+BACK_WALL = replace(HALL, range_register=100, reflector=None, room=Room(None, None, 9.0))
+
+
+def test_echo_of_the_ping_before_comes_one_interval_earlier():
+    """A wall at 9 m: its echo is 52.4 ms after the ping, so 52.4 ms less the interval after the next one."""
+    interval = np.array([2.4, 0.048, 0.049, 0.0473, 2.4, 0.048])
+    ping = Ping.of(distance=3.0, reflectance=0.0, time=np.cumsum(interval))
+    code = heard(ECHOING, BACK_WALL, ping).code[:, 0].astype(float)
+    assert code[[0, 4]].tolist() == [0, 0]
+    after = code[[1, 2, 3, 5]]
+    walk = after + interval[[1, 2, 3, 5]] * 1e6 - 18.0 / 343.36 * 1e6
+    assert walk == pytest.approx(walk[0], abs=3.0)
+    assert 0.0 < walk[0] + 60.0 < 100.0
+
+
+def test_echo_of_the_ping_before_is_of_what_that_ping_faced():
+    """The sonar moves between two pings: the ghost is of the first reflector, at its own range."""
+    setup, unit = replace(HALL, range_register=60), replace(ECHOING, sensitivity_db=14.0)
+    ping = Ping.of(distance=[7.6, 0.5], time=[0.0, 0.035])
+    late = heard(unit, setup, ping).code[1] - (15.2 / 343.36 * 1e6 - 35e3)
+    assert np.any((late > 0.0) & (late < 200.0))
+    alone = heard(unit, setup, ping[1:]).code[0]
+    assert alone[0] > 0
+    assert alone.max() < 9000
 
 
 def test_wire_faults_are_told_apart_from_silence():

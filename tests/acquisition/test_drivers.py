@@ -7,7 +7,7 @@ import pytest
 from smbus2 import i2c_msg
 
 from acquisition import DeviceError, NoAnswerError, Ping, SettingError
-from acquisition.bench import Rig, Setup, Unit
+from acquisition.bench import Rig, Room, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf08
 from acquisition.drivers.twins import BadWire, Srf08Twin
 
@@ -219,3 +219,19 @@ def test_twin_speaks_i2c_messages():
     answer = i2c_msg.read(0x70, 4)
     twin.i2c_rdwr(i2c_msg.write(0x70, [0]), answer)
     assert list(answer)[:2] == [10, Unit.nominal().light]
+
+
+def test_twin_still_hears_the_ping_before():
+    """Fired again after 32 ms, a twin before a far wall reads it near; after 2 s it does not."""
+    unit = replace(Unit.nominal(), sensitivity_db=25.0, leak_db=-300.0, noise=0.01)
+    setup = replace(QUIET, room=Room(None, None, 8.0))
+    twin = Srf08Twin(Rig(unit, setup), np.random.default_rng(0))
+    sonar = Srf08(twin, gain=31, range_register=120, sleep=twin.clock.sleep, clock=twin.clock)
+    began = twin.clock()
+    assert sonar.ping().ranges == ()
+    again = sonar.ping().ranges
+    interval = 0.032  # listening and reading out
+    assert twin.clock() - began == pytest.approx(2 * interval, abs=0.004)
+    assert again[0] == pytest.approx(8.0 - 0.5 * 343.36 * interval, abs=0.15)
+    twin.clock.sleep(2.0)
+    assert sonar.ping().ranges == ()

@@ -110,7 +110,7 @@ def test_nothing_is_overwritten_unasked(tmp_path):
     source, path = RigSource(RIG), tmp_path / "r.csv"
     Session(SMALL, source, path).run()
     before = path.read_bytes()
-    with pytest.raises(RecordingError, match="is there already; resume it, or give another file"):
+    with pytest.raises(RecordingError, match=r"is there already; go on with it \(--resume\) or give another file"):
         Session(SMALL, source, path).run()
     assert path.read_bytes() == before
 
@@ -205,3 +205,13 @@ def test_recording_needs_none_of_the_heavy_packages():
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_turned_plan_turns_reflectors_apart_from_their_bearing():
+    plan = PLANS["turned"]
+    assert len(plan) == 6912
+    assert len(plan) * plan.pings == 55_296
+    angle, incidence = np.array([(cell.angle_deg, cell.incidence_deg) for cell in plan.cells]).T
+    assert abs(np.corrcoef(angle, incidence)[0, 1]) < 1e-9
+    ping = plan.ping(7)
+    np.testing.assert_allclose(np.degrees(ping.incidence), plan.cell(7).incidence_deg)

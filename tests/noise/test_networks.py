@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import ModelError, Ping, Reading, SettingError
-from noise import load_model, save_model
+from noise import load_model, model_names, save_model
 from noise.networks import WEIGHTS_FILE, Head, Inputs, MlpModel
+from noise.store import WEIGHTS
 
 REACH, STEP = 4.0, 0.01
 
@@ -184,3 +185,18 @@ def test_a_head_that_is_no_mixture_is_refused():
         Head(0, 1, 0.01, 6.0)
     with pytest.raises(SettingError, match=r"no_answer must lie in \[0, 1\), got 1"):
         Head(1, 1, 0.01, 6.0, 1.0)
+
+
+def test_the_shipped_network_is_small_told_in_full_and_knows_its_physics():
+    model = load_model("srf08-mlp")
+    folder = WEIGHTS / "srf08-mlp"
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 300_000
+    assert "srf08-mlp" in model_names()
+    for word in ("sonar-gym record", "sonar-gym train-noise", "--seed 0", "Simulated by the waveform rig", "Limits"):
+        assert word in model.card
+    facing = model.law(Ping.of(distance=[0.5, 1.0, 2.0], angle=0.0, incidence=0.0, reflectance=0.9))
+    assert np.all(facing.credence() > 0.95)
+    # a 200 mm disc is lost when its perpendicular misses the sensor, beyond 1.0 deg at 6 m and 5.7 deg at 1 m
+    turned = model.law(Ping.of(distance=[3.0, 4.0, 5.0], angle=0.0, incidence=np.radians(30), reflectance=0.9))
+    assert np.all(turned.echo < 0.05)
+    assert np.all(model.law(Ping.of(distance=[1.0, 6.5], reflectance=0.9)).extrapolated == [False, True])

@@ -97,7 +97,7 @@ def test_driver_parks(sonar):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sonar", ["ideal", "gaussian"])
+@pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
 def test_driver_parks_in_nine_streets_of_ten(sonar):
     assert rate(sonar, range(100)) >= 0.9
 
@@ -128,7 +128,27 @@ def test_episode_tells_readings_and_truths_of_every_step():
     assert np.abs(episode.readings - episode.truths)[heard].max() < 0.001
     assert episode.frames[0].dtype == np.uint8
     assert not episode.success
-    assert run_episode(env, ParkingDriver(), seed=0, pictures=False).frames == []
+    assert run_episode(env, ParkingDriver(), seed=0, every=0).frames == []
+    assert len(run_episode(env, ParkingDriver(), seed=0, every=2).frames) == 3  # at the start, at two, at the end
+
+
+def test_reward_prefers_parking_to_idling_and_to_chance():
+    class Idle(ParkingDriver):
+        def act(self, observation):
+            return np.zeros(2, dtype=np.float32)
+
+    class Chance(ParkingDriver):
+        rng = np.random.default_rng(0)
+
+        def act(self, observation):
+            return self.rng.uniform(-1.0, 1.0, 2).astype(np.float32)
+
+    env = gymnasium.make("SonarParking-v0")
+    scores = [[run_episode(env, driver(), seed).score for seed in range(5)] for driver in (ParkingDriver, Idle, Chance)]
+    parked, idle, chance = np.array(scores)
+    assert parked.min() > 10.0  # ten for parking, and the way there is worth more than its time
+    assert np.allclose(idle, -0.01 * 400)
+    assert parked.min() > max(idle.max(), chance.max()) + 5.0
 
 
 def test_layout_without_a_needed_sonar_is_refused():

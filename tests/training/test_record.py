@@ -29,6 +29,11 @@ def test_same_seed_same_file_and_resuming_a_whole_one_changes_nothing(tmp_path, 
         main(["record", "--out", str(path), "--seed", "1", *FEW])
     first = paths[0].read_bytes()
     assert first == paths[1].read_bytes()
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        main(["record", "--out", str(paths[0]), "--seed", "1", *FEW])
+    error = capsys.readouterr().err.strip()
+    assert error.endswith("a.csv: is there already; go on with it (--resume) or give another file")
     main(["record", "--out", str(paths[0]), "--seed", "1", "--resume", *FEW])
     assert paths[0].read_bytes() == first
 

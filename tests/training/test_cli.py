@@ -1,0 +1,60 @@
+"""The console command as a user meets it: a process, its output, its exit code."""
+
+import subprocess
+import sys
+
+import pytest
+
+from training.cli import COMMANDS, main
+
+
+def sonar_gym(*args):
+    return subprocess.run([sys.executable, "-m", "training.cli", *map(str, args)], capture_output=True, text=True)
+
+
+def test_help_names_every_command(capsys):
+    main(["--help"])
+    text = capsys.readouterr().out
+    assert all(f"  {name} " in text for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_its_options(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    assert "options" in capsys.readouterr().out
+
+
+def test_an_unknown_command_is_one_line_and_exit_code_2():
+    done = sonar_gym("diagnos")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "'diagnos' is no command; there are" in done.stderr
+
+
+def test_a_missing_file_is_one_line_and_exit_code_2(tmp_path):
+    done = sonar_gym("import", tmp_path / "no.csv", "--out", tmp_path / "r.csv", "--columns", "distance_mm=d:m")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "no.csv: no such file" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_real_log_is_imported(real_recordings, tmp_path):
+    out = tmp_path / "calibration.csv"
+    columns = ["distance_mm=true_cm:cm", "reading_mm=measured_cm:cm", "session=source_file", "temperature_c=temp1_c"]
+    source = real_recordings / "hcsr04-calibration" / "readings.csv"
+    done = sonar_gym("import", source, "--out", out, "--columns", *columns, "--constants", "angle_deg=0")
+    assert done.returncode == 0, done.stderr
+    assert "3150 pings in 45 conditions and 20 runs" in done.stdout
+    assert out.is_file()
+
+
+def test_recording_needs_no_learning_library():
+    code = (
+        "import sys, training.cli, training.record; print(sorted({'torch', 'gymnasium', 'scipy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
