@@ -296,6 +296,15 @@ def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     return stack.put(list(start), np.minimum(list(start.values()), 0.19))
 
 
+def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
+    """Return starts for cells that share little, for cells that repeat themselves, and what the stack says already."""
+    loose = nuisance_start(stack, batch)
+    tight = {(JITTER, "sigma_m"): 0.5 * loose.get((JITTER, "sigma_m")), (CELLS, "sharing"): 1.5, (CELLS, "carry"): 0.5}
+    tight[(CELLS, "kernel_m")] = max(0.001, batch.resolution / 3.0)
+    present = [stack] if CELLS in stack.values else []
+    return [loose, loose.put(list(tight), list(tight.values())), *present]
+
+
 def fit(
     model: PhysicalModel,
     recording: Recording,

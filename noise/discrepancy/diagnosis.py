@@ -20,7 +20,18 @@ from noise.discrepancy.search import Crossed, Progress, Search, spread_over_bloc
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
 from noise.empirical import EmpiricalModel
-from noise.fit import CELLS, JITTER, NUISANCES, Fit, Stack, covariance, log_likelihood, maximise, nuisance_start
+from noise.fit import (
+    CELLS,
+    JITTER,
+    NUISANCES,
+    Fit,
+    Stack,
+    best_of,
+    covariance,
+    log_likelihood,
+    maximise,
+    nuisance_starts,
+)
 from noise.law import Floats
 from noise.model import SonarModel
 
@@ -121,9 +132,11 @@ def diagnose(
 
 def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[Search, Fit]:
     """Return the search, its base fitted in nuisances alone."""
-    start = nuisance_start(base.stack, split.discover)
-    fitted = maximise(start, NUISANCES, split.discover.thin(4000), 80)
-    return Search(fitted.stack, split.discover, split.confirm, split.both, seed, progress=tell), fitted
+    batch = split.discover.thin(4000)
+    fitted = best_of(nuisance_starts(base.stack, batch), NUISANCES, batch, 80)
+    return Search(
+        fitted.stack, split.discover, split.confirm, split.both, seed, base.rules(split.both.blocks), tell
+    ), fitted
 
 
 def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Fit:

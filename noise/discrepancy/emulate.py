@@ -16,11 +16,11 @@ from acquisition import Ping, Recording
 from noise.cells import Batch
 from noise.discrepancy.locate import residuals, scan
 from noise.discrepancy.rest import scan_p
-from noise.discrepancy.search import Attempt, Crossed, Search, spread_over_blocks
+from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.empirical import Flexible
-from noise.fit import CELLS, NUISANCES, SPREAD, Key, Stack, maximise, nuisance_start
+from noise.fit import CELLS, NUISANCES, Key, Stack, maximise, nuisance_starts
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
@@ -60,6 +60,17 @@ class Baseline:
     raw: SonarModel
     check: BaselineCheck
     own: Split | None = None
+
+    def rules(self, blocks: int) -> Rules:
+        """Return when to believe: an emulator errs too, by as much as its own readings are few.
+
+        Twice the log likelihood ratio of what is the same in both grows by 1 + (blocks recorded / blocks simulated).
+        """
+        plain = Rules()
+        if self.own is None:
+            return plain
+        factor = 1.0 + blocks / max(self.own.both.blocks, 1)
+        return replace(plain, least_nats=factor * plain.least_nats, least_t=float(np.sqrt(factor)) * plain.least_t)
 
     def misfit(self, seed: int) -> Floats | None:
         """Return by aspect how far the law is from the simulation itself; None for a model that is used as it is."""
@@ -124,9 +135,9 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     """Return an emulator of a simulation, checked on cells it was not fitted to."""
     split = Split.of(Batch.of(simulated), np.random.default_rng([seed, 6]))
     both = split.both.thin(EMULATOR_PINGS)
-    start = nuisance_start(Stack.of(PhysicalModel((), simulated.resolution)), both)
-    starts = [start.put(list(usual), list(usual.values())) for usual in (PLAIN, {**PLAIN, **WEAKENED})]
-    best = max((maximise(s, (*_own(s), *SPREAD), both, 40) for s in starts), key=lambda fit: fit.nats)
+    bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
+    starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in (PLAIN, {**PLAIN, **WEAKENED})]
+    best = max((maximise(s, (*_own(s), *NUISANCES), both, 40) for s in starts), key=lambda fit: fit.nats)
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
     fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
     smooth = smooth.put(fine, [0.0] * len(fine))

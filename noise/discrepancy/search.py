@@ -257,7 +257,17 @@ class Search:
                 break
             chosen, current = [*chosen, found[0]], found[1]
             chosen, current = self.prune(chosen, current)
-        return chosen, base, current
+        return chosen, base, self.refreshed(chosen, current)
+
+    def refreshed(self, chosen: Sequence[str], current: Crossed) -> Crossed:
+        """Fit each early effect afresh, now that what it had to stand in for is explained otherwise."""
+        for name in chosen[:-1]:
+            others = [other for other in chosen if other != name]
+            start = self.points(self.reset(current.first.stack, name), name)
+            crossed = self.cross(self.climbed(start, others, name).stack, chosen)
+            if crossed.nats.sum() > current.nats.sum():
+                current = crossed
+        return current
 
     def needs_a_threshold(self) -> bool:
         """Tell whether echoes are missed although the model hears everything: then no loss of level can show."""
