@@ -24,6 +24,7 @@ from noise.fit import (
     CELLS,
     JITTER,
     NUISANCES,
+    SPREAD,
     Fit,
     Stack,
     best_of,
@@ -36,6 +37,7 @@ from noise.law import Floats
 from noise.model import SonarModel
 
 Z90 = 1.6449  # two-sided 90 % of a normal
+MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 LEAST_P = 1e-12  # no p-value of a model of the world means more
 ALARM = 0.01  # p-value of a scan below which something is there
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
@@ -71,6 +73,14 @@ class Diagnosis:
     def to_verdict(self) -> dict[str, Any]:
         """Return the content of verdict.json."""
         return self.verdict.to_dict()
+
+
+@dataclass(frozen=True)
+class Final:
+    """The explanation: its stack with nuisances for scoring, and the fit that its parameters and errors come from."""
+
+    stack: Stack
+    fit: Fit
 
 
 def diagnose(
@@ -118,7 +128,7 @@ def diagnose(
     tell("done", 1.0)
     return Diagnosis(
         replace(verdict, held_out=held, next_measurement=tuple(ahead)),
-        corrected_model(final.stack, recording),
+        corrected_model(final.fit.stack, recording),
         model,
         base.raw,
         corrected_model(fitted.stack, recording),
@@ -139,27 +149,38 @@ def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[S
     ), fitted
 
 
-def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Fit:
-    """Return the explanation fitted on discover and confirm together."""
+def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
+    """Return the explanation fitted on discover and confirm together.
+
+    Where cells repeat themselves, the urn answers for the repeats and the law for what is new, which strays are more
+    often: their share would come out too high. The parameters are then fitted without the urn, each reading counted,
+    and their errors are the blocks' (`covariance` is robust to what blocks share).
+    """
     free = (*search.keys(chosen), *NUISANCES)
-    return maximise(cross.first.stack, free, search.both, 80)
+    joint = maximise(cross.first.stack, free, search.both, 80)
+    if not chosen or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
+        return Final(joint.stack, joint)
+    alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
+    each = maximise(alone, (*search.keys(chosen), *SPREAD), search.both, 80)
+    cells = {**each.stack.values, CELLS: joint.stack.values[CELLS]}
+    return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, each)
 
 
 def _name(
-    search: Search, final: Fit, chosen: Sequence[str], cross: Crossed, seed: int
+    search: Search, final: Final, chosen: Sequence[str], cross: Crossed, seed: int
 ) -> tuple[list[Named], list[Rival]]:
     """Return every chosen effect with intervals, gain and rivals."""
     if not chosen:
         return [], []
-    spread = np.sqrt(np.diag(covariance(final, search.both)))
+    spread = np.sqrt(np.diag(covariance(final.fit, search.both)))
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
         gain, _ = search.contribution(chosen, cross, name)
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
-        effect = final.stack.known[name](**final.stack.values[name])
-        parameters = _intervals(final, name, spread)
+        effect = final.stack.known[name](**final.fit.stack.values[name])
+        parameters = _intervals(final.fit, name, spread)
         weight, error = posterior(own), spread_over_blocks(gain)
         named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, effect.statement()))
     return named, all_rivals

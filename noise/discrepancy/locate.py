@@ -24,6 +24,8 @@ ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "tim
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
 EXTRA = 1e-3  # share of echoes beyond which a reading counts as one of an extra mode
 SMALL = 0.01  # keeps the score of what hardly ever happens from outweighing everything else
+SHADOWS = ("spread", "skew")  # told of only where no bias is: it bends them wherever it changes
+LAST = 1e6
 MORE = 1.3  # how much greater than a simulation's own a misfit must be to count; ours
 FLIPS = 400
 LEAST_BLOCKS = 6
@@ -249,11 +251,14 @@ def locate(
     seen = residuals(stack, batch, rng)
     scanned = scan(seen, batch, rng).beyond(known)
     out: list[Finding] = []
-    for flat in np.argsort(-np.abs(scanned.statistic), axis=None, kind="stable"):
+    shadow = np.array([aspect in SHADOWS for aspect in ASPECTS])
+    for flat in np.argsort(np.where(shadow, LAST, 0.0) - np.abs(scanned.statistic), axis=None, kind="stable"):
         row, column = np.unravel_index(flat, scanned.statistic.shape)
         value = float(scanned.statistic[row, column])
         p = scanned.p_value(abs(value))
         if p > level or len(out) >= most:
+            if not shadow[column] and len(out) < most:
+                continue
             break
         aspect = _bias_or_scale(ASPECTS[column], scanned.where[row], seen, batch)
         finding = describe(aspect, scanned.where[row], seen, batch, p, value)
