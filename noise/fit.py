@@ -34,6 +34,7 @@ NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 TOLERANCE = 1e-7  # of the log likelihood, relative: about 0.002 nats in 20,000
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
+MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
 
 
@@ -217,6 +218,23 @@ def _climb(objective: _Objective, x0: Floats, iterations: int) -> tuple[Floats, 
         options={"maxiter": iterations, "ftol": TOLERANCE, "gtol": 1e-2, "maxcor": 12},
     )
     return np.clip(x0 + result.x * scale, low, high), float(result.fun), int(result.nit)
+
+
+def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
+    """Return a fit in which every reading counts, where cells repeat themselves; the given one where they do not.
+
+    The urn answers for what a cell repeats and leaves to the law what is new, which strays are more often: their share
+    would come out too high. Here the urn is off, and errors must be taken over blocks (`covariance` does).
+
+    Args:
+        joint: a fit with the urn.
+        keys: parameters to move besides the spread.
+        batch: it was fitted to.
+    """
+    if not keys or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
+        return joint
+    alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
+    return maximise(alone, (*keys, *SPREAD), batch, 80)
 
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:

@@ -24,11 +24,11 @@ from noise.fit import (
     CELLS,
     JITTER,
     NUISANCES,
-    SPREAD,
     Fit,
     Stack,
     best_of,
     covariance,
+    each_counted,
     log_likelihood,
     maximise,
     nuisance_starts,
@@ -37,7 +37,6 @@ from noise.law import Floats
 from noise.model import SonarModel
 
 Z90 = 1.6449  # two-sided 90 % of a normal
-MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 LEAST_P = 1e-12  # no p-value of a model of the world means more
 ALARM = 0.01  # p-value of a scan below which something is there
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
@@ -150,18 +149,12 @@ def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[S
 
 
 def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
-    """Return the explanation fitted on discover and confirm together.
-
-    Where cells repeat themselves, the urn answers for the repeats and the law for what is new, which strays are more
-    often: their share would come out too high. The parameters are then fitted without the urn, each reading counted,
-    and their errors are the blocks' (`covariance` is robust to what blocks share).
-    """
-    free = (*search.keys(chosen), *NUISANCES)
-    joint = maximise(cross.first.stack, free, search.both, 80)
-    if not chosen or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
+    """Return the explanation fitted on discover and confirm together."""
+    keys = search.keys(chosen)
+    joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80)
+    each = each_counted(joint, keys, search.both)
+    if each is joint:
         return Final(joint.stack, joint)
-    alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
-    each = maximise(alone, (*search.keys(chosen), *SPREAD), search.both, 80)
     cells = {**each.stack.values, CELLS: joint.stack.values[CELLS]}
     return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, each)
 

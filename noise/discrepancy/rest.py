@@ -10,7 +10,7 @@ from noise.cells import Batch
 from noise.discrepancy.locate import Finding, locate, residuals, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Rest
-from noise.fit import Stack
+from noise.fit import CELLS, Fit, Stack, each_counted
 from noise.law import Floats
 
 LEVEL = 0.01
@@ -37,7 +37,8 @@ def check_rest(
         rng: for randomised PIT values and flips.
         known: misfit by aspect that the simulation itself shows.
     """
-    pairs = ((cross.first.stack, search.confirm), (cross.second.stack, search.discover))
+    fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
+    pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, known) for stack, batch in pairs]
     p = min(1.0, 2.0 * min(p_values))
     if p >= LEVEL:
@@ -46,6 +47,12 @@ def check_rest(
     findings = tuple(locate(stack, batch, rng, most=3, known=known))
     words = "; ".join(in_words(finding) for finding in findings)
     return Rest(True, p, f"{words} (a description, not a cause)", findings)
+
+
+def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> Stack:
+    """Return the law of single readings, with what cells carry over from ping to ping."""
+    each = each_counted(fit, search.keys(chosen), batch).stack
+    return each.put([(CELLS, "carry")], [fit.stack.get((CELLS, "carry"))])
 
 
 def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, known: Floats | None = None) -> float:
