@@ -22,10 +22,10 @@ def rows(scores: dict[str, Evaluation]) -> list[tuple[str, ...]]:
     return [(k, str(s.log_likelihood), str(s.crps_mm), f"{s.credence_gap:.3f}") for k, s in scores.items()]
 
 
-def table(scores: dict[str, Evaluation]) -> Table:
+def table(scores: dict[str, Evaluation], unit: str) -> Table:
     """Return the scores as a table for the terminal."""
     first = next(iter(scores.values())).log_likelihood
-    out = Table(title=f"{first.pings} pings in {first.clusters} held-out conditions, standard errors over conditions")
+    out = Table(title=f"{first.pings} pings in {first.clusters} held-out {unit}, standard errors over these")
     for heading in HEADINGS:
         out.add_column(heading, justify="left" if heading == "model" else "right")
     for row in rows(scores):
@@ -51,14 +51,21 @@ def _finite(value: float) -> float | None:
 
 
 def card(
-    name: str, model: MlpModel, scores: dict[str, Evaluation], recording: Recording, commands: list[str], note: str = ""
+    name: str,
+    model: MlpModel,
+    scores: dict[str, Evaluation],
+    unit: str,
+    recording: Recording,
+    commands: list[str],
+    note: str = "",
 ) -> str:
     """Return the card of a model, in Markdown.
 
     Args:
         name: of the model.
         model: that was trained.
-        scores: on held-out conditions, by model.
+        scores: on what was held out, by model.
+        unit: what was held out whole: "conditions".
         recording: that it learned from.
         commands: that make it again, in order.
         note: on the data: what was in front of the sensor, where.
@@ -76,6 +83,7 @@ def card(
         step=f"{1e3 * model.resolution:g}",
         no_answer=f"{model.head.no_answer:.3g}",
         note=note,
+        unit=unit,
         commands="\n".join(f"    {line}" for line in commands),
         tested=tested.pings,
         tested_cells=tested.clusters,

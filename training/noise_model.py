@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +19,7 @@ from rich.progress import Progress
 from scipy.optimize import minimize
 
 from acquisition import Ping, Reading, Recording, SettingError
+from noise.cells import cells_of
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, GaussianModel, IdealModel, SonarModel
 from noise.networks import Head, Inputs, MlpModel
@@ -88,7 +90,8 @@ class Split:
         Raises:
             SettingError: too few cells, or shares that leave none to train on.
         """
-        cells = int(cell.max()) + 1
+        names, place = np.unique(cell, return_inverse=True)
+        cells = len(names)
         if cells < FEWEST_CELLS:
             raise SettingError(f"the recording holds {cells} conditions, training needs {FEWEST_CELLS}: record more")
         if not (0 < validation < 1 and 0 < test < 1 and validation + test < 0.9):
@@ -97,7 +100,7 @@ class Split:
         part = np.full(cells, 2)
         order = rng.permutation(cells)
         part[order[:n_test]], part[order[n_test : n_test + n_validation]] = 0, 1
-        return cls(part[cell] == 2, part[cell] == 1, part[cell] == 0)
+        return cls(part[place] == 2, part[place] == 1, part[place] == 0)
 
 
 def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: float) -> GaussianModel:
@@ -118,10 +121,11 @@ def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: flo
 
 @dataclass(frozen=True)
 class Trained:
-    """What training gave: the model, and the scores of it and of its rivals on held-out cells, by name."""
+    """What training gave: the model, the scores of it and of its rivals on what was held out, and what that was."""
 
     model: MlpModel
     scores: dict[str, Evaluation]
+    unit: str
 
 
 def train(
@@ -139,12 +143,13 @@ def train(
     """
     ping, reading = recording.ping, recording.reading
     inputs, head = Inputs.of(ping, _logged(recording, args.covariates)), _head(recording, args)
-    split = Split.by_cell(recording.cell, args.validation, args.test, np.random.default_rng(args.seed))
+    cell, unit = groups(recording)
+    split = Split.by_cell(cell, args.validation, args.test, np.random.default_rng(args.seed))
     answered = reading.answered
     rows = {name: getattr(split, name) & answered for name in ("train", "validation", "test")}
     if not (reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
         raise SettingError(f"{recording.name}: too few echoes or answers to train, validate and test on: record more")
-    with torch.random.fork_rng():
+    with torch.random.fork_rng(), _one_thread():
         torch.manual_seed(args.seed)
         network = Network(inputs, head, args.hidden, args.depth)
         parts = {name: Batch.of(inputs, head, ping[mask], reading[mask]) for name, mask in rows.items()}
@@ -156,8 +161,26 @@ def train(
     }
     model = network.to_model(inputs, {"epoch": epoch, "validation_log_likelihood": validation})
     t = rows["test"]
-    scores = {k: evaluate(m, ping[t], reading[t], recording.cell[t]) for k, m in {**rivals, "network": model}.items()}
-    return Trained(model, scores)
+    scores = {k: evaluate(m, ping[t], reading[t], cell[t]) for k, m in {**rivals, "network": model}.items()}
+    return Trained(model, scores, unit)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Keep torch to one thread: as fast for networks this small, and the same seed gives the same sums everywhere."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
+    """Return what is held out whole, (n,), and its name: conditions, or stretches of pings where none was met twice."""
+    if np.bincount(recording.cell).mean() < 2.0:
+        return cells_of(recording)[0], "stretches of a run"
+    return recording.cell, "conditions"
 
 
 def _logged(recording: Recording, covariates: tuple[str, ...]) -> tuple[str, ...]:
@@ -198,7 +221,7 @@ def main(args: Args) -> None:
         )
     model, commands = trained.model, [*args.made_by, command(args)]
     model.about |= {"commands": commands, "seed": args.seed, "scores": plain(trained.scores)}
-    model.card = card(args.out.name, model, trained.scores, recording, commands, args.note)
+    model.card = card(args.out.name, model, trained.scores, trained.unit, recording, commands, args.note)
     save_model(model, args.out)
-    console.print(table(trained.scores))
+    console.print(table(trained.scores, trained.unit))
     print(f"{args.out}: best after {model.about['epoch']} passes; load it with noise.load_model({str(args.out)!r})")

@@ -97,7 +97,7 @@ def test_driver_parks(sonar):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sonar", ["ideal", "gaussian"])
+@pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
 def test_driver_parks_in_nine_streets_of_ten(sonar):
     assert rate(sonar, range(100)) >= 0.9
 

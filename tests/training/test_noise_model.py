@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording, SettingError
+from acquisition.foreign import ColumnMap, import_table, parse_constants
 from noise import load_model, simulate
 from noise.effects import CATALOGUE
 from noise.metrics import evaluate
@@ -12,7 +13,7 @@ from noise.networks import Head, Inputs
 from noise.physical import PhysicalModel
 from training.cli import main
 from training.networks import Batch, Network
-from training.noise_model import Args, Split, train
+from training.noise_model import Args, Split, groups, train
 
 torch.set_num_threads(1)
 
@@ -83,6 +84,18 @@ def test_split_keeps_cells_whole_and_apart():
     assert [len(c) for c in cells] == [130, 30, 40]
 
 
+def test_a_robot_on_the_move_is_held_out_by_stretches_of_its_way():
+    ping = Ping.of(distance=np.linspace(0.5, 3.0, 1000))
+    moving = Recording.of(ping, simulate(true_model(), ping, np.random.default_rng(0)))
+    cell, unit = groups(moving)
+    assert unit == "stretches of a run"
+    assert np.all(np.diff(cell) >= 0), "neighbours stay together"
+    assert 20 <= np.bincount(cell).mean() <= 30
+    cell, unit = groups(recording(pings=5))
+    assert unit == "conditions"
+    assert len(np.unique(cell)) == 200
+
+
 def test_same_seed_same_weights(tmp_path):
     settings = Args(tmp_path / "rec.csv", tmp_path / "out", epochs=2, hidden=8)
     one, other = (train(recording(pings=3), settings).model for _ in range(2))
@@ -116,3 +129,14 @@ def test_too_few_conditions_are_refused_in_one_line(tmp_path, capsys):
 def test_an_unlogged_covariate_is_refused(tmp_path):
     with pytest.raises(SettingError, match="covariate 'humidity_pct' is not logged in every row"):
         train(recording(pings=3), Args(tmp_path, tmp_path, covariates=("humidity_pct",)))
+
+
+def test_on_a_real_sensor_it_beats_a_normal(real_recordings, tmp_path):
+    columns = ["distance_mm=true_cm:cm", "reading_mm=measured_cm:cm", "session=source_file:text"]
+    maps = [ColumnMap.parse(text) for text in columns]
+    table = real_recordings / "hcsr04-calibration" / "readings.csv"
+    real = import_table(table, maps, parse_constants(("angle_deg=0",)))
+    scores = train(real, Args(tmp_path / "rec.csv", tmp_path / "net", epochs=120, hidden=32)).scores
+    network, normal = scores["network"].log_likelihood, scores["Gaussian, fitted"].log_likelihood
+    assert network.mean - normal.mean > 2 * np.hypot(network.error, normal.error)
+    assert scores["network"].crps_mm.mean < 0.7 * scores["Gaussian, fitted"].crps_mm.mean
