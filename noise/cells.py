@@ -68,6 +68,7 @@ class Batch:
         block: the uninterrupted stay in one cell that a ping belongs to, ascending, (n,).
         cell: the cell of each ping, for splits, (n,).
         resolution: step of the register, m.
+        timed: whether the time of each ping was logged.
     """
 
     ping: Ping
@@ -76,6 +77,7 @@ class Batch:
     block: NDArray[np.int64]
     cell: NDArray[np.int64]
     resolution: float
+    timed: bool = True
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -93,7 +95,7 @@ class Batch:
         past = previous(recording.reading, recording.run)
         ping, reading = recording.ping[order], recording.reading[order]
         label = np.unique(block[order], return_inverse=True)[1]
-        return cls(ping, past[order], reading, label, cell[order], recording.resolution)
+        return cls(ping, past[order], reading, label, cell[order], recording.resolution, recording.has("time_s"))
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -252,6 +254,11 @@ def marginal(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
     """Return the law of a ping in a cell of which nothing is known yet: what a simulator should sample."""
     middle, _ = direct_median(law)
     return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + cells.placement_m**2)
+
+
+def silence(batch: Batch) -> float:
+    """Return the share of answered pings without an echo."""
+    return float(np.mean(~batch.reading.echo))
 
 
 def law_of(model: PhysicalModel, batch: Batch) -> PhysicalLaw:

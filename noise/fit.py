@@ -133,6 +133,8 @@ class _Objective:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         model, cells = self.stack.build(self.free, numbers)
         total = -log_prob(law_of(model, self.batch), cells, self.batch).sum() + self._prior(numbers)
+        if not total.requires_grad:  # a stepwise effect alone, such as rounding, has no slope anywhere
+            return float(total), np.zeros(len(x))
         (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
         gradient = torch.zeros_like(numbers) if gradient is None else gradient
         return float(total.detach()), np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0)
@@ -172,7 +174,7 @@ class _Objective:
         return out
 
 
-def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:
+def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60, enough: float = ENOUGH) -> Fit:
     """Climb from where the stack is; never returns less than it started from.
 
     Args:
@@ -180,6 +182,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         free: parameters to move.
         batch: readings.
         iterations: of L-BFGS-B, shared by its restarts.
+        enough: nats that a climb must gain for another to follow it.
     """
     objective = _Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
@@ -191,7 +194,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         gain, left = best - result, left - used
         if gain > 0:
             x, best = result_x, result
-        if gain < ENOUGH or left <= 0:
+        if gain < enough or left <= 0:
             break
     return Fit(stack.put(free, x), tuple(free), -best)
 
@@ -238,7 +241,7 @@ def _peaks(value: Floats, most: int, bin_m: float = 0.05) -> list[float]:
     return [float(place[k] * bin_m) for k in fullest if count[k] >= 4]
 
 
-def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 16) -> list[Stack]:
+def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 8) -> list[Stack]:
     """Return stacks with an effect switched on in different ways.
 
     Starts of the catalogue, lengths where the data show extra modes, and a Sobol design over the bounds; the effect's
@@ -272,8 +275,11 @@ def _spread(p: Parameter, u: float) -> float:
     """Return a value between the bounds: evenly, in the logarithm where they span more than two decades."""
     if p.low > 0 and p.high / p.low > 100.0:
         return float(p.low * (p.high / p.low) ** u)
-    near_null = p.null in (p.low, p.high)
-    return float(p.null + (p.high + p.low - 2.0 * p.null) * u**2) if near_null else float(p.low + (p.high - p.low) * u)
+    if p.null in (p.low, p.high):
+        return float(p.null + (p.high + p.low - 2.0 * p.null) * u**2)
+    # small effects are likelier than large ones, and a sharp law sees no further than its own width
+    v = 2.0 * u - 1.0
+    return float(p.null + abs(v) ** 3 * ((p.high - p.null) if v > 0 else (p.low - p.null)))
 
 
 def nuisance_start(stack: Stack, batch: Batch) -> Stack:

@@ -91,14 +91,15 @@ def diagnose(
     base = baseline_of(model, recording, simulated, seed)
     search, fitted = _prepare(base, split, seed, tell)
     tell("locating", 0.08)
-    where = locate(fitted.stack, split.discover, np.random.default_rng([seed, 2]))
+    misfit = base.misfit(seed)
+    where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), known=misfit)
     chosen, cross_base, cross = search.run()
     chosen, cross = base.without_repairs(search, chosen, cross)
     final = _final(search, cross, chosen)
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(search, final, chosen, cross, seed)
     tell("checking what is left", 0.9)
-    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]))
+    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), misfit)
     verdict = _verdict(base, where, named, rest, cross, cross_base, search)
     held = _held_out(base.raw, fitted.stack, final.stack, split.vault)
     surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
@@ -140,9 +141,7 @@ def _name(
     spread = np.sqrt(np.diag(covariance(final, search.both)))
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
-        others = [other for other in chosen if other != name]
-        without = search.cross(search.reset(cross.first.stack, name), others)
-        gain = cross.nats - without.nats
+        gain, _ = search.contribution(chosen, cross, name)
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)

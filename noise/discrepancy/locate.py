@@ -8,7 +8,7 @@ whole blocks at random (wild cluster bootstrap), which keeps the correlation ins
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -24,6 +24,7 @@ ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "tim
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
 EXTRA = 1e-3  # share of echoes beyond which a reading counts as one of an extra mode
 SMALL = 0.01  # keeps the score of what hardly ever happens from outweighing everything else
+MORE = 1.3  # how much greater than a simulation's own a misfit must be to count; ours
 FLIPS = 400
 LEAST_BLOCKS = 6
 MM, DEG = 1e-3, np.pi / 180.0
@@ -135,6 +136,8 @@ def features(batch: Batch) -> dict[str, Floats]:
     }
     if np.allclose(ping.incidence, ping.angle):
         del table["incidence_deg"]
+    if not batch.timed:
+        del table["time_s"]
     return {name: value for name, value in table.items() if np.ptp(value) > 1e-6 * np.abs(value).max()}
 
 
@@ -190,6 +193,17 @@ class Scan:
         """The greatest statistic."""
         return float(np.abs(self.statistic).max(initial=0.0))
 
+    @property
+    def by_aspect(self) -> Floats:
+        """The greatest statistic of each aspect, (aspects,)."""
+        return np.abs(self.statistic).max(axis=0, initial=0.0)
+
+    def beyond(self, known: Floats | None) -> Scan:
+        """Return the scan without what is no larger than a simulation's own misfit of the same aspect, (aspects,)."""
+        if known is None:
+            return self
+        return replace(self, statistic=np.where(np.abs(self.statistic) > MORE * known, self.statistic, 0.0))
+
 
 def scan(seen: Residuals, batch: Batch, rng: np.random.Generator) -> Scan:
     """Scan all regions for every aspect.
@@ -214,7 +228,14 @@ def _two_sided(statistic: Floats, one_sided: NDArray[np.bool_]) -> Floats:
     return np.where(one_sided, statistic, np.abs(statistic))
 
 
-def locate(stack: Stack, batch: Batch, rng: np.random.Generator, most: int = 5, level: float = 0.05) -> list[Finding]:
+def locate(
+    stack: Stack,
+    batch: Batch,
+    rng: np.random.Generator,
+    most: int = 5,
+    level: float = 0.05,
+    known: Floats | None = None,
+) -> list[Finding]:
     """Return the findings of a scan under a level, strongest first, at most one an aspect.
 
     Args:
@@ -223,9 +244,10 @@ def locate(stack: Stack, batch: Batch, rng: np.random.Generator, most: int = 5, 
         rng: for randomised PIT values and flips.
         most: number of findings.
         level: greatest p-value.
+        known: misfit by aspect that the law has with the simulation itself; see `Scan.beyond`.
     """
     seen = residuals(stack, batch, rng)
-    scanned = scan(seen, batch, rng)
+    scanned = scan(seen, batch, rng).beyond(known)
     out: list[Finding] = []
     for flat in np.argsort(-np.abs(scanned.statistic), axis=None, kind="stable"):
         row, column = np.unravel_index(flat, scanned.statistic.shape)

@@ -11,6 +11,7 @@ from noise.discrepancy.locate import Finding, locate, residuals, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Rest
 from noise.fit import Stack
+from noise.law import Floats
 
 LEVEL = 0.01
 _WORDS = {
@@ -24,7 +25,9 @@ _WORDS = {
 }
 
 
-def check_rest(search: Search, chosen: Sequence[str], cross: Crossed, rng: np.random.Generator) -> Rest:
+def check_rest(
+    search: Search, chosen: Sequence[str], cross: Crossed, rng: np.random.Generator, known: Floats | None = None
+) -> Rest:
     """Scan the residuals of cells that were not fitted; both ways, the smaller p-value doubled.
 
     Args:
@@ -32,21 +35,22 @@ def check_rest(search: Search, chosen: Sequence[str], cross: Crossed, rng: np.ra
         chosen: the effects of the explanation.
         cross: the explanation, fitted on either part.
         rng: for randomised PIT values and flips.
+        known: misfit by aspect that the simulation itself shows.
     """
     pairs = ((cross.first.stack, search.confirm), (cross.second.stack, search.discover))
-    p_values = [scan_p(stack, batch, rng) for stack, batch in pairs]
+    p_values = [scan_p(stack, batch, rng, known) for stack, batch in pairs]
     p = min(1.0, 2.0 * min(p_values))
     if p >= LEVEL:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
-    findings = tuple(locate(stack, batch, rng, most=3))
+    findings = tuple(locate(stack, batch, rng, most=3, known=known))
     words = "; ".join(in_words(finding) for finding in findings)
     return Rest(True, p, f"{words} (a description, not a cause)", findings)
 
 
-def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator) -> float:
+def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, known: Floats | None = None) -> float:
     """Return the family-wise p-value of the greatest residual statistic."""
-    scanned = scan(residuals(stack, batch, rng), batch, rng)
+    scanned = scan(residuals(stack, batch, rng), batch, rng).beyond(known)
     return scanned.p_value(scanned.best)
 
 

@@ -17,7 +17,7 @@ import torch
 from acquisition import Ping
 from noise.cells import Batch, law_of
 from noise.discrepancy.search import Search
-from noise.fit import CELLS, NUISANCES, SPREAD, Stack, maximise
+from noise.fit import CELLS, NUISANCES, SPREAD, Fit, Stack, maximise
 from noise.law import Floats
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
@@ -73,14 +73,13 @@ def rivals(search: Search, stack: Stack, chosen: Sequence[str], effect: str, rng
         rng: for the replicas.
     """
     others = [name for name in chosen if name != effect]
-    without = search.reset(stack, effect)
-    open_ = [name for name in search.candidates() if name not in chosen]
-    grids = {name: search.points(without, name) for name in open_}
-    near = sorted(open_, key=lambda name: -grids[name][0][0])[: search.rules.rivals]
+    search.reset(stack, effect)
+    fits = search.fits.get(tuple(others)) or _fitted(search, search.reset(stack, effect), others, chosen)
     own = maximise(stack, (*search.keys(chosen), *SPREAD), search.screen, 25)
     out = []
-    for name in near:
-        fitted = search.climbed(grids[name], others, name)
+    for name, fitted in fits.items():
+        if name in chosen:
+            continue
         more = len(search.keys([name])) - len(search.keys([effect]))
         observed = own.nats - fitted.nats + more
         if observed < NEAR:
@@ -89,6 +88,13 @@ def rivals(search: Search, stack: Stack, chosen: Sequence[str], effect: str, rng
         else:
             out.append(Rival(name, effect, observed, np.nan, fitted.stack))
     return sorted(out, key=lambda rival: rival.observed)
+
+
+def _fitted(search: Search, without: Stack, others: Sequence[str], chosen: Sequence[str]) -> dict[str, Fit]:
+    """Return fits of the effects that come nearest in the place of one."""
+    grids = {name: search.points(without, name) for name in search.candidates() if name not in chosen}
+    near = sorted(grids, key=lambda name: -grids[name][0][0])[: search.rules.rivals]
+    return {name: search.climbed(grids[name], others, name) for name in near}
 
 
 def _compare(

@@ -14,12 +14,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise.cells import Batch
+from noise.cells import Batch, direct_median, silence
 from noise.effects import CATALOGUE
 from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]
+THRESHOLD = "sensitivity"
+STEPS = 5  # of a climb that only ranks candidates
+ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,7 @@ class Rules:
         least_nats: cross-fitted gain below which nothing is added.
         least_t: the same in standard errors over blocks.
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
+        tie_nats: a simpler effect is preferred to one that gains no more than this, or one standard error, beyond it.
         most_effects: at most so many are added.
         grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
         fitted: candidates that are fitted after the grid.
@@ -40,10 +44,11 @@ class Rules:
     least_nats: float = 6.0
     least_t: float = 2.0
     keep_nats: float = 2.0
+    tie_nats: float = 4.0
     most_effects: int = 4
-    grid_pings: int = 500
+    grid_pings: int = 400
     screen_pings: int = 1200
-    full_pings: int = 3000
+    full_pings: int = 2500
     fitted: int = 10
     crossed: int = 4
     rivals: int = 6
@@ -103,6 +108,8 @@ class Search:
     rules: Rules = field(default_factory=Rules)
     progress: Progress | None = None
     attempts: list[Attempt] = field(default_factory=list)
+    fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
+    _clocked: dict[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Cut the batches to size."""
@@ -114,7 +121,16 @@ class Search:
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
-        return [name for name in CATALOGUE if name != JITTER]
+        return [name for name in CATALOGUE if name != JITTER and (self.discover.timed or not self._uses_time(name))]
+
+    def _uses_time(self, name: str) -> bool:
+        """Tell whether an effect looks at the clock, which says nothing where no time was logged."""
+        if name not in self._clocked:
+            few = self.grid.select(self.grid.block < 2)
+            conditions = replace(few.conditions, time=few.conditions.time.requires_grad_())
+            middle, _ = direct_median(Stack({name: {}}, extra=self.base.extra).model.law_of(conditions))
+            self._clocked[name] = middle.requires_grad
+        return self._clocked[name]
 
     def keys(self, names: Sequence[str]) -> tuple[Key, ...]:
         """Return the parameters of effects."""
@@ -141,17 +157,26 @@ class Search:
         rng = np.random.default_rng([self.seed, zlib.crc32(name.encode())])
         starts = starting_points(stack, name, self.grid, rng)
         scored = [(float(log_likelihood(s, self.grid).sum()), k, s) for k, s in enumerate(starts)]
+        # a sharp law sees no point of a coarse grid: a few steps from the present values show where it would go
+        stepped = maximise(starts[0], self.keys([name]), self.grid, STEPS, np.inf)
+        scored.append((stepped.nats, len(starts), stepped.stack))
         scored.sort(key=lambda item: (-item[0], item[1]))
         return [(nats, s) for nats, _, s in scored]
 
     def climbed(
         self, points: Sequence[tuple[float, Stack]], chosen: Sequence[str], name: str, batch: Batch | None = None
     ) -> Fit:
-        """Return the best climb from the two best points."""
+        """Return the best climb from the two best points; from one, where nothing beat the present values."""
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
-        fits = [maximise(stack, free, batch, 25) for _, stack in points[:2]]
+        starts = points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]
+        fits = [maximise(stack, free, batch, 25, ROUGH) for _, stack in starts]
         return max(fits, key=lambda fit: fit.nats)
+
+    def present(self, name: str) -> dict[str, float]:
+        """Return the values at which an effect does what the given model says of it."""
+        held = self.base.values.get(name, {})
+        return {p.name: held.get(p.name, p.null) for p in self.base.known[name].parameters}
 
     def cross(self, stack: Stack, chosen: Sequence[str]) -> Crossed:
         """Fit a hypothesis on either part, score it on the other."""
@@ -161,6 +186,12 @@ class Search:
         on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
         on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
         return Crossed(first, second, np.r_[on_discover, on_confirm])
+
+    def contribution(self, chosen: Sequence[str], cross: Crossed, name: str) -> tuple[Floats, Crossed]:
+        """Return what one effect adds to the others, nats by block, and the explanation without it."""
+        others = [other for other in chosen if other != name]
+        without = self.cross(self.reset(cross.first.stack, name), others)
+        return cross.nats - without.nats, without
 
     def believable(self, gain: Floats) -> bool:
         """Tell whether gains by block are more than chance, and not the work of one block."""
@@ -176,8 +207,9 @@ class Search:
         open_ = [name for name in self.candidates() if name not in chosen]
         grids = {name: self.points(stack, name) for name in open_}
         order = sorted(open_, key=lambda name: -grids[name][0][0])
-        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25)
+        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH)
         fits = {name: self.climbed(grids[name], chosen, name) for name in order[: self.rules.fitted]}
+        self.fits[tuple(chosen)] = fits
         screened = {name: fit.nats - start.nats for name, fit in fits.items()}
         best = sorted(screened, key=lambda name: -screened[name])
         crossed: dict[str, Crossed] = {}
@@ -195,7 +227,7 @@ class Search:
         """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
         gains = {name: c.nats - current.nats for name, c in crossed.items()}
         good = [name for name in gains if self.believable(gains[name])]
-        winner = max(good, key=lambda name: gains[name].sum(), default=None)
+        winner = self.simplest(good, gains)
         for name, nats in screened.items():
             gain = gains.get(name)
             decision = "added" if name == winner else "gained less" if name in good else "not more than chance"
@@ -203,10 +235,21 @@ class Search:
             self.attempts.append(Attempt(name, tuple(chosen), nats, total, error, decision))
         return winner
 
+    def simplest(self, good: Sequence[str], gains: dict[str, Floats]) -> str | None:
+        """Return the effect of fewest parameters among those that gain as much as the best, within chance."""
+        if not good:
+            return None
+        best = max(good, key=lambda name: gains[name].sum())
+        behind = {name: gains[best] - gains[name] for name in good}
+        close = [n for n in good if behind[n].sum() <= max(self.rules.tie_nats, spread_over_blocks(behind[n]))]
+        return min(close, key=lambda name: (len(self.keys([name])), behind[name].sum()))
+
     def run(self) -> tuple[list[str], Crossed, Crossed]:
         """Return chosen effects, the cross-fitted base, and the cross-fitted explanation."""
         base = current = self.cross(self.base, [])
         chosen: list[str] = []
+        if self.needs_a_threshold():
+            chosen, current = self.with_threshold(current)
         while len(chosen) < self.rules.most_effects:
             self.tell(f"searching, {len(chosen)} found", 0.1 + 0.6 * len(chosen) / (self.rules.most_effects + 1))
             found = self.round(chosen, current)
@@ -215,6 +258,24 @@ class Search:
             chosen, current = [*chosen, found[0]], found[1]
             chosen, current = self.prune(chosen, current)
         return chosen, base, current
+
+    def needs_a_threshold(self) -> bool:
+        """Tell whether echoes are missed although the model hears everything: then no loss of level can show."""
+        return THRESHOLD not in self.base.values and silence(self.discover) > 0.005
+
+    def with_threshold(self, base: Crossed) -> tuple[list[str], Crossed]:
+        """Give the receiver a threshold before anything else is weighed, where that is believed.
+
+        What weakens an echo (tilt, distance, air) can silence it only near a threshold, and an ideal sonar has none:
+        one by one, neither would be found.
+        """
+        fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
+        crossed = self.cross(fitted.stack, [THRESHOLD])
+        gain = crossed.nats - base.nats
+        good = self.believable(gain)
+        told = "added first: echoes are missed" if good else "not more than chance"
+        self.attempts.append(Attempt(THRESHOLD, (), np.nan, float(gain.sum()), spread_over_blocks(gain), told))
+        return ([THRESHOLD], crossed) if good else ([], base)
 
     def prune(self, chosen: list[str], current: Crossed) -> tuple[list[str], Crossed]:
         """Drop what a later effect made needless."""

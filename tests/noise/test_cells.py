@@ -1,0 +1,100 @@
+"""What pings of one cell share: known answers and laws of the prequential likelihood."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from acquisition import Ping, Reading, Recording, RecordingError
+from noise.cells import BLOCK, Batch, CellNuisance, cells_of, law_of, log_prob
+from noise.effects import CATALOGUE
+from noise.physical import PhysicalModel
+
+STEP = 0.001
+
+
+def jittering(sigma):
+    return PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=sigma)], resolution=STEP, max_range=4.0)
+
+
+def recording_of(distance, range_, **columns):
+    return Recording.of(Ping.of(distance=distance), Reading.of(np.round(range_, 3)), **columns)
+
+
+def test_a_shared_offset_makes_readings_jointly_normal():
+    # sigma^2 I + tau^2 1 1': the filter's predictions must multiply to the joint density, up to the floor
+    sigma, tau, n = 0.02, 0.03, 9
+    rng = np.random.default_rng(3)
+    batch = Batch.of(recording_of(np.full(n, 2.0), 2.0 + tau * 0.8 + rng.normal(0, sigma, n)))
+    cells = CellNuisance(placement_m=tau, carry=0.0, sharing=0.0)
+    found = float(log_prob(law_of(jittering(sigma), batch), cells, batch).sum())
+    covariance = sigma**2 * np.eye(n) + tau**2
+    exact = stats.multivariate_normal(np.full(n, 2.0), covariance).logpdf(batch.reading.range) + n * np.log(STEP)
+    assert found == pytest.approx(exact, abs=0.15)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    placement=st.floats(0.0, 0.05),
+    carry=st.floats(0.0, 0.9),
+    sharing=st.floats(0.0, 4.0),
+    kernel=st.floats(0.001, 0.02),
+)
+def test_every_prediction_sums_to_one(placement, carry, sharing, kernel):
+    # the third ping of a cell, after an echo and a silence: all readings and silence together
+    model = PhysicalModel(
+        [CATALOGUE["travel_time_jitter"](sigma_m=0.02), CATALOGUE["dropped_reading"](probability=0.2)],
+        resolution=0.01,
+        max_range=1.0,
+    )
+    cells = CellNuisance(placement_m=placement, carry=carry, sharing=sharing, kernel_m=kernel)
+    last = np.arange(101) * 0.01
+    range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
+    reading, block = Reading.of(range_), np.repeat(np.arange(101), 3)
+    batch = Batch(Ping.of(distance=np.full(303, 0.5)), reading, reading, block, block, 0.01)
+    p = torch.exp(log_prob(law_of(model, batch), cells, batch))
+    assert float(p[2::3].sum()) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_repeating_cell_is_worth_about_one_reading():
+    # fifty readings at the same wrong place cost little more than the first once the urn is on
+    batch = Batch.of(recording_of(np.full(20, 2.0), np.full(20, 1.0)))
+    model = jittering(0.005)
+    alone, shared = (
+        float(log_prob(law_of(model, batch), CellNuisance(sharing=s, kernel_m=0.002), batch).sum()) for s in (0.0, 1.0)
+    )
+    first = float(log_prob(law_of(model, batch), CellNuisance(), batch)[0])
+    assert alone == pytest.approx(20 * first, rel=0.01)
+    assert shared > 4 * first
+
+
+def test_conditions_that_never_repeat_are_cut_into_stretches():
+    recording = recording_of(np.linspace(1, 2, 110), np.linspace(1, 2, 110))
+    cell, block = cells_of(recording)
+    assert np.bincount(block).max() == BLOCK
+    assert np.array_equal(cell, block)
+
+
+def test_blocks_are_stays_of_one_session_in_one_cell():
+    distance = np.repeat(np.linspace(0.5, 3, 15), 4)
+    recording = recording_of(distance, distance, session=np.tile(["a", "a", "b", "b"], 15))
+    batch = Batch.of(recording)
+    assert batch.blocks == 30
+    assert set(np.bincount(batch.block)) == {2}
+
+
+def test_thinning_keeps_beginnings_of_all_blocks():
+    distance = np.repeat(np.linspace(0.5, 3, 20), 30)
+    batch = Batch.of(recording_of(distance, distance))
+    thin = batch.thin(100)
+    assert thin.blocks == 20
+    assert set(np.bincount(thin.block)) == {5}
+
+
+def test_a_dead_wire_is_left_out_and_a_dead_recording_refused():
+    table = recording_of(np.full(3, 1.0), [1.0, 1.0, 1.0]).table
+    assert len(Batch.of(Recording(table.assign(reading_mm=[1000.0, np.nan, 1000.0])))) == 2
+    with pytest.raises(RecordingError, match="no ping was answered"):
+        Batch.of(Recording(table.assign(reading_mm=np.nan)))

@@ -1,0 +1,39 @@
+"""The flexible part: nothing where it is null, a broken line where it is not, and a folder that loads."""
+
+import numpy as np
+import torch
+
+from acquisition import Ping
+from noise import load_model, save_model
+from noise.effects import CATALOGUE
+from noise.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, interpolate
+
+
+def test_interpolation_is_numpys():
+    x = torch.linspace(0.0, 7.0, 50, dtype=torch.float64)
+    height = np.random.default_rng(0).normal(size=len(DISTANCE_KNOTS))
+    ours = interpolate(x, DISTANCE_KNOTS, [torch.tensor(h) for h in height])
+    assert np.allclose(ours.numpy(), np.interp(x.numpy(), DISTANCE_KNOTS, height))
+
+
+def test_null_leaves_the_law_alone():
+    ping = Ping.of(distance=np.linspace(0.2, 5, 40), angle=0.2)
+    jitter = CATALOGUE["travel_time_jitter"](sigma_m=0.01)
+    z = np.linspace(0.1, 6, 40)
+    plain, flexible = (EmpiricalModel(e).law(ping).arrival(z) for e in ([jitter], [jitter, Flexible()]))
+    assert np.allclose(plain, flexible, atol=1e-12)
+
+
+def test_bias_moves_readings_by_its_line():
+    model = EmpiricalModel([Flexible(**{f"bias_d{k}": 0.05 for k in range(len(DISTANCE_KNOTS))})])
+    assert np.allclose(model.law(Ping.of(distance=[0.5, 2.0])).quantile(0.5), [0.55, 2.05], atol=0.0011)
+
+
+def test_saved_and_loaded_it_is_the_same(tmp_path):
+    model = EmpiricalModel([CATALOGUE["zero_offset"](offset_m=0.01), Flexible(bias_d2=0.02, silence_d7=0.3)], 0.01, 6.0)
+    save_model(model, tmp_path / "m")
+    again = load_model(tmp_path / "m")
+    ping = Ping.of(distance=np.linspace(0.2, 6, 30))
+    assert isinstance(again, EmpiricalModel)
+    assert np.array_equal(again.law(ping).echo, model.law(ping).echo)
+    assert np.array_equal(again.law(ping).quantile(0.4), model.law(ping).quantile(0.4))

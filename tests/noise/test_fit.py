@@ -1,0 +1,89 @@
+"""Maximum likelihood: slopes, known parameters, honest uncertainty."""
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition import Ping, Recording
+from noise.cells import Batch
+from noise.effects import CATALOGUE
+from noise.fit import (
+    NUISANCES,
+    Stack,
+    _Objective,
+    covariance,
+    extra_modes,
+    fit,
+    log_likelihood,
+    maximise,
+    nuisance_start,
+    starting_points,
+)
+from noise.physical import PhysicalModel
+
+torch.set_num_threads(1)
+
+
+def heard(seed, cells=60, pings=6, placement=0.003, **effects):
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.3, 4.0, cells), pings)
+    moved = distance + np.repeat(rng.normal(0, placement, cells), pings)
+    model = PhysicalModel(
+        [CATALOGUE["travel_time_jitter"](sigma_m=0.004)] + [CATALOGUE[k](**v) for k, v in effects.items()]
+    )
+    return Recording.of(Ping.of(distance=distance), model.law(Ping.of(distance=moved)).sample(rng))
+
+
+def test_gradient_is_the_slope():
+    batch = Batch.of(heard(0, clock_scale={"error": 0.01}, spike={"probability": 0.02}))
+    free = (("clock_scale", "error"), ("spike", "probability"), *NUISANCES)
+    stack = nuisance_start(Stack.of(PhysicalModel()), batch).put(free[:2], [0.004, 0.01])
+    stack = stack.put([("travel_time_jitter", "per_metre")], [0.002])
+    objective = _Objective(stack, free, batch)
+    x = np.array([stack.get(key) for key in free])
+    _, gradient = objective(x)
+    for j in range(len(x)):
+        step = np.zeros_like(x)
+        step[j] = 1e-6 * max(abs(x[j]), 1e-2)
+        slope = (objective(x + step)[0] - objective(x - step)[0]) / (2 * step[j])
+        assert gradient[j] == pytest.approx(slope, rel=1e-3, abs=1e-2)
+
+
+def test_known_parameters_are_found_with_honest_errors():
+    recording = heard(1, clock_scale={"error": -0.01}, zero_offset={"offset_m": 0.012})
+    found = fit(PhysicalModel([CATALOGUE["clock_scale"](), CATALOGUE["zero_offset"]()]), recording)
+    spread = np.sqrt(np.diag(covariance(found, Batch.of(recording))))
+    truth = {("clock_scale", "error"): -0.01, ("zero_offset", "offset_m"): 0.012}
+    for key, sd in zip(found.free, spread, strict=True):
+        if key in truth:
+            assert abs(found.stack.get(key) - truth[key]) < 4 * sd
+            assert 0 < sd < 0.005
+    assert found.stack.get(("cells", "placement_m")) == pytest.approx(0.003, rel=0.5)
+    assert found.stack.get(("travel_time_jitter", "sigma_m")) == pytest.approx(0.004, rel=0.2)
+
+
+@pytest.mark.slow
+def test_intervals_cover_when_cells_share_an_offset():
+    # 20 recordings, 90 % intervals: fewer than 14 covered has probability 0.002 at true 90 %
+    inside = 0
+    for seed in range(20):
+        recording = heard(100 + seed, cells=25, pings=5, placement=0.006, zero_offset={"offset_m": 0.01})
+        found = fit(PhysicalModel([CATALOGUE["zero_offset"]()]), recording, iterations=40)
+        sd = np.sqrt(covariance(found, Batch.of(recording))[0, 0])
+        inside += abs(found.stack.get(("zero_offset", "offset_m")) - 0.01) < 1.645 * sd
+    assert inside >= 14
+
+
+def test_fit_never_ends_below_its_start():
+    batch = Batch.of(heard(2))
+    stack = nuisance_start(Stack.of(PhysicalModel()), batch)
+    assert maximise(stack, NUISANCES, batch).nats >= log_likelihood(stack, batch).sum()
+
+
+def test_extra_modes_are_where_they_were_put():
+    recording = heard(3, fixed_clutter={"presence": 0.3, "range_m": 0.2, "spread_m": 0.005})
+    modes = extra_modes(Batch.of(recording))
+    assert min(abs(m - 0.2) for m in modes) <= 0.026
+    stack = Stack.of(PhysicalModel())
+    starts = starting_points(stack, "fixed_clutter", Batch.of(recording), np.random.default_rng(0))
+    assert min(abs(s.get(("fixed_clutter", "range_m")) - 0.2) for s in starts) <= 0.026
