@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Iterator
 
 import gymnasium
 import highway_env
@@ -22,10 +21,9 @@ ROUNDS, STEPS, EPISODES = 12, 100, 100
 
 
 @pytest.fixture(scope="module", autouse=True)
-def commit() -> Iterator[None]:
+def commit() -> None:
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     print(f"\ncommit {done.stdout.strip()}, command `make benchmarks`\n")
-    yield
 
 
 def seconds(env: gymnasium.Env, steps: int) -> float:
