@@ -114,7 +114,7 @@ PLANS = {
         reflectances=(0.1, 0.4, 0.7, 1.0),
         pings=8,
         interval_s=0.1,
-        incidences_deg=(0.0, 2.0, 5.0, 10.0, 17.0, 28.0, 45.0, 65.0),
+        incidences_deg=(0.0, 2.0, 5.0, 10.0, 18.0, 30.0, 50.0, 85.0),
     ),
     # Esmi (2016), sections 3.2 and 4.1: 133,100 pings. Its table 4.1 has the mirror at 30 degrees and 3900 mm read 3950
     # to 3970 mm in 88 % of pings; parallel to the sensor's face it would mirror at 3377 mm or not at all, so it faced

@@ -79,21 +79,37 @@ class CredenceTable:
             tolerance: half width of "right", as a share of the true distance.
         """
         prior = prior or ConditionPrior()
-        ping, _ = prior.grid()
+        return cls.over(model, prior.grid()[0], np.linspace(0.0, prior.far * (1 + tolerance), bins + 1), tolerance)
+
+    @classmethod
+    def over(cls, model: SonarModel, ping: Ping, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
+        """Tabulate a model's credence where each of n pings is equally likely.
+
+        Args:
+            model: whose laws to invert.
+            ping: the prior, as a sample of conditions, (n,).
+            edges: of the bins of range, m, increasing, (bins + 1,).
+            tolerance: half width of "right", as a share of the true distance.
+        """
         law = model.law(ping)
-        edges = np.linspace(0.0, prior.far * (1 + tolerance), bins + 1)
         every = np.repeat(edges[:, None], len(ping), axis=1)
         right_only = np.clip(every, ping.distance * (1 - tolerance), ping.distance * (1 + tolerance))
         total = np.diff(law.arrival(every), axis=0).sum(axis=1)
         # a bin that straddles a limit counts by what the law puts on the right side of it
         right = law.arrival(right_only[1:]).sum(axis=1) - law.arrival(right_only[:-1]).sum(axis=1)
-        return cls(
-            edges,
-            np.divide(np.clip(right, 0.0, total), total, out=np.zeros(bins), where=total > 1e-12),
-            total / len(ping),
-        )
+        return cls(edges, _ratio(np.clip(right, 0.0, total), total), total / len(ping))
+
+    def mixed(self, other: CredenceTable, weight: float) -> CredenceTable:
+        """Return the table under a mixture of two priors, the other's weighing `weight`; the bins must be the same."""
+        share = (1.0 - weight) * self.share + weight * other.share
+        right = (1.0 - weight) * self.share * self.values + weight * other.share * other.values
+        return CredenceTable(self.edges, _ratio(right, share), share)
 
     def given(self, reading: Reading) -> Floats:
         """Return the credence of each reading, (n,); 0 where there was no echo or no answer."""
         place = np.minimum(np.searchsorted(self.edges, reading.range, side="right") - 1, len(self.values) - 1)
         return np.where(reading.echo & (reading.range <= self.edges[-1]), self.values[place], 0.0)
+
+
+def _ratio(part: Floats, whole: Floats) -> Floats:
+    return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 1e-12)

@@ -10,6 +10,8 @@ from typing import Any
 
 import gymnasium
 
+from acquisition.house import check_noise
+
 ENV_ID = "SonarParking-v0"
 _LAZY = {
     "SonarParkingEnv": "sonar_gym.parking",
@@ -21,6 +23,7 @@ _LAZY = {
 
 __all__ = ["ENV_ID", "HighwaySonar", "ParkingDriver", "SonarObservation", "SonarParkingEnv", "run_episode"]
 
+check_noise()
 if ENV_ID not in gymnasium.registry:
     gymnasium.register(id=ENV_ID, entry_point="sonar_gym.parking:SonarParkingEnv", max_episode_steps=400)
 

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from sonar_gym import kernels
 from sonar_gym.mounts import Layout, in_world, layout, mount_arrays
+from sonar_gym.prior import street_credence
 from sonar_gym.scene import Hits
-from sonar_gym.sonar import Heard, Sonar, SonarChoice, sonar_spaces
+from sonar_gym.sonar import Heard, Sonar, SonarChoice, resolve, sonar_spaces
 from sonar_gym.street import BEHIND, Street, StreetSettings, draw_street, reference_path
 from sonar_gym.vehicle import Car, CarSettings
 
@@ -146,7 +147,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self.car_settings: CarSettings = _settings(CarSettings, car)
         self.reward_weights: RewardWeights = _settings(RewardWeights, reward)
         self.max_range = MAX_RANGE
-        self.sonar = Sonar(sonar, len(self.mounts), MAX_RANGE)
+        model = resolve(sonar)
+        tables = street_credence(model, self.street_settings, self.car_settings, self.mounts, MAX_RANGE)
+        self.sonar = Sonar(model, len(self.mounts), MAX_RANGE, tables=tables)
         named = isinstance(sonar, (str, os.PathLike))
         self.sonar_name = Path(str(sonar)).name if named else type(self.sonar.model).__name__
         self._poses, self._half = mount_arrays(self.mounts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, cast
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 SonarChoice = str | os.PathLike[str] | SonarModel
 STREAM_TAG = 0x50E4  # keeps the sonars' stream apart from the world's: SeedSequence([seed, tag])
 ECHO_CODE = np.array([0.0, 1.0, -1.0], dtype=np.float32)  # by EchoStatus: silence, echo, no answer
-PRIOR_DISTANCES = 300  # two a bin of the table, so that no bin is empty even for a sonar without noise
+BINS = 100  # of range, in tables of credence; the broad prior puts two distances into each, so that none is empty
 BEARINGS_DEG = (0.0, 7.5, 15.0, 22.5, 27.5)  # inside the cone of a sonar of 55 deg
 
 
@@ -66,15 +66,23 @@ def resolve(sonar: SonarChoice) -> SonarModel:
     raise SettingError(f"sonar is a {type(sonar).__name__}, expected a name, the path of a model, or a SonarModel")
 
 
-def credence_table(model: SonarModel, max_range: float) -> CredenceTable:
-    """Return the credence given a reading of a model that listens to `max_range` m; computed once a model."""
-    return _credence_table(cast(Hashable, model), max_range)
+def bin_edges(max_range: float) -> Floats:
+    """Return the edges of the bins in which credence is tabulated, m, (BINS + 1,)."""
+    return np.linspace(0.0, 1.1 * max_range, BINS + 1)
+
+
+def broad_table(model: SonarModel, max_range: float) -> CredenceTable:
+    """Return the credence of a model's readings where little is known of the scene; computed once a model.
+
+    The prior: distances equally likely up to `max_range` m, bearings (and incidences, alike) in the cone, reflectances.
+    """
+    return _broad_table(cast(Hashable, model), max_range)
 
 
 @lru_cache(maxsize=16)
-def _credence_table(model: Any, max_range: float) -> CredenceTable:
-    prior = ConditionPrior(near=0.01, far=max_range, distances=PRIOR_DISTANCES, angles_deg=BEARINGS_DEG)
-    return CredenceTable.of(model, prior, bins=PRIOR_DISTANCES // 2)
+def _broad_table(model: Any, max_range: float) -> CredenceTable:
+    prior = ConditionPrior(near=0.01, far=max_range, distances=2 * BINS, angles_deg=BEARINGS_DEG)
+    return CredenceTable.over(model, prior.grid()[0], bin_edges(max_range))
 
 
 class Sonar:
@@ -85,14 +93,24 @@ class Sonar:
         count: number of sonars.
         max_range: greatest range listened to, m.
         tag: of the random stream; two sets of sonars in one environment need two.
+        tables: credence given a reading, one a sonar, on `bin_edges`; without, the broad prior's for all.
     """
 
-    def __init__(self, model: SonarChoice, count: int, max_range: float, tag: int = STREAM_TAG) -> None:
+    def __init__(
+        self,
+        model: SonarChoice,
+        count: int,
+        max_range: float,
+        tag: int = STREAM_TAG,
+        tables: Sequence[CredenceTable] | None = None,
+    ) -> None:
         self.tag = tag
         self.model: SonarModel = resolve(model)
         self.count = count
         self.max_range = max_range
-        self.table = credence_table(self.model, max_range)
+        tables = [broad_table(self.model, max_range)] * count if tables is None else tables
+        self._edges, self._credence = bin_edges(max_range), np.stack([table.values for table in tables])
+        self._rows = np.arange(count)
         self.rng = np.random.default_rng()
         self._past: Reading | None = None
 
@@ -114,7 +132,12 @@ class Sonar:
         law = self.model.law(ping, self._past)
         reading = self._gate(law.sample(self.rng))
         self._past = reading if self.model.remembers else None
-        return Heard(reading, self.table.given(reading), np.where(seen, law.credence(), 0.0))
+        return Heard(reading, self.credence(reading), np.where(seen, law.credence(), 0.0))
+
+    def credence(self, reading: Reading) -> Floats:
+        """Return the credence given each sonar's reading, (count,); 0 without an echo."""
+        place = np.minimum(np.searchsorted(self._edges, reading.range, side="right") - 1, BINS - 1)
+        return np.where(reading.echo, self._credence[self._rows, place], 0.0)
 
     def _gate(self, reading: Reading) -> Reading:
         late = reading.range > self.max_range

@@ -13,12 +13,14 @@ from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, SettingError
+from noise import CredenceTable
 from sonar_gym.scene import EMPTY_M
-from sonar_gym.sonar import Heard, Sonar, SonarChoice, sonar_spaces
+from sonar_gym.sonar import BEARINGS_DEG, BINS, Heard, Sonar, SonarChoice, bin_edges, resolve, sonar_spaces
 
 Floats = NDArray[np.float64]
 Condition = float | tuple[float, float] | str  # the same for all, the limits of a uniform prior, or a key
 WRAPPER_TAG = 0x5EA2  # another stream than that of sonars inside the environment
+PRIOR_ROUNDS = 15  # samples of the other conditions for each distance of the prior
 REST = "rest"  # where the numbers beside the ranges go, when the observation was one vector
 
 
@@ -37,6 +39,23 @@ def check_condition(name: str, given: Any) -> Condition:
     return pair if isinstance(given, Sequence) else pair[0]
 
 
+def prior_ping(conditions: Mapping[str, Condition], max_range: float) -> Ping:
+    """Return a sample of what the sonars may face: what the wrapper is told of it, and broad where it is not.
+
+    Distances are equally likely up to `max_range` m. A condition that comes from a key is taken to be one of those a
+    cone of 55 deg; bearing and incidence alike, as of faces parallel to the sensor's.
+    """
+    rng, distance = np.random.default_rng(0), np.tile(np.linspace(0.01, max_range, 2 * BINS), PRIOR_ROUNDS)
+    n = len(distance)
+    angle = np.radians(rng.choice(BEARINGS_DEG, n))
+    broad = {"incidence": angle, "bearing": angle, "reflectance": rng.uniform(0.1, 0.9, n)}
+    told = {
+        name: broad[name] if isinstance(c, str) else rng.uniform(*c, n) if isinstance(c, tuple) else np.full(n, c)
+        for name, c in conditions.items()
+    }
+    return Ping.of(distance, told["bearing"], told["incidence"], told["reflectance"])
+
+
 class SonarObservation(gymnasium.ObservationWrapper, RecordConstructorArgs):
     """Replaces ideal ranges by readings drawn from a sonar's law, with the credence of each.
 
@@ -44,6 +63,9 @@ class SonarObservation(gymnasium.ObservationWrapper, RecordConstructorArgs):
     reading), `echo` (1 echo, 0 silence, -1 no answer), and whatever else the old one held: the other keys of a `Dict`
     as they were; the numbers beside the ranges of a vector under `rest`, or under their own key of a `Dict`.
     `info["sonar"]` holds the true `distance` (m) and `credence_given_condition`.
+
+    Credence given a reading is taken over a prior: distances equally likely, the other conditions as told below. Where
+    the scene is known better than that, a table of its own is better (`sonar_gym.prior` is that of the parking task).
 
     The wrapper draws from a stream of its own: the same seed gives the same world with and without it. Model by name
     or path goes through the environment's spec and JSON.
@@ -103,7 +125,9 @@ class SonarObservation(gymnasium.ObservationWrapper, RecordConstructorArgs):
         self.key, self.metres_per_unit, self.max_range, self.step_s = key, metres_per_unit, max_range, step_s
         box = self._ranges_box()
         self._mask = self._range_mask(box, indices)
-        self.sonar = Sonar(sonar, int(self._mask.sum()), max_range, WRAPPER_TAG)
+        model, count = resolve(sonar), int(self._mask.sum())
+        table = CredenceTable.over(model, prior_ping(self.conditions, max_range), bin_edges(max_range))
+        self.sonar = Sonar(model, count, max_range, WRAPPER_TAG, [table] * count)
         self.observation_space = spaces.Dict({**self._rest_spaces(box), **sonar_spaces(self.sonar.count)})
         self._steps = 0
         self._info: dict[str, Any] = {}

@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 from acquisition import MissingExtraError, SonarError
+from acquisition.house import check_noise
 
 # subcommand -> (module under `training` with `Args` and `main(args)`, what it does); imported only when it runs,
 # so that recording on a small machine needs none of the heavy packages
@@ -47,6 +48,7 @@ def overview() -> str:
 
 def _run(name: str, argv: Sequence[str]) -> None:
     try:
+        check_noise()
         module = _load(name)
         args = tyro.cli(module.Args, prog=f"sonar-gym {name}", description=module.__doc__, args=argv)
         module.main(args)

@@ -47,7 +47,7 @@ def main(args: Args) -> None:
     """Run the chain and say where the pictures are."""
     if args.conceal is not None and args.conceal not in CONCEALED:
         raise SettingError(f"--conceal {args.conceal}: not one of {', '.join(CONCEALED)}")
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     setup = Setup(gain=31)
     changed, envelope = conceal(setup, np.random.default_rng([args.seed, 0]), args.conceal)
     console.print(

@@ -24,7 +24,6 @@ from training.report import TEMPLATES, facts
 Picture = NDArray[np.uint8]
 WIDTH = 620  # px of a film strip
 SCENE = (0.08, 0.735)  # what share of a picture, from the top, is street
-EVERY = 4  # of the pictures are kept
 FRAME_MS, LAST_MS = 160, 2500
 INK, PAPER = (29, 39, 51), (247, 246, 241)
 TITLE = 26  # px
@@ -48,9 +47,8 @@ def gif(films: Mapping[str, Sequence[Picture]], path: Path) -> Path:
         films: pictures of each drive, (height, width, 3) uint8.
         path: of the GIF.
     """
-    strips = {name: [*frames[::EVERY], frames[-1]] for name, frames in films.items()}
-    length = max(map(len, strips.values()))
-    frames = [_stack({name: strip[min(k, len(strip) - 1)] for name, strip in strips.items()}) for k in range(length)]
+    length = max(map(len, films.values()))
+    frames = [_stack({name: film[min(k, len(film) - 1)] for name, film in films.items()}) for k in range(length)]
     palette = frames[length // 2].quantize(96)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     buffer = io.BytesIO()

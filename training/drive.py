@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 import sonar_gym
 from sonar_gym.driver import Episode, ParkingDriver, run_episode
 
+EVERY = 4  # steps from picture to picture
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -55,6 +57,6 @@ def drive(sonar: str, seed: int) -> Drive:
     """Park once on the street of a seed, by the scripted driver."""
     env = gymnasium.make(sonar_gym.ENV_ID, sonar=sonar, render_mode="rgb_array")
     try:
-        return Drive.of(run_episode(env, ParkingDriver(), seed))
+        return Drive.of(run_episode(env, ParkingDriver(), seed, every=EVERY))
     finally:
         env.close()

@@ -15,7 +15,6 @@ import torch
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 from scipy.optimize import minimize
 
 from acquisition import Ping, Reading, Recording, SettingError
@@ -26,6 +25,7 @@ from noise.networks import Head, Inputs, MlpModel
 from noise.store import save_model
 from training.model_card import card, plain, table
 from training.networks import Batch, Network, Schedule, fit_network
+from training.progress import bars
 
 FEWEST_CELLS = 10
 
@@ -212,7 +212,7 @@ def command(args: Args) -> str:
 def main(args: Args) -> None:
     """Train, print the scores, write the model and its card."""
     recording, console = Recording.load(args.recording), Console()
-    with Progress(console=console, transient=True) as progress:
+    with bars() as progress:
         task = progress.add_task("training", total=args.epochs)
         trained = train(
             recording,

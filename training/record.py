@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from acquisition import EchoStatus, Ping, Recording, SettingError
 from acquisition.bench import Rig, Setup, Unit
@@ -18,8 +17,8 @@ from acquisition.drivers.twins import Srf08Twin
 from acquisition.plan import PLANS, Cell, Plan
 from acquisition.session import Session
 from acquisition.sources import DriverSource, RigSource, Source
+from training.progress import TERMINAL, bars
 
-OPERATOR = Console(stderr=True)
 Arrange = Callable[[Cell], None]
 
 
@@ -71,7 +70,7 @@ class Args:
 def main(args: Args) -> None:
     """Record, show how far it is, and say what came of it."""
     plan = plan_of(args)
-    with _bar() as bar:
+    with bars() as bar:
         source = SOURCES[args.driver](args, lambda cell: _ask_operator(cell, bar))
         session = Session(plan, source, args.out, args.resume, args.echoes)
         task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
@@ -130,7 +129,7 @@ def _twin_source(args: Args, arrange: Arrange) -> Source:
 
 def _srf08_source(args: Args, arrange: Arrange) -> Source:
     sonar = DRIVERS["srf08"].open(args.bus, address=args.address, **_registers(args))
-    OPERATOR.print(f"{sonar} answers, revision {sonar.revision()}")
+    TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
     return DriverSource(sonar, arrange, _columns(args))
 
 
@@ -157,10 +156,5 @@ def _columns(args: Args) -> dict[str, float]:
 
 def _ask_operator(cell: Cell, bar: Progress) -> None:
     bar.stop()  # a bar that redraws itself would write over the question
-    OPERATOR.input(f"Place the reflector at {cell}, then press Enter ")
+    TERMINAL.input(f"Place the reflector at {cell}, then press Enter ")
     bar.start()
-
-
-def _bar() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=OPERATOR)

@@ -47,7 +47,8 @@ class PreviousPing(Effect):
     def statement(self) -> str:
         """Return where the far reflector stands."""
         v = self.values
-        return f"{self.summary}: from something at {v['far_m']:.2f} m, in {100 * v['presence']:.3g} % of pings."
+        often = f"{100 * v['presence']:.3g} % of pings"
+        return f"A far echo of the previous ping, from {v['far_m']:.2f} m, is read as a near one of this, in {often}."
 
 
 class SynchronousCrosstalk(Effect):
@@ -72,4 +73,5 @@ class SynchronousCrosstalk(Effect):
     def statement(self) -> str:
         """Return the other sonar's distance."""
         v = self.values
-        return f"{self.summary}: its own is {v['other_m']:.2f} m, in {100 * v['presence']:.3g} % of pings."
+        often = f"{100 * v['presence']:.3g} % of pings"
+        return f"Another sonar's ping is read, over a way {v['other_m']:.2f} m long to the reflector, in {often}."

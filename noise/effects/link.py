@@ -54,7 +54,7 @@ class DroppedReading(Effect):
 
     def statement(self) -> str:
         """Return how often."""
-        return f"{self.summary}: {100 * self.values['probability']:.3g} % of pings."
+        return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
 
 
 class StaleRepeat(Effect):
@@ -77,7 +77,7 @@ class StaleRepeat(Effect):
 
     def statement(self) -> str:
         """Return how often."""
-        return f"{self.summary}: {100 * self.values['probability']:.3g} % of pings."
+        return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
 
 
 class Stuck(Effect):
@@ -108,7 +108,10 @@ class Stuck(Effect):
     def statement(self) -> str:
         """Return which and how often."""
         v = self.values
-        return f"{self.summary}: {1000 * v['value_m']:.0f} mm in {100 * v['probability']:.3g} % of pings."
+        often = f"{100 * v['probability']:.3g} % of pings"
+        return (
+            f"The sensor gives one and the same reading, {1000 * v['value_m']:.0f} mm, in {often}, whatever the target."
+        )
 
 
 class NoiseBurst(Effect):
@@ -134,4 +137,4 @@ class NoiseBurst(Effect):
     def statement(self) -> str:
         """Return how far and how often."""
         v = self.values
-        return f"{self.summary}: by {1000 * v['sigma_m']:.0f} mm in {100 * v['probability']:.3g} % of pings."
+        return f"{self.summary}, by {1000 * v['sigma_m']:.0f} mm, in {100 * v['probability']:.3g} % of pings."

@@ -79,7 +79,7 @@ class AirAbsorption(Effect):
     def statement(self) -> str:
         """Return the absorption and what it takes there and back at 6 m."""
         alpha = self.values["alpha_db_per_m"]
-        return f"{self.summary}: {alpha:.2g} dB/m, {12 * alpha:.1f} dB there and back at 6 m."
+        return f"Air absorbs {alpha:.2g} dB/m: echoes from 6 m come back {12 * alpha:.1f} dB weaker."
 
 
 class Scintillation(Effect):
@@ -106,7 +106,8 @@ class Scintillation(Effect):
 
     def statement(self) -> str:
         """Return its size at 6 m."""
-        return f"{self.summary}: by {self.values['sigma_at_6m_db']:.2g} dB at 6 m."
+        size = self.values["sigma_at_6m_db"]
+        return f"Turbulent air makes echoes stronger and weaker from ping to ping, by {size:.2g} dB at 6 m."
 
 
 def _growth(length: Tensor) -> Tensor:
@@ -151,4 +152,5 @@ class ThermalDrift(Effect):
         """Return rate and swing."""
         v = self.values
         swing = math.hypot(v["sine_k"], v["cosine_k"])
-        return f"{self.summary}: {v['rate_k_per_h']:+.2g} K/h and a swing of {swing:.2g} K every {v['period_s']:.0f} s."
+        moved = f"{v['rate_k_per_h']:+.2g} K an hour and a swing of {swing:.2g} K every {v['period_s'] / 60:.0f} min"
+        return f"The air's temperature moved while recording, by {moved}: ranges are scaled by what changes with time."

@@ -50,7 +50,8 @@ class BeamWidth(Effect):
         ka = self.values["ka"]
         if ka <= HALF_AMPLITUDE:
             return f"{self.summary} (ka {ka:.2g}: no -6 dB edge within 90 deg)."
-        return f"{self.summary}: {2 * math.degrees(math.asin(HALF_AMPLITUDE / ka)):.0f} deg in full at -6 dB."
+        width = 2 * math.degrees(math.asin(HALF_AMPLITUDE / ka))
+        return f"The beam is {width:.0f} deg wide in all, at -6 dB: echoes from the side are weaker."
 
 
 class Boresight(Effect):
@@ -69,7 +70,7 @@ class Boresight(Effect):
 
     def statement(self) -> str:
         """Return the angle and its sense."""
-        return f"{self.summary}: it is off by {self.values['yaw_deg']:+.1f} deg."
+        return f"The beam points {self.values['yaw_deg']:+.1f} deg beside the axis that angles are counted from."
 
 
 class PivotOffset(Effect):
@@ -94,7 +95,7 @@ class PivotOffset(Effect):
     def statement(self) -> str:
         """Return what happens at 45 degrees."""
         shift = self.values["axial_m"] * (1 - math.cos(math.pi / 4)) + self.values["lateral_m"] * math.sin(math.pi / 4)
-        return f"{self.summary}: by {1000 * shift:+.0f} mm at 45 deg."
+        return f"The turning axis lies off the reflector's face: turned by 45 deg it is {1000 * shift:+.0f} mm farther."
 
 
 class BaselineParallax(Effect):
@@ -118,4 +119,5 @@ class BaselineParallax(Effect):
         """Return the spacing and the error at 100 mm."""
         spacing = self.values["spacing_m"]
         error = math.hypot(0.1, spacing / 2) - 0.1
-        return f"{self.summary}: {1000 * spacing:.0f} mm apart, {1000 * error:+.1f} mm at 100 mm."
+        apart = f"Transmitter and receiver sit {1000 * spacing:.0f} mm apart"
+        return f"{apart}: near ranges read long, by {1000 * error:.1f} mm at 100 mm."

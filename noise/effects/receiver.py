@@ -56,7 +56,8 @@ class Sensitivity(Effect):
         """Return the loss and how far a wall is still heard."""
         loss = self.values["loss_db"]
         reach = 10 ** ((MARGIN_DB - loss) / 20)
-        return f"{self.summary}; {loss:.0f} dB less, so half the echoes of a wall at {reach:.2g} m are missed."
+        missed = f"half the echoes of a wall at {reach:.2g} m"
+        return f"The receiver hears {loss:.0f} dB less than an ideal one: it misses {missed}."
 
 
 class ClockScale(Effect):
@@ -99,7 +100,8 @@ class ZeroOffset(Effect):
 
     def statement(self) -> str:
         """Return the shift."""
-        return f"{self.summary}, by {1000 * self.values['offset_m']:+.1f} mm."
+        shift = f"All ranges are shifted by {1000 * self.values['offset_m']:+.1f} mm"
+        return f"{shift}: they are counted from another plane than the true distances."
 
 
 class TravelTimeJitter(Effect):
@@ -122,7 +124,7 @@ class TravelTimeJitter(Effect):
     def statement(self) -> str:
         """Return the scatter at 1 m and its growth."""
         v = self.values
-        return f"{self.summary}: by {1000 * v['sigma_m']:.2g} mm and {1000 * v['per_metre']:.2g} mm per metre."
+        return f"{self.summary}, by {1000 * v['sigma_m']:.2g} mm and by {1000 * v['per_metre']:.2g} mm for every metre."
 
     def _widen(self, path: Path) -> Path:
         variance = path.spread**2 + self.sigma_m**2 + (self.per_metre * path.length) ** 2
@@ -151,7 +153,7 @@ class TimeWalk(Effect):
     def statement(self) -> str:
         """Return the lag at two levels."""
         scale = 1000 * self.values["scale"]
-        return f"{self.summary}: by {13.5e-3 * scale:.0f} mm at 20 dB over it, {44e-3 * scale:.0f} mm at 2 dB."
+        return f"{self.summary}, by {13.5e-3 * scale:.0f} mm at 20 dB over it, {44e-3 * scale:.0f} mm at 2 dB."
 
 
 class CycleSlip(Effect):
@@ -214,7 +216,7 @@ class RingDown(Effect):
     def statement(self) -> str:
         """Return where and how often."""
         v = self.values
-        return f"{self.summary}: from {1000 * v['range_m']:.0f} mm on, in {100 * v['probability']:.3g} % of pings."
+        return f"{self.summary} from {1000 * v['range_m']:.0f} mm on, in {100 * v['probability']:.3g} % of pings."
 
 
 class FalseAlarm(Effect):
@@ -232,7 +234,8 @@ class FalseAlarm(Effect):
 
     def statement(self) -> str:
         """Return the rate."""
-        return f"{self.summary}: {100 * self.values['per_metre']:.2g} % for every metre listened."
+        rate = 100 * self.values["per_metre"]
+        return f"{self.summary}, in {rate:.2g} % of pings for every metre listened."
 
 
 class Quantisation(Effect):
@@ -270,7 +273,7 @@ class RangeGate(Effect):
 
     def statement(self) -> str:
         """Return where."""
-        return f"{self.summary}: beyond {self.values['listen_m']:.2f} m."
+        return f"The sensor stops listening: echoes from beyond {self.values['listen_m']:.2f} m are not heard."
 
 
 class WarmUp(Effect):
@@ -293,4 +296,4 @@ class WarmUp(Effect):
     def statement(self) -> str:
         """Return size and time."""
         v = self.values
-        return f"{self.summary}: {1000 * v['offset_m']:+.1f} mm at first, gone with a time of {v['tau_s']:.0f} s."
+        return f"{self.summary}, by {1000 * v['offset_m']:+.1f} mm at first, fading over {v['tau_s']:.0f} s."

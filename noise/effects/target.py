@@ -57,7 +57,7 @@ class ReflectanceLoss(Effect):
 
     def statement(self) -> str:
         """Return the loss at reflectance 0.1."""
-        return f"{self.summary}: {20 * self.values['strength']:.0f} dB at reflectance 0.1."
+        return f"{self.summary}, by {20 * self.values['strength']:.0f} dB at reflectance 0.1."
 
 
 class SpecularLoss(Effect):
@@ -113,9 +113,7 @@ class EdgeDiffraction(Effect):
     def statement(self) -> str:
         """Return how much earlier the edge is at 45 degrees."""
         early = self.values["half_width_m"] * math.sin(math.pi / 4)
-        return (
-            f"{self.summary}: about {1000 * early:.0f} mm at 45 deg, in {_percent(self.values['presence'])} of pings."
-        )
+        return f"{self.summary}, by {1000 * early:.0f} mm at 45 deg, in {_percent(self.values['presence'])} of pings."
 
 
 class PerpendicularFoot(Effect):
@@ -192,7 +190,7 @@ class FixedClutter(Effect):
 
     def statement(self) -> str:
         """Return its range and how often it is there."""
-        return f"{self.summary}: {self.values['range_m']:.2f} m, in {_percent(self.values['presence'])} of pings."
+        return f"{self.summary} of {self.values['range_m']:.2f} m, in {_percent(self.values['presence'])} of pings."
 
 
 class Multipath(Effect):
@@ -224,7 +222,8 @@ class Multipath(Effect):
     def statement(self) -> str:
         """Return the height that fits."""
         late = 0.5 * (math.hypot(1.0, 2 * self.values["height_m"]) - 1.0)
-        return f"{self.summary}: axis {self.values['height_m']:.2f} m above it, {1000 * late:.0f} mm late at 1 m."
+        bounce = f"Echoes that bounced off something {self.values['height_m']:.2f} m beside the axis, such as the floor"
+        return f"{bounce}, are read when the direct one is missed, {1000 * late:.0f} mm long at 1 m."
 
 
 class RepeatedBounce(Effect):
@@ -249,7 +248,7 @@ class RepeatedBounce(Effect):
     def statement(self) -> str:
         """Return its loss."""
         v = self.values
-        return f"{self.summary}: {v['loss_db']:.0f} dB below a wall there, in {_percent(v['presence'])} of pings."
+        return f"{self.summary}, {v['loss_db']:.0f} dB below a wall there, in {_percent(v['presence'])} of pings."
 
 
 def _percent(share: float) -> str:
