@@ -50,7 +50,7 @@ def test_scale_error_is_a_scale_error_everywhere():
 
 def test_a_bias_in_a_corner_is_found_there():
     def corner(d, a):
-        return d + 0.02 * ((d > 2.0) & (d < 3.0) & (a > 0.2))
+        return d + 0.01 * ((d > 2.0) & (d < 3.0) & (a > 0.2))
 
     (found, *_) = locate(STACK, heard(2, corner, cells=200), np.random.default_rng(0))
     assert found.aspect in ("bias", "scale", "spread", "skew")
