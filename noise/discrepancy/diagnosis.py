@@ -16,6 +16,7 @@ from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.next_measurement import next_measurement
 from noise.discrepancy.rest import check_rest
 from noise.discrepancy.rivals import Rival, posterior, rivals
+from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Crossed, Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
@@ -117,11 +118,16 @@ def diagnose(
     chosen, cross = base.without_repairs(search, chosen, cross)
     final = _final(search, cross, chosen)
     tell("weighing rivals", 0.75)
-    named, all_rivals = _name(search, final, chosen, cross, seed)
+    named, all_rivals = _name(base, search, final, chosen, cross, seed)
+    scatter = changed_scatter(base.stack, search, chosen, cross) if base.own is not None else None
+    gain = cross.nats - cross_base.nats
+    if scatter is not None:
+        named, gain = [*named, scatter[0]], gain + scatter[1]
     tell("checking what is left", 0.9)
     rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), misfit)
-    verdict = _verdict(base, where, named, rest, cross, cross_base, search)
-    held = _held_out(base.raw, fitted.stack, final.stack, split.vault)
+    verdict = _verdict(base, where, named, rest, float(gain.sum()), search)
+    before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
+    held = _held_out(base.raw, before, final.stack, split.vault)
     surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
     ahead = next_measurement(final.stack, surviving, seed)
     tell("done", 1.0)
@@ -160,7 +166,7 @@ def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
 
 
 def _name(
-    search: Search, final: Final, chosen: Sequence[str], cross: Crossed, seed: int
+    base: Baseline, search: Search, final: Final, chosen: Sequence[str], cross: Crossed, seed: int
 ) -> tuple[list[Named], list[Rival]]:
     """Return every chosen effect with intervals, gain and rivals."""
     if not chosen:
@@ -172,11 +178,20 @@ def _name(
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
-        effect = final.stack.known[name](**final.fit.stack.values[name])
+        told = _told(base.stack, final.fit.stack, name)
         parameters = _intervals(final.fit, name, spread)
         weight, error = posterior(own), spread_over_blocks(gain)
-        named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, effect.statement()))
+        named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, told))
     return named, all_rivals
+
+
+def _told(before: Stack, after: Stack, name: str) -> str:
+    """Return the statement of an effect, with what the simulation itself has of it."""
+    text = after.known[name](**after.values[name]).statement()
+    if name not in before.values:
+        return text
+    held = ", ".join(f"{p.name} {before.get((name, p.name)):.3g} {p.unit}" for p in before.known[name].parameters)
+    return f"{text} (The simulation itself behaves as with {held}.)"
 
 
 def _intervals(final: Fit, name: str, spread: Floats) -> dict[str, Interval]:
@@ -194,12 +209,10 @@ def _verdict(
     where: Sequence[Finding],
     named: Sequence[Named],
     rest: Rest,
-    cross: Crossed,
-    cross_base: Crossed,
+    gain: float,
     search: Search,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
-    gain = float((cross.nats - cross_base.nats).sum())
     p_scan = min((finding.p_value for finding in where), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     kind = judge(named, rest, gain, p_scan, base)

@@ -45,7 +45,7 @@ def check_rest(
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
     findings = tuple(locate(stack, batch, rng, most=3, known=known))
-    words = "; ".join(in_words(finding) for finding in findings)
+    words = "; ".join(in_words(finding) for finding in findings) or "small misfits that stand out at no single place"
     return Rest(True, p, f"{words} (a description, not a cause)", findings)
 
 

@@ -178,9 +178,9 @@ class Search:
         held = self.base.values.get(name, {})
         return {p.name: held.get(p.name, p.null) for p in self.base.known[name].parameters}
 
-    def cross(self, stack: Stack, chosen: Sequence[str]) -> Crossed:
+    def cross(self, stack: Stack, chosen: Sequence[str], nuisances: Sequence[Key] = NUISANCES) -> Crossed:
         """Fit a hypothesis on either part, score it on the other."""
-        free = (*self.keys(chosen), *NUISANCES)
+        free = (*self.keys(chosen), *nuisances)
         first = maximise(stack, free, self.discover)
         second = maximise(first.stack, free, self.confirm)
         on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))

@@ -1,0 +1,66 @@
+"""Whether single readings scatter otherwise than the simulation says.
+
+Scatter is a nuisance while causes are searched, so that no cause is taken for scatter. A simulation that states its own
+is held to it afterwards: the explanation is scored once with the recording's scatter and once with the simulation's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from noise.cells import Batch
+from noise.discrepancy.search import Crossed, Search, spread_over_blocks
+from noise.discrepancy.verdict import Interval, Named
+from noise.fit import JITTER, NUISANCES, Stack
+from noise.law import Floats
+
+SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
+LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours
+
+
+def scatter_m(stack: Stack, distance: float) -> float:
+    """Return the standard deviation of single readings at a distance, m."""
+    sigma, per_metre = (stack.get(key) for key in SCATTER)
+    return float(np.hypot(sigma, per_metre * distance))
+
+
+def changed_scatter(
+    simulation: Stack, search: Search, chosen: list[str], cross: Crossed
+) -> tuple[Named, Floats] | None:
+    """Return the scatter as a named effect with its gain by block, or None where it is the simulation's own.
+
+    Args:
+        simulation: the law that stands for the simulation, its scatter fitted to its own readings.
+        search: holds the parts of the recording.
+        chosen: the effects of the explanation.
+        cross: the explanation, fitted on either part with scatter free.
+    """
+    held = cross.first.stack.put(SCATTER, [simulation.get(key) for key in SCATTER])
+    others = tuple(key for key in NUISANCES if key not in SCATTER)
+    gain = cross.nats - search.cross(held, chosen, others).nats
+    distance = float(np.median(search.both.ping.distance))
+    before = max(scatter_m(simulation, distance), _least(search.both))
+    after = [max(scatter_m(fit.stack, distance), _least(search.both)) for fit in (cross.first, cross.second)]
+    ratios = [max(x / before, before / x) for x in after]
+    if min(ratios) < LEAST_RATIO or not search.believable(gain):
+        return None
+    return _named(cross, gain, before, float(np.mean(after)), distance), gain
+
+
+def _least(batch: Batch) -> float:
+    """Return the scatter that rounding to the register alone gives, m: less cannot be seen."""
+    return batch.resolution / float(np.sqrt(12.0))
+
+
+def _named(cross: Crossed, gain: Floats, before: float, after: float, distance: float) -> Named:
+    word = "more" if after > before else "less"
+    told = (
+        f"Single readings scatter {word} than the simulation's: "
+        f"by {1000 * after:.1f} mm at {distance:.1f} m, not {1000 * before:.1f} mm."
+    )
+    parameters = {}
+    for key in SCATTER:
+        values = sorted(fit.stack.get(key) for fit in (cross.first, cross.second))
+        unit = cross.first.stack.parameter(key).unit
+        parameters[key[1]] = Interval(float(np.mean(values)), values[0], values[1], unit)
+    return Named(JITTER, (), 1.0, parameters, float(gain.sum()), spread_over_blocks(gain), told)
