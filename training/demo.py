@@ -21,10 +21,9 @@ from training.envelope import CONCEALED, Envelope, conceal
 from training.progress import bar
 
 PLAN = Plan(
-    angles_deg=(0.0, 5.0, 10.0, 20.0),
-    distances_mm=tuple(float(d) for d in range(250, 4001, 250)),
+    angles_deg=(0.0, 9.0, 18.0, 27.0),
+    distances_mm=(150.0, 250.0, 350.0, 500.0, 700.0, 900.0, 1200.0, 1500.0, 1800.0, 2100.0, 2400.0, 2700.0, 3000.0),
     pings=20,
-    interval_s=0.1,
     facing=True,
 )
 HIDDEN = ["temperature_c", "humidity_pct"]  # what would give the answer away

@@ -20,6 +20,7 @@ from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Crossed, Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
+from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
 from noise.fit import (
     CELLS,
@@ -178,20 +179,33 @@ def _name(
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
-        told = _told(base.stack, final.fit.stack, name)
+        told = _told(base, final.fit.stack, name)
         parameters = _intervals(final.fit, name, spread)
         weight, error = posterior(own), spread_over_blocks(gain)
         named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, told))
     return named, all_rivals
 
 
-def _told(before: Stack, after: Stack, name: str) -> str:
-    """Return the statement of an effect, with what the simulation itself has of it."""
+def _told(base: Baseline, after: Stack, name: str) -> str:
+    """Return the statement of an effect; of a simulation known by its readings alone, against what it does itself."""
+    before = base.stack
     text = after.known[name](**after.values[name]).statement()
-    if name not in before.values:
+    if base.own is not None and name == "sound_speed":
+        return compared_air(before.get((name, "temperature_c")), after.get((name, "temperature_c")))
+    changed = [p for p in before.known[name].parameters if before.get((name, p.name)) != p.null]
+    if name not in before.values or not changed:
         return text
-    held = ", ".join(f"{p.name} {before.get((name, p.name)):.3g} {p.unit}" for p in before.known[name].parameters)
+    held = ", ".join(f"{p.name} {before.get((name, p.name)):.3g} {p.unit}" for p in changed)
     return f"{text} (The simulation itself behaves as with {held}.)"
+
+
+def compared_air(before_c: float, after_c: float) -> str:
+    """Return how the air differs from a simulation whose own temperature nobody stated."""
+    error = ((CELSIUS + before_c) / (CELSIUS + after_c)) ** 0.5 - 1.0
+    return (
+        f"Readings run {'long' if error >= 0 else 'short'} by {100 * abs(error):.2g} % of distance against the "
+        f"simulation: the air was {abs(after_c - before_c):.0f} K {'warmer' if error < 0 else 'colder'} than it has it."
+    )
 
 
 def _intervals(final: Fit, name: str, spread: Floats) -> dict[str, Interval]:

@@ -20,7 +20,7 @@ from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_ove
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.empirical import Flexible
-from noise.fit import CELLS, NUISANCES, Key, Stack, maximise, nuisance_starts
+from noise.fit import CELLS, NUISANCES, Key, Stack, log_likelihood, maximise, nuisance_starts
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
@@ -41,6 +41,7 @@ WEAKENED: dict[Key, float] = {
     ("time_walk", "scale"): 0.5,
 }
 ALARM = 0.01
+LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
 
@@ -141,13 +142,22 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
     fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
     smooth = smooth.put(fine, [0.0] * len(fine))
-    stack = maximise(smooth, (*_own(smooth), *NUISANCES), both, 80).stack
+    stack = _pruned(maximise(smooth, (*_own(smooth), *NUISANCES), both, 80).stack, both)
     p = scan_p(stack, split.vault, np.random.default_rng([seed, 7]))
     good = p >= ALARM
     words = "describes" if good else "does not fully describe"
     note = f"a stand-in with a smooth part {words} the simulation's own held-out readings"
     plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
     return Baseline(stack, raw or plain, BaselineCheck(good, p, note), split)
+
+
+def _pruned(stack: Stack, batch: Batch) -> Stack:
+    """Drop what the readings do not speak for: under other conditions it would do harm that nobody asked for."""
+    for name in dict.fromkeys(key[0] for key in (*PLAIN, *WEAKENED) if key[0] in stack.values):
+        without = stack.without(name)
+        if log_likelihood(stack, batch).sum() - log_likelihood(without, batch).sum() < LEAST_LOSS:
+            stack = without
+    return stack
 
 
 def _own(stack: Stack) -> tuple[Key, ...]:
