@@ -246,6 +246,8 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
     """
     if not named:
         return "unknown" if p_scan < ALARM and rest.present else "none"
+    if rest.present and all(n.effect == JITTER for n in named):
+        return "unknown"
     left = sum(finding.nats for finding in rest.findings)
     if rest.present and left > SMALL_SHARE * gain:
         catch_all = all(n.effect in CATCH_ALL for n in named)

@@ -19,7 +19,7 @@ from noise.discrepancy.rest import scan_p
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
-from noise.empirical import Flexible
+from noise.empirical import DISTANCE_KNOTS, Flexible
 from noise.fit import CELLS, NUISANCES, Key, Stack, log_likelihood, maximise, nuisance_starts
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
@@ -142,7 +142,7 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
     fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
     smooth = smooth.put(fine, [0.0] * len(fine))
-    stack = _pruned(maximise(smooth, (*_own(smooth), *NUISANCES), both, 80).stack, both)
+    stack = folded(_pruned(maximise(smooth, (*_own(smooth), *NUISANCES), both, 80).stack, both))
     p = scan_p(stack, split.vault, np.random.default_rng([seed, 7]))
     good = p >= ALARM
     words = "describes" if good else "does not fully describe"
@@ -158,6 +158,17 @@ def _pruned(stack: Stack, batch: Batch) -> Stack:
         if log_likelihood(stack, batch).sum() - log_likelihood(without, batch).sum() < LEAST_LOSS:
             stack = without
     return stack
+
+
+def folded(stack: Stack) -> Stack:
+    """Return the stack with its scale and offset moved into the smooth part, which holds any line exactly.
+
+    A scale or offset that is named later then says by how much the recording differs from the simulation.
+    """
+    scale, offset = 1.0 + stack.get(("clock_scale", "error")), stack.get(("zero_offset", "offset_m"))
+    keys = [(Flexible.name, f"bias_d{k}") for k in range(len(DISTANCE_KNOTS))]
+    line = [scale * (d + stack.get(key)) + offset - d for d, key in zip(DISTANCE_KNOTS, keys, strict=True)]
+    return stack.put(keys, line).without("clock_scale").without("zero_offset")
 
 
 def _own(stack: Stack) -> tuple[Key, ...]:

@@ -5,8 +5,10 @@ import torch
 
 from acquisition import Ping
 from noise import load_model, save_model
+from noise.discrepancy.emulate import folded
 from noise.effects import CATALOGUE
 from noise.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, interpolate
+from noise.fit import Stack
 
 
 def test_interpolation_is_numpys():
@@ -27,6 +29,15 @@ def test_null_leaves_the_law_alone():
 def test_bias_moves_readings_by_its_line():
     model = EmpiricalModel([Flexible(**{f"bias_d{k}": 0.05 for k in range(len(DISTANCE_KNOTS))})])
     assert np.allclose(model.law(Ping.of(distance=[0.5, 2.0])).quantile(0.5), [0.55, 2.05], atol=0.0011)
+
+
+def test_a_line_moves_into_the_smooth_part_and_changes_nothing():
+    values = {"clock_scale": {"error": 0.012}, "zero_offset": {"offset_m": -0.01}, "flexible": {"bias_d3": 0.02}}
+    stack = Stack(values, extra={"flexible": Flexible})
+    ping = Ping.of(distance=np.linspace(0.12, 5.9, 60))
+    before, after = (s.model.law(ping).quantile(0.5) for s in (stack, folded(stack)))
+    assert set(folded(stack).values) == {"flexible"}
+    assert np.allclose(before, after, atol=0.0011)
 
 
 def test_saved_and_loaded_it_is_the_same(tmp_path):
