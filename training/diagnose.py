@@ -11,14 +11,13 @@ from typing import Annotated
 
 import torch
 import tyro
-from rich.console import Console
-from rich.progress import Progress
 
 from acquisition import Recording, SettingError
 from acquisition.files import write_text
 from noise.discrepancy import Diagnosis, diagnose
 from noise.discrepancy.search import Progress as Tell
 from noise.store import load_model, save_model
+from training.progress import bars
 from training.report import headline, render
 
 
@@ -79,7 +78,7 @@ def _one_thread() -> Iterator[None]:
 @contextmanager
 def _told() -> Iterator[Tell]:
     """Show a progress bar on stderr, where it is a terminal."""
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with bars() as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda message, share: bar.update(task, completed=share, description=message)
 
