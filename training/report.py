@@ -38,7 +38,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"The recording differs from the model, and no known effect explains it: {what}."
     told = " ".join(named.statement for named in verdict.effects[:2])
     alike = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
-    more = "" if len(verdict.effects) <= 2 else f" And {len(verdict.effects) - 2} smaller effects."
+    others = len(verdict.effects) - 2
+    more = "" if others < 1 else f" And {others} smaller effect{'s' if others > 1 else ''}."
     doubt = f" These data cannot tell this from {_list(alike)}." if verdict.verdict == "confounded" else ""
     rest = " Something smaller remains unexplained." if verdict.verdict == "named_with_rest" else ""
     return told + more + doubt + rest

@@ -189,8 +189,10 @@ class FixedClutter(Effect):
         return state.with_path(replace(path, spread=self.spread_m))
 
     def statement(self) -> str:
-        """Return its range and how often it is there."""
-        return f"{self.summary} of {self.values['range_m']:.2f} m, in {_percent(self.values['presence'])} of pings."
+        """Return its range and how often it answers."""
+        v = self.values
+        often = f"it answers {_percent(v['presence'])} of pings, and is read where nothing nearer was heard"
+        return f"{self.summary} of {v['range_m']:.2f} m: {often}."
 
 
 class Multipath(Effect):
