@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import tyro
 
 from acquisition import Recording, SettingError
@@ -19,6 +18,7 @@ from noise.discrepancy.search import Progress as Tell
 from noise.store import load_model, save_model
 from training.progress import bars
 from training.report import headline, render
+from training.threads import one_thread
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def examine(args: Args) -> Diagnosis:
     simulated = None if args.simulated is None else Recording.load(args.simulated)
     model = load_model(args.model)
     _check_out(args.out)
-    with _one_thread(), _told() as tell:
+    with one_thread(), _told() as tell:
         diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=tell)
         tell("drawing the report", 0.97)
         page = render(diagnosis, str(args.out / "corrected"), args.seed)
@@ -62,17 +62,6 @@ def _check_out(out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise SettingError(f"--out {out}: is a file, expected a folder to write into; give another name")
     out.mkdir(parents=True, exist_ok=True)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Run torch on one thread: its tensors are small here, and sums come out alike on every machine."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @contextmanager

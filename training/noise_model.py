@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +25,7 @@ from noise.store import save_model
 from training.model_card import card, plain, table
 from training.networks import Batch, Network, Schedule, fit_network
 from training.progress import bars
+from training.threads import one_thread
 
 FEWEST_CELLS = 10
 
@@ -149,7 +149,7 @@ def train(
     rows = {name: getattr(split, name) & answered for name in ("train", "validation", "test")}
     if not (reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
         raise SettingError(f"{recording.name}: too few echoes or answers to train, validate and test on: record more")
-    with torch.random.fork_rng(), _one_thread():
+    with torch.random.fork_rng(), one_thread():
         torch.manual_seed(args.seed)
         network = Network(inputs, head, args.hidden, args.depth)
         parts = {name: Batch.of(inputs, head, ping[mask], reading[mask]) for name, mask in rows.items()}
@@ -163,17 +163,6 @@ def train(
     t = rows["test"]
     scores = {k: evaluate(m, ping[t], reading[t], cell[t]) for k, m in {**rivals, "network": model}.items()}
     return Trained(model, scores, unit)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Keep torch to one thread: as fast for networks this small, and the same seed gives the same sums everywhere."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
