@@ -130,7 +130,7 @@ def diagnose(
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
     held = _held_out(base.raw, before, final.stack, split.vault)
     surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
-    ahead = next_measurement(final.stack, surviving, seed)
+    ahead = next_measurement(final.stack, surviving, seed, base.stack if base.own is not None else None)
     tell("done", 1.0)
     return Diagnosis(
         replace(verdict, held_out=held, next_measurement=tuple(ahead)),

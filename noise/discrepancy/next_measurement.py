@@ -78,23 +78,35 @@ OTHER_INSTRUMENT = {
 }
 
 
-def next_measurement(own: Stack, rivals: Sequence[tuple[str, str, Stack]], seed: int) -> list[Measurement]:
-    """Return one measurement for each surviving rival.
+def next_measurement(
+    own: Stack, rivals: Sequence[tuple[str, str, Stack]], seed: int, simulation: Stack | None = None
+) -> list[Measurement]:
+    """Return the measurements that tell surviving rivals apart, each once.
 
     Args:
         own: the explanation.
         rivals: (chosen effect, rival effect, rival explanation) of each that survives.
         seed: of the draws.
+        simulation: the law that stands for a simulation whose own temperature nobody stated; None where 22.8 degC is
+            what the sensor assumes.
     """
-    return [_separate(own, stack, chosen, rival, seed) for chosen, rival, stack in rivals]
+    return merged([_separate(own, stack, chosen, rival, seed, simulation) for chosen, rival, stack in rivals])
 
 
-def _separate(own: Stack, other: Stack, chosen: str, rival: str, seed: int) -> Measurement:
+def merged(measurements: Sequence[Measurement]) -> list[Measurement]:
+    """Return measurements with those that ask for the same thing made one."""
+    out: dict[str, Measurement] = {}
+    for m in measurements:
+        same = out.get(m.do, Measurement(m.do, (), 0))
+        out[m.do] = Measurement(m.do, tuple(dict.fromkeys((*same.separates, *m.separates))), max(same.pings, m.pings))
+    return list(out.values())
+
+
+def _separate(own: Stack, other: Stack, chosen: str, rival: str, seed: int, simulation: Stack | None) -> Measurement:
     pair = frozenset({chosen, rival})
     if pair in OTHER_INSTRUMENT:
         warm = (own if chosen == "sound_speed" else other).get(("sound_speed", "temperature_c"))
-        text = OTHER_INSTRUMENT[pair].format(temperature=f"{warm:.1f} degC")
-        return Measurement(text, (chosen, rival), 1)
+        return Measurement(OTHER_INSTRUMENT[pair].format(temperature=_warmth(warm, simulation)), (chosen, rival), 1)
     ping = grid()
     best = max(((*divergence(own, other, ping, change, seed), words) for words, change in SETTINGS.items()), key=_first)
     value, rows, words = best
@@ -102,6 +114,13 @@ def _separate(own: Stack, other: Stack, chosen: str, rival: str, seed: int) -> M
         text = "no distance, angle, gain or ping interval tells these apart: inspect the sensor and its link instead"
         return Measurement(text, (chosen, rival), 0)
     return Measurement(_tell(ping[rows]) + words, (chosen, rival), int(np.ceil(SETTLED / value)))
+
+
+def _warmth(celsius: float, simulation: Stack | None) -> str:
+    if simulation is None:
+        return f"{celsius:.1f} degC"
+    more = celsius - simulation.get(("sound_speed", "temperature_c"))
+    return f"{abs(more):.0f} K {'warmer' if more > 0 else 'colder'} than the simulation has it"
 
 
 def _first(item: tuple[float, object, str]) -> float:
