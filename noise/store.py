@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import shutil
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -74,14 +73,28 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
         folder: to write.
     """
     folder = Path(folder)
+    check_model_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=folder.name))
-    if hasattr(model, "write_weights"):
-        model.write_weights(temporary)
-    (temporary / "model.json").write_text(text + "\n", encoding="utf-8")
-    temporary.chmod(0o755)
-    if folder.exists():
-        shutil.rmtree(folder)
-    os.replace(temporary, folder)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
+        fresh, old = Path(beside) / "fresh", Path(beside) / "old"
+        fresh.mkdir()
+        if hasattr(model, "write_weights"):
+            model.write_weights(fresh)
+        (fresh / "model.json").write_text(text + "\n", encoding="utf-8")
+        if folder.exists():
+            os.replace(folder, old)
+        os.replace(fresh, folder)
     return folder
+
+
+def check_model_folder(folder: Path) -> None:
+    """Make sure that writing a model to a folder replaces nothing but an older model.
+
+    Raises:
+        ModelError: it is a file, or a folder of something else.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ModelError(f"{folder}: is a file, expected a folder to write a model to; give another name")
+    if folder.exists() and any(folder.iterdir()) and not (folder / "model.json").is_file():
+        raise ModelError(f"{folder}: holds something else than a model; give the name of a new folder")

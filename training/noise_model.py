@@ -21,7 +21,7 @@ from noise.cells import cells_of
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, GaussianModel, IdealModel, SonarModel
 from noise.networks import Head, Inputs, MlpModel
-from noise.store import save_model
+from noise.store import check_model_folder, save_model
 from training.model_card import card, plain, table
 from training.networks import Batch, Network, Schedule, fit_network
 from training.progress import bars
@@ -200,6 +200,7 @@ def command(args: Args) -> str:
 
 def main(args: Args) -> None:
     """Train, print the scores, write the model and its card."""
+    check_model_folder(args.out)
     recording, console = Recording.load(args.recording), Console()
     with bars() as progress:
         task = progress.add_task("training", total=args.epochs)

@@ -65,3 +65,19 @@ def test_a_model_without_plain_data_is_not_half_written(tmp_path):
     with pytest.raises(AttributeError):
         save_model(IdealModel(), tmp_path / "ideal")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_saving_replaces_an_older_model_and_leaves_nothing_beside_it(tmp_path):
+    for resolution in (0.001, 0.01):
+        save_model(PhysicalModel((), resolution), tmp_path / "model")
+    assert load_model(tmp_path / "model").resolution == 0.01
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]
+
+
+def test_a_folder_of_something_else_is_never_replaced(tmp_path):
+    (tmp_path / "recording.csv").write_text("distance_mm\n", encoding="utf-8")
+    with pytest.raises(ModelError, match="holds something else than a model"):
+        save_model(PhysicalModel(), tmp_path)
+    assert (tmp_path / "recording.csv").is_file()
+    with pytest.raises(ModelError, match="is a file, expected a folder"):
+        save_model(PhysicalModel(), tmp_path / "recording.csv")
