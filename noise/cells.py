@@ -7,7 +7,8 @@ in its cell, and what the neighbours already told counts no more. The sum is wha
 
 The prediction is, in this order:
 1. a normal offset shared by the cell (`placement_m`), known ever better as readings come, by the rules of a Kalman
-   filter, and what is carried over from one ping to the next (`carry`);
+   filter, and what is carried over from one ping to the next (`carry`); where a simulation was asked under the very
+   same condition, its own offset there is where this one begins (`link`);
 2. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
    repeating (silence, another reflector) count about once a cell;
 3. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
@@ -46,11 +47,13 @@ class CellNuisance(Effect):
         Parameter("carry", "1", 0.0, 0.0, 0.98, "correlation from ping to ping: ours", (0.1,)),
         Parameter("sharing", "1", 0.0, 0.0, 5.0, "weight of one earlier reading against the law: ours", (0.02,)),
         Parameter("kernel_m", "m", 0.004, 0.0003, 0.05, "width of what a cell repeats: ours", (0.004,)),
+        Parameter("link", "1", 0.0, 0.0, 0.999, "correlation with the simulation's offset in a cell: ours", (0.5,)),
     )
     placement_m: Tensor
     carry: Tensor
     sharing: Tensor
     kernel_m: Tensor
+    link: Tensor
 
     def apply(self, state: State) -> State:
         """Leave the state as it is."""
@@ -69,6 +72,7 @@ class Batch:
         cell: the cell of each ping, for splits, (n,).
         resolution: step of the register, m.
         timed: whether the time of each ping was logged.
+        twin: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
     """
 
     ping: Ping
@@ -78,6 +82,7 @@ class Batch:
     cell: NDArray[np.int64]
     resolution: float
     timed: bool = True
+    twin: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -111,6 +116,7 @@ class Batch:
             reading=self.reading[mask],
             block=block,
             cell=self.cell[mask],
+            twin=None if self.twin is None else self.twin[mask],
         )
 
     def thin(self, n: int) -> Batch:
@@ -141,6 +147,12 @@ class Batch:
     def conditions(self) -> Conditions:
         """Conditions and past as tensors."""
         return Conditions.of(self.ping, self.past)
+
+    @cached_property
+    def twins(self) -> tuple[Tensor, Tensor]:
+        """Offset of the simulation in each ping's cell, m, 0 where unknown, and whether it is known (0 or 1), (n,)."""
+        twin = np.full(len(self), np.nan) if self.twin is None else self.twin
+        return torch.as_tensor(np.nan_to_num(twin)), torch.as_tensor((~np.isnan(twin)).astype(np.float64))
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
@@ -212,17 +224,23 @@ def _before(value: Tensor, batch: Batch) -> Tensor:
     return total - total[torch.from_numpy(batch.first)]
 
 
+def prior_offset(cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each."""
+    twin, known = batch.twins
+    return cells.link * twin, cells.placement_m**2 * (1.0 - (cells.link * known) ** 2) + 1e-12
+
+
 def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (n,) each."""
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
-    prior = cells.placement_m**2 + 1e-12
+    start, prior = prior_offset(cells, batch)
     # a reading counts for the offset as far as it can be the direct path's: smoothly nothing beyond 4 deviations
-    near = error**2 / (16.0 * (variance + prior))
+    near = (error - start) ** 2 / (16.0 * (variance + prior))
     weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
     precision = 1.0 / prior + _before(weight, batch)
-    mean = _before(weight * error, batch) / precision
+    mean = (start / prior + _before(weight * error, batch)) / precision
     last = torch.from_numpy(np.maximum(np.arange(len(batch)) - 1, batch.first))
     known = torch.from_numpy(batch.count > 0)
     carried = cells.carry * (weight * variance)[last] * (error - mean)[last]
@@ -250,10 +268,9 @@ def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
     return torch.log(own + cells.sharing * repeats) - torch.log1p(cells.sharing * seen)
 
 
-def marginal(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
-    """Return the law of a ping in a cell of which nothing is known yet: what a simulator should sample."""
-    middle, _ = direct_median(law)
-    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + cells.placement_m**2)
+def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> PhysicalLaw:
+    """Return the law of a ping in a cell that has not been heard of yet."""
+    return shifted(law, *prior_offset(cells, batch))
 
 
 def silence(batch: Batch) -> float:

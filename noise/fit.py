@@ -29,7 +29,8 @@ Key = tuple[str, str]
 CELLS = "cells"
 JITTER = "travel_time_jitter"
 SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (CELLS, "placement_m"))
-SHARED = ((CELLS, "carry"), (CELLS, "sharing"), (CELLS, "kernel_m"))
+LINK = (CELLS, "link")
+SHARED = ((CELLS, "carry"), (CELLS, "sharing"), (CELLS, "kernel_m"), LINK)
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 TOLERANCE = 1e-7  # of the log likelihood, relative: about 0.002 nats in 20,000
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
@@ -185,6 +186,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         iterations: of L-BFGS-B, shared by its restarts.
         enough: nats that a climb must gain for another to follow it.
     """
+    free = [key for key in free if key != LINK or batch.twin is not None]
     objective = _Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
     best = objective(x)[0]
@@ -231,6 +233,8 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
         keys: parameters to move besides the spread.
         batch: it was fitted to.
     """
+    # what looks at the reading before is told apart from a cell that repeats itself by the urn alone
+    keys = [key for key in keys if not joint.stack.known[key[0]].remembers]
     if not keys or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
         return joint
     alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
@@ -310,6 +314,7 @@ def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
     wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (CELLS, "placement_m"): 0.5 * size}
     shared = {(CELLS, "sharing"): 0.02, (CELLS, "carry"): 0.1, (CELLS, "kernel_m"): max(0.004, batch.resolution / 3.0)}
+    shared[LINK] = 0.0 if batch.twin is None else 0.5
     start = {**wide, **shared}
     return stack.put(list(start), np.minimum(list(start.values()), 0.19))
 

@@ -107,10 +107,10 @@ def diagnose(
         RecordingError: the recording holds no answered ping.
     """
     tell = progress or (lambda message, share: None)
-    batch = Batch.of(recording)
-    split = Split.of(batch, np.random.default_rng([seed, 1]))
     tell("learning what the simulation says", 0.02)
     base = baseline_of(model, recording, simulated, seed)
+    batch = base.with_twins(Batch.of(recording))
+    split = Split.of(batch, np.random.default_rng([seed, 1]))
     search, fitted = _prepare(base, split, seed, tell)
     tell("locating", 0.08)
     misfit = base.misfit(seed)
@@ -125,7 +125,7 @@ def diagnose(
     if scatter is not None:
         named, gain = [*named, scatter[0]], gain + scatter[1]
     tell("checking what is left", 0.9)
-    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), misfit)
+    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), split.both, misfit)
     verdict = _verdict(base, where, named, rest, float(gain.sum()), search)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
     held = _held_out(base.raw, before, final.stack, split.vault)

@@ -11,9 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
+import torch
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.cells import Batch, direct_median, law_of
 from noise.discrepancy.locate import residuals, scan
 from noise.discrepancy.rest import scan_p
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
@@ -44,6 +46,7 @@ ALARM = 0.01
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
+NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,14 @@ class Baseline:
         factor = 1.0 + blocks / max(self.own.both.blocks, 1)
         return replace(plain, least_nats=factor * plain.least_nats, least_t=float(np.sqrt(factor)) * plain.least_t)
 
+    def with_twins(self, batch: Batch) -> Batch:
+        """Return a batch whose cells know how far the simulation's readings lie from this law in the same condition."""
+        if self.own is None:
+            return batch
+        found = _offsets(self.stack, self.own.whole)
+        twin = np.array([found.get(key, np.nan) for key in _conditions(batch.ping)])
+        return batch if np.isnan(twin).all() else replace(batch, twin=twin)
+
     def misfit(self, seed: int) -> Floats | None:
         """Return by aspect how far the law is from the simulation itself; None for a model that is used as it is."""
         if self.own is None:
@@ -90,7 +101,7 @@ class Baseline:
             gain, without = search.contribution(chosen, cross, name)
             if self._gain_on_own(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
-            elif not search.believable(gain):
+            elif not search.believable(gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
             else:
                 continue
@@ -106,6 +117,25 @@ class Baseline:
         start = self.stack.put(null.keys([name]), [cross.first.stack.get(key) for key in null.keys([name])])
         gain = null.cross(start, [name]).nats - own.nats
         return float(gain.sum()) / len(gain)
+
+
+def _conditions(ping: Ping) -> list[tuple[float, ...]]:
+    """Return the condition of each ping, to a tenth of a millimetre and of a degree."""
+    table = [ping.distance, ping.angle, ping.incidence, ping.reflectance]
+    scale = (1e4, 1800.0 / np.pi, 1800.0 / np.pi, 1e3)
+    return list(zip(*(np.rint(k * value).tolist() for k, value in zip(scale, table, strict=True)), strict=True))
+
+
+def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
+    """Return by condition how far echoes of the target lie from the law's, as a median, m."""
+    with torch.no_grad():
+        middle = direct_median(law_of(stack.model, batch))[0].numpy()
+    error = batch.reading.range - middle
+    near = batch.reading.echo & (np.abs(error) < NEAR * batch.ping.distance + NEAR_M)
+    frame = pd.DataFrame({"condition": _conditions(batch.ping), "error": error, "near": near})
+    mostly = frame.groupby("condition")["near"].mean() > 0.5
+    median = frame[frame["near"]].groupby("condition")["error"].median()
+    return {key: float(value) for key, value in median.items() if mostly[key]}
 
 
 def baseline_of(model: SonarModel, recording: Recording, simulated: Recording | None, seed: int) -> Baseline:

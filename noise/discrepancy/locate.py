@@ -37,13 +37,15 @@ class Finding:
     """One place and respect in which readings disagree with a law.
 
     Attributes:
-        aspect: one of "bias", "scale", "spread", "skew", "detection", "extra_mode", "time_correlation".
+        aspect: one of "bias", "scale", "spread", "skew", "detection", "extra_mode", "time_correlation",
+            "rhythm".
         region: condition column -> (low, high) in the column's unit; empty is everywhere.
         size: how much, in `unit`.
         unit: "m" for bias, "1" for shares, ratios and correlations.
         p_value: of the greatest statistic, all regions and aspects counted.
         nats: half the squared statistic: what correcting it would be worth.
-        place: where an extra mode sits, as (what it follows, m): "fixed range", "beyond the target", "times distance".
+        place: where an extra mode sits, as (what it follows, m): "fixed range", "beyond the target", "times distance";
+            of a rhythm, ("period", s).
     """
 
     aspect: str
@@ -87,7 +89,7 @@ def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals
     with torch.no_grad():
         model, cells = stack.build()
         given = law_of(model, batch)
-        law, sequential = marginal(given, cells), shifted(given, *predicted_offset(given, cells, batch))
+        law, sequential = marginal(given, cells, batch), shifted(given, *predicted_offset(given, cells, batch))
     u = pit(law, batch.reading, rng)
     x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, pit(sequential, batch.reading, rng)))
     heard = (~np.isnan(u)).astype(np.float64)

@@ -1,7 +1,7 @@
 """Greedy search of the catalogue: every effect scored given what is chosen, and believed only across unseen cells.
 
 Winning a round is easy; stopping is the problem. An effect is added only if its gain is *cross-fitted* (fitted on one
-part of the cells, scored on the other, both ways), exceeds `Rules.least_nats`, its standard error over blocks, and
+part of the cells, scored on the other, both ways), exceeds `Rules.least_nats` and its standard error over blocks, and
 survives leaving out the block that speaks for it most. Under the null such a gain is negative on average; beyond 6 nats
 it lies with probability 0.0005 for one parameter, so the greatest of some thirty stays below 2 %.
 """
@@ -33,6 +33,8 @@ class Rules:
         least_nats: cross-fitted gain below which nothing is added.
         least_t: the same in standard errors over blocks.
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
+        bounded_nats: of each block at most, where the standard error is taken a second time: one heavy block
+            then neither makes nor breaks a case.
         tie_nats: a simpler effect is preferred to one that gains no more than this, or one standard error, beyond it.
         most_effects: at most so many are added.
         grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
@@ -44,6 +46,7 @@ class Rules:
     least_nats: float = 6.0
     least_t: float = 2.0
     keep_nats: float = 2.0
+    bounded_nats: float = 2.0
     tie_nats: float = 4.0
     most_effects: int = 4
     grid_pings: int = 400
@@ -193,12 +196,16 @@ class Search:
         without = self.cross(self.reset(cross.first.stack, name), others)
         return cross.nats - without.nats, without
 
-    def believable(self, gain: Floats) -> bool:
-        """Tell whether gains by block are more than chance, and not the work of one block."""
-        total, error = gain.sum(), spread_over_blocks(gain)
+    def believable(self, gain: Floats, first: bool = False) -> bool:
+        """Tell whether gains by block are more than chance, and not the work of one block.
+
+        Of the first effect alone it is enough if bounded gains say so: what follows it leans on what it left over.
+        """
+        total, enough, most = gain.sum(), self.rules.least_nats, self.rules.bounded_nats
         without_best = total - gain.max(initial=0.0)
-        enough = self.rules.least_nats
-        return bool(total > enough and total > self.rules.least_t * error and without_best > 0.3 * enough)
+        looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
+        sure = any(g.sum() > self.rules.least_t * spread_over_blocks(g) for g in looks)
+        return bool(total > enough and sure and without_best > 0.3 * enough)
 
     def round(self, chosen: list[str], current: Crossed) -> tuple[str, Crossed] | None:
         """Return the effect that gains most given the chosen ones, or None when none is believed."""
@@ -226,7 +233,7 @@ class Search:
     ) -> str | None:
         """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
         gains = {name: c.nats - current.nats for name, c in crossed.items()}
-        good = [name for name in gains if self.believable(gains[name])]
+        good = [name for name in gains if self.believable(gains[name], not chosen)]
         winner = self.simplest(good, gains)
         for name, nats in screened.items():
             gain = gains.get(name)
@@ -282,7 +289,7 @@ class Search:
         fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
         crossed = self.cross(fitted.stack, [THRESHOLD])
         gain = crossed.nats - base.nats
-        good = self.believable(gain)
+        good = self.believable(gain, first=True)
         told = "added first: echoes are missed" if good else "not more than chance"
         self.attempts.append(Attempt(THRESHOLD, (), np.nan, float(gain.sum()), spread_over_blocks(gain), told))
         return ([THRESHOLD], crossed) if good else ([], base)
