@@ -8,7 +8,8 @@ in its cell, and what the neighbours already told counts no more. The sum is wha
 The prediction is, in this order:
 1. a normal offset shared by the cell (`placement_m`), known ever better as readings come, by the rules of a Kalman
    filter, and what is carried over from one ping to the next (`carry`); where a simulation was asked under the very
-   same condition, its own offset there is where this one begins (`link`);
+   same condition, its own offset there is where this one begins (`link`). One cell in ten is taken to be put down
+   far less carefully (`WIDE`), and which one it is shows as its readings come;
 2. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
    repeating (silence, another reflector) count about once a cell;
 3. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
@@ -17,6 +18,7 @@ Any such prediction from the past makes a proper joint likelihood, whether the c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,6 +34,10 @@ from noise.physical import PhysicalLaw, PhysicalModel
 
 MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
 BLOCK = 25  # pings taken as one cell where conditions never repeat (a moving robot); ours
+WIDE = 4.0  # how much farther from its mark a carelessly placed target lies; ours
+CARELESS = 0.1  # share of such cells; ours
+LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
+BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
 FEW_CELLS = 12
 
@@ -224,18 +230,19 @@ def _before(value: Tensor, batch: Batch) -> Tensor:
     return total - total[torch.from_numpy(batch.first)]
 
 
-def prior_offset(cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+def prior_offset(cells: CellNuisance, batch: Batch, wider: float = 1.0) -> tuple[Tensor, Tensor]:
     """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each."""
     twin, known = batch.twins
-    return cells.link * twin, cells.placement_m**2 * (1.0 - (cells.link * known) ** 2) + 1e-12
+    spread = (wider * cells.placement_m) ** 2 * (1.0 - (cells.link * known) ** 2) + (wider * LEAST_M) ** 2
+    return cells.link * twin, spread
 
 
-def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch, wider: float = 1.0) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (n,) each."""
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
-    start, prior = prior_offset(cells, batch)
+    start, prior = prior_offset(cells, batch, wider)
     # a reading counts for the offset as far as it can be the direct path's: smoothly nothing beyond 4 deviations
     near = (error - start) ** 2 / (16.0 * (variance + prior))
     weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
@@ -255,22 +262,51 @@ def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
 
 
-def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
-    """Return the prequential log probability of each reading, nats, (n,), differentiable."""
-    mean, variance = predicted_offset(law, cells, batch)
-    own = torch.exp(shifted(law, mean, variance).log_prob_tensor(batch.reading))
+def sequential(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
+    """Return the law of each ping given the readings before it in its cell, one a bank: carefully placed, or not."""
+    return [shifted(law, *predicted_offset(law, cells, batch, wider)) for wider, _ in BANKS]
+
+
+def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
+    """Return the law of a ping in a cell that has not been heard of yet, one a bank."""
+    return [shifted(law, *prior_offset(cells, batch, wider)) for wider, _ in BANKS]
+
+
+def alone(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
+    """Return one law of a single ping of whose cell nothing is known: what a simulator should sample."""
+    middle, _ = direct_median(law)
+    scatter = placement_scatter(1.0) * cells.placement_m
+    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + scatter**2)
+
+
+def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
+    """Return the log probability of each bank given the readings before in the cell, of log likelihoods (banks, n)."""
+    before = torch.stack([_before(row, batch) for row in log_likelihood])
+    prior = torch.log(number([share for _, share in BANKS]))[:, None]
+    return torch.log_softmax(prior + before, dim=0)
+
+
+def by_bank(laws: Sequence[PhysicalLaw], cells: CellNuisance, batch: Batch) -> Tensor:
+    """Return the log probability of each reading in each bank, floor and urn included, nats, (banks, n)."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
-    own = (1.0 - 2.0 * FLOOR) * own + FLOOR * torch.where(silent > 0, silent, number(1.0 / law.last_step))
+    floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / laws[0].last_step))
     delta, both, none, seen = batch.urn
     half = batch.resolution / 2.0
     upper = torch.special.ndtr((delta + half) / cells.kernel_m) - torch.special.ndtr((delta - half) / cells.kernel_m)
-    repeats = (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
-    return torch.log(own + cells.sharing * repeats) - torch.log1p(cells.sharing * seen)
+    repeats = cells.sharing * (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
+    own = torch.stack([torch.exp(law.log_prob_tensor(batch.reading)) for law in laws])
+    return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(cells.sharing * seen)
 
 
-def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> PhysicalLaw:
-    """Return the law of a ping in a cell that has not been heard of yet."""
-    return shifted(law, *prior_offset(cells, batch))
+def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
+    """Return the prequential log probability of each reading, nats, (n,), differentiable."""
+    each = by_bank(sequential(law, cells, batch), cells, batch)
+    return torch.logsumexp(log_weights(each, batch) + each, dim=0)
+
+
+def placement_scatter(placement_m: float) -> float:
+    """Return the standard deviation of where targets lie, careless ones included, m."""
+    return placement_m * float(np.sqrt(sum(share * wider**2 for wider, share in BANKS)))
 
 
 def silence(batch: Batch) -> float:

@@ -172,7 +172,7 @@ def calibration(before: Seen, after: Seen, seed: int) -> str:
     def draw(axes: Axes) -> None:
         edges = np.linspace(0, 1, 21)
         for seen, colour, label in ((before, BEFORE, "model before"), (after, AFTER, "corrected model")):
-            u = pit(seen.law, seen.batch.reading, np.random.default_rng(seed))
+            u = pit(seen.law, seen.batch.reading, np.random.default_rng(seed).random(len(seen.batch)))
             u = np.where(seen.batch.reading.echo & np.isnan(u), 0.5, u)  # the model excludes an echo: neither side
             share = np.histogram(u[~np.isnan(u)], edges)[0] / max(np.sum(~np.isnan(u)), 1) * 20
             axes.stairs(share, edges, color=colour, lw=1.8, label=label, ls="--" if seen is before else "-")

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch, law_of
+from noise.cells import Batch, law_of, placement_scatter
 from noise.discrepancy.emulate import Baseline, baseline_of
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.next_measurement import next_measurement
@@ -262,7 +262,7 @@ SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not ano
 
 def corrected_model(stack: Stack, recording: Recording) -> EmpiricalModel:
     """Return the model of a stack: what cells share becomes scatter, the register the recording's where coarser."""
-    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), stack.get((CELLS, "placement_m"))))
+    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), placement_scatter(stack.get((CELLS, "placement_m")))))
     stack = stack.put([(JITTER, "sigma_m")], [sigma]).without(CELLS)
     effects = [stack.known[name](**values) for name, values in stack.values.items()]
     return EmpiricalModel(effects, max(stack.resolution, recording.resolution), stack.max_range)

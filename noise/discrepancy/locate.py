@@ -8,6 +8,7 @@ whole blocks at random (wild cluster bootstrap), which keeps the correlation ins
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -16,9 +17,10 @@ import torch
 from numpy.typing import NDArray
 
 from acquisition import Reading
-from noise.cells import Batch, law_of, marginal, predicted_offset, shifted
+from noise.cells import BANKS, Batch, by_bank, law_of, log_weights, marginal, sequential
 from noise.fit import Stack
 from noise.law import EchoLaw, Floats
+from noise.physical import PhysicalLaw
 
 ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "time_correlation", "repeat")
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
@@ -76,26 +78,47 @@ class Residuals:
     silent: Floats
 
 
-def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
-    """Return randomised PIT values of the echoes given that there was one, nan where there was none, (n,)."""
+def pit(law: EchoLaw, reading: Reading, within: Floats) -> Floats:
+    """Return randomised PIT values of the echoes given that there was one, nan where there was none, (n,).
+
+    Args:
+        law: of the readings.
+        reading: (n,).
+        within: place inside the register's step, uniform on [0, 1), (n,).
+    """
     step = law.step(reading.range)
     low, high, echo = law.cdf_step(step - 1), law.cdf_step(step), law.echo
-    u = (low + rng.random(len(reading)) * (high - low)) / np.maximum(echo, 1e-12)
+    u = (low + within * (high - low)) / np.maximum(echo, 1e-12)
     return np.where(reading.echo & (echo > 1e-12), np.clip(u, 0.0, 1.0), np.nan)
+
+
+def _mixed(laws: Sequence[PhysicalLaw], weights: Floats, reading: Reading, within: Floats) -> Floats:
+    """Return PIT values under a mixture of laws that hear equally often; weights (laws, n) or (laws, 1)."""
+    return sum((w * pit(law, reading, within) for w, law in zip(weights, laws, strict=True)), np.zeros(len(reading)))
+
+
+def seen_alone(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Floats, PhysicalLaw]:
+    """Return PIT values of readings in cells not heard of yet, and the law of a carefully placed target."""
+    with torch.no_grad():
+        model, cells = stack.build()
+        laws = marginal(law_of(model, batch), cells, batch)
+    shares = np.array([[share] for _, share in BANKS])
+    return _mixed(laws, shares, batch.reading, rng.random(len(batch))), laws[0]
 
 
 def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals:
     """Return scores of every aspect for every reading of a batch."""
+    u, law = seen_alone(stack, batch, rng)
     with torch.no_grad():
         model, cells = stack.build()
-        given = law_of(model, batch)
-        law, sequential = marginal(given, cells, batch), shifted(given, *predicted_offset(given, cells, batch))
-    u = pit(law, batch.reading, rng)
-    x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, pit(sequential, batch.reading, rng)))
+        given = sequential(law_of(model, batch), cells, batch)
+        weights = torch.exp(log_weights(by_bank(given, cells, batch), batch)).numpy()
+    after = _mixed(given, weights, batch.reading, rng.random(len(batch)))
+    x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, after))
     heard = (~np.isnan(u)).astype(np.float64)
     stretch = (batch.ping.distance - batch.ping.distance.mean()) / max(float(np.std(batch.ping.distance)), 1e-9)
     p, binary = np.clip(law.no_echo, 0.0, 1.0), np.sqrt(EXTRA)
-    repeat, repeat_variance = _repeats(sequential, batch)
+    repeat, repeat_variance = _repeats(given[0], batch)
     pairs = [
         (x, heard / 3.0),
         (x * stretch, heard * stretch**2 / 3.0),

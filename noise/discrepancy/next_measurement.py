@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition import Ping, Reading
-from noise.cells import FLOOR, marginal
+from noise.cells import FLOOR, alone
 from noise.discrepancy.rivals import SETTLED
 from noise.fit import Stack
 from noise.law import EchoLaw, Floats
@@ -150,7 +150,7 @@ def divergence(
 
 def _law(stack: Stack, ping: Ping) -> EchoLaw:
     model, cells = stack.build()
-    return marginal(model.law(ping), cells)
+    return alone(model.law(ping), cells)
 
 
 def floored(law: EchoLaw, reading: Reading) -> Floats:

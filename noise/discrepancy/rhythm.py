@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy.fft import next_fast_len, rfft
 
-from noise.cells import Batch, law_of, marginal
-from noise.discrepancy.locate import Finding, pit
+from noise.cells import Batch
+from noise.discrepancy.locate import Finding, seen_alone
 from noise.fit import Stack
 from noise.law import Floats
 
@@ -59,10 +58,7 @@ def rhythm(stack: Stack, batch: Batch, rng: np.random.Generator) -> Rhythm | Non
     """
     if not batch.timed or len(batch) < LEAST_PINGS:
         return None
-    with torch.no_grad():
-        model, cells = stack.build()
-        law = marginal(law_of(model, batch), cells, batch)
-    u = pit(law, batch.reading, rng)
+    u, law = seen_alone(stack, batch, rng)
     heard = ~np.isnan(u)
     error = np.where(heard, batch.reading.range - law.quantile(0.5), 0.0)
     score = _without_means(np.where(heard, 2.0 * u - 1.0, 0.0), heard, batch)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from acquisition import Ping
-from noise.cells import Batch, law_of, prior_offset
+from noise.cells import BANKS, Batch, law_of, prior_offset
 from noise.discrepancy.search import Search
 from noise.fit import NUISANCES, SPREAD, Fit, Stack, maximise
 from noise.law import Floats
@@ -56,7 +56,8 @@ def replica(stack: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     model, cells = stack.build()
     with torch.no_grad():
         middle, variance = (x.numpy()[np.unique(batch.first)] for x in prior_offset(cells, batch))
-    offset = rng.normal(middle, np.sqrt(variance))[batch.block]
+    wider = rng.choice([wide for wide, _ in BANKS], batch.blocks, p=[share for _, share in BANKS])
+    offset = rng.normal(middle, wider * np.sqrt(variance))[batch.block]
     ping: Ping = replace(batch.ping, distance=np.maximum(batch.ping.distance + offset, 1e-3))
     with torch.no_grad():
         moved = replace(batch, ping=ping)

@@ -16,7 +16,7 @@ import numpy as np
 
 from noise.cells import Batch, direct_median, silence
 from noise.effects import CATALOGUE
-from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
+from noise.fit import JITTER, NUISANCES, SHARED, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]
@@ -181,20 +181,37 @@ class Search:
         held = self.base.values.get(name, {})
         return {p.name: held.get(p.name, p.null) for p in self.base.known[name].parameters}
 
-    def cross(self, stack: Stack, chosen: Sequence[str], nuisances: Sequence[Key] = NUISANCES) -> Crossed:
-        """Fit a hypothesis on either part, score it on the other."""
-        free = (*self.keys(chosen), *nuisances)
-        first = maximise(stack, free, self.discover)
-        second = maximise(first.stack, free, self.confirm)
+    def cross(
+        self, stack: Stack, chosen: Sequence[str], nuisances: Sequence[Key] = NUISANCES, near: Crossed | None = None
+    ) -> Crossed:
+        """Fit a hypothesis on either part, score it on the other.
+
+        Args:
+            stack: values of the chosen effects to begin from; of everything else too, where `near` is not given.
+            chosen: effects of the hypothesis.
+            nuisances: what is free besides.
+            near: the hypothesis that it will be compared with: what both share begins where that one ended, so that
+                the difference is the effect's and not that of another summit among the nuisances.
+        """
+        keys = self.keys(chosen)
+        free = (*keys, *nuisances)
+        first = maximise(stack if near is None else _carried(near.first.stack, stack, keys), free, self.discover)
+        start = first.stack if near is None else _carried(near.second.stack, first.stack, (*keys, *SHARED))
+        # what cells share is a property of the sonar: the smaller part is too small to say it alone
+        second = maximise(start, [key for key in free if key not in SHARED], self.confirm)
         on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
         on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
         return Crossed(first, second, np.r_[on_discover, on_confirm])
 
     def contribution(self, chosen: Sequence[str], cross: Crossed, name: str) -> tuple[Floats, Crossed]:
         """Return what one effect adds to the others, nats by block, and the explanation without it."""
-        others = [other for other in chosen if other != name]
-        without = self.cross(self.reset(cross.first.stack, name), others)
+        without = self.without(chosen, cross, name)
         return cross.nats - without.nats, without
+
+    def without(self, chosen: Sequence[str], cross: Crossed, name: str) -> Crossed:
+        """Return an explanation fitted anew without one of its effects."""
+        first, second = (replace(fit, stack=self.reset(fit.stack, name)) for fit in (cross.first, cross.second))
+        return self.cross(first.stack, [n for n in chosen if n != name], near=Crossed(first, second, cross.nats))
 
     def believable(self, gain: Floats, first: bool = False) -> bool:
         """Tell whether gains by block are more than chance, and not the work of one block.
@@ -222,7 +239,7 @@ class Search:
         crossed: dict[str, Crossed] = {}
         for name in best[: self.rules.crossed]:
             if screened[name] > 1.0:
-                crossed[name] = self.cross(fits[name].stack, [*chosen, name])
+                crossed[name] = self.cross(fits[name].stack, [*chosen, name], near=current)
         winner = self._judge(chosen, current, screened, crossed)
         rest = {name: grids[name][0][0] - here for name in order[self.rules.fitted :]}
         self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
@@ -271,7 +288,7 @@ class Search:
         for name in chosen[:-1]:
             others = [other for other in chosen if other != name]
             start = self.points(self.reset(current.first.stack, name), name)
-            crossed = self.cross(self.climbed(start, others, name).stack, chosen)
+            crossed = self.cross(self.climbed(start, others, name).stack, chosen, near=current)
             if crossed.nats.sum() > current.nats.sum():
                 current = crossed
         return current
@@ -287,7 +304,7 @@ class Search:
         one by one, neither would be found.
         """
         fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
-        crossed = self.cross(fitted.stack, [THRESHOLD])
+        crossed = self.cross(fitted.stack, [THRESHOLD], near=base)
         gain = crossed.nats - base.nats
         good = self.believable(gain, first=True)
         told = "added first: echoes are missed" if good else "not more than chance"
@@ -298,13 +315,18 @@ class Search:
         """Drop what a later effect made needless."""
         for name in list(chosen[:-1]):
             others = [n for n in chosen if n != name]
-            without = self.cross(self.reset(current.first.stack, name), others)
+            without = self.without(chosen, current, name)
             loss = current.nats - without.nats
             if loss.sum() < self.rules.keep_nats:
                 nats, error = float(loss.sum()), spread_over_blocks(loss)
                 self.attempts.append(Attempt(name, tuple(others), np.nan, nats, error, "dropped again"))
                 chosen, current = others, without
         return chosen, current
+
+
+def _carried(shared: Stack, own: Stack, keys: Sequence[Key]) -> Stack:
+    """Return one stack with the values that another has at some keys."""
+    return shared.put(keys, [own.get(key) for key in keys])
 
 
 def spread_over_blocks(gain: Floats) -> float:
