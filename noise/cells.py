@@ -18,7 +18,6 @@ Any such prediction from the past makes a proper joint likelihood, whether the c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -255,7 +254,7 @@ def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch, wider:
 
 
 def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
-    """Return the law with its direct path moved by a mean and widened by a variance, (n,) each."""
+    """Return the law with its direct path moved by a mean and widened by a variance, (n,) or (banks, 1, n) each."""
     path = law.state.direct
     spread = torch.sqrt(path.spread**2 + variance + 1e-18)
     state = law.state.with_direct(replace(path, length=path.length + mean, spread=spread))
@@ -286,22 +285,36 @@ def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
     return torch.log_softmax(prior + before, dim=0)
 
 
-def by_bank(laws: Sequence[PhysicalLaw], cells: CellNuisance, batch: Batch) -> Tensor:
-    """Return the log probability of each reading in each bank, floor and urn included, nats, (banks, n)."""
+def together(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> PhysicalLaw:
+    """Return the laws of `sequential` as one, whose `log_prob_tensor` is (banks, n): one pass through the physics."""
+    offsets = [predicted_offset(law, cells, batch, wider) for wider, _ in BANKS]
+    mean, variance = (torch.stack(parts)[:, None] for parts in zip(*offsets, strict=True))
+    return shifted(law, mean, variance)
+
+
+def by_bank(own: Tensor, cells: CellNuisance, batch: Batch, last_step: int) -> Tensor:
+    """Return log probabilities with floor and urn in them, nats, of a law's own, both (banks, n)."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
-    floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / laws[0].last_step))
+    floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
     delta, both, none, seen = batch.urn
     half = batch.resolution / 2.0
     upper = torch.special.ndtr((delta + half) / cells.kernel_m) - torch.special.ndtr((delta - half) / cells.kernel_m)
     repeats = cells.sharing * (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
-    own = torch.stack([torch.exp(law.log_prob_tensor(batch.reading)) for law in laws])
-    return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(cells.sharing * seen)
+    return torch.log((1.0 - 2.0 * FLOOR) * torch.exp(own) + floor + repeats) - torch.log1p(cells.sharing * seen)
 
 
 def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
     """Return the prequential log probability of each reading, nats, (n,), differentiable."""
-    each = by_bank(sequential(law, cells, batch), cells, batch)
+    own = together(law, cells, batch).log_prob_tensor(batch.reading)
+    each = by_bank(own, cells, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
+
+
+def bank_weights(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> NDArray[np.float64]:
+    """Return the probability of each bank given the readings before in the cell, (banks, n)."""
+    with torch.no_grad():
+        own = together(law, cells, batch).log_prob_tensor(batch.reading)
+        return torch.exp(log_weights(by_bank(own, cells, batch, law.last_step), batch)).numpy()
 
 
 def placement_scatter(placement_m: float) -> float:

@@ -97,8 +97,10 @@ class PhysicalLaw(EchoLaw):
 
     def probability_tensor(self, reading: Reading) -> Tensor:
         """Return the probability of each reading, (n,), differentiable."""
-        mass = torch.stack([self.no_echo_tensor(), self.echo_tensor(self.step(reading.range)), self.no_answer_tensor()])
-        return mass.gather(0, torch.from_numpy(reading.status.astype(np.int64))[None])[0]
+        kinds = self.no_echo_tensor(), self.echo_tensor(self.step(reading.range)), self.no_answer_tensor()
+        mass = torch.stack(torch.broadcast_tensors(*kinds))
+        status = torch.from_numpy(reading.status.astype(np.int64)).expand(mass.shape[1:])
+        return mass.gather(0, status[None])[0]
 
     def log_prob_tensor(self, reading: Reading) -> Tensor:
         """Return the log probability of each reading, nats, (n,), differentiable; bounded below by log(1e-300)."""

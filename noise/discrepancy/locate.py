@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from acquisition import Reading
-from noise.cells import BANKS, Batch, by_bank, law_of, log_weights, marginal, sequential
+from noise.cells import BANKS, Batch, bank_weights, law_of, marginal, sequential
 from noise.fit import Stack
 from noise.law import EchoLaw, Floats
 from noise.physical import PhysicalLaw
@@ -111,8 +111,8 @@ def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals
     u, law = seen_alone(stack, batch, rng)
     with torch.no_grad():
         model, cells = stack.build()
-        given = sequential(law_of(model, batch), cells, batch)
-        weights = torch.exp(log_weights(by_bank(given, cells, batch), batch)).numpy()
+        whole = law_of(model, batch)
+        given, weights = sequential(whole, cells, batch), bank_weights(whole, cells, batch)
     after = _mixed(given, weights, batch.reading, rng.random(len(batch)))
     x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, after))
     heard = (~np.isnan(u)).astype(np.float64)
