@@ -20,7 +20,7 @@ from torch import Tensor
 
 from acquisition import Recording
 from noise.cells import Batch, CellNuisance, law_of, log_prob
-from noise.effects import CATALOGUE, Effect, Parameter
+from noise.effects import CATALOGUE, Effect, Parameter, Seen
 from noise.law import Floats
 from noise.physical import PhysicalModel
 
@@ -263,7 +263,9 @@ def _peaks(value: Floats, most: int, bin_m: float = 0.05) -> list[float]:
     return [float(place[k] * bin_m) for k in fullest if count[k] >= 4]
 
 
-def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 8) -> list[Stack]:
+def starting_points(
+    stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 8, whole: Batch | None = None
+) -> list[Stack]:
     """Return stacks with an effect switched on in different ways.
 
     Starts of the catalogue, lengths where the data show extra modes, and a Sobol design over the bounds; the effect's
@@ -275,6 +277,7 @@ def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Genera
         batch: whose extra modes to use.
         rng: shifts the design.
         design: number of its points, a power of two.
+        whole: readings that an effect's own guesses are made from; `batch` if not given.
     """
     keys = [(name, p.name) for p in stack.known[name].parameters]
     columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
@@ -282,9 +285,15 @@ def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Genera
     points = [[stack.get(key) for key in keys], first]
     for j, column in enumerate(columns):
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
+    points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(_seen(whole or batch))]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
     points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
     return [stack.put(keys, point) for point in points]
+
+
+def _seen(batch: Batch) -> Seen:
+    echo = batch.reading.echo
+    return Seen(batch.ping.distance[echo], batch.ping.time[echo], batch.reading.range[echo])
 
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:

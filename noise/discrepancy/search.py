@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise.cells import Batch, direct_median, silence
+from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
 from noise.fit import JITTER, NUISANCES, SHARED, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
 from noise.law import Floats
@@ -131,8 +131,9 @@ class Search:
         if name not in self._clocked:
             few = self.grid.select(self.grid.block < 2)
             conditions = replace(few.conditions, time=few.conditions.time.requires_grad_())
-            middle, _ = direct_median(Stack({name: {}}, extra=self.base.extra).model.law_of(conditions))
-            self._clocked[name] = middle.requires_grad
+            state = Stack({name: {}}, extra=self.base.extra).model.state(conditions)
+            moved = [state.offset, *(part for path in state.paths for part in (path.length, path.lag))]
+            self._clocked[name] = any(part.requires_grad for part in moved)
         return self._clocked[name]
 
     def keys(self, names: Sequence[str]) -> tuple[Key, ...]:
@@ -158,7 +159,7 @@ class Search:
     def points(self, stack: Stack, name: str) -> list[tuple[float, Stack]]:
         """Return the starting points of an effect with their log likelihoods on the grid batch, best first."""
         rng = np.random.default_rng([self.seed, zlib.crc32(name.encode())])
-        starts = starting_points(stack, name, self.grid, rng)
+        starts = starting_points(stack, name, self.grid, rng, whole=self.discover)
         scored = [(float(log_likelihood(s, self.grid).sum()), k, s) for k, s in enumerate(starts)]
         # a sharp law sees no point of a coarse grid: a few steps from the present values show where it would go
         stepped = maximise(starts[0], self.keys([name]), self.grid, STEPS, np.inf)
