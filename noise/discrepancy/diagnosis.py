@@ -19,6 +19,7 @@ from noise.discrepancy.rivals import Rival, posterior, rivals
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Crossed, Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
+from noise.discrepancy.steps import coarser_steps
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
 from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
@@ -120,13 +121,15 @@ def diagnose(
     final = _final(search, cross, chosen)
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, final, chosen, cross, seed)
+    gain = float((cross.nats - cross_base.nats).sum())
     scatter = changed_scatter(base.stack, search, chosen, cross) if base.own is not None else None
-    gain = cross.nats - cross_base.nats
-    if scatter is not None:
-        named, gain = [*named, scatter[0]], gain + scatter[1]
+    steps = coarser_steps(base.own.whole.resolution, search.both) if base.own is not None else None
+    for found in (scatter, steps):
+        if found is not None:
+            named, gain = [*named, found[0]], gain + float(found[1].sum())
     tell("checking what is left", 0.9)
     rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), split.both, misfit)
-    verdict = _verdict(base, where, named, rest, float(gain.sum()), search)
+    verdict = _verdict(base, where, named, rest, gain, search)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
     held = _held_out(base.raw, before, final.stack, split.vault)
     surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]

@@ -131,7 +131,7 @@ class AsynchronousCrosstalk(Effect):
 
 
 def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
-    """Return the frequency to which arrivals `since + late` keep, Hz, beyond what the times of asking bring with them."""
+    """Return the frequency to which arrivals `since + late` keep, Hz, beyond what the times of asking bring along."""
     length = float(since.max() + late.max()) + 1.0
     tick = max(TICK_S, length / MOST_TICKS)
     size = next_fast_len(4 * (int(length / tick) + 1), real=True)
@@ -141,10 +141,18 @@ def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
     height = np.abs(arrived - asked * lag / len(since))
     frequency = np.arange(len(height)) / (size * tick)
     height[(frequency < SLOWEST_HZ) | (frequency > FASTEST_HZ)] = 0.0
-    # every multiple of a clock's frequency is as high as the clock's own
-    first = frequency[np.flatnonzero(height >= 0.8 * height.max())[0]]
-    near = first + np.linspace(-1.0, 1.0, 401) / (2.0 * length)
-    return float(near[np.argmax(np.abs(np.exp(2j * np.pi * near[:, None] * (since + late)).sum(axis=1)))])
+    # every multiple of a clock's frequency is as high as the clock's own, and one may stand out of the asking better
+    top = frequency[int(np.argmax(height))]
+    fine = [_sharpened(top / k, since + late, length) for k in range(1, 7) if top / k > SLOWEST_HZ]
+    most = max(kept for _, kept in fine)
+    return min(found for found, kept in fine if kept > 0.9 * most)
+
+
+def _sharpened(frequency: float, arrival: NDArray[np.float64], length: float) -> tuple[float, float]:
+    """Return the frequency near one given to which arrivals keep best, Hz, and how well they do, 0 to their number."""
+    near = frequency + np.linspace(-1.0, 1.0, 401) / (2.0 * length)
+    kept = np.abs(np.exp(2j * np.pi * near[:, None] * arrival).sum(axis=1))
+    return float(near[np.argmax(kept)]), float(kept.max())
 
 
 def _parts(since: NDArray[np.float64], late: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
