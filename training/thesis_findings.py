@@ -143,8 +143,9 @@ class Findings:
         ]
 
     def _batches(self) -> Claim:
+        """Compare Keras's own steps alone: mini-batches at other rates are another question, told in the table."""
         variants = self.comparison.variants
-        gap = {k: self.final(v) - self.final(variants["as the tables"]) for k, v in variants.items() if "batch" in k}
+        gap = {k: self.final(v) - self.final(variants["as the tables"]) for k, v in variants.items() if "mini" in k}
         mean = Mean.of(np.min(list(gap.values()), axis=0))
         return Claim(
             "mini-batches are no better than online", f"the better of them ends higher by {mean}", mean.verdict()
