@@ -115,9 +115,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "mini-batches of 256": {"batch": 256},
     "256, rate 0.02 that falls, no dropout": {"batch": 256, "dropout": 0.0, "learning_rate": 0.02, "falls_to": 0.01},
     "no dropout": {"dropout": 0.0},
-    "weight decay, l2 = 1e-5": {"l2": 1e-5},
-    "lasso, l1 = 1e-5": {"l1": 1e-5},
-    "elastic net, both": {"l1": 1e-5, "l2": 1e-5},
+    "weight decay, l2 = 1e-6": {"l2": 1e-6},
+    "lasso, l1 = 1e-6": {"l1": 1e-6},
+    "elastic net, both": {"l1": 1e-6, "l2": 1e-6},
 }
 
 
