@@ -116,9 +116,9 @@ def larger(findings: Findings) -> str:
 def variants(findings: Findings) -> str:
     """Return what changes in the recipe do to the largest network of the tables."""
     base = findings.final(findings.comparison.variants["as the tables"])
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for name, jobs in findings.comparison.variants.items():
-        change = Mean.of(findings.final(jobs) - base) if jobs[0].recipe != findings.comparison.recipe else "–"
+        change = Mean.of(findings.final(jobs) - base) if rows else "–"
         seconds = f"{np.median(findings.final(jobs, 'seconds')):.1f}"
         rows.append((name, Mean.of(findings.final(jobs)), change, seconds))
     return markdown(("Nadam with", "validation", "change, paired by seed", "seconds"), rows)
