@@ -48,6 +48,7 @@ def test_the_command_writes_every_figure_and_the_tables(run):
     assert "Table 4.3" not in page  # 12 neurons are in none of the thesis's tables
     assert "sonar-gym compare-optimizers survey.csv --out out --seeds 2 --sizes 10 12 --epochs 2" in page
     assert "nan" not in page
+    assert all(f"]({name})" in page for name in FIGURES)
 
 
 def test_one_seed_that_stops_early_gives_whole_tables(run, tmp_path):
