@@ -15,7 +15,6 @@ from training.thesis_findings import Findings, Mean
 from training.thesis_numbers import A1_MINUTES, A1_TRAIN, A1_VALIDATION, TABLE_NUMBER, TABLES
 from training.thesis_runs import Job
 
-
 CAPTIONS = {
     "figure-4.3": "Validation loss after each pass, by optimiser and number of neurons; bands span the seeds",
     "figure-4.4": "Training and validation loss of MLP and LSTM",
