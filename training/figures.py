@@ -1,17 +1,18 @@
-"""Figures of a diagnosis, as SVG text that can be put into a page. The only module that needs matplotlib."""
+"""Figures of a diagnosis, as SVG text that can be put into a page. The only module that imports matplotlib."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -83,6 +84,36 @@ def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.
     for attribute in ("width", "height"):
         text = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", text, count=1)
     return text
+
+
+def panels(
+    draws: Sequence[Callable[[Axes], None]],
+    size: tuple[float, float],
+    columns: int = 0,
+    share_y: bool = False,
+    colours: tuple[str, float, float] | None = None,
+) -> bytes:
+    """Return a figure of several pairs of axes as PNG.
+
+    Args:
+        draws: what to draw in each.
+        size: inches.
+        columns: axes a row; all in one row if 0.
+        share_y: one scale for all.
+        colours: name, least and greatest value of a bar of colours beside them all.
+    """
+    columns = columns or len(draws)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.subplots(-(-len(draws) // columns), columns, sharey=share_y, squeeze=False).ravel()
+        for draw, one in zip(draws, axes, strict=True):
+            draw(one)
+        if colours:
+            scale = ScalarMappable(Normalize(*colours[1:]), "viridis")
+            figure.colorbar(scale, ax=list(axes), shrink=0.8, pad=0.01).set_label(colours[0])
+        out = io.BytesIO()
+        figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
+    return out.getvalue()
 
 
 def _sampled(n: int) -> NDArray[np.int64]:
