@@ -30,7 +30,7 @@ TORCH_STEPS = 3000
 
 @pytest.fixture(scope="module", params=(14, 31), ids=lambda gain: f"gain {gain}")
 def samples(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Samples:
-    """The thesis's survey by the rig at the thesis's gain and at full gain; kept in SONAR_GYM_SURVEYS where it is set."""
+    """The thesis's survey by the rig, at the thesis's gain and at full gain; kept in SONAR_GYM_SURVEYS where set."""
     folder = Path(os.environ.get("SONAR_GYM_SURVEYS") or tmp_path_factory.mktemp("surveys"))
     path = folder / f"thesis-gain-{request.param}.csv"
     if not path.exists():

@@ -118,7 +118,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "as the tables": {},
     "mini-batches of 32": {"batch": 32},
     "mini-batches of 256": {"batch": 256},
-    "256, rate 0.05 that falls, no dropout": {"batch": 256, "dropout": 0.0, "learning_rate": 0.05, "falls_to": 0.01},
+    "256, rate 0.06 that falls, no dropout": {"batch": 256, "dropout": 0.0, "learning_rate": 0.06, "falls_to": 0.01},
     "no dropout": {"dropout": 0.0},
     "weight decay, l2 = 1e-6": {"l2": 1e-6},
     "lasso, l1 = 1e-6": {"l1": 1e-6},
