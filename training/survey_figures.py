@@ -96,6 +96,8 @@ class Part:
 
 def parts(recording: Recording) -> list[Part]:
     """Return the recording by reflectance; as one where there are too many."""
+    if not recording.has("reflectance"):
+        return [Part(recording, "all pings")]
     reflectance = recording.ping.reflectance
     levels = np.unique(reflectance)
     if len(levels) == 1 or len(levels) > MOST_PANELS:
@@ -167,12 +169,22 @@ def detection(recording: Recording) -> bytes:
 
     def draw(axes: Axes, part: Part) -> None:
         echo = part.surface(part.recording.reading.echo.astype(np.float64))
+        if len(part.angles.low) == 1:
+            return _along(axes, part, echo)
         angle = part.angles.edges / DEG
         axes.pcolormesh(part.distances.edges, angle, echo, vmin=0, vmax=1, cmap="viridis", rasterized=True)
         axes.set(facecolor=BLANK, xlabel="true distance (m)", ylabel="bearing (deg)")
+        return None
 
     draws = _each(recording, draw)
     return panels(draws, (5.4 * len(draws), 3.6), share_y=True, colours=("share of pings with an echo", 0.0, 1.0))
+
+
+def _along(axes: Axes, part: Part, share: Floats) -> None:
+    """Draw a surface of one bearing as a line over distance."""
+    middle = (part.distances.low + part.distances.high) / 2
+    axes.plot(middle, share[0, ::2], ".-", color=INK, lw=1.0, ms=4)
+    axes.set(xlabel="true distance (m)", ylabel="share of pings with an echo", ylim=(-0.05, 1.05))
 
 
 def readings(recording: Recording) -> bytes:
