@@ -19,6 +19,7 @@ COMMANDS = {
     "demo": ("training.demo", "the whole chain in three minutes: record, diagnose, correct, drive"),
     "record": ("training.record", "record a survey with a sonar, or with the waveform rig where there is none"),
     "import": ("training.foreign", "turn a log of another program into a recording"),
+    "plot": ("training.plot", "draw a recording: credence surfaces, detection, readings, course of time"),
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),

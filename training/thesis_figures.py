@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from training.figures import AFTER, BEFORE, SOFT, Axes, panels
+from training.canvas import AFTER, BEFORE, SOFT, Axes, Draw, panels
 from training.optimisers import OPTIMISERS
 from training.thesis_credence import MIRROR, READINGS, RUBBER, Surfaces
 from training.thesis_data import Floats
@@ -16,7 +16,6 @@ from training.thesis_runs import Job
 
 # Okabe and Ito's colours, told apart by the colour-blind
 COLOURS = ("#999999", "#d55e00", "#e69f00", "#0072b2", "#009e73", "#000000")
-Draw = Callable[[Axes], None]
 
 
 def all_figures(findings: Findings) -> dict[str, bytes]:
