@@ -142,6 +142,11 @@ class Plan:
         stands = [cell.stand for cell in self.cells]
         return sum(now != before for before, now in zip([{}, *stands], stands, strict=False))
 
+    @property
+    def way_m(self) -> float:
+        """How far a stand is carried nearer and farther, m."""
+        return float(np.abs(np.diff([cell.distance_mm for cell in self.cells])).sum()) * 1e-3
+
     def cell(self, number: int) -> Cell:
         """Return one condition, by its number in the order."""
         return self.cells[number]

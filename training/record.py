@@ -115,10 +115,10 @@ def _on_disk(session: Session) -> str:
 
 def effort(plan: Plan) -> str:
     """Return a line on how much work a plan is for somebody who moves stands by hand."""
-    walk = replace(plan, order="walk").moves
-    hint = f"; --order walk needs {walk}" if walk < plan.moves else ""
-    hours = plan.seconds / 3600.0
-    return f"{len(plan)} conditions, {len(plan) * plan.pings} pings, {plan.moves} moves by hand{hint}; {hours:.1f} h"
+    walk, hours = replace(plan, order="walk"), plan.seconds / 3600.0
+    hint = f" (--order walk: {walk.way_m:.0f} m)" if walk.way_m < 0.8 * plan.way_m else ""
+    size = f"{len(plan)} conditions, {len(plan) * plan.pings} pings, about {hours:.1f} h"
+    return f"{size}; {plan.moves} moves by hand over {plan.way_m:.0f} m{hint}"
 
 
 def plan_of(args: Args) -> Plan:

@@ -85,6 +85,7 @@ def test_a_dead_wire_and_a_deaf_sonar_are_told_apart(ask):
 
 
 def test_work_by_hand_is_told_before_it_begins():
-    assert effort(PLANS["gain-sweep"]) == "128 conditions, 2560 pings, 4 moves by hand; 0.8 h"
-    told = effort(PLANS["quick"])
-    assert told.startswith("120 conditions, 3600 pings, 12")
+    assert effort(PLANS["gain-sweep"]) == "128 conditions, 2560 pings, about 0.8 h; 4 moves by hand over 2 m"
+    told = effort(PLANS["thesis"])
+    assert told.startswith("2662 conditions, 133100 pings, about 101.7 h; 26")
+    assert told.endswith("(--order walk: 131 m)")
