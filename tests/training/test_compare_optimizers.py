@@ -166,3 +166,15 @@ def test_the_thesis_s_numbers_hold_together():
 def test_settings_that_compare_nothing_are_refused(tmp_path):
     with pytest.raises(SettingError, match="seeds 0 and sizes"):
         main(Args(tmp_path / "rec.csv", tmp_path, seeds=0))
+
+
+@pytest.mark.slow
+def test_the_rig_ranks_the_optimisers_as_the_thesis_does(tmp_path, monkeypatch):
+    """The recording is made where it is missing; two passes are enough to tell the optimisers apart."""
+    kept = []
+    monkeypatch.setattr("training.compare_optimizers.Findings", lambda *args: kept.append(Findings(*args)) or kept[0])
+    main(Args(tmp_path / "survey.csv", tmp_path / "out", seeds=1, sizes=(20,), epochs=2))
+    samples = kept[0].samples
+    assert (len(samples), samples.cell.max() + 1) == (133_100, 2662)
+    assert kept[0].agreement(20)[0] > 0.9
+    assert samples.floor() < kept[0].losses(20).min() < 0.5 * np.var(samples.label)
