@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -43,3 +45,41 @@ def write_bytes(path: Path, data: bytes) -> Path:
 
 def _all(file: IO[Any], content: str | bytes) -> None:
     file.write(content)
+
+
+def lock(handle: int) -> bool:
+    """Keep a file to this process until it ends, however it ends; False where another process has it.
+
+    Args:
+        handle: of the open file.
+    """
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(handle, 2**40, os.SEEK_SET)  # one byte far behind the content: reading stays free
+        return _free(lambda: msvcrt.locking(handle, msvcrt.LK_NBLCK, 1))
+    import fcntl
+
+    return _free(lambda: fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB))
+
+
+def _free(take: Callable[[], None]) -> bool:
+    try:
+        take()
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+    return True  # some network disks know no locks: there the user has to take care
+
+
+def sync_folder(path: Path) -> None:
+    """Force the entry of a new file to disk, where the system knows how."""
+    if sys.platform == "win32":
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

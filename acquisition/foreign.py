@@ -1,7 +1,8 @@
 """Logs of other programs as recordings: a map from their columns and units to ours.
 
 A mapping is written `ours=theirs:unit`, for example `distance_mm=true_cm:cm`; a fixed value `ours=number`. Every
-numeric column that is not mapped is kept as a covariate under its own name.
+numeric column that is not mapped is kept as a covariate under its own name. `time_s` is made to count from the first
+row, whatever their clock began with.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ UNITS: Mapping[str, float] = {  # factor to the unit that our column's name stat
     "rad": 180.0 / np.pi,
     "s": 1.0,
     "ms": 1e-3,
+    "min": 60.0,
+    "h": 3600.0,
+    "date": 1.0,  # a date and time of day, ISO 8601, becomes seconds
     "pct": 1.0,
     "text": 1.0,
 }
@@ -121,8 +125,16 @@ def _column(text: pd.Series, mapping: ColumnMap, no_echo: float | None) -> pd.Se
     """Convert what is a number and leave the rest as written, so that a fault is shown as it stands in the file."""
     if mapping.unit == "text" or mapping.ours in TEXT:
         return text
-    number = pd.to_numeric(text.replace("", None), errors="coerce").astype(np.float64)
-    value = number * UNITS[mapping.unit]
+    number = _seconds(text) if mapping.unit == "date" else pd.to_numeric(text.replace("", None), errors="coerce")
+    value = number.astype(np.float64) * UNITS[mapping.unit]
+    if mapping.ours == "time_s":
+        value -= value.dropna().iloc[0] if number.notna().any() else 0.0
     if no_echo is not None and (mapping.ours == "reading_mm" or ECHO_COLUMN.fullmatch(mapping.ours)):
         value = value.mask(number == no_echo, 0.0)
     return value.map(lambda x: f"{x:.10g}").where(number.notna(), text)
+
+
+def _seconds(text: pd.Series) -> pd.Series:
+    """Return dates as seconds since 1970, UTC where they do not say otherwise; NaN for what is no date."""
+    moment = pd.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
+    return (moment - pd.Timestamp(0, tz="UTC")).dt.total_seconds()

@@ -7,6 +7,7 @@ any further numeric column is kept as a covariate under its own name.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections.abc import Sequence
@@ -74,13 +75,26 @@ def _numbers(text: pd.Series) -> pd.Series:
     return pd.to_numeric(text.replace("", None), errors="coerce").astype(np.float64)
 
 
+def unfinished(path: Path) -> Path:
+    """Return the path of the file that lies beside a recording while its session is unfinished."""
+    return path.with_name(path.name + ".unfinished")
+
+
+def _whole(path: Path) -> Path | io.BytesIO:
+    """Return what to read: of an unfinished session the whole lines, for a power cut may have torn the last one."""
+    if not unfinished(path).exists():
+        return path
+    data = path.read_bytes()
+    return io.BytesIO(data[: data.rfind(b"\n") + 1])
+
+
 def _read_text(path: Path) -> pd.DataFrame:
     if not path.exists():
         raise RecordingNotFoundError(f"{path}: no such file; give the path of a recording (CSV, one row a ping)")
     if path.is_dir():
         raise RecordingError(f"{path}: is a folder, expected a recording (CSV, one row a ping)")
     try:
-        return pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig")
+        return pd.read_csv(_whole(path), dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig")
     except pd.errors.EmptyDataError:
         raise RecordingError(
             f"{path}, line 1: the file is empty, expected a header with {', '.join(REQUIRED)}"

@@ -5,19 +5,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arranging import arranged
 from acquisition.bench.rig import Rig
 from acquisition.drivers.driver import Driver
-from acquisition.errors import NoAnswerError
+from acquisition.errors import DeviceError, NoAnswerError, SettingError
 from acquisition.ping import EchoStatus, Ping, Reading
 from acquisition.plan import Cell, Plan
+from acquisition.quantities import SWEEPS
 
 Floats = NDArray[np.float64]
 DRIFT_STREAM = 2**31  # a stream of randomness that no cell number reaches
+TESTS, TEST_S = 5, 0.07  # pings before a session, and s from one to the next
 
 
 @dataclass(frozen=True)
@@ -36,8 +40,19 @@ class Source(Protocol):
     def simulated(self) -> bool:
         """Whether its time stands still between sessions, so that a resumed recording is one uninterrupted run."""
 
+    def check(self) -> bool:
+        """Make sure that the sonar answers; tell whether it hears anything.
+
+        Raises:
+            NoAnswerError: the wire is dead.
+        """
+
     def measure(self, plan: Plan, number: int) -> Measured:
-        """Measure one cell of a plan, by its number in the plan's order."""
+        """Measure one cell of a plan, by its number in the plan's order.
+
+        Raises:
+            NoAnswerError: the wire is dead; nothing of the cell is to be kept.
+        """
 
 
 @dataclass(frozen=True)
@@ -48,43 +63,63 @@ class RigSource:
     seed: int = 0
     simulated: bool = True
 
+    def check(self) -> bool:
+        """Tell that the rig always answers."""
+        return True
+
     def measure(self, plan: Plan, number: int) -> Measured:
         """Record one cell at the time that the plan gives it."""
-        drift = self.rig.draw_drift(np.random.default_rng([self.seed, DRIFT_STREAM]))
+        rig = arranged(self.rig, plan.cell(number))
+        drift = rig.draw_drift(np.random.default_rng([self.seed, DRIFT_STREAM]))
         ping = plan.ping(number)
-        registers = self.rig.ping(ping, np.random.default_rng([self.seed, number]), drift)
-        return Measured(ping, registers.reading(self.rig.setup), self.rig.columns(ping, registers))
+        registers = rig.ping(ping, np.random.default_rng([self.seed, number]), drift)
+        return Measured(ping, registers.reading(rig.setup), rig.columns(ping, registers))
 
 
 @dataclass
 class DriverSource:
-    """A sonar behind a driver; a dead wire is written down as no answer and the survey goes on.
+    """A sonar behind a driver. Single pings without an answer are written down as such; a dead wire is an error.
 
     Attributes:
         driver: the sonar.
-        arrange: called with each cell before it is measured: an operator's prompt, a turntable, a twin's `place`.
+        prepare: called with each cell before it is measured: registers to write, a turntable, a twin's `place`.
         columns: what to log beside every ping, under its column's name: settings, a thermometer's value.
-        patience: pings in a row without an answer after which the survey stops rather than fill with nothing.
+        patience: pings in a row without an answer after which the wire counts as dead.
         sleep, clock: of the host.
         simulated: whether clock and sonar stand still between sessions.
     """
 
     driver: Driver
-    arrange: Callable[[Cell], None] = lambda cell: None
+    prepare: Callable[[Cell], None] = lambda cell: None
     columns: Mapping[str, float | Callable[[], float]] = field(default_factory=dict)
-    patience: int = 100
+    patience: int = 10
     sleep: Callable[[float], None] = time.sleep
     clock: Callable[[], float] = time.monotonic
     simulated: bool = False
 
     def __post_init__(self) -> None:
         """Start counting time."""
+        if self.patience < 1:
+            raise SettingError(f"patience must be at least 1 ping, got {self.patience}")
         self._began = self.clock()
         self._unanswered = 0
 
+    def check(self) -> bool:
+        """Ping a few times; see `Source.check`."""
+        heard = []
+        for _ in range(TESTS):
+            try:
+                heard.append(bool(self.driver.ping().ranges))
+            except NoAnswerError as error:
+                last = error
+            self.sleep(TEST_S)
+        if not heard:
+            raise NoAnswerError(f"{last} ({TESTS} pings, no answer: this is no silence)")
+        return any(heard)
+
     def measure(self, plan: Plan, number: int) -> Measured:
         """Have the cell arranged, then ping at the plan's interval."""
-        self.arrange(plan.cell(number))
+        self.prepare(plan.cell(number))
         rows = [self._ping(plan.interval_s) for _ in range(plan.pings)]
         ping = replace(plan.ping(number), time=np.array([row[0] for row in rows]))
         logged = {name: np.array([row[2][name] for row in rows]) for name in self.columns}
@@ -104,7 +139,8 @@ class DriverSource:
         except NoAnswerError as error:
             self._unanswered += 1
             if self._unanswered >= self.patience:
-                raise NoAnswerError(f"{error} ({self._unanswered} pings in a row; the cells before are kept)") from None
+                count, self._unanswered = self._unanswered, 0
+                raise NoAnswerError(f"{error} ({count} pings in a row, no answer: this is no silence)") from None
             return None
         self._unanswered = 0
         return ranges
@@ -118,3 +154,58 @@ def _reading(heard: list[tuple[float, ...] | None]) -> Reading:
     status = np.where(table[:, 0] > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO)
     status[[ranges is None for ranges in heard]] = EchoStatus.NO_ANSWER
     return Reading.of(table[:, 0], status, table[:, 1:])
+
+
+def told(sonar: Driver) -> Callable[[Cell], None]:
+    """Return what tells a sonar the registers of each cell, for `DriverSource.prepare`.
+
+    Raises (when called):
+        SettingError: the plan sweeps a register that this sonar does not have.
+    """
+
+    def tell(cell: Cell) -> None:
+        for name, value in cell.swept:
+            if not SWEEPS[name].by_hand:
+                if not hasattr(sonar, name):
+                    raise SettingError(f"{sonar} has no {SWEEPS[name].what}: take `sweep.{name}` out of the plan")
+                setattr(sonar, name, int(value))
+
+    return tell
+
+
+@dataclass
+class Thermometer:
+    """A file that holds a temperature in thousandths of a degree, as Linux shows 1-Wire and hwmon thermometers.
+
+    Attributes:
+        path: of the file.
+        every_s: how long a value is good for; a DS18B20 takes 0.75 s for one.
+        clock: of the host.
+    """
+
+    path: Path
+    every_s: float = 10.0
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        """Read it once, so that a missing thermometer is told before the survey."""
+        self._read()
+
+    def __call__(self) -> float:
+        """Return the temperature, degC.
+
+        Raises:
+            DeviceError: there is no such file, or it holds something else.
+        """
+        if self.clock() - self._when > self.every_s:
+            self._read()
+        return self._value
+
+    def _read(self) -> None:
+        try:
+            value = int(self.path.read_text(encoding="ascii")) / 1000.0
+        except (OSError, ValueError) as error:
+            raise DeviceError(f"thermometer {self.path}: {error}; expected thousandths of a degree Celsius") from None
+        if not -60.0 <= value <= 84.9:  # a DS18B20 shows 85 degC until it has measured
+            raise DeviceError(f"thermometer {self.path}: {value:g} degC, expected -60 to 84.9 degC; check its wires")
+        self._value, self._when = value, self.clock()

@@ -19,7 +19,9 @@ COMMANDS = {
     "demo": ("training.demo", "the whole chain in three minutes: record, diagnose, correct, drive"),
     "record": ("training.record", "record a survey with a sonar, or with the waveform rig where there is none"),
     "import": ("training.foreign", "turn a log of another program into a recording"),
+    "plot": ("training.plot", "draw a recording: credence surfaces, detection, readings, course of time"),
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
+    "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
     "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }
@@ -41,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def overview() -> str:
     """Return what the commands do, a line each."""
-    lines = [f"  {name:<12} {summary}" for name, (_, summary) in COMMANDS.items()]
+    lines = [f"  {name:<19} {summary}" for name, (_, summary) in COMMANDS.items()]
     head = "sonar-gym: real sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]\n\ncommands:"
     return "\n".join([head, *lines, "\n`sonar-gym COMMAND --help` lists the options of each."])
 

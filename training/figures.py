@@ -1,18 +1,11 @@
-"""Figures of a diagnosis, as SVG text that can be put into a page. The only module that needs matplotlib."""
+"""Figures of a diagnosis, as SVG text that can be put into a page."""
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from noise.cells import Batch
@@ -20,27 +13,9 @@ from noise.discrepancy import Diagnosis
 from noise.discrepancy.locate import pit
 from noise.law import CREDENCE_TOLERANCE, EchoLaw
 from noise.model import SonarModel
+from training.canvas import AFTER, BEFORE, INK, SOFT, Axes, TwoSlopeNorm, svg
 
 Floats = NDArray[np.float64]
-INK, SOFT, BEFORE, AFTER = "#1d2733", "#8794a3", "#c2571a", "#1b6ca8"  # orange and blue stay apart for the colour-blind
-STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 11,
-    "axes.edgecolor": SOFT,
-    "axes.labelcolor": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 11,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "text.color": INK,
-    "legend.frameon": False,
-    "legend.fontsize": 10,
-    "svg.fonttype": "path",
-    "figure.dpi": 110,
-}
 MOST_POINTS = 2500
 DEG = np.pi / 180.0
 
@@ -64,25 +39,6 @@ class Seen:
         """Reading minus median reading of the model, mm; nan without an echo or where the model expects none."""
         known = self.batch.reading.echo & (self.median > 0)
         return np.where(known, 1000.0 * (self.batch.reading.range - self.median), np.nan)
-
-
-def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.4, 3.5)) -> str:
-    """Return a figure of one pair of axes as SVG text that scales with the page.
-
-    Args:
-        draw: what to draw.
-        name: keeps identifiers of several figures in one page apart, the same in every run.
-        size: inches.
-    """
-    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure.add_subplot())
-        out = io.StringIO()
-        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None}, dpi=160)
-    text = out.getvalue()[out.getvalue().index("<svg") :]
-    for attribute in ("width", "height"):
-        text = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", text, count=1)
-    return text
 
 
 def _sampled(n: int) -> NDArray[np.int64]:

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rich.progress import Progress
 
-from acquisition import EchoStatus, Ping, Recording, SettingError
+from acquisition import DeviceError, EchoStatus, Ping, Recording
+from acquisition.arranging import arranged
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf08
-from acquisition.drivers.twins import Srf08Twin
-from acquisition.plan import PLANS, Cell, Plan
-from acquisition.session import Session
-from acquisition.sources import DriverSource, RigSource, Source
+from acquisition.drivers.twins import BadWire, Srf08Twin
+from acquisition.errors import SettingError
+from acquisition.plan import Cell, Order, Plan
+from acquisition.planfile import find_plan
+from acquisition.session import Nobody, Operator, Session
+from acquisition.sources import DriverSource, RigSource, Source, Thermometer, told
+from training.operator import Asking
 from training.progress import TERMINAL, bars
 
-Arrange = Callable[[Cell], None]
+MANY_LOST = 0.05  # share of pings without answer from which a wire is worth a look
 
 
 @dataclass(frozen=True)
@@ -34,13 +38,14 @@ class Args:
     """Recording to write; each condition is on disk as soon as it is measured."""
     driver: Literal["rig", "twin", "srf08"] = "rig"
     """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. srf08: a real one on I2C."""
-    plan: Literal["quick", "turned", "thesis"] = "quick"
-    """quick: 3,600 pings on 120 conditions. turned: 55,296 on 6,912, reflectors turned apart from their bearing.
-    thesis: 133,100 pings on 2,662 conditions."""
+    plan: str = "quick"
+    """quick (3,600 pings), turned, thesis (133,100 pings), crosstalk, loose, vertical, gain-sweep, or FILE.toml."""
+    order: Order | None = None
+    """random: drift cannot pass for distance. walk: few moves by hand. grid. As the plan has it if not given."""
     resume: bool = False
     """Go on with a recording that was interrupted; plan, seed and settings must be those it was begun with."""
-    seed: int = 0
-    """Of the order of conditions and of everything random in the rig."""
+    seed: int | None = None
+    """Of the order of conditions, and of everything random in the rig; as the plan has it if not given."""
     pings: int | None = None
     """Pings a condition; as the plan has it if not given."""
     interval_s: float | None = None
@@ -61,6 +66,13 @@ class Args:
     """Of the air, degC: the rig's own, or what a thermometer beside the real sensor shows."""
     humidity_pct: float = 50.0
     """Of the air, %."""
+    thermometer: Path | None = None
+    """Real sensors: file that holds the air's temperature in thousandths of a degree, read every ten seconds, such as
+    /sys/bus/w1/devices/28-*/temperature of a DS18B20; instead of `temperature_c`."""
+    operator: Literal["ask", "none"] = "ask"
+    """Real sensors: ask somebody to move the stand, or go on unasked (nothing has to be moved by hand)."""
+    patience: int = 10
+    """Real sensors: pings in a row without an answer after which the wire counts as dead."""
     bus: int = 1
     """srf08: number of the I2C bus, /dev/i2c-N."""
     address: int = 0x70
@@ -70,33 +82,79 @@ class Args:
 def main(args: Args) -> None:
     """Record, show how far it is, and say what came of it."""
     plan = plan_of(args)
+    source = SOURCES[args.driver](args)
+    if not source.simulated:
+        TERMINAL.print(effort(plan), highlight=False)
     with bars() as bar:
-        source = SOURCES[args.driver](args, lambda cell: _ask_operator(cell, bar))
-        session = Session(plan, source, args.out, args.resume, args.echoes)
+        operator: Operator = Nobody() if source.simulated or args.operator == "none" else Asking(TERMINAL, bar)
+        session = Session(plan, source, args.out, args.resume, args.echoes, operator=operator, settings=kept(args))
         task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
-        session.run(lambda done, total: bar.update(task, completed=done, total=total, visible=True))
-    print(summary(Recording.load(args.out), args.out))
+        measure(session, lambda done, total: bar.update(task, completed=done, total=total, visible=True))
+    print(summary(args.out, plan))
+
+
+def measure(session: Session, progress: Callable[[int, int], None]) -> None:
+    """Run a session; where it breaks off, say how much is on disk and how to go on."""
+    try:
+        session.run(progress)
+    except DeviceError as error:
+        raise type(error)(f"{error}; {_on_disk(session)}") from None
+    except KeyboardInterrupt:
+        print(f"sonar-gym: {session.path}: {_on_disk(session)}", file=sys.stderr)
+        raise
+
+
+def _on_disk(session: Session) -> str:
+    """Tell how much is on disk and how to go on."""
+    try:
+        cells = len(Recording.load(session.path)) // session.plan.pings
+    except (ValueError, OSError):
+        cells = 0
+    return f"{cells} of {len(session.plan)} conditions are on disk, go on with --resume"
+
+
+def effort(plan: Plan) -> str:
+    """Return a line on how much work a plan is for somebody who moves stands by hand."""
+    walk, hours = replace(plan, order="walk"), plan.seconds / 3600.0
+    hint = f" (--order walk: {walk.way_m:.0f} m)" if walk.way_m < 0.8 * plan.way_m else ""
+    size = f"{len(plan)} conditions, {len(plan) * plan.pings} pings, about {hours:.1f} h"
+    return f"{size}; {plan.moves} moves by hand over {plan.way_m:.0f} m{hint}"
 
 
 def plan_of(args: Args) -> Plan:
     """Return the plan with what the settings change."""
-    plan = PLANS[args.plan]
-    pings = plan.pings if args.pings is None else args.pings
-    facing = plan.facing if args.pose == "plan" else args.pose == "facing"
-    interval_s = plan.interval_s if args.interval_s is None else args.interval_s
-    incidences = plan.incidences_deg if args.pose == "plan" else ()
-    return replace(plan, pings=pings, interval_s=interval_s, facing=facing, incidences_deg=incidences, seed=args.seed)
+    plan = find_plan(args.plan)
+    names = ("pings", "interval_s", "order", "seed")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.pose != "plan":
+        given |= {"facing": args.pose == "facing", "incidences_deg": ()}
+    return replace(plan, **given)
 
 
-def summary(recording: Recording, path: Path) -> str:
-    """Return a line on what was recorded."""
+def kept(args: Args) -> dict[str, Any]:
+    """Return the settings that a resumed session must have been begun with."""
+    names = ["driver", "gain", "range_register", "output"]
+    names += ["unit", "temperature_c", "humidity_pct"] if args.driver in ("rig", "twin") else ["bus", "address"]
+    return {name: getattr(args, name) for name in names}
+
+
+def summary(path: Path, plan: Plan) -> str:
+    """Return a line on what was recorded, and one on what is missing or odd."""
+    if not path.stat().st_size:
+        return f"{path}: nothing was recorded; go on with --resume"
+    recording = Recording.load(path)
     status = recording.reading.status
     shares = [100.0 * float(np.mean(status == kind)) for kind in (EchoStatus.ECHO, EchoStatus.NO_ECHO)]
-    lost = int((status == EchoStatus.NO_ANSWER).sum())
-    return (
-        f"{path}: {len(recording)} pings on {recording.cell.max() + 1} conditions; "
+    lost, cells = int((status == EchoStatus.NO_ANSWER).sum()), len(recording) // plan.pings
+    lines = [
+        f"{path}: {len(recording)} pings on {cells} conditions; "
         f"{shares[0]:.1f} % echoes, {shares[1]:.1f} % silent, {lost} without answer"
-    )
+    ]
+    if lost > MANY_LOST * len(recording):
+        lines.append(f"{100 * lost / len(recording):.0f} % of pings had no answer: look at plugs, wires and power")
+    if cells < len(plan):
+        lines.append(f"{len(plan) - cells} of {len(plan)} conditions are still to be measured: go on with --resume")
+    return "\n".join(lines)
 
 
 def _rig(args: Args) -> Rig:
@@ -110,31 +168,42 @@ def _rig(args: Args) -> Rig:
     return Rig(Unit.draw(args.unit) if args.unit else Unit.nominal(), setup)
 
 
-def _rig_source(args: Args, arrange: Arrange) -> Source:
-    return RigSource(_rig(args), args.seed)
+def _seed(args: Args) -> int:
+    return plan_of(args).seed
 
 
-def _twin_source(args: Args, arrange: Arrange) -> Source:
+def _rig_source(args: Args) -> Source:
+    return RigSource(_rig(args), _seed(args))
+
+
+def _twin_source(args: Args) -> Source:
     if args.resume:
         raise SettingError("--resume does not go with --driver twin, which forgets its state; record it anew")
-    twin = Srf08Twin(_rig(args), np.random.default_rng([args.seed, args.unit]))
+    rig = _rig(args)
+    twin = Srf08Twin(rig, np.random.default_rng([_seed(args), args.unit]))
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
     def place(cell: Cell) -> None:
+        twin.rig = arranged(rig, cell)
+        loose = cell.values.get("loose_share", 0.0)
+        twin.wire = BadWire(nack=0.8 * loose, lost_write=0.2 * loose)
+        told(sonar)(cell)
         bearing, incidence = np.deg2rad([cell.angle_deg, cell.incidence_deg])
         twin.place(Ping.of(cell.distance_mm * 1e-3, bearing, incidence, cell.reflectance))
 
-    return DriverSource(sonar, place, _columns(args), sleep=twin.clock.sleep, clock=twin.clock, simulated=True)
+    return DriverSource(
+        sonar, place, _columns(args, sonar), args.patience, sleep=twin.clock.sleep, clock=twin.clock, simulated=True
+    )
 
 
-def _srf08_source(args: Args, arrange: Arrange) -> Source:
+def _srf08_source(args: Args) -> Source:
     sonar = DRIVERS["srf08"].open(args.bus, address=args.address, **_registers(args))
     TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
-    return DriverSource(sonar, arrange, _columns(args))
+    return DriverSource(sonar, told(sonar), _columns(args, sonar), args.patience)
 
 
 # how each kind of driver becomes something that a session measures with
-SOURCES: dict[str, Callable[[Args, Arrange], Source]] = {
+SOURCES: dict[str, Callable[[Args], Source]] = {
     "rig": _rig_source,
     "twin": _twin_source,
     "srf08": _srf08_source,
@@ -145,16 +214,11 @@ def _registers(args: Args) -> dict[str, Any]:
     return {"gain": args.gain, "range_register": args.range_register, "output": args.output}
 
 
-def _columns(args: Args) -> dict[str, float]:
+def _columns(args: Args, sonar: Any) -> dict[str, float | Callable[[], float]]:
+    """Return what is logged beside each ping: the air, and what the sensor was told last."""
     return {
-        "temperature_c": args.temperature_c,
+        "temperature_c": Thermometer(args.thermometer) if args.thermometer else args.temperature_c,
         "humidity_pct": args.humidity_pct,
-        "gain": float(args.gain),
-        "range_mm": 43.0 * (args.range_register + 1),
+        "gain": lambda: float(sonar.gain),
+        "range_mm": lambda: 43.0 * (sonar.range_register + 1),
     }
-
-
-def _ask_operator(cell: Cell, bar: Progress) -> None:
-    bar.stop()  # a bar that redraws itself would write over the question
-    TERMINAL.input(f"Place the reflector at {cell}, then press Enter ")
-    bar.start()

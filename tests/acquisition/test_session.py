@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition import EchoStatus, NoAnswerError, Ping, Recording, RecordingError, SettingError
+from acquisition import DeviceError, EchoStatus, NoAnswerError, Ping, Recording, RecordingError, SettingError
 from acquisition.bench import Bus, Rig, Setup, Unit
 from acquisition.drivers import Echoes, Srf08
 from acquisition.drivers.twins import BadWire, Srf08Twin
-from acquisition.plan import PLANS, Cell, Plan
-from acquisition.session import Session
-from acquisition.sources import DriverSource, RigSource
+from acquisition.plan import Plan
+from acquisition.recording import unfinished
+from acquisition.session import Answer, Nobody, Session
+from acquisition.sources import DriverSource, RigSource, Thermometer, told
 
 SMALL = Plan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
 RIG = Rig(Unit.draw(4), Setup(gain=20, output="us", bus=Bus(nack=0.1)))
@@ -29,6 +30,9 @@ class Failing:
 
     simulated = True
 
+    def check(self):
+        return True
+
     def __init__(self, source, at):
         self.source, self.at = source, at
 
@@ -36,33 +40,6 @@ class Failing:
         if number == self.at:
             raise PowerCut
         return self.source.measure(plan, number)
-
-
-def test_thesis_plan_is_the_thesis():
-    plan = PLANS["thesis"]
-    assert len(plan) * plan.pings == 133_100
-    assert len(plan.angles_deg) == 11
-    assert len(plan.distances_mm) == 121
-    assert plan.distances_mm[:4] == (30.0, 50.0, 100.0, 150.0)
-    assert plan.distances_mm[-1] == 6000.0
-    assert {cell.reflectance for cell in plan.cells} == {0.1, 0.9}
-    assert plan.facing
-    aside = next(k for k, cell in enumerate(plan.cells) if cell.angle_deg == 45.0)
-    assert plan.ping(aside).incidence[0] == 0.0
-    assert SMALL.ping(0).incidence[0] == SMALL.ping(0).angle[0]
-
-
-def test_plans_order_is_a_permutation_fixed_by_its_seed():
-    random, again, other, grid = (replace(SMALL, seed=seed) for seed in (1, 1, 3, None))
-    assert random.cells == again.cells
-    assert set(random.cells) == set(grid.cells) == set(other.cells)
-    assert [cell.distance_mm for cell in grid.cells] == [300.0, 700.0, 300.0, 700.0]
-
-
-def test_times_go_on_through_the_plan():
-    time = np.concatenate([SMALL.ping(k).time for k in range(len(SMALL))])
-    steps = np.diff(time)
-    assert set(np.round(steps, 9)) == {2.4, 20.0}
 
 
 def test_session_writes_what_the_rig_heard(tmp_path):
@@ -118,19 +95,41 @@ def test_nothing_is_overwritten_unasked(tmp_path):
 def test_another_plan_is_not_mixed_in(tmp_path):
     path = Session(SMALL, RigSource(RIG), tmp_path / "r.csv").run()
     before = path.read_bytes()
-    with pytest.raises(RecordingError, match=r"line 8: holds another condition than the plan has there"):
-        Session(replace(SMALL, seed=8), RigSource(RIG), path, resume=True).run()
-    with pytest.raises(RecordingError, match="line 2: holds another condition"):
+    with pytest.raises(RecordingError, match=r"line 2: holds another condition than the plan has there"):
         Session(replace(SMALL, distances_mm=(400.0,)), RigSource(RIG), path, resume=True).run()
+    with pytest.raises(RecordingError, match=r"line 8: holds another condition"):
+        Session(replace(SMALL, pings=12), RigSource(RIG), path, resume=True).run()
     with pytest.raises(RecordingError, match="holds 4 echoes a ping, this session 2"):
         Session(SMALL, RigSource(RIG), path, resume=True, echoes=2).run()
+    with pytest.raises(RecordingError, match="column pitch_deg is missing"):
+        Session(replace(SMALL, sweep={"pitch_deg": (0.0,)}), RigSource(RIG), path, resume=True).run()
     assert path.read_bytes() == before
 
 
-def test_a_plan_that_ends_sooner_is_another_plan(tmp_path):
-    path = Session(replace(SMALL, seed=None), RigSource(RIG), tmp_path / "r.csv").run()
-    with pytest.raises(RecordingError, match="line 14: holds another condition"):
-        Session(replace(SMALL, seed=None, angles_deg=(0.0,)), RigSource(RIG), path, resume=True).run()
+def test_an_unfinished_session_goes_on_with_its_own_settings_only(tmp_path):
+    path, source = tmp_path / "r.csv", RigSource(RIG)
+    with pytest.raises(PowerCut):
+        Session(SMALL, Failing(source, 2), path, settings={"gain": 20}).run()
+    assert unfinished(path).exists()
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match=r"was begun with gain 20, not 14; resume with the settings"):
+        Session(SMALL, source, path, resume=True, settings={"gain": 14}).run()
+    with pytest.raises(RecordingError, match=r"was begun with seed 2, not 8"):
+        Session(replace(SMALL, seed=8), source, path, resume=True, settings={"gain": 20}).run()
+    assert path.read_bytes() == before
+    Session(SMALL, source, path, resume=True, settings={"gain": 20}).run()
+    assert not unfinished(path).exists()
+
+
+def test_a_torn_last_line_of_an_unfinished_session_is_not_read(tmp_path):
+    path = tmp_path / "r.csv"
+    with pytest.raises(PowerCut):
+        Session(SMALL, Failing(RigSource(RIG), 2), path).run()
+    whole = path.read_bytes()
+    row = whole.splitlines(keepends=True)[-1]
+    for cut in range(1, len(row)):  # at every place, the one before the line's end included
+        path.write_bytes(whole + row[:cut])
+        assert len(Recording.load(path)) == 12
 
 
 def test_each_cell_is_on_disk_when_it_is_told(tmp_path):
@@ -149,10 +148,12 @@ def twin_source(wire=None, **settings):
     twin = Srf08Twin(Rig(Unit.nominal(), still), np.random.default_rng(0), wire=wire or BadWire())
     sonar = Srf08(twin, gain=20, range_register=140, sleep=twin.clock.sleep, clock=twin.clock)
 
-    def arrange(cell):
+    def place(cell):
+        told(sonar)(cell)
         twin.place(Ping.of(cell.distance_mm * 1e-3, np.deg2rad(cell.angle_deg), reflectance=cell.reflectance))
 
-    return DriverSource(sonar, arrange, {"gain": 20.0}, sleep=twin.clock.sleep, clock=twin.clock, **settings)
+    columns = {"gain": lambda: float(sonar.gain)}
+    return DriverSource(sonar, place, columns, sleep=twin.clock.sleep, clock=twin.clock, **settings)
 
 
 def test_driver_over_its_twin_fills_the_same_table(tmp_path):
@@ -166,26 +167,141 @@ def test_driver_over_its_twin_fills_the_same_table(tmp_path):
     assert recording.table["gain"].eq(20).all()
 
 
-def test_operator_is_asked_for_every_cell_in_order(tmp_path):
-    class Deaf:
+def test_a_swept_register_is_written_to_the_sonar_and_logged(tmp_path):
+    plan = replace(SMALL, angles_deg=(0.0,), sweep={"gain": (0.0, 31.0)})
+    recording = Recording.load(Session(plan, twin_source(), tmp_path / "r.csv").run())
+    assert sorted(set(recording.table["gain"])) == [0, 31]
+    loud = recording.table["gain"] == 31
+    middle = recording.table.groupby(["distance_mm", loud])["reading_mm"].median().unstack()
+    assert (middle[True] <= middle[False]).all()  # a louder echo passes the threshold sooner
+
+
+def test_a_sonar_without_the_register_refuses_the_plan(tmp_path):
+    class Plain:
         def ping(self):
-            return Echoes(())
+            return Echoes((1.0,))
 
-    asked: list[Cell] = []
-    source = DriverSource(Deaf(), asked.append, sleep=lambda s: None)
-    recording = Recording.load(Session(SMALL, source, tmp_path / "r.csv").run())
-    assert asked == list(SMALL.cells)
-    assert (recording.reading.status == EchoStatus.NO_ECHO).all()
+        def __str__(self):
+            return "HC-SR04"
+
+    plan = replace(SMALL, sweep={"gain": (3.0,)})
+    source = DriverSource(Plain(), told(Plain()), sleep=lambda s: None)
+    with pytest.raises(SettingError, match=r"HC-SR04 has no gain code: take `sweep.gain` out of the plan"):
+        Session(plan, source, tmp_path / "r.csv").run()
 
 
-def test_dead_wire_is_written_down_as_no_answer_until_patience_ends(tmp_path):
+class Heard:
+    """A sonar that gives prepared answers: ranges, or None for no answer."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def ping(self):
+        answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+        if answer is None:
+            raise NoAnswerError("sonar: no acknowledge")
+        return Echoes(answer)
+
+
+class Scripted(Nobody):
+    """An operator who gives prepared answers and keeps what was asked."""
+
+    def __init__(self, ready=(), unanswered=(), silent=()):
+        self.answers = {"ready": list(ready), "unanswered": list(unanswered), "silent": list(silent)}
+        self.asked = []
+
+    def _next(self, kind, default, *asked):
+        self.asked.append((kind, *asked))
+        return self.answers[kind].pop(0) if self.answers[kind] else default
+
+    def ready(self, before, cell, can_repeat):
+        return self._next("ready", Answer.GO, before, cell)
+
+    def unanswered(self, error):
+        return self._next("unanswered", Answer.QUIT, str(error))
+
+    def silent(self, cells):
+        return self._next("silent", Answer.SKIP, cells)
+
+    def kinds(self):
+        return [item[0] for item in self.asked]
+
+
+def session(path, sonar, operator, **settings):
+    return Session(SMALL, DriverSource(sonar, sleep=lambda s: None), path, operator=operator, **settings)
+
+
+def test_operator_is_asked_for_every_cell_in_order(tmp_path):
+    operator = Scripted()
+    session(tmp_path / "r.csv", Heard((1.0,)), operator).run()
+    assert [item[2] for item in operator.asked] == list(SMALL.cells)
+    assert [item[1] for item in operator.asked] == [None, *SMALL.cells[:-1]]
+
+
+def test_what_is_skipped_is_measured_when_resumed(tmp_path):
     path = tmp_path / "r.csv"
-    Session(replace(SMALL, pings=3), twin_source(BadWire(stuck=True)), path).run()
-    assert (Recording.load(path).reading.status == EchoStatus.NO_ANSWER).all()
-    source = twin_source(BadWire(nack=1.0), patience=4)
-    with pytest.raises(NoAnswerError, match=r"4 pings in a row; the cells before are kept"):
-        Session(replace(SMALL, pings=3), source, tmp_path / "s.csv").run()
-    assert len(Recording.load(tmp_path / "s.csv")) == 3
+    session(path, Heard((1.0,)), Scripted(ready=[Answer.GO, Answer.SKIP, Answer.GO, Answer.QUIT])).run()
+    assert len(Recording.load(path)) == 12
+    operator = Scripted()
+    session(path, Heard((2.0,)), operator, resume=True).run()
+    assert [item[2] for item in operator.asked] == [SMALL.cells[1], SMALL.cells[3]]
+    assert Recording.load(path).table["reading_mm"].tolist() == [1000.0] * 12 + [2000.0] * 12
+
+
+def test_repeat_replaces_the_cell_before(tmp_path):
+    operator = Scripted(ready=[Answer.GO, Answer.REPEAT])
+    sonar = Heard(*[(1.0,)] * (5 + 6), (2.0,))
+    session(tmp_path / "r.csv", sonar, operator).run()
+    recording = Recording.load(tmp_path / "r.csv")
+    assert recording.table["reading_mm"].tolist() == [2000.0] * 24
+    assert [item[2] for item in operator.asked[:3]] == [SMALL.cells[0], SMALL.cells[1], SMALL.cells[0]]
+    assert operator.asked[2][1] is None  # to be arranged anew
+
+
+def test_a_dead_wire_is_refused_before_anything_is_written(tmp_path):
+    for dead in (BadWire(stuck=True), BadWire(nack=1.0)):  # 0xFF for ever, and nobody there
+        path = tmp_path / f"{dead.stuck}.csv"
+        with pytest.raises(NoAnswerError, match=r"5 pings, no answer: this is no silence"):
+            Session(SMALL, twin_source(dead), path).run()
+        assert path.read_bytes() == b""
+
+
+def test_a_wire_that_dies_later_leaves_whole_cells_and_no_zeros(tmp_path):
+    path = tmp_path / "r.csv"
+    sonar = Heard(*[(1.0,)] * (5 + 6 + 3), None)
+    with pytest.raises(NoAnswerError, match=r"10 pings in a row, no answer: this is no silence"):
+        Session(replace(SMALL, pings=6), DriverSource(sonar, sleep=lambda s: None), path).run()
+    recording = Recording.load(path)
+    assert recording.reading.status.tolist() == [EchoStatus.ECHO] * 9 + [EchoStatus.NO_ANSWER] * 9
+
+
+def test_a_mended_wire_goes_on_with_the_same_cell(tmp_path):
+    operator = Scripted(unanswered=[Answer.GO, Answer.GO])
+    sonar = Heard(*[None] * 5, *[(1.0,)] * 5, *[None] * 10, (1.0,))
+    Session(
+        replace(SMALL, pings=12), DriverSource(sonar, sleep=lambda s: None), tmp_path / "r.csv", operator=operator
+    ).run()
+    assert operator.kinds()[:3] == ["unanswered", "ready", "unanswered"]
+    assert (Recording.load(tmp_path / "r.csv").reading.status == EchoStatus.ECHO).all()
+
+
+def test_single_lost_pings_are_written_down_as_no_answer(tmp_path):
+    sonar = Heard(*[(1.0,)] * 5, *[(1.0,), None, ()] * 8, (1.0,))
+    session(tmp_path / "r.csv", sonar, Nobody()).run()
+    text = (tmp_path / "r.csv").read_text().splitlines()
+    table = Recording.load(tmp_path / "r.csv").table
+    assert table["reading_mm"].fillna(-1).tolist() == [1000.0, -1, 0.0] * 8
+    assert text[2].count(",,") > 0  # no answer is an empty field, not 0
+    assert ",," not in text[3]
+
+
+def test_a_deaf_sonar_is_asked_about_before_and_during(tmp_path):
+    many = replace(SMALL, distances_mm=tuple(float(d) for d in range(100, 700, 100)))
+    operator = Scripted(silent=[Answer.GO, Answer.SKIP])
+    source = DriverSource(Heard(()), sleep=lambda s: None)
+    Session(many, source, tmp_path / "r.csv", operator=operator).run()
+    asked = [item for item in operator.asked if item[0] == "silent"]
+    assert asked == [("silent", 0), ("silent", 0), ("silent", 5), ("silent", 5)]  # tested again, believed, later twice
 
 
 def test_hardware_taken_up_again_is_another_session(tmp_path):
@@ -207,11 +323,19 @@ def test_recording_needs_none_of_the_heavy_packages():
     assert done.stdout.strip() == "[]"
 
 
-def test_the_turned_plan_turns_reflectors_apart_from_their_bearing():
-    plan = PLANS["turned"]
-    assert len(plan) == 6912
-    assert len(plan) * plan.pings == 55_296
-    angle, incidence = np.array([(cell.angle_deg, cell.incidence_deg) for cell in plan.cells]).T
-    assert abs(np.corrcoef(angle, incidence)[0, 1]) < 1e-9
-    ping = plan.ping(7)
-    np.testing.assert_allclose(np.degrees(ping.incidence), plan.cell(7).incidence_deg)
+def test_the_thermometer_is_read_when_its_value_is_old(tmp_path):
+    file, now = tmp_path / "temperature", [0.0]
+    file.write_text("21437\n")
+    thermometer = Thermometer(file, clock=lambda: now[0])
+    file.write_text("22000\n")
+    assert thermometer() == 21.437
+    now[0] = 11.0
+    assert thermometer() == 22.0
+
+
+@pytest.mark.parametrize(("content", "message"), [("", "expected thousandths"), ("85000", "85 degC, expected -60 to")])
+def test_a_thermometer_that_tells_nothing_is_refused(tmp_path, content, message):
+    file = tmp_path / "temperature"
+    file.write_text(content)
+    with pytest.raises(DeviceError, match=message):
+        Thermometer(file)

@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition import Recording
+from acquisition import DeviceError, NoAnswerError, Recording
+from acquisition.drivers import Echoes
+from acquisition.plan import Plan
+from acquisition.session import Session
+from acquisition.sources import DriverSource
 from training.cli import main
+from training.record import measure
 
 FEW = ["--pings", "2", "--interval-s", "1"]
 
@@ -55,3 +60,44 @@ def test_what_cannot_be_is_told_in_a_line(tmp_path, capsys, options, message):
     assert message in error
     assert "\n" not in error
     assert not Path(tmp_path / "r.csv").exists()
+
+
+def test_a_plan_from_a_file_sweeps_what_it_names(tmp_path, capsys):
+    plan = tmp_path / "p.toml"
+    plan.write_text("distances_mm = [500, 900]\nangles_deg = [0]\npings = 3\nseed = 7\n[sweep]\ngain = [0, 31]\n")
+    for driver in ("rig", "twin"):
+        path = tmp_path / f"{driver}.csv"
+        main(["record", "--driver", driver, "--plan", str(plan), "--out", str(path)])
+        assert "24 pings on 8 conditions" in capsys.readouterr().out
+        table = Recording.load(path).table
+        assert sorted(set(table["gain"])) == [0, 31]
+        assert table["temperature_c"].notna().all()
+
+
+def test_a_faulty_plan_is_one_line(tmp_path, capsys):
+    plan = tmp_path / "p.toml"
+    plan.write_text("distances_mm = [500]\nangles_deg = [0]\n[sweep]\ngain = [99]\n")
+    with pytest.raises(SystemExit) as stop:
+        main(["record", "--plan", str(plan), "--out", str(tmp_path / "r.csv")])
+    error = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert "p.toml, sweep.gain: expected a whole number from 0 to 31, got 99" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("fault", [DeviceError("/dev/ttyACM0: gone"), NoAnswerError("sonar: no acknowledge")])
+def test_an_unplugged_wire_tells_what_is_on_disk_and_how_to_go_on(tmp_path, fault):
+    class Unplugged:
+        pings = 0
+
+        def ping(self):
+            self.pings += 1
+            if self.pings > 5 + 4 + 1:
+                raise fault
+            return Echoes((1.0,))
+
+    plan = Plan((0.0,), (500.0, 700.0, 900.0), (0.9,), pings=2)
+    source = DriverSource(Unplugged(), sleep=lambda s: None, patience=1)
+    with pytest.raises(type(fault), match=r"; 2 of 3 conditions are on disk, go on with --resume"):
+        measure(Session(plan, source, tmp_path / "r.csv"), lambda done, total: None)
+    assert len(Recording.load(tmp_path / "r.csv")) == 4

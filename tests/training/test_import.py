@@ -1,0 +1,132 @@
+"""`sonar-gym import` on logs of other people, and on a bag."""
+
+import numpy as np
+import pytest
+
+from acquisition import EchoStatus, Recording
+from training.cli import main
+
+# file, columns, constants, pings
+WALL = ["distance_mm=range:m", "time_s=time:s", "velocity=velocity_command"]
+LOGS = {
+    "snow": (
+        "fixed-ranger-copenhagen/segments-1-and-3.csv",
+        ["reading_mm=range_raw_m:m", "time_s=TIMESTAMP:date", "session=segment"],
+        ["distance_mm=2000", "angle_deg=0"],
+        8012,
+    ),
+    "angle": (
+        "hcsr04-angle/Misure_prove.csv",
+        ["angle_deg=angolo:deg", "reading_mm=verticale 2cm:cm"],
+        ["distance_mm=20", "sensor=hcsr04", "session=2cm"],
+        None,
+    ),
+    "calibration": (
+        "hcsr04-calibration/readings.csv",
+        ["distance_mm=true_cm:cm", "reading_mm=measured_cm:cm", "session=source_file", "temperature_c=temp1_c"],
+        ["angle_deg=0"],
+        3150,
+    ),
+    "wall HC-SR04": ("hcsr04-maxbotix-wall/calibration.csv", [*WALL, "reading_mm=sonar1:m"], ["angle_deg=0"], 3023),
+    "wall MaxBotix": ("hcsr04-maxbotix-wall/training2.csv", [*WALL, "reading_mm=sonar2:m"], ["angle_deg=0"], 1350),
+    "ten distances": (
+        "hcsr04-ten-distances/100cm.csv",
+        ["reading_mm=Time (µs):us", "temperature_c=Temperature (°C)"],
+        ["distance_mm=1000", "angle_deg=0"],
+        15,
+    ),
+    "apple": (
+        "mb1213-apple/Apple_150mm_No_Backdrop.csv",
+        ["reading_mm=ultra:cm", "x_mm=x", "y_mm=y"],
+        ["distance_mm=150", "angle_deg=0"],
+        8405,
+    ),
+    "seven": (
+        "seven-hcsr04-objects/20210102_alldata.csv",
+        ["reading_mm=HCSR04_001:cm", "time_s=Time:s", "session=ObjectClass"],
+        ["distance_mm=550", "angle_deg=0", "sensor=HCSR04_001"],
+        None,
+    ),
+}
+
+
+def imported(source, out, columns, constants, *more):
+    main(["import", str(source), "--out", str(out), "--columns", *columns, "--constants", *constants, *more])
+    return Recording.load(out)
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_real_logs_are_imported_and_drawn(real_recordings, tmp_path, capsys, name):
+    file, columns, constants, pings = LOGS[name]
+    recording = imported(real_recordings / file, tmp_path / "r.csv", columns, constants, "--skip-bad-rows")
+    lines = len((real_recordings / file).read_text(encoding="utf-8-sig").splitlines()) - 1
+    rejected = capsys.readouterr().out.count("left out: ")
+    assert len(recording) == pings if pings else 0 < len(recording) <= lines
+    assert rejected >= lines - len(recording)
+    if recording.has("time_s"):
+        assert recording.ping.time[0] == 0.0
+        assert recording.ping.time.max() > 1.0
+    main(["plot", str(tmp_path / "r.csv"), "--out", str(tmp_path)])
+
+
+def test_their_units_become_ours(real_recordings, tmp_path):
+    file, columns, constants, _ = LOGS["ten distances"]
+    recording = imported(real_recordings / file, tmp_path / "r.csv", columns, constants)
+    assert recording.reading.range[0] == pytest.approx(5722e-6 / 58e-6 / 100.0)  # 58 us a cm
+    file, columns, constants, _ = LOGS["snow"]
+    snow = imported(real_recordings / file, tmp_path / "s.csv", columns, constants)
+    assert np.median(np.diff(snow.ping.time)) == pytest.approx(600.0)  # a row in ten minutes, as its notes say
+    assert snow.run.max() == 1
+
+
+def test_an_empty_field_is_no_answer_and_a_zero_no_echo(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("when,true,got\n2024-05-01T10:00:00Z,1,1.01\n2024-05-01T10:00:01.5Z,1,0\n2024-05-01T10:01:00Z,1,\n")
+    columns = ["distance_mm=true:m", "reading_mm=got:m", "time_s=when:date"]
+    recording = imported(log, tmp_path / "r.csv", columns, ["angle_deg=0"])
+    assert recording.reading.status.tolist() == [EchoStatus.ECHO, EchoStatus.NO_ECHO, EchoStatus.NO_ANSWER]
+    assert recording.ping.time.tolist() == [0.0, 1.5, 60.0]
+
+
+@pytest.mark.parametrize(
+    ("file", "options", "message"),
+    [
+        ("log.csv", [], "--columns is needed"),
+        ("log.bag", [], "a bag holds no true distance"),
+        ("log.bag", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
+        ("log.mcap", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
+        ("log.db3", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
+        ("log.bag", ["--truth-topic", "/a", "--truth-csv", "b.csv"], "expected a topic or a table, got both"),
+    ],
+)
+def test_what_cannot_be_imported_is_told_in_a_line(tmp_path, capsys, file, options, message):
+    (tmp_path / file).write_bytes(b"\x00\x01 no such thing \xff")
+    with pytest.raises(SystemExit) as stop:
+        main(["import", str(tmp_path / file), "--out", str(tmp_path / "r.csv"), *options])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error
+    assert "\n" not in error
+    assert not (tmp_path / "r.csv").exists()
+
+
+def test_a_bag_is_imported_by_the_command(tmp_path, capsys):
+    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the extra sonar-gym[ros]")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds = store.types
+    with rosbag1.Writer(tmp_path / "log.bag") as writer:
+        connection = writer.add_connection("/sonar", "sensor_msgs/msg/Range", typestore=store)
+        for k, value in enumerate([1.0, float("inf"), float("-inf")]):
+            header = kinds["std_msgs/msg/Header"](k, kinds["builtin_interfaces/msg/Time"](100 + k, 0), "front")
+            message = kinds["sensor_msgs/msg/Range"](header, 0, 0.5, 0.02, 4.0, value)
+            raw = store.serialize_ros1(message, "sensor_msgs/msg/Range")
+            writer.write(connection, (100 + k) * 10**9, raw)
+    (tmp_path / "truth.csv").write_text("time_s,distance_m\n0,1\n2,1\n")
+    out, truth = tmp_path / "r.csv", ["--truth-csv", str(tmp_path / "truth.csv"), "--longest-gap-s", "3"]
+    main(["import", str(tmp_path / "log.bag"), "--out", str(out), *truth])
+    told = capsys.readouterr().out
+    assert "3 pings in 1 conditions and 1 runs; 1 without echo, 1 without answer" in told
+    assert "too close to measure (REP 117), kept as no answer: 1" in told
+    assert Recording.load(out).table["sensor"].tolist() == ["front"] * 3

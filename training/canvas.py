@@ -1,0 +1,90 @@
+"""What every figure is drawn on: one style, figures as SVG text or PNG. The only module that imports matplotlib."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
+
+__all__ = ["AFTER", "BEFORE", "INK", "SOFT", "STYLE", "Axes", "Draw", "PolarAxes", "TwoSlopeNorm", "panels", "svg"]
+Draw = Callable[[Axes], None]
+INK, SOFT, BEFORE, AFTER = "#1d2733", "#8794a3", "#c2571a", "#1b6ca8"  # orange and blue stay apart for the colour-blind
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 11,
+    "axes.edgecolor": SOFT,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 10,
+    "svg.fonttype": "path",
+    "figure.dpi": 110,
+}
+
+
+def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.4, 3.5)) -> str:
+    """Return a figure of one pair of axes as SVG text that scales with the page.
+
+    Args:
+        draw: what to draw.
+        name: keeps identifiers of several figures in one page apart, the same in every run.
+        size: inches.
+    """
+    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure.add_subplot())
+        out = io.StringIO()
+        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None}, dpi=160)
+    text = out.getvalue()[out.getvalue().index("<svg") :]
+    for attribute in ("width", "height"):
+        text = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", text, count=1)
+    return text
+
+
+def panels(
+    draws: Sequence[Callable[[Axes], None]],
+    size: tuple[float, float],
+    columns: int = 0,
+    share_y: bool = False,
+    colours: tuple[str, float, float] | None = None,
+    projection: str | None = None,
+) -> bytes:
+    """Return a figure of several pairs of axes as PNG.
+
+    Args:
+        draws: what to draw in each.
+        size: inches.
+        columns: axes a row; all in one row if 0.
+        share_y: one scale for all.
+        colours: name, least and greatest value of a bar of colours beside them all.
+        projection: "polar", or plain axes.
+    """
+    columns = columns or len(draws)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        kind = {"projection": projection}
+        rows = -(-len(draws) // columns)
+        axes = figure.subplots(rows, columns, sharey=share_y, squeeze=False, subplot_kw=kind).ravel()
+        for draw, one in zip(draws, axes, strict=True):
+            draw(one)
+        if colours:
+            scale = ScalarMappable(Normalize(*colours[1:]), "viridis")
+            figure.colorbar(scale, ax=list(axes), shrink=0.8, pad=0.01).set_label(colours[0])
+        out = io.BytesIO()
+        figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
+    return out.getvalue()
