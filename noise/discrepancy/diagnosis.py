@@ -11,8 +11,9 @@ import torch
 
 from acquisition import Ping, Reading, Recording
 from noise.cells import Batch, law_of, placement_scatter
-from noise.discrepancy.emulate import Baseline, baseline_of
+from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.locate import Finding, locate
+from noise.discrepancy.matched import compare
 from noise.discrepancy.next_measurement import next_measurement
 from noise.discrepancy.rest import check_rest
 from noise.discrepancy.rivals import Rival, posterior, rivals
@@ -23,21 +24,11 @@ from noise.discrepancy.steps import coarser_steps
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
 from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
-from noise.fit import (
-    CELLS,
-    JITTER,
-    NUISANCES,
-    Fit,
-    Stack,
-    best_of,
-    covariance,
-    each_counted,
-    log_likelihood,
-    maximise,
-    nuisance_starts,
-)
+from noise.fit import Fit, best_of, covariance, each_counted, log_likelihood, maximise
 from noise.law import Floats
 from noise.model import SonarModel
+from noise.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.starts import nuisance_starts
 
 Z90 = 1.6449  # two-sided 90 % of a normal
 LEAST_P = 1e-12  # no p-value of a model of the world means more
@@ -63,7 +54,7 @@ class Diagnosis:
 
     verdict: Verdict
     corrected: EmpiricalModel
-    given: SonarModel
+    given: SonarModel | Simulator
     shown_before: SonarModel
     before: EmpiricalModel
     split: Split
@@ -86,7 +77,7 @@ class Final:
 
 
 def diagnose(
-    model: SonarModel,
+    model: SonarModel | Simulator,
     recording: Recording,
     *,
     simulated: Recording | None = None,
@@ -98,7 +89,9 @@ def diagnose(
     Args:
         model: what the simulation uses. A `PhysicalModel` is taken as it is and `IdealModel` as one without effects;
             any other (Gaussian, learned) is replaced by an emulator that is fitted to its own samples and checked
-            (`baseline_check`): what the emulator does not hold of it is not corrected.
+            (`baseline_check`): what the emulator does not hold of it is not corrected. A plain function
+            `simulator(pings, rng) -> readings` (a `Reading`, or ranges in m with 0 for no echo) is asked for fresh
+            readings under the recording's own conditions.
         recording: of the real sonar.
         simulated: readings of a simulator on its own conditions; it then stands in the place of `model`.
         seed: of splits, draws and starting points; the same seed gives the same verdict.
@@ -129,7 +122,10 @@ def diagnose(
             named, gain = [*named, found[0]], gain + float(found[1].sum())
     tell("checking what is left", 0.9)
     rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), split.both, misfit)
-    verdict = _verdict(base, where, named, rest, gain, search)
+    matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
+    if matched is not None and not matched.agrees and gain < SURE and not rest.present:
+        named, gain = [], 0.0  # what shared cells do not show is the emulator's
+    verdict = replace(_verdict(base, where, named, rest, gain, search), matched=matched)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
     held = _held_out(base.raw, before, final.stack, split.vault)
     surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
@@ -258,6 +254,7 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
     return "confounded" if any(n.indistinguishable_from for n in named) else "named"
 
 
+SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours

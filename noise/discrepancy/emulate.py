@@ -8,26 +8,33 @@ sonar.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 import torch
 
-from acquisition import Ping, Recording
+from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
-from noise.discrepancy.locate import residuals, scan
+from noise.discrepancy.locate import scan
+from noise.discrepancy.matched import NEAR, NEAR_M, conditions_of
+from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import scan_p
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.empirical import DISTANCE_KNOTS, Flexible
-from noise.fit import CELLS, NUISANCES, Key, Stack, log_likelihood, maximise, nuisance_starts
+from noise.fit import log_likelihood, maximise
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
+from noise.stack import CELLS, NUISANCES, Key, Stack
+from noise.starts import nuisance_starts
 
+Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500
+MOST_ASKED = 6000
 # what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
 PLAIN: dict[Key, float] = {
     ("clock_scale", "error"): 0.0,
@@ -46,7 +53,6 @@ ALARM = 0.01
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
-NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ class Baseline:
         if self.own is None:
             return batch
         found = _offsets(self.stack, self.own.whole)
-        twin = np.array([found.get(key, np.nan) for key in _conditions(batch.ping)])
+        twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
         return batch if np.isnan(twin).all() else replace(batch, twin=twin)
 
     def misfit(self, seed: int) -> Floats | None:
@@ -119,35 +125,56 @@ class Baseline:
         return float(gain.sum()) / len(gain)
 
 
-def _conditions(ping: Ping) -> list[tuple[float, ...]]:
-    """Return the condition of each ping, to a tenth of a millimetre and of a degree."""
-    table = [ping.distance, ping.angle, ping.incidence, ping.reflectance]
-    scale = (1e4, 1800.0 / np.pi, 1800.0 / np.pi, 1e3)
-    return list(zip(*(np.rint(k * value).tolist() for k, value in zip(scale, table, strict=True)), strict=True))
-
-
 def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
     """Return by condition how far echoes of the target lie from the law's, as a median, m."""
     with torch.no_grad():
         middle = direct_median(law_of(stack.model, batch))[0].numpy()
     error = batch.reading.range - middle
     near = batch.reading.echo & (np.abs(error) < NEAR * batch.ping.distance + NEAR_M)
-    frame = pd.DataFrame({"condition": _conditions(batch.ping), "error": error, "near": near})
+    frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": near})
     mostly = frame.groupby("condition")["near"].mean() > 0.5
     median = frame[frame["near"]].groupby("condition")["error"].median()
-    return {key: float(value) for key, value in median.items() if mostly[key]}
+    return {key: value for key, value in zip(median.index, median.to_list(), strict=True) if mostly[key]}
 
 
-def baseline_of(model: SonarModel, recording: Recording, simulated: Recording | None, seed: int) -> Baseline:
-    """Return the law that stands for a model, or for a simulator's readings."""
+def baseline_of(
+    model: SonarModel | Simulator, recording: Recording, simulated: Recording | None, seed: int
+) -> Baseline:
+    """Return the law that stands for a model, for a simulator's readings, or for a simulator that can be asked."""
     if simulated is not None:
         return emulated(simulated, None, seed)
+    if not isinstance(model, SonarModel):
+        return emulated(asked(model, recording, seed), None, seed)
     if isinstance(model, IdealModel):
         physical = PhysicalModel((), model.resolution, model.max_range)
         return Baseline(Stack.of(physical), model, BaselineCheck(True, 1.0, "the ideal sonar is used as it is"))
     if isinstance(model, PhysicalModel):
         return Baseline(Stack.of(model), model, BaselineCheck(True, 1.0, "the given physical model is used as it is"))
     return emulated(sampled(model, recording, seed), model, seed)
+
+
+def asked(simulator: Simulator, recording: Recording, seed: int) -> Recording:
+    """Return fresh readings of a simulator under a recording's own pings, at most `MOST_ASKED` of them.
+
+    Raises:
+        ModelError: it returned something else than one reading a ping.
+    """
+    batch = Batch.of(recording).thin(MOST_ASKED)
+    order = np.argsort(batch.ping.time, kind="stable")
+    ping = batch.ping[order]
+    answer = simulator(ping, np.random.default_rng([seed, 9]))
+    if not isinstance(answer, Reading):
+        ranges = np.asarray(answer, dtype=np.float64)
+        if ranges.shape != (len(ping),) or not np.isfinite(ranges).all() or (ranges < 0).any():
+            raise ModelError(
+                f"the simulator must return {len(ping)} ranges in m, one a ping and 0 for no echo, or a Reading; "
+                f"it returned {type(answer).__name__} of shape {ranges.shape}"
+            )
+        answer = Reading.of(ranges)
+    if len(answer) != len(ping):
+        raise ModelError(f"the simulator returned {len(answer)} readings for {len(ping)} pings; return one a ping")
+    name = getattr(simulator, "__name__", type(simulator).__name__)
+    return Recording.of(ping, answer, name=f"{name} asked")
 
 
 def sampled(model: SonarModel, recording: Recording, seed: int) -> Recording:

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from noise.cells import Batch
-from noise.discrepancy.locate import Finding, locate, residuals, scan
+from noise.discrepancy.describe import formula
+from noise.discrepancy.locate import Finding, locate, scan
+from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Rest
-from noise.fit import CELLS, Fit, Stack, each_counted
+from noise.fit import Fit, each_counted
 from noise.law import Floats
+from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
 _WORDS = {
@@ -58,6 +61,9 @@ def check_rest(
     if beat is not None and 3.0 * p_beat < LEVEL:
         findings = (beat.finding, *findings)
     words = "; ".join(in_words(finding) for finding in findings) or "small misfits that stand out at no single place"
+    told = formula(stack, search.both, rng)
+    if told is not None:
+        words = f"{words}; {told}"
     return Rest(True, p, f"{words} (a description, not a cause)", findings)
 
 

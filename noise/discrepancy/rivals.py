@@ -17,8 +17,9 @@ import torch
 from acquisition import Ping
 from noise.cells import BANKS, Batch, law_of, prior_offset
 from noise.discrepancy.search import Search
-from noise.fit import NUISANCES, SPREAD, Fit, Stack, maximise
+from noise.fit import Fit, maximise
 from noise.law import Floats
+from noise.stack import NUISANCES, SPREAD, Stack
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %

@@ -11,8 +11,8 @@ import numpy as np
 from noise.cells import Batch
 from noise.discrepancy.search import Crossed, Search, spread_over_blocks
 from noise.discrepancy.verdict import Interval, Named
-from noise.fit import JITTER, NUISANCES, Stack
 from noise.law import Floats
+from noise.stack import JITTER, NUISANCES, Stack
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours

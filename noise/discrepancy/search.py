@@ -16,8 +16,10 @@ import numpy as np
 
 from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
-from noise.fit import JITTER, NUISANCES, SHARED, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
+from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
+from noise.stack import JITTER, NUISANCES, SHARED, SPREAD, Key, Stack
+from noise.starts import starting_points
 
 Progress = Callable[[str, float], None]
 THRESHOLD = "sensitivity"

@@ -13,8 +13,10 @@ from noise.effects import CATALOGUE, Conditions
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity
 from noise.effects.receiver import HALF_WAVE
-from noise.fit import Stack, best_of, log_likelihood, starting_points
+from noise.fit import best_of, log_likelihood
 from noise.physical import PhysicalModel
+from noise.stack import Stack
+from noise.starts import starting_points
 
 torch.set_num_threads(1)
 MEMBERS = pytest.mark.parametrize("name", CATALOGUE)

@@ -9,19 +9,10 @@ import torch
 from acquisition import Ping, Recording
 from noise.cells import Batch
 from noise.effects import CATALOGUE
-from noise.fit import (
-    NUISANCES,
-    Stack,
-    _Objective,
-    covariance,
-    extra_modes,
-    fit,
-    log_likelihood,
-    maximise,
-    nuisance_start,
-    starting_points,
-)
+from noise.fit import _Objective, covariance, fit, log_likelihood, maximise
 from noise.physical import PhysicalModel
+from noise.stack import NUISANCES, Stack
+from noise.starts import extra_modes, nuisance_start, starting_points
 
 torch.set_num_threads(1)
 
