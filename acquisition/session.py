@@ -182,6 +182,8 @@ class Survey:
 
     def run(self) -> None:
         """Make sure that the sonar answers, and go through the cells until the last or until somebody quits."""
+        if self.journal.cells:
+            self._tell()  # so that what was done before counts for nothing in the time that is left
         if self._answers() is Answer.QUIT:
             return
         while self.todo:
@@ -221,10 +223,13 @@ class Survey:
             return answer
         self.journal.append(self._rows(measured))
         self.last = self.todo.popleft()
+        self._tell()
+        return self._heed(measured.reading)
+
+    def _tell(self) -> None:
         if self.progress is not None:
             pings = self.session.plan.pings
             self.progress(self.journal.cells * pings, len(self.session.plan) * pings)
-        return self._heed(measured.reading)
 
     def _heed(self, reading: Reading) -> Answer:
         """After some silent cells have the operator test whether the sonar still hears."""
