@@ -74,9 +74,12 @@ def main(args: Args) -> None:
     samples = Samples.of(Recording.load(args.recording))
     findings = Findings(comparison, trained(comparison.jobs, samples, args.out / "networks"), samples)
     folder = args.page or args.out
-    for name, image in all_figures(findings).items():
+    figures = all_figures(findings)
+    for name, image in figures.items():
         write_bytes(folder / f"{name}.png", image)
-    print(write_text(folder / "tables.md", page(findings, about(args))).read_text(encoding="utf-8"))
+    text = page(findings, about(args), figures)
+    write_text(folder / "tables.md", text)
+    print(text)
 
 
 def trained(jobs: list[Job], samples: Samples, folder: Path) -> dict[Job, Fitted]:

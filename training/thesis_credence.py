@@ -1,8 +1,8 @@
 """Credence surfaces: of what the sonar read, and of what networks map its readings to (thesis, figures 4.1 to 5.1).
 
 A mapped reading is right where it lies within 10 % of the true distance. A network answers silence too, with about the
-distance at which most silent pings were made, and is then right wherever that happens to be so. `SILENCE_READ` does
-the same without a network, so that a surface shows what was learnt of readings and what of silence.
+distance at which the silent pings of that angle and reflector were made, and is then right wherever that happens to be
+so. `SILENCE_READ` does the same without a network, so that one sees what was learnt of readings and what of silence.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from training.thesis_data import READING_M, Floats, Samples, Singles, credence_o
 from training.thesis_networks import Network
 
 MIRROR, RUBBER = "mirror", "rubber"
-READINGS, SILENCE_READ = "readings", "readings, silence taken for its mean distance"
+READINGS, SILENCE_READ = "readings", "readings, silence taken for its mean distance at that angle and reflector"
 SHORT_M = 0.5  # "close ranges (less than 500mm)", thesis section 4.1
 
 
@@ -42,13 +42,15 @@ class Surfaces:
     def credence(self) -> dict[str, Floats]:
         """Credence of each condition, (seeds, cells); one row for what has no seed."""
         heard = self.samples.feature[:, 2].astype(np.float64) * READING_M
-        guess = np.where(heard > 0, heard, self._silent_distance(heard))
+        guess = np.where(heard > 0, heard, self._silent_distance(heard == 0.0))
         mapped = {name: self._mapped(*pair) for name, pair in self.networks.items()}
         return {READINGS: self._credence(heard)[None], SILENCE_READ: self._credence(guess)[None], **mapped}
 
-    def _silent_distance(self, heard: Floats) -> float:
-        silent = heard == 0.0
-        return float(self.samples.distance[silent].mean()) if silent.any() else 0.0
+    def _silent_distance(self, silent: NDArray[np.bool_]) -> Floats:
+        """Return the mean distance of the silent pings of each ping's angle and reflector, m, (n,); 0 where none is."""
+        place = np.unique(self.samples.feature[:, :2], axis=0, return_inverse=True)[1]
+        total, count = np.bincount(place, silent * self.samples.distance), np.bincount(place, silent)
+        return (total / np.maximum(count, 1.0))[place]
 
     def _mapped(self, network: Network, weights: list[Singles]) -> Floats:
         said = (metres(network.predict(theta, self.samples.feature)) for theta in weights)

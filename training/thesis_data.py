@@ -73,13 +73,19 @@ class Samples:
         """True distance, m, (n,)."""
         return metres(self.label)
 
-    def split(self, rng: np.random.Generator) -> tuple[Samples, Samples]:
+    def split(self, rng: np.random.Generator, whole: bool = False) -> tuple[Samples, Samples]:
         """Shuffle, and deal single pings out to training and validation: 123,100 and 10,000 of the thesis's 133,100.
 
-        The same condition stands on both sides, as in the thesis: the validation loss tells nothing of new conditions.
+        Args:
+            rng: of the order.
+            whole: deal whole conditions out. The thesis dealt pings, so that every condition stood on both sides and
+                its validation loss told nothing of new ones.
         """
         order = rng.permutation(len(self))
         validation = round(VALIDATION_SHARE * len(self))
+        if whole:
+            held = rng.permutation(self.cell.max() + 1) < round(VALIDATION_SHARE * (self.cell.max() + 1))
+            return self[order[~held[self.cell[order]]]], self[order[held[self.cell[order]]]]
         return self[order[validation:]], self[order[:validation]]
 
     def floor(self) -> float:

@@ -57,6 +57,7 @@ def _optimisers(findings: Findings, hidden: int) -> Draw:
         axes.set(xlabel="passes", title=f"{hidden} neurons")
         if hidden == findings.comparison.sizes[0]:
             axes.set(ylabel="validation loss")
+        if hidden == findings.comparison.sizes[-1]:
             axes.legend(loc="upper right", fontsize=7, ncol=2)
 
     return draw
@@ -81,7 +82,7 @@ def _printed(axes: Axes) -> None:
     passes = np.arange(1, len(A1_TRAIN) + 1)
     axes.plot(passes, A1_TRAIN, color=BEFORE, lw=1.6, ls="--", label="training (dropout on)")
     axes.plot(passes, A1_VALIDATION, color=AFTER, lw=1.6, label="validation")
-    axes.set(xlabel="passes", ylabel="loss", title="30 neurons, the thesis's listing A.1")
+    axes.set(xlabel="passes", ylabel="loss", title="30 neurons, in the thesis")
     axes.legend(fontsize=8)
 
 
@@ -99,7 +100,7 @@ def _surface(surfaces: Surfaces, name: str, reflector: str, title: str) -> Draw:
         angle, distance, value = grid(
             surfaces.angle[cells], surfaces.distance[cells], surfaces.credence[name][0, cells]
         )
-        a, d = np.meshgrid(np.deg2rad(between(angle)), between(distance), indexing="ij")
+        a, d = np.meshgrid(np.deg2rad(np.clip(between(angle), 0.0, None)), between(distance), indexing="ij")
         axes.pcolormesh(d * np.cos(a), d * np.sin(a), value, vmin=0.0, vmax=1.0, cmap="viridis", rasterized=True)
         axes.set(aspect="equal", facecolor="#f4f5f7")
         axes.set_xlabel("along the axis (m)", fontsize=9)

@@ -15,6 +15,15 @@ from training.thesis_findings import Findings, Mean
 from training.thesis_numbers import A1_MINUTES, A1_TRAIN, A1_VALIDATION, TABLE_NUMBER, TABLES
 from training.thesis_runs import Job
 
+CAPTIONS = {
+    "figure-4.3": "Validation loss after each pass, by optimiser and number of neurons; bands span the seeds",
+    "figure-4.4": "Training and validation loss of MLP and LSTM",
+    "figure-4.5": "Credence of readings and mapped readings, mirror",
+    "figure-4.6": "Credence of readings and mapped readings, rubber",
+    "figure-5.1": "Credence of readings and mapped readings, both reflectors",
+    "figure-a.1": "Training and validation loss of 30 neurons, here and in the thesis",
+}
+
 
 def markdown(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table in Markdown.
@@ -29,8 +38,8 @@ def markdown(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([text[0], text[1].replace(" ", ""), *text[2:]])
 
 
-def page(findings: Findings, about: str) -> str:
-    """Return all tables; `about` says what made them."""
+def page(findings: Findings, about: str, figures: Iterable[str] = ()) -> str:
+    """Return all tables; `about` says what made them, `figures` are names of images beside the page."""
     numbered = [hidden for hidden in findings.comparison.sizes if hidden in TABLES]
     parts = [
         f"# The thesis's networks on a recording\n\n{about}",
@@ -41,6 +50,7 @@ def page(findings: Findings, about: str) -> str:
         f"## Other ways to train\n\n{variants(findings)}",
         f"## Credence, mean over conditions\n\n{credence(findings)}",
         f"## What the thesis says\n\n{claims(findings)}",
+        *[f"## {name.replace('-', ' ').capitalize()}\n\n![{CAPTIONS[name]}]({name}.png)" for name in figures],
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -98,27 +108,19 @@ def _name(job: Job) -> str:
 def larger(findings: Findings) -> str:
     """Return the losses of the larger networks."""
     heading = "network|train, thesis|train|validation, thesis|validation|best validation|minutes, thesis|seconds"
-    unknown, longest = ("figure only",) * 2 + ("–",), findings.comparison.longest[0]
-    thesis = (f"{A1_TRAIN[-1]:.4f}", f"{A1_VALIDATION[-1]:.4f}", f"{A1_MINUTES:.1f}")
-    rows = [
-        _line(findings, f"MLP, {findings.comparison.figure}", findings.comparison.mlp, unknown),
-        _line(findings, f"LSTM, {findings.comparison.figure}", findings.comparison.lstm, unknown),
-        _line(
-            findings,
-            f"MLP, {longest}, {findings.comparison.long[0].recipe.epochs} passes",
-            findings.comparison.long,
-            thesis,
-        ),
-    ]
+    drawn, printed = ("–", "–", "–"), (f"{A1_TRAIN[-1]:.4f}", f"{A1_VALIDATION[-1]:.4f}", f"{A1_MINUTES:.1f}")
+    comparison = findings.comparison
+    groups = ((comparison.mlp, drawn), (comparison.lstm, drawn), (comparison.long, printed))
+    rows = [_line(findings, _name(jobs[0]), jobs, thesis) for jobs, thesis in groups]
     return markdown(heading.split("|"), rows)
 
 
 def variants(findings: Findings) -> str:
     """Return what changes in the recipe do to the largest network of the tables."""
     base = findings.final(findings.comparison.variants["as the tables"])
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for name, jobs in findings.comparison.variants.items():
-        change = Mean.of(findings.final(jobs) - base) if jobs[0].recipe != findings.comparison.recipe else "–"
+        change = Mean.of(findings.final(jobs) - base) if rows else "–"
         seconds = f"{np.median(findings.final(jobs, 'seconds')):.1f}"
         rows.append((name, Mean.of(findings.final(jobs)), change, seconds))
     return markdown(("Nadam with", "validation", "change, paired by seed", "seconds"), rows)

@@ -53,6 +53,13 @@ def test_split_is_the_thesis_s():
     assert not np.array_equal(np.sort(validation.cell), validation.cell)
 
 
+def test_whole_conditions_can_be_held_out():
+    samples = Samples.of(of_readings([950.0, 1000.0, 0.0], distance_mm=np.repeat(np.arange(900.0, 940.0), 5)))
+    train, validation = samples.split(np.random.default_rng(3), whole=True)
+    assert not set(train.cell) & set(validation.cell)
+    assert (len(train), len(validation)) == (185, 15)
+
+
 @given(st.lists(st.tuples(st.integers(0, 3), st.floats(0, 1, width=32)), min_size=1, max_size=40), st.integers(0, 99))
 def test_no_function_of_the_inputs_gets_below_the_floor(pings, seed):
     group, label = np.array([g for g, _ in pings]), np.array([y for _, y in pings], np.float32)
