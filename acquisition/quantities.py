@@ -53,7 +53,7 @@ class Quantity:
 CONDITIONS: Mapping[str, Quantity] = {
     "distance_mm": Quantity("distance", "mm", 0.0, 100_000.0),
     "angle_deg": Quantity("bearing of the reflector", "deg", -180.0, 180.0),
-    "incidence_deg": Quantity("incidence", "deg", -180.0, 180.0),
+    "incidence_deg": Quantity("incidence (0: the reflector faces the sonar)", "deg", -180.0, 180.0),
     "reflectance": Quantity("reflectance", "", 0.0, 1.0),
 }
 # what a plan may sweep besides; a recording keeps each as a column of that name

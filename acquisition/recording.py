@@ -33,7 +33,7 @@ LIMITS = {
     "angle_deg": (-180.0, 180.0),
     "incidence_deg": (-180.0, 180.0),
     "reflectance": (0.0, 1.0),
-    "reading_mm": (0.0, 100_000.0),
+    "reading_mm": (0.0, 1_700_000.0),  # whatever 16 bits can say, in inches too: a wire may set any of them
 }
 MM, DEG = 1e-3, np.pi / 180.0
 
@@ -58,7 +58,7 @@ def _is_reading(name: str) -> bool:
 
 def _expectation(name: str) -> str:
     low, high = LIMITS.get("reading_mm" if _is_reading(name) else name, (-np.inf, np.inf))
-    span = "a finite number" if np.isinf(low) else f"a number from {low:g} to {high:g}"
+    span = "a finite number" if np.isinf(low) else f"a number from {low:.7g} to {high:.7g}"
     return f"{span}, 0 for no echo, or nothing for no answer" if _is_reading(name) else span
 
 

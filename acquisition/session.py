@@ -148,7 +148,8 @@ class Session:
         missing = [name for name in names if name not in table]
         if missing:
             raise RecordingError(f"{self.path}, line 1: column {missing[0]} is missing; resume with the same plan")
-        return [tuple(row) for row in table[names].to_numpy(dtype=np.float64).round(DIGITS).tolist()]
+        number = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+        return [tuple(row) for row in number.round(DIGITS).tolist()]
 
 
 def _key(cell: Cell) -> tuple[float, ...]:
@@ -182,6 +183,8 @@ class Survey:
 
     def run(self) -> None:
         """Make sure that the sonar answers, and go through the cells until the last or until somebody quits."""
+        if self.journal.cells:
+            self._tell()  # so that what was done before counts for nothing in the time that is left
         if self._answers() is Answer.QUIT:
             return
         while self.todo:
@@ -221,10 +224,13 @@ class Survey:
             return answer
         self.journal.append(self._rows(measured))
         self.last = self.todo.popleft()
+        self._tell()
+        return self._heed(measured.reading)
+
+    def _tell(self) -> None:
         if self.progress is not None:
             pings = self.session.plan.pings
             self.progress(self.journal.cells * pings, len(self.session.plan) * pings)
-        return self._heed(measured.reading)
 
     def _heed(self, reading: Reading) -> Answer:
         """After some silent cells have the operator test whether the sonar still hears."""

@@ -121,6 +121,8 @@ class DriverSource:
         """Have the cell arranged, then ping at the plan's interval."""
         self.prepare(plan.cell(number))
         rows = [self._ping(plan.interval_s) for _ in range(plan.pings)]
+        if all(row[1] is None for row in rows):
+            self.check()  # fewer pings than patience, but not one answer: dead, unless it answers now
         ping = replace(plan.ping(number), time=np.array([row[0] for row in rows]))
         logged = {name: np.array([row[2][name] for row in rows]) for name in self.columns}
         return Measured(ping, _reading([row[1] for row in rows]), logged)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +29,8 @@ class Args:
     """Folder to write the figures to, as PNG."""
     where: tuple[str, ...] = ()
     """Only rows in which columns have these values: column=value."""
+    bearing: str = "angle_deg"
+    """Column in degrees to draw surfaces over; pitch_deg shows the vertical field of view."""
     skip_bad_rows: bool = False
     """Leave faulty rows out, and say which, rather than refuse the file."""
 
@@ -38,12 +40,24 @@ def main(args: Args) -> None:
     recording = Recording.load(args.recording, args.skip_bad_rows)
     for text in args.where:
         recording = chosen(recording, text)
+    recording = over(recording, args.bearing)
     told = []
     with bar("drawing", len(FIGURES)) as tell:
         for number, (name, (draw, shows)) in enumerate(FIGURES.items()):
             told.append(f"{write_bytes(args.out / name, draw(recording))}: {shows}")
             tell(number + 1, len(FIGURES))
     print("\n".join([*told, *(f"left out: {fault}" for fault in recording.rejected)]))
+
+
+def over(recording: Recording, column: str) -> Recording:
+    """Return the recording with another column in the place of the bearing.
+
+    Raises:
+        SettingError: it has no such column of numbers.
+    """
+    if column not in ("angle_deg", *recording.covariates):
+        raise SettingError(f"--bearing {column}: expected one of angle_deg, {', '.join(recording.covariates)}")
+    return replace(recording, table=recording.table.assign(angle_deg=recording.table[column]))
 
 
 def chosen(recording: Recording, text: str) -> Recording:

@@ -49,10 +49,13 @@ def test_unknown_columns_are_kept_numbers_as_covariates(tmp_path):
         ("nan,0,1003", "line 3, column distance_mm: 'nan', expected a number from 0 to 100000"),
         (",0,1003", "line 3, column distance_mm: '', expected a number from 0 to 100000"),
         ("1000,inf,1003", "line 3, column angle_deg: 'inf', expected a number from -180 to 180"),
-        ("1000,0,-1", "line 3, column reading_mm: '-1', expected a number from 0 to 100000, 0 for no echo, or nothing"),
+        (
+            "1000,0,-1",
+            "line 3, column reading_mm: '-1', expected a number from 0 to 1700000, 0 for no echo, or nothing",
+        ),
         (
             "1000,0,NaN",
-            "line 3, column reading_mm: 'NaN', expected a number from 0 to 100000, 0 for no echo, or nothing",
+            "line 3, column reading_mm: 'NaN', expected a number from 0 to 1700000, 0 for no echo, or nothing",
         ),
     ],
 )

@@ -121,6 +121,18 @@ def test_an_unfinished_session_goes_on_with_its_own_settings_only(tmp_path):
     assert not unfinished(path).exists()
 
 
+@pytest.mark.parametrize("content", ["", "{", "[1]", "\xff"])
+def test_what_a_session_was_begun_with_must_be_readable(tmp_path, content):
+    path = tmp_path / "r.csv"
+    with pytest.raises(PowerCut):
+        Session(SMALL, Failing(RigSource(RIG), 2), path).run()
+    unfinished(path).write_text(content, encoding="latin-1")
+    with pytest.raises(RecordingError, match=r"r.csv.unfinished: cannot be read: .* then delete it and go on with"):
+        Session(SMALL, RigSource(RIG), path, resume=True).run()
+    unfinished(path).unlink()
+    assert len(Recording.load(Session(SMALL, RigSource(RIG), path, resume=True).run())) == 24
+
+
 def test_a_torn_last_line_of_an_unfinished_session_is_not_read(tmp_path):
     path = tmp_path / "r.csv"
     with pytest.raises(PowerCut):
@@ -269,10 +281,21 @@ def test_a_dead_wire_is_refused_before_anything_is_written(tmp_path):
 def test_a_wire_that_dies_later_leaves_whole_cells_and_no_zeros(tmp_path):
     path = tmp_path / "r.csv"
     sonar = Heard(*[(1.0,)] * (5 + 6 + 3), None)
-    with pytest.raises(NoAnswerError, match=r"10 pings in a row, no answer: this is no silence"):
-        Session(replace(SMALL, pings=6), DriverSource(sonar, sleep=lambda s: None), path).run()
+    with pytest.raises(NoAnswerError, match=r"5 pings, no answer: this is no silence"):
+        Session(SMALL, DriverSource(sonar, sleep=lambda s: None), path).run()
     recording = Recording.load(path)
-    assert recording.reading.status.tolist() == [EchoStatus.ECHO] * 9 + [EchoStatus.NO_ANSWER] * 9
+    assert recording.reading.status.tolist() == [EchoStatus.ECHO] * 9 + [EchoStatus.NO_ANSWER] * 3
+    sonar = Heard(*[(1.0,)] * (5 + 10), None)
+    with pytest.raises(NoAnswerError, match=r"10 pings in a row, no answer: this is no silence"):
+        Session(replace(SMALL, pings=24), DriverSource(sonar, sleep=lambda s: None), tmp_path / "s.csv").run()
+    assert (tmp_path / "s.csv").read_bytes() == b""
+
+
+def test_a_wire_that_comes_back_after_a_lost_cell_leaves_it_empty(tmp_path):
+    sonar = Heard(*[(1.0,)] * (5 + 6), *[None] * 6, (1.0,))
+    session(tmp_path / "r.csv", sonar, Nobody()).run()
+    status = Recording.load(tmp_path / "r.csv").reading.status
+    assert status.tolist() == [EchoStatus.ECHO] * 6 + [EchoStatus.NO_ANSWER] * 6 + [EchoStatus.ECHO] * 12
 
 
 def test_a_mended_wire_goes_on_with_the_same_cell(tmp_path):

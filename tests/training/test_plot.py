@@ -8,6 +8,7 @@ from PIL import Image
 
 from acquisition import Ping, Reading, Recording
 from training.cli import main
+from training.plot import over
 from training.survey_figures import FIGURES, Levels, Part, parts
 
 rng = np.random.default_rng(0)
@@ -89,6 +90,15 @@ def test_only_the_rows_asked_for(tmp_path, capsys):
         with pytest.raises(SystemExit):
             main(["plot", str(path), "--out", str(tmp_path), "--where", wrong])
         assert f"--where {wrong}: " in capsys.readouterr().err
+
+
+def test_surfaces_over_another_column(tmp_path, capsys):
+    path = survey(pitch_deg=np.repeat([-10.0, 0.0, 10.0], 200)).save(tmp_path / "r.csv")
+    tilted = over(Recording.load(path), "pitch_deg")
+    assert np.degrees(np.unique(tilted.ping.angle)).tolist() == pytest.approx([-10.0, 0.0, 10.0])
+    with pytest.raises(SystemExit):
+        main(["plot", str(path), "--out", str(tmp_path), "--bearing", "yaw_deg"])
+    assert "--bearing yaw_deg: expected one of angle_deg, pitch_deg" in capsys.readouterr().err
 
 
 def test_the_same_recording_gives_the_same_picture():

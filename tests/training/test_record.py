@@ -10,7 +10,9 @@ from acquisition.drivers import Echoes
 from acquisition.plan import Plan
 from acquisition.session import Session
 from acquisition.sources import DriverSource
+from training import record
 from training.cli import main
+from training.progress import TERMINAL
 from training.record import measure
 
 FEW = ["--pings", "2", "--interval-s", "1"]
@@ -19,9 +21,10 @@ FEW = ["--pings", "2", "--interval-s", "1"]
 @pytest.mark.parametrize("driver", ["rig", "twin"])
 def test_records_the_quick_plan(tmp_path, capsys, driver):
     path = tmp_path / "r.csv"
-    main(["record", "--driver", driver, "--out", str(path), "--unit", "5", "--gain", "20", *FEW])
+    main(["record", "--driver", driver, "--out", str(path), "--unit", "5", "--gain", "20", "--sensor", "left", *FEW])
     assert "240 pings on 120 conditions" in capsys.readouterr().out
     recording = Recording.load(path)
+    assert set(recording.table["sensor"]) == {"left"}
     assert recording.ping.covariates["gain"] == pytest.approx(np.full(240, 20.0))
     near = (recording.ping.angle == 0) & (recording.ping.distance < 1.0) & recording.reading.echo
     assert near.sum() > 10
@@ -101,3 +104,48 @@ def test_an_unplugged_wire_tells_what_is_on_disk_and_how_to_go_on(tmp_path, faul
     with pytest.raises(type(fault), match=r"; 2 of 3 conditions are on disk, go on with --resume"):
         measure(Session(plan, source, tmp_path / "r.csv"), lambda done, total: None)
     assert len(Recording.load(tmp_path / "r.csv")) == 4
+
+
+def test_the_wizard_from_end_to_end(tmp_path, capsys, monkeypatch):
+    """A wire that comes loose and is mended, a condition done again, one left for later: all in one sitting."""
+
+    class Sonar:
+        pings, gain, range_register = 0, 14, 140
+
+        def ping(self):
+            self.pings += 1
+            if 16 <= self.pings < 26:
+                raise NoAnswerError("sonar: no acknowledge")
+            return Echoes((1.0 + self.pings / 1000.0,))
+
+    def source(args):
+        return DriverSource(Sonar(), sleep=lambda s: None)
+
+    given = iter(["", "", "r", "", "", "s", "q"])
+    monkeypatch.setattr(TERMINAL, "input", lambda *_, **__: next(given))
+    monkeypatch.setitem(record.SOURCES, "srf08", source)
+    plan, path = tmp_path / "p.toml", tmp_path / "r.csv"
+    plan.write_text("distances_mm=[500, 900, 1300, 1700]\nangles_deg=[0]\nreflectances=[0.9]\npings=5\norder='walk'\n")
+    command = ["record", "--driver", "srf08", "--plan", str(plan), "--out", str(path)]
+    main(command)
+    told = capsys.readouterr()
+    assert "10 pings on 2 conditions; 100.0 % echoes" in told.out
+    assert "2 of 4 conditions are still to be measured: go on with --resume" in told.out
+    table = Recording.load(path).table
+    # 5 to test, 5 and 5 for two conditions, the second taken back and met a dead wire for 10, then pings 26 to 30
+    assert table["reading_mm"].tolist() == [1000.0 + k for k in (*range(6, 11), *range(26, 31))]
+    assert table["distance_mm"].tolist() == [500.0] * 5 + [900.0] * 5
+    monkeypatch.setattr(TERMINAL, "input", lambda *_, **__: "")
+    main([*command, "--resume"])
+    assert "20 pings on 4 conditions" in capsys.readouterr().out
+    assert Recording.load(path).table["session"].tolist() == ["0"] * 10 + ["1"] * 10
+
+
+def test_the_loose_plan_records_what_can_be_loaded(tmp_path, capsys):
+    path = tmp_path / "r.csv"
+    main(["record", "--plan", "loose", "--pings", "30", "--out", str(path)])
+    recording = Recording.load(path)
+    loose = recording.table["loose_share"]
+    lost = ~recording.reading.answered
+    assert not lost[loose == 0.0].any()
+    assert lost[loose == 0.3].mean() == pytest.approx(0.18, abs=0.08)  # 0.6 of 0.3 are unanswered
