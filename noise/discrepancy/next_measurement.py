@@ -71,7 +71,7 @@ SETTINGS: dict[str, Callable[[Stack], Stack]] = {
 }
 # what the laws cannot tell because it is no condition of a ping: read it off another instrument
 OTHER_INSTRUMENT = {
-    frozenset({"sound_speed", "clock_scale"}): "read a thermometer beside the sensor (sound_speed says {temperature})",
+    frozenset({"sound_speed", "clock_scale"}): "read a thermometer beside the sensor (the readings say {temperature})",
     frozenset({"thermal_drift", "sound_speed"}): "log a thermometer beside the sensor through the whole session",
     frozenset({"thermal_drift", "warm_up"}): "log a thermometer, and start a second session with the sensor still warm",
     frozenset({"thermal_drift", "clock_scale"}): "log a thermometer beside the sensor through the whole session",
