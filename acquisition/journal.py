@@ -25,6 +25,7 @@ from acquisition.errors import RecordingError
 from acquisition.files import lock, sync_folder, write_text
 from acquisition.recording import unfinished
 
+HEAD = b"time_s,session,sensor,distance_mm"  # of every file that a session begins
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -68,10 +69,16 @@ class Journal:
     @classmethod
     def _taken_up(cls, path: Path, handle: int, pings: int) -> Journal:
         data = path.read_bytes()
+        if not (data.startswith(HEAD) or HEAD.startswith(data)):
+            raise RecordingError(f"{path}: was not begun by a session; give another file, nothing in it was changed")
         line_ends = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == ord("\n")) + 1
         ends = [int(end) for end in line_ends[::pings]]
         whole = data[: ends[-1]] if len(ends) > 1 else b""
-        table = pd.read_csv(io.BytesIO(whole), dtype={"session": str}) if whole else None
+        try:
+            table = pd.read_csv(io.BytesIO(whole), dtype={"session": str}) if whole else None
+        except ValueError as error:  # of pandas' parser
+            told = " ".join(str(error).split())
+            raise RecordingError(f"{path}: was not written by a session alone: {told}; nothing was changed") from None
         return cls(path, handle, pings, ends if whole else [], table)
 
     @property
@@ -87,7 +94,7 @@ class Journal:
         """
         kept = unfinished(self.path)
         if kept.exists() and self.cells:
-            _compare(self.path, json.loads(kept.read_text(encoding="utf-8")), settings)
+            _compare(self.path, _begun_with(kept), settings)
         try:
             if not (kept.exists() and self.cells):
                 write_text(kept, json.dumps(settings, indent=1))
@@ -159,6 +166,16 @@ def _opened(path: Path, resume: bool) -> int:
         raise RecordingError(f"{path}: is there already; go on with it (--resume) or give another file") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror or error}; give another place") from None
+
+
+def _begun_with(kept: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads(kept.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise RecordingError(
+            f"{kept}: cannot be read: {' '.join(str(error).split())}; it holds what the session was begun with: "
+            "make sure that the settings are the same, then delete it and go on with --resume"
+        ) from None
 
 
 def _compare(path: Path, kept: Mapping[str, Any], given: Mapping[str, Any]) -> None:

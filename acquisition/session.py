@@ -148,7 +148,8 @@ class Session:
         missing = [name for name in names if name not in table]
         if missing:
             raise RecordingError(f"{self.path}, line 1: column {missing[0]} is missing; resume with the same plan")
-        return [tuple(row) for row in table[names].to_numpy(dtype=np.float64).round(DIGITS).tolist()]
+        number = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+        return [tuple(row) for row in number.round(DIGITS).tolist()]
 
 
 def _key(cell: Cell) -> tuple[float, ...]:

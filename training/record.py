@@ -61,6 +61,8 @@ class Args:
     """Unit in which the sensor counts."""
     echoes: int = 4
     """Echoes of a ping to write down, 1..17."""
+    sensor: str = "0"
+    """What to call the sensor in the recording."""
     unit: int = 0
     """rig, twin: serial number of the simulated sensor; 0 is the nominal one."""
     temperature_c: float = 19.0
@@ -95,7 +97,7 @@ def main(args: Args) -> None:
         TERMINAL.print(effort(plan), highlight=False)
     with bars() as bar:
         operator: Operator = Nobody() if source.simulated or args.operator == "none" else Asking(TERMINAL, bar)
-        session = Session(plan, source, args.out, args.resume, args.echoes, operator=operator, settings=kept(args))
+        session = Session(plan, source, args.out, args.resume, args.echoes, args.sensor, operator, kept(args))
         task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
         measure(session, lambda done, total: bar.update(task, completed=done, total=total, visible=True))
     print(summary(args.out, plan))

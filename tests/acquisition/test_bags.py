@@ -1,6 +1,7 @@
 """ROS bags: written with the library that others write them with, and read back."""
 
 import math
+import sys
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition import EchoStatus, RecordingError, RecordingNotFoundError, SettingError
+from acquisition import EchoStatus, MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.bags import Series, Truth, import_bag, is_bag, read_table, reading_mm
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the extra sonar-gym[ros]")
@@ -215,6 +216,13 @@ def test_what_is_no_bag_of_sonars_is_told(tmp_path):
         import_bag(bag.path, constants={"distance_mm": 1.0})
     with pytest.raises(SettingError, match="a bag holds no true distance; give a constant distance_mm, a topic or a t"):
         import_bag(bag.path)
+
+
+def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
+    (tmp_path / "log.bag").write_bytes(b"")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'sonar-gym\[ros\]'"):
+        import_bag(tmp_path / "log.bag", constants={"distance_mm": 1.0})
 
 
 any_range = st.floats(allow_nan=True, allow_infinity=True, width=32)

@@ -23,7 +23,7 @@ from acquisition.sources import RigSource
 
 PLAN = Plan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
 SOURCE = RigSource(Rig(), seed=5)
-ROWS = pd.DataFrame({"distance_mm": [1.0, 1.0], "session": ["0", "0"]})
+ROWS = pd.DataFrame({"time_s": [0.0, 1.0], "session": "0", "sensor": "0", "distance_mm": 1.0})
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs signals and fork: Linux or macOS")
 
 
@@ -71,6 +71,25 @@ def test_every_torn_tail_is_mended_to_the_byte(tmp_path):
         path.write_bytes(whole[:keep])
         Session(PLAN, SOURCE, path, resume=True).run()
         assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("text", ["my notes", "a,b\n1,2\n", "distance_mm,angle_deg,reading_mm\n1,2,3\n" * 20])
+def test_resuming_never_touches_a_file_of_others(tmp_path, text):
+    path = tmp_path / "notes.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match="was not begun by a session; give another file, nothing in it was change"):
+        Session(PLAN, SOURCE, path, resume=True).run()
+    assert path.read_text() == text
+
+
+def test_lines_that_somebody_put_in_are_told_and_left(tmp_path):
+    path = Session(PLAN, SOURCE, tmp_path / "r.csv").run()
+    lines = path.read_text().splitlines(keepends=True)
+    text = "".join([*lines[:4], "1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20\n", *lines[4:]])
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=r"was not written by a session alone: .* line 5"):
+        Session(PLAN, SOURCE, path, resume=True).run()
+    assert path.read_text() == text
 
 
 def full_after(monkeypatch, good, code):

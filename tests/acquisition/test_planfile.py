@@ -2,6 +2,7 @@
 
 import contextlib
 import tomllib
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from acquisition.plan import PLANS, Plan
 from acquisition.planfile import find_plan, load_plan
+from acquisition.quantities import SWEEPS
 
 MINIMAL = "distances_mm = [300]\nangles_deg = [0]\n"
 
@@ -48,6 +50,13 @@ def test_a_file_says_everything_a_plan_can(tmp_path):
         seed=3,
         sweep={"gain": tuple(float(g) for g in range(32)), "height_mm": (500.0, 1500.0)},
     )
+
+
+def test_the_file_that_the_manual_shows_is_a_plan(tmp_path):
+    manual = (Path(__file__).parents[2] / "docs" / "surveys.md").read_text(encoding="utf-8")
+    plan = plan_of(tmp_path, manual.split("```toml\n")[1].split("```")[0])
+    assert set(plan.sweep) == set(SWEEPS)
+    assert plan.distances_mm[-1] == 3000.0
 
 
 def test_a_short_file_takes_the_rest_as_it_is(tmp_path):

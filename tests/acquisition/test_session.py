@@ -121,6 +121,18 @@ def test_an_unfinished_session_goes_on_with_its_own_settings_only(tmp_path):
     assert not unfinished(path).exists()
 
 
+@pytest.mark.parametrize("content", ["", "{", "[1]", "\xff"])
+def test_what_a_session_was_begun_with_must_be_readable(tmp_path, content):
+    path = tmp_path / "r.csv"
+    with pytest.raises(PowerCut):
+        Session(SMALL, Failing(RigSource(RIG), 2), path).run()
+    unfinished(path).write_text(content, encoding="latin-1")
+    with pytest.raises(RecordingError, match=r"r.csv.unfinished: cannot be read: .* then delete it and go on with"):
+        Session(SMALL, RigSource(RIG), path, resume=True).run()
+    unfinished(path).unlink()
+    assert len(Recording.load(Session(SMALL, RigSource(RIG), path, resume=True).run())) == 24
+
+
 def test_a_torn_last_line_of_an_unfinished_session_is_not_read(tmp_path):
     path = tmp_path / "r.csv"
     with pytest.raises(PowerCut):

@@ -21,9 +21,10 @@ FEW = ["--pings", "2", "--interval-s", "1"]
 @pytest.mark.parametrize("driver", ["rig", "twin"])
 def test_records_the_quick_plan(tmp_path, capsys, driver):
     path = tmp_path / "r.csv"
-    main(["record", "--driver", driver, "--out", str(path), "--unit", "5", "--gain", "20", *FEW])
+    main(["record", "--driver", driver, "--out", str(path), "--unit", "5", "--gain", "20", "--sensor", "left", *FEW])
     assert "240 pings on 120 conditions" in capsys.readouterr().out
     recording = Recording.load(path)
+    assert set(recording.table["sensor"]) == {"left"}
     assert recording.ping.covariates["gain"] == pytest.approx(np.full(240, 20.0))
     near = (recording.ping.angle == 0) & (recording.ping.distance < 1.0) & recording.reading.echo
     assert near.sum() > 10
