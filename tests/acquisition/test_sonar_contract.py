@@ -20,6 +20,12 @@ def twin_of(kind, clock):
     return twin
 
 
+def bridge(board, clock):
+    made = Bridge(TwinPort(board, clock), clock=clock)
+    made.greet()
+    return made
+
+
 def on_bus(driver, kind):
     def opened(**settings):
         clock = TwinClock()
@@ -31,15 +37,16 @@ def on_bus(driver, kind):
 def behind_arduino(driver, kind):
     def opened(**settings):
         clock = TwinClock()
-        port = TwinPort(ArduinoTwin(twin_of(kind, clock)), clock)
-        return driver(ArduinoBus(Bridge(port, clock=clock)), sleep=clock.sleep, clock=clock, **settings)
+        return driver(
+            ArduinoBus(bridge(ArduinoTwin(twin_of(kind, clock)), clock)), sleep=clock.sleep, clock=clock, **settings
+        )
 
     return opened
 
 
 def hcsr04():
     clock = TwinClock()
-    return HcSr04(Bridge(TwinPort(ArduinoTwin(None, twin_of(HcSr04Twin, clock)), clock), clock=clock))
+    return HcSr04(bridge(ArduinoTwin(None, twin_of(HcSr04Twin, clock)), clock))
 
 
 def maxbotix():
