@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check install benchmarks proof clean
+.PHONY: help demo test check install benchmarks proof firmware clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -35,6 +35,10 @@ benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
 
 proof: $(STAMP)  ## the slow tests
 	$(BIN)/python -m pytest -m slow -q
+
+firmware:  ## compile the Arduino sketch; needs apt install gcc-avr avr-libc arduino-core-avr
+	@command -v avr-g++ >/dev/null || { echo 'no avr-g++: apt install gcc-avr avr-libc arduino-core-avr'; exit 1; }
+	$(MAKE) -s -C acquisition/firmware BUILD=$(CURDIR)/build/firmware
 
 clean:  ## remove what was made, the environment included
 	rm -rf $(VENV) demo runs build *.egg-info

@@ -1,25 +1,33 @@
 """What was asked, what was heard, and the hardware that heard it. Needs numpy, pandas, pyserial, smbus2 alone."""
 
 from acquisition.errors import (
+    BoardResetError,
     DeviceError,
+    GarbledError,
     MissingExtraError,
     ModelError,
     NoAnswerError,
+    OutOfSequenceError,
     RecordingError,
     RecordingNotFoundError,
     SettingError,
     SonarError,
+    StaleError,
     UnknownModelError,
+    UnpluggedError,
 )
 from acquisition.ping import EchoStatus, Ping, Reading, previous
 from acquisition.recording import Recording
 
 __all__ = [
+    "BoardResetError",
     "DeviceError",
     "EchoStatus",
+    "GarbledError",
     "MissingExtraError",
     "ModelError",
     "NoAnswerError",
+    "OutOfSequenceError",
     "Ping",
     "Reading",
     "Recording",
@@ -27,6 +35,8 @@ __all__ = [
     "RecordingNotFoundError",
     "SettingError",
     "SonarError",
+    "StaleError",
     "UnknownModelError",
+    "UnpluggedError",
     "previous",
 ]

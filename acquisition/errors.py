@@ -46,3 +46,23 @@ class DeviceError(SonarError, OSError):
 
 class NoAnswerError(DeviceError, TimeoutError):
     """A device did not answer in time: a dead wire, never to be taken for silence."""
+
+
+class StaleError(NoAnswerError):
+    """A device would give an old reading for a new one."""
+
+
+class GarbledError(NoAnswerError):
+    """What came over the wire is not what a device says."""
+
+
+class OutOfSequenceError(NoAnswerError):
+    """Only answers to other questions came."""
+
+
+class BoardResetError(NoAnswerError):
+    """A board started anew in the middle of its work."""
+
+
+class UnpluggedError(DeviceError):
+    """The port is gone."""

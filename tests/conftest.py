@@ -11,9 +11,8 @@ SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "sh
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--hardware", type=int, metavar="BUS", help="also test the SRF08 on /dev/i2c-BUS, a wall before it"
-    )
+    parser.addoption("--hardware", metavar="PORT", help="also test a real sonar at PORT, a wall 0.3 to 3 m before it")
+    parser.addoption("--sonar", metavar="NAME", default="srf08", help="which driver `--hardware` is for")
 
 
 @pytest.fixture(scope="session")

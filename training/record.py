@@ -14,6 +14,7 @@ from acquisition import DeviceError, EchoStatus, Ping, Recording
 from acquisition.arranging import arranged
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf08
+from acquisition.drivers.devantech import Devantech
 from acquisition.drivers.twins import BadWire, Srf08Twin
 from acquisition.errors import SettingError
 from acquisition.plan import Cell, Order, Plan
@@ -36,8 +37,8 @@ class Args:
 
     out: Path
     """Recording to write; each condition is on disk as soon as it is measured."""
-    driver: Literal["rig", "twin", "srf08"] = "rig"
-    """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. srf08: a real one on I2C."""
+    driver: Literal["rig", "twin", "srf08", "srf10", "srf02", "hcsr04", "maxbotix"] = "rig"
+    """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. The others: real sensors at `port`."""
     plan: str = "quick"
     """quick (3,600 pings), turned, thesis (133,100 pings), crosstalk, loose, vertical, gain-sweep, or FILE.toml."""
     order: Order | None = None
@@ -75,10 +76,17 @@ class Args:
     """Real sensors: ask somebody to move the stand, or go on unasked (nothing has to be moved by hand)."""
     patience: int = 10
     """Real sensors: pings in a row without an answer after which the wire counts as dead."""
-    bus: int = 1
-    """srf08: number of the I2C bus, /dev/i2c-N."""
+    port: str | None = None
+    """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch of docs/drivers.md
+    (srf*: either; hcsr04: the Arduino) or of a MaxBotix; /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0 if not given."""
     address: int = 0x70
-    """srf08: 7-bit address, 112..127."""
+    """srf*: 7-bit address, 112..127."""
+    trigger: int = 9
+    """hcsr04: pin of the Arduino."""
+    echo: int = 8
+    """hcsr04: pin of the Arduino."""
+    model: Literal["lv", "xl", "xl-long", "hrlv", "hrxl", "hrxl-long"] = "hrlv"
+    """maxbotix: family, which decides unit, digits and the value for no echo."""
 
 
 def main(args: Args) -> None:
@@ -135,8 +143,9 @@ def plan_of(args: Args) -> Plan:
 
 def kept(args: Args) -> dict[str, Any]:
     """Return the settings that a resumed session must have been begun with."""
-    names = ["driver", "gain", "range_register", "output"]
-    names += ["unit", "temperature_c", "humidity_pct"] if args.driver in ("rig", "twin") else ["bus", "address"]
+    simulated = ("gain", "range_register", "output", "unit", "temperature_c", "humidity_pct")
+    names = ["driver", *SETTINGS.get(args.driver, simulated)]
+    names += ["port"] if args.driver in SETTINGS else []
     return {name: getattr(args, name) for name in names}
 
 
@@ -198,9 +207,22 @@ def _twin_source(args: Args) -> Source:
     )
 
 
-def _srf08_source(args: Args) -> Source:
-    sonar = DRIVERS["srf08"].open(args.bus, address=args.address, **_registers(args))
-    TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
+# which settings each real sensor has
+SETTINGS: dict[str, tuple[str, ...]] = {
+    "srf08": ("address", "gain", "range_register", "output"),
+    "srf10": ("address", "gain", "range_register", "output"),
+    "srf02": ("address", "output"),
+    "hcsr04": ("trigger", "echo"),
+    "maxbotix": ("model",),
+}
+
+
+def _real_source(args: Args) -> Source:
+    given = {name: getattr(args, name) for name in SETTINGS[args.driver]}
+    where = {} if args.port is None else {"port": args.port}
+    sonar = DRIVERS[args.driver].open(**where, **given)
+    if isinstance(sonar, Devantech):
+        TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
     return DriverSource(sonar, told(sonar), _columns(args, sonar), args.patience)
 
 
@@ -208,7 +230,7 @@ def _srf08_source(args: Args) -> Source:
 SOURCES: dict[str, Callable[[Args], Source]] = {
     "rig": _rig_source,
     "twin": _twin_source,
-    "srf08": _srf08_source,
+    **dict.fromkeys(SETTINGS, _real_source),
 }
 
 
@@ -218,9 +240,10 @@ def _registers(args: Args) -> dict[str, Any]:
 
 def _columns(args: Args, sonar: Any) -> dict[str, float | Callable[[], float]]:
     """Return what is logged beside each ping: the air, and what the sensor was told last."""
-    return {
+    columns: dict[str, float | Callable[[], float]] = {
         "temperature_c": Thermometer(args.thermometer) if args.thermometer else args.temperature_c,
         "humidity_pct": args.humidity_pct,
-        "gain": lambda: float(sonar.gain),
-        "range_mm": lambda: 43.0 * (sonar.range_register + 1),
     }
+    if hasattr(sonar, "range_register"):
+        columns |= {"gain": lambda: float(sonar.gain), "range_mm": lambda: 43.0 * (sonar.range_register + 1)}
+    return columns

@@ -1,38 +1,29 @@
-"""Twins: simulated devices on the same wire, so that the real drivers run unchanged."""
+"""Twins of Devantech's sonars: simulated devices on an SMBus-shaped bus, so that the real drivers run unchanged."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from acquisition.bench import Rig
-from acquisition.drivers.srf08 import COMMAND, GAIN, RANGE, RANGING, UNLOCK
-from acquisition.ping import Ping
+from acquisition.bench.receiver import GAINS
+from acquisition.drivers.devantech import COMMAND, GAIN, RANGE, RANGING, STEP, UNLOCK
+from acquisition.drivers.ear import Ear, TwinClock
+from acquisition.drivers.srf08 import ANN
+
+__all__ = ["BadWire", "Srf02Twin", "Srf08Twin", "Srf10Twin", "TwinClock"]
 
 REVISION = 10
+SRF02_SHORTEST_CM = 16
 NACK = 121  # EREMOTEIO
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 GENERAL_CALL = 0
 READ_OUT = 1e-3  # s from the end of listening until the sensor answers again
-CONDITION = ("distance", "angle", "incidence", "reflectance", "time")
+GATE_US = 2048
 OUTPUTS = {code: output for output, code in RANGING.items()}
-
-
-@dataclass
-class TwinClock:
-    """Time that passes only when somebody sleeps, s."""
-
-    now: float = 0.0
-
-    def __call__(self) -> float:
-        """Return the time."""
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        self.now += seconds
+ANN_US = {ANN["inch"]: 148.0, ANN["cm"]: 58.0, ANN["us"]: 1.0}  # us a count
+SRF10_GAINS = (40, 40, 50, 60, 70, 80, 100, 120, 140, 200, 250, 300, 350, 400, 500, 600, 700)
 
 
 @dataclass
@@ -51,42 +42,30 @@ class BadWire:
 
 
 @dataclass
-class Srf08Twin:
-    """An SRF08 on an SMBus-shaped bus, hearing through the rig what is placed before it.
+class Srf08Twin(Ear):
+    """An SRF08, hearing through the rig what is placed before it.
 
     Attributes:
-        rig: unit and laboratory; its gain, range and output are the twin's registers instead.
-        rng: all randomness.
         address: 7-bit.
-        clock: the twin's time; give its `sleep` and itself to the driver.
         wire: faults.
         busy_reads_ones: while busy a read gives 0xFF rather than no acknowledge.
     """
 
-    rig: Rig
-    rng: np.random.Generator
     address: int = 0x70
-    clock: TwinClock = field(default_factory=TwinClock)
     wire: BadWire = field(default_factory=BadWire)
     busy_reads_ones: bool = False
 
     def __post_init__(self) -> None:
-        """Power up with nothing in front."""
-        self._drift = self.rig.draw_drift(self.rng)
-        self._before: Ping | None = None
+        """Power up."""
+        super().__post_init__()
         self._ready = 0.0
         self._unlocking: list[int] = []
         self._echoes = bytes(34)
         self.power_cycle()
-        self.place(Ping.of(distance=1.0, reflectance=0.0))
 
     def power_cycle(self) -> None:
         """Forget gain and range, as the sensor's RAM does."""
         self.gain, self.range_register = 31, 255
-
-    def place(self, ping: Ping) -> None:
-        """Set up what one ping describes, with the scatter of the rig's setup, until the next call."""
-        self._placed = self.rig.place(ping[:1], self.rng)
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Take a write to registers 0 to 2."""
@@ -118,6 +97,17 @@ class Srf08Twin:
     def close(self) -> None:
         """Do nothing: there is no file to close."""
 
+    def registers(self) -> bytes:
+        """Return what can be read, from register 0 on."""
+        return bytes([REVISION, self.rig.unit.light]) + self._echoes
+
+    def settings(self) -> tuple[int, int]:
+        """Return the rig's gain code and the range register.
+
+        A gain beyond the table is undocumented; the twin takes its lowest five bits.
+        """
+        return self.gain & 31, self.range_register
+
     def _transfer(self, address: int, write: bool) -> None:
         """Acknowledge, or not."""
         called = address == self.address or (write and address == GENERAL_CALL)
@@ -129,36 +119,59 @@ class Srf08Twin:
         self._transfer(address, write=False)
         if self.wire.stuck or self.clock() < self._ready:
             return b"\xff" * count
-        memory = bytes([REVISION, self.rig.unit.light]) + self._echoes
-        return memory[register : register + count].ljust(count, b"\xff")
+        return self.registers()[register : register + count].ljust(count, b"\xff")
 
     def _command(self, value: int) -> None:
         self._unlocking = [*self._unlocking, value][-4:]
         if tuple(self._unlocking[:3]) == UNLOCK and value % 2 == 0 and 0xE0 <= value <= 0xFE:
             self.address = value >> 1
         if value in OUTPUTS:
-            self._range(value)
+            gain, reach = self.settings()
+            self._echoes = self.hear(OUTPUTS[value], gain, reach).astype(">u2").tobytes()
+            self._listen(reach)
+        if value in ANN_US:
+            self._gates(ANN_US[value])
 
-    def _range(self, command: int) -> None:
-        """Hear the ping, with the one before it still under way."""
-        now = self.clock()
-        # a gain beyond the table is undocumented; the twin takes its lowest five bits
-        asked = replace(self.rig.setup, gain=self.gain & 31, range_register=self.range_register)
-        setup = replace(
-            asked, output=OUTPUTS[command], placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, zero_m=0.0, pivot_m=0.0
-        )
-        this = replace(self._placed, time=np.array([now]))
-        pings = this if self._before is None else _joined(self._before, this)
-        self._echoes = Rig(self.rig.unit, setup).ping(pings, self.rng, self._drift).code[-1].astype(">u2").tobytes()
-        self._before, self._ready = this, now + setup.listening + READ_OUT
+    def _gates(self, us_a_count: float) -> None:
+        """Set a byte for each gate that heard something; no register changes gain or reach."""
+        time = self.hear("us")
+        heard = time[time > 0]
+        gates = np.zeros(32, dtype=np.uint8)
+        gates[np.minimum(heard // GATE_US, 31)] = 1
+        first = int(heard[0] / us_a_count) if len(heard) else 0
+        self._echoes = first.to_bytes(2, "big") + gates.tobytes()
+        self._listen(255)
+
+    def _listen(self, range_register: int) -> None:
+        self._ready = self.clock() + (range_register + 1) * STEP + READ_OUT
 
 
-def _joined(first: Ping, second: Ping) -> Ping:
-    """Return two single pings as one run."""
-    both = {name: np.append(getattr(first, name), getattr(second, name)) for name in CONDITION}
-    logged = {
-        name: np.append(first.covariates[name], second.covariates[name])
-        for name in first.covariates
-        if name in second.covariates
-    }
-    return Ping.of(**both, **logged)
+@dataclass
+class Srf10Twin(Srf08Twin):
+    """An SRF10: one echo, no light, 17 gains, each the SRF08's with the same share of its greatest."""
+
+    def power_cycle(self) -> None:
+        """Forget gain and range."""
+        self.gain, self.range_register = 16, 255
+
+    def registers(self) -> bytes:
+        """Return what can be read."""
+        return bytes([REVISION, 0x80]) + self._echoes[:2]
+
+    def settings(self) -> tuple[int, int]:
+        """Return the rig's gain code and the range register."""
+        share = SRF10_GAINS[min(self.gain, 16)] / SRF10_GAINS[-1]
+        return int(np.argmin(np.abs(np.log(np.array(GAINS) / GAINS[-1] / share)))), self.range_register
+
+
+@dataclass
+class Srf02Twin(Srf08Twin):
+    """An SRF02: one echo, and neither gain nor range to set."""
+
+    def registers(self) -> bytes:
+        """Return what can be read."""
+        return bytes([REVISION, 0x80]) + self._echoes[:2] + SRF02_SHORTEST_CM.to_bytes(2, "big")
+
+    def settings(self) -> tuple[int, int]:
+        """Return the greatest gain and reach."""
+        return 31, 255

@@ -115,7 +115,7 @@ def diagnose(
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, final, chosen, cross, seed)
     gain = float((cross.nats - cross_base.nats).sum())
-    scatter = changed_scatter(base.stack, search, chosen, cross) if base.own is not None else None
+    scatter = _scatter(base, search, chosen, cross)
     steps = coarser_steps(base.own.whole.resolution, search.both) if base.own is not None else None
     for found in (scatter, steps):
         if found is not None:
@@ -143,6 +143,13 @@ def diagnose(
         len(batch),
         len(recording) - len(batch),
     )
+
+
+def _scatter(base: Baseline, search: Search, chosen: list[str], cross: Crossed) -> tuple[Named, Floats] | None:
+    """Return a change of scatter, of which only a simulation known by its readings states anything."""
+    if base.own is None:
+        return None
+    return changed_scatter(base.stack, search, chosen, cross, base.check.describes_simulation)
 
 
 def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[Search, Fit]:
@@ -247,7 +254,7 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
         return "unknown" if p_scan < ALARM and rest.present else "none"
     if rest.present and all(n.effect == JITTER for n in named):
         return "unknown"
-    left = sum(finding.nats for finding in rest.findings)
+    left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
     if rest.present and left > SMALL_SHARE * gain:
         catch_all = all(n.effect in CATCH_ALL for n in named)
         return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
@@ -256,6 +263,7 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
+SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 

@@ -80,7 +80,7 @@ class Baseline:
         if self.own is None:
             return plain
         factor = 1.0 + blocks / max(self.own.both.blocks, 1)
-        return replace(plain, least_nats=factor * plain.least_nats)
+        return replace(plain, least_nats=factor * plain.least_nats, least_t=float(np.sqrt(factor)) * plain.least_t)
 
     def with_twins(self, batch: Batch) -> Batch:
         """Return a batch whose cells know how far the simulation's readings lie from this law in the same condition."""

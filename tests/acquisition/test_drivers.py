@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from smbus2 import i2c_msg
 
-from acquisition import DeviceError, NoAnswerError, Ping, SettingError
+from acquisition import DeviceError, GarbledError, NoAnswerError, Ping, SettingError, StaleError
 from acquisition.bench import Rig, Room, Setup, Unit
-from acquisition.drivers import DRIVERS, Srf08
-from acquisition.drivers.twins import BadWire, Srf08Twin
+from acquisition.drivers import DRIVERS, Srf02, Srf08, Srf10, fire_all
+from acquisition.drivers.twins import BadWire, Srf02Twin, Srf08Twin, Srf10Twin
 
 QUIET = Setup(placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, drift_c=0.0, post=None)
 
@@ -25,14 +25,25 @@ class Scripted:
 
     def __init__(self, block=bytes(34), revision=10, fail=None):
         self.log, self.block, self.revision, self.fail = [], block, revision, fail
+        self.address, self.busy = 0x70, 0
 
     def write_byte_data(self, i2c_addr, register, value):
         self.log.append((i2c_addr, register, value))
         if self.fail:
             raise self.fail
+        if register == 0 and value in (0x50, 0x51, 0x52):
+            self.busy = 2  # looks
+        if register == 0 and value >= 0xE0:
+            self.address = value >> 1
 
     def read_byte_data(self, i2c_addr, register):
-        return self.revision if register == 0 else 77
+        if i2c_addr != self.address or self.fail:
+            raise OSError(121, "Remote I/O error")
+        self.busy -= 1
+        return 77 if register else 0xFF if self.busy >= 0 else self.revision
+
+    def close(self):
+        pass
 
     def i2c_rdwr(self, *messages):
         pointer, answer = messages
@@ -52,9 +63,9 @@ def test_ping_writes_gain_then_range_then_command_each_on_its_own():
 
 
 def test_echoes_are_unsigned_big_endian_and_end_at_the_first_zero():
-    block = bytes([0x00, 0x85, 0x01, 0x9E, 0xFF, 0xFE, 0, 0]) + bytes(26)
+    block = bytes([0x00, 0x85, 0x01, 0x9E, 0x04, 0x10, 0, 0]) + bytes(26)
     heard = on(Scripted(block)).ping()
-    assert heard.ranges == pytest.approx((1.33, 4.14, 655.34))
+    assert heard.ranges == pytest.approx((1.33, 4.14, 10.40))
     assert heard.light == 77
 
 
@@ -97,7 +108,7 @@ def test_settings_are_refused_with_limit_value_and_unit(settings, message):
 
 def test_nobody_there_is_no_answer_after_three_tries():
     bus = Scripted(fail=OSError(121, "Remote I/O error"))
-    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x70: no acknowledge in 3 tries 1 ms apart; check power"):
+    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x70: no acknowledge in 3 tries 1 ms apart; no sonar's"):
         on(bus).ping()
     assert len(bus.log) == 3
 
@@ -120,7 +131,7 @@ def test_open_line_in_the_registers_is_no_answer():
 
 def test_missing_bus_is_told(monkeypatch):
     with pytest.raises(DeviceError, match=r"/dev/i2c-987: .*; switch I2C on"):
-        DRIVERS["srf08"].open(987)
+        DRIVERS["srf08"].open("/dev/i2c-987")
 
 
 def test_driver_measures_through_the_twin():
@@ -183,10 +194,11 @@ def test_settings_survive_a_brown_out_because_each_ping_writes_them():
 def test_faults_of_the_wire_reach_the_caller_as_what_they_are():
     twin, sonar = pair()
     twin.place(Ping.of(distance=1.0, reflectance=0.9))
-    first = sonar.ping()
+    assert sonar.ping().ranges
     twin.wire.lost_write = 1.0
     twin.place(Ping.of(distance=2.0, reflectance=0.9))
-    assert sonar.ping().ranges == first.ranges  # stale: the command never arrived
+    with pytest.raises(StaleError, match="the command was lost"):
+        sonar.ping()
     twin.wire = BadWire(stuck=True)
     with pytest.raises(NoAnswerError, match="still busy"):
         sonar.ping()
@@ -235,3 +247,67 @@ def test_twin_still_hears_the_ping_before():
     assert again[0] == pytest.approx(8.0 - 0.5 * 343.36 * interval, abs=0.15)
     twin.clock.sleep(2.0)
     assert sonar.ping().ranges == ()
+
+
+def test_a_wrong_address_is_told_with_the_one_found():
+    twin, _ = pair()
+    wrong = Srf08(twin, address=0x72, sleep=twin.clock.sleep, clock=twin.clock)
+    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x72: .* found 0x70 instead"):
+        wrong.ping()
+
+
+def test_address_is_not_changed_while_another_sonar_listens():
+    class Two(Scripted):
+        def read_byte_data(self, i2c_addr, register):
+            if i2c_addr not in (0x70, 0x74):
+                raise OSError(121, "Remote I/O error")
+            return 10
+
+    bus = Two()
+    with pytest.raises(SettingError, match="must be alone on the bus, also found 0x74"):
+        on(bus).move(0x79)
+    assert bus.log == []
+
+
+def test_ann_mode_sets_the_gate_of_the_wall():
+    """A wall at 2.00 m comes back after 11.65 ms, in the sixth gate of 2.048 ms."""
+    twin, sonar = pair(output="us")
+    twin.place(Ping.of(distance=2.0, reflectance=0.9))
+    gates = sonar.gates()
+    assert gates.first == pytest.approx(2.0, abs=0.05)
+    assert len(gates.heard) == 32
+    assert next(k for k, heard in enumerate(gates.heard) if heard) == 5
+    assert twin.range_register == 255
+
+
+def test_general_call_then_fetch_gives_the_same_wall():
+    twin, sonar = pair(range_register=255, gain=31)
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    fire_all(twin)
+    assert sonar.fetch().ranges[0] == pytest.approx(1.01, abs=0.03)
+
+
+@pytest.mark.parametrize(("kind", "twin_kind"), [(Srf10, Srf10Twin), (Srf02, Srf02Twin)])
+def test_siblings_give_one_echo(kind, twin_kind):
+    twin = twin_kind(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+    sonar = kind(twin, sleep=twin.clock.sleep, clock=twin.clock)
+    twin.place(Ping.of(distance=1.5, reflectance=0.9))
+    assert sonar.ping().ranges == pytest.approx((1.51,), abs=0.03)
+    assert sonar.ping().light is None
+
+
+def test_srf02_tells_its_shortest_range():
+    twin = Srf02Twin(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+    assert Srf02(twin, sleep=twin.clock.sleep, clock=twin.clock).shortest() == pytest.approx(0.16)
+
+
+def test_srf10_knows_17_gains():
+    with pytest.raises(SettingError, match="SRF10 gain must be a whole number from 0 to 16, got 17"):
+        Srf10(Scripted(), gain=17)
+
+
+def test_an_echo_from_beyond_what_was_listened_to_is_no_reading():
+    """What a sensor gives that was reset to range 255 behind our back."""
+    block = (1000).to_bytes(2, "big") + bytes(32)
+    with pytest.raises(GarbledError, match=r"echo at 10.00 m, but it was told to listen up to 6\.6.* m"):
+        on(Scripted(block), range_register=140).ping()

@@ -50,8 +50,8 @@ def test_same_seed_same_file_and_resuming_a_whole_one_changes_nothing(tmp_path, 
     ("options", "message"),
     [
         (["--gain", "49"], "gain must be a whole number from 0 to 31, got 49"),
-        (["--driver", "srf08", "--bus", "987"], "/dev/i2c-987"),
-        (["--driver", "srf08", "--bus", "987", "--address", "224"], "/dev/i2c-987"),
+        (["--driver", "srf08", "--port", "/dev/i2c-987"], "/dev/i2c-987"),
+        (["--driver", "srf08", "--port", "/dev/i2c-987", "--address", "224"], "/dev/i2c-987"),
         (["--driver", "twin", "--resume"], "--resume does not go with --driver twin"),
     ],
 )
