@@ -8,7 +8,7 @@ echoes as unsigned 16-bit numbers, high byte first, 0 for none. While it listens
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -22,6 +22,7 @@ Output = Literal["inch", "cm", "us"]
 RANGING: dict[Output, int] = {"inch": 0x50, "cm": 0x51, "us": 0x52}
 # metres a count; microseconds by the constant that the sensor itself uses for centimetres, 58 us/cm
 METRES: dict[Output, float] = {"inch": 0.0254, "cm": 0.01, "us": 0.01 / 58.0}
+GENERAL_CALL = 0
 UNLOCK = (0xA0, 0xAA, 0xA5)  # in this order, then the new 8-bit address
 FIRST_ADDRESS, LAST_ADDRESS = 0x70, 0x7F
 STEP = 256e-6  # s of listening a count of the range register
@@ -103,9 +104,21 @@ class Devantech:
             NoAnswerError: the sensor does not acknowledge.
             StaleError: it acknowledged and did not go busy: the command was lost, and its echoes are old ones.
         """
+        self.prepare()
+        self.write(COMMAND, RANGING[self.output])
+        self.expect_busy()
+
+    def prepare(self) -> None:
+        """Write the settings, each on its own."""
         for register, value in self.settings():
             self.write(register, value)
-        self.write(COMMAND, RANGING[self.output])
+
+    def expect_busy(self) -> None:
+        """Make sure that a ranging command arrived.
+
+        Raises:
+            StaleError: the sensor answers, as it does not while it listens.
+        """
         if self.listening >= TELLING and self._idle():
             raise StaleError(
                 f"{self}: answers at once after a ranging command, expected {self.listening * 1e3:.0f} ms of silence: "
@@ -254,18 +267,21 @@ class Devantech:
         return f"found {', '.join(found)} instead" if found else "no sonar's address answers on this bus"
 
 
-def fire_all(bus: SmBus, output: Output = "cm") -> None:
-    """Fire all sonars of a bus at once by the general call; then `fetch` from each.
+def fire_all(sonars: Sequence[Devantech]) -> None:
+    """Fire all sonars of one bus at once by the general call, in the first one's unit; then `fetch` from each.
 
     Raises:
-        NoAnswerError: nobody acknowledges.
+        SettingError: no sonars, or they count in several units.
+        NoAnswerError: nobody acknowledges, or one of them did not take the command.
     """
-    try:
-        bus.write_byte_data(0, COMMAND, RANGING[output])
-    except DeviceError:
-        raise
-    except OSError as error:
-        raise NoAnswerError(f"general call: {error.strerror or error}; check power and wires of the bus") from error
+    if len({sonar.output for sonar in sonars}) != 1:
+        raise SettingError("a general call is one command: give sonars of one bus, all with the same output")
+    for sonar in sonars:
+        sonar.prepare()
+    first = sonars[0]
+    first.retry(lambda: first.bus.write_byte_data(GENERAL_CALL, COMMAND, RANGING[first.output]))
+    for sonar in sonars:
+        sonar.expect_busy()
 
 
 def check_address(address: int, name: str) -> None:

@@ -44,7 +44,12 @@ class HcSr04:
     @classmethod
     def open(cls, port: str = "/dev/ttyACM0", **settings: Any) -> HcSr04:
         """Open the board at a serial port; see `Bridge.open`."""
-        return cls(Bridge.open(port), **settings)
+        bridge = Bridge.open(port)
+        try:
+            return cls(bridge, **settings)
+        except SettingError:
+            bridge.close()
+            raise
 
     def ping(self) -> Echoes:
         """Fire once and return the range of the echo, m, or none.

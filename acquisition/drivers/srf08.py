@@ -73,6 +73,7 @@ class Srf08(Devantech):
         """
         self.write(RANGE, 255)
         self.write(COMMAND, ANN[self.output])
+        self.expect_busy()
         self.sleep(256 * STEP)
         self.await_end()
         first = self.counts()[0]

@@ -13,8 +13,8 @@ from acquisition import Ping, Reading, Recording
 from noise.cells import Batch, law_of, placement_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.locate import Finding, locate
-from noise.discrepancy.matched import compare
-from noise.discrepancy.next_measurement import next_measurement
+from noise.discrepancy.matched import Matched, compare
+from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.rest import check_rest
 from noise.discrepancy.rivals import Rival, posterior, rivals
 from noise.discrepancy.scatter import SCATTER, changed_scatter
@@ -109,31 +109,24 @@ def diagnose(
     tell("locating", 0.08)
     misfit = base.misfit(seed)
     where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), known=misfit)
-    chosen, cross_base, cross = search.run()
-    chosen, cross = base.without_repairs(search, chosen, cross)
-    final = _final(search, cross, chosen)
+    why = _explained(base, search)
     tell("weighing rivals", 0.75)
-    named, all_rivals = _name(base, search, final, chosen, cross, seed)
-    gain = float((cross.nats - cross_base.nats).sum())
-    scatter = _scatter(base, search, chosen, cross)
+    named, all_rivals = _name(base, search, why, seed)
+    scatter = _scatter(base, search, why)
     steps = coarser_steps(base.own.whole.resolution, search.both) if base.own is not None else None
-    for found in (scatter, steps):
-        if found is not None:
-            named, gain = [*named, found[0]], gain + float(found[1].sum())
+    beside = [found for found in (scatter, steps) if found is not None]
+    gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
-    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), split.both, misfit)
+    rest = check_rest(search, why.chosen, why.cross, np.random.default_rng([seed, 4]), split.both, misfit)
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
-    if matched is not None and not matched.agrees and gain < SURE and not rest.present:
-        named, gain = [], 0.0  # what shared cells do not show is the emulator's
-    verdict = replace(_verdict(base, where, named, rest, gain, search), matched=matched)
+    verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
-    held = _held_out(base.raw, before, final.stack, split.vault)
-    surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
-    ahead = next_measurement(final.stack, surviving, seed, base.stack if base.own is not None else None)
+    held = _held_out(base.raw, before, why.final.stack, split.vault)
+    ahead = _ahead(base, why, all_rivals, seed)
     tell("done", 1.0)
     return Diagnosis(
-        replace(verdict, held_out=held, next_measurement=tuple(ahead)),
-        corrected_model(final.fit.stack, recording),
+        replace(verdict, held_out=held, next_measurement=ahead),
+        corrected_model(why.final.fit.stack, recording),
         model,
         base.raw,
         corrected_model(fitted.stack, recording),
@@ -145,11 +138,45 @@ def diagnose(
     )
 
 
-def _scatter(base: Baseline, search: Search, chosen: list[str], cross: Crossed) -> tuple[Named, Floats] | None:
+@dataclass(frozen=True)
+class Explained:
+    """What the search came to.
+
+    Attributes:
+        chosen: effects.
+        base: the law without them, cross-fitted; `cross` with them.
+        final: the explanation on all open data.
+    """
+
+    chosen: list[str]
+    base: Crossed
+    cross: Crossed
+    final: Final
+
+    @property
+    def gain(self) -> float:
+        """What all effects together gain on cells that they were not fitted to, nats."""
+        return float((self.cross.nats - self.base.nats).sum())
+
+
+def _explained(base: Baseline, search: Search) -> Explained:
+    """Search, and leave out what only repairs the law that stands for the simulation."""
+    chosen, without, cross = search.run()
+    chosen, cross = base.without_repairs(search, chosen, cross)
+    return Explained(chosen, without, cross, _final(search, cross, chosen))
+
+
+def _ahead(base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: int) -> tuple[Measurement, ...]:
+    """Return what to measure next to tell apart what the data did not."""
+    surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
+    return tuple(next_measurement(why.final.stack, surviving, seed, base.stack if base.own is not None else None))
+
+
+def _scatter(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:
     """Return a change of scatter, of which only a simulation known by its readings states anything."""
     if base.own is None:
         return None
-    return changed_scatter(base.stack, search, chosen, cross, base.check.describes_simulation)
+    return changed_scatter(base.stack, search, why.chosen, why.cross, base.check.describes_simulation)
 
 
 def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[Search, Fit]:
@@ -172,16 +199,15 @@ def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, each)
 
 
-def _name(
-    base: Baseline, search: Search, final: Final, chosen: Sequence[str], cross: Crossed, seed: int
-) -> tuple[list[Named], list[Rival]]:
+def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[list[Named], list[Rival]]:
     """Return every chosen effect with intervals, gain and rivals."""
+    chosen, final = why.chosen, why.final
     if not chosen:
         return [], []
     spread = np.sqrt(np.diag(covariance(final.fit, search.both)))
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
-        gain, _ = search.contribution(chosen, cross, name)
+        gain, _ = search.contribution(chosen, why.cross, name)
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
@@ -231,8 +257,11 @@ def _verdict(
     rest: Rest,
     gain: float,
     search: Search,
+    matched: Matched | None,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
+    if matched is not None and not matched.agrees and gain < SURE and not rest.present:
+        named, gain = [], 0.0  # what shared cells do not show is the emulator's
     p_scan = min((finding.p_value for finding in where), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     kind = judge(named, rest, gain, p_scan, base)
@@ -241,7 +270,7 @@ def _verdict(
     p = max(LEAST_P, min(1.0, 2.0 * min(p_scan, p_gain)))
     if kind in ("none", "named", "confounded"):
         rest = replace(rest, present=False, description=None)
-    return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts))
+    return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: Baseline) -> str:

@@ -283,7 +283,7 @@ def test_ann_mode_sets_the_gate_of_the_wall():
 def test_general_call_then_fetch_gives_the_same_wall():
     twin, sonar = pair(range_register=255, gain=31)
     twin.place(Ping.of(distance=1.0, reflectance=0.9))
-    fire_all(twin)
+    fire_all([sonar])
     assert sonar.fetch().ranges[0] == pytest.approx(1.01, abs=0.03)
 
 
@@ -311,3 +311,24 @@ def test_an_echo_from_beyond_what_was_listened_to_is_no_reading():
     block = (1000).to_bytes(2, "big") + bytes(32)
     with pytest.raises(GarbledError, match=r"echo at 10.00 m, but it was told to listen up to 6\.6.* m"):
         on(Scripted(block), range_register=140).ping()
+
+
+def test_a_general_call_that_one_sonar_missed_is_told():
+    twin, sonar = pair()
+    sonar.ping()
+    twin.wire.lost_write = 1.0
+    with pytest.raises(StaleError, match="the command was lost"):
+        fire_all([sonar])
+
+
+def test_a_general_call_has_one_unit():
+    with pytest.raises(SettingError, match="all with the same output"):
+        fire_all([on(Scripted()), on(Scripted(), output="us")])
+
+
+def test_a_lost_ann_command_is_told():
+    twin, sonar = pair()
+    sonar.ping()
+    twin.wire.lost_write = 1.0
+    with pytest.raises(StaleError, match="the command was lost"):
+        sonar.gates()

@@ -78,6 +78,18 @@ def some_readings():
     return ping, past, Reading.of(np.where(status == 1, near, 0.0), status)
 
 
+DESIGNED = """sound_speed thermal_drift air_absorption scintillation beam_width boresight zero_offset pivot_offset
+specular_loss edge_diffraction perpendicular_foot background_reflector fixed_clutter multipath repeated_bounce
+sensitivity time_walk cycle_slip ring_down false_alarm rearm_dead_time quantisation range_gate clock_scale warm_up
+previous_ping synchronous_crosstalk asynchronous_crosstalk dropped_reading stale_repeat stuck spike noise_burst
+corrupted_byte"""
+
+
+def test_the_catalogue_holds_every_effect_that_can_be_named():
+    assert set(DESIGNED.split()) <= set(CATALOGUE)
+    assert len(CATALOGUE) >= 35
+
+
 @MEMBERS
 def test_every_member_is_told_in_full(name):
     effect = CATALOGUE[name]
