@@ -98,7 +98,19 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "tried": tried_rows(diagnosis),
         "catalogue": len(CATALOGUE),
         "silent": silent(diagnosis),
+        "matched": matched(diagnosis),
     }
+
+
+def matched(diagnosis: Diagnosis) -> str:
+    """Return what positions that both files share say without any model; nothing where they share too few."""
+    found = diagnosis.verdict.matched
+    if found is None:
+        return ""
+    differ = (
+        f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.agrees else "do not differ beyond chance"
+    )
+    return f"Compared directly, without any model, the {found.cells} positions that both files share {differ}."
 
 
 def certainty(p_value: float) -> str:
