@@ -191,6 +191,7 @@ def fit(
 
     >>> import numpy as np
     >>> from acquisition import Ping
+    >>> from noise.effects import CATALOGUE
     >>> warm = PhysicalModel([CATALOGUE["clock_scale"](error=0.01), CATALOGUE["travel_time_jitter"](sigma_m=0.004)])
     >>> ping = Ping.of(distance=np.repeat(np.linspace(0.3, 3.0, 30), 5))
     >>> heard = Recording.of(ping, warm.law(ping).sample(np.random.default_rng(1)))
