@@ -7,7 +7,9 @@ in its cell, and what the neighbours already told counts no more. The sum is wha
 
 The prediction is, in this order:
 1. a normal offset shared by the cell (`placement_m`), known ever better as readings come, by the rules of a Kalman
-   filter, and what is carried over from one ping to the next (`carry`);
+   filter, and what is carried over from one ping to the next (`carry`); where a simulation was asked under the very
+   same condition, its own offset there is where this one begins (`link`). One cell in ten is taken to be put down
+   far less carefully (`WIDE`), and which one it is shows as its readings come;
 2. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
    repeating (silence, another reflector) count about once a cell;
 3. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
@@ -31,6 +33,10 @@ from noise.physical import PhysicalLaw, PhysicalModel
 
 MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
 BLOCK = 25  # pings taken as one cell where conditions never repeat (a moving robot); ours
+WIDE = 4.0  # how much farther from its mark a carelessly placed target lies; ours
+CARELESS = 0.1  # share of such cells; ours
+LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
+BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
 FEW_CELLS = 12
 
@@ -46,11 +52,13 @@ class CellNuisance(Effect):
         Parameter("carry", "1", 0.0, 0.0, 0.98, "correlation from ping to ping: ours", (0.1,)),
         Parameter("sharing", "1", 0.0, 0.0, 5.0, "weight of one earlier reading against the law: ours", (0.02,)),
         Parameter("kernel_m", "m", 0.004, 0.0003, 0.05, "width of what a cell repeats: ours", (0.004,)),
+        Parameter("link", "1", 0.0, 0.0, 0.999, "correlation with the simulation's offset in a cell: ours", (0.5,)),
     )
     placement_m: Tensor
     carry: Tensor
     sharing: Tensor
     kernel_m: Tensor
+    link: Tensor
 
     def apply(self, state: State) -> State:
         """Leave the state as it is."""
@@ -69,6 +77,7 @@ class Batch:
         cell: the cell of each ping, for splits, (n,).
         resolution: step of the register, m.
         timed: whether the time of each ping was logged.
+        twin: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
     """
 
     ping: Ping
@@ -78,6 +87,7 @@ class Batch:
     cell: NDArray[np.int64]
     resolution: float
     timed: bool = True
+    twin: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -111,6 +121,7 @@ class Batch:
             reading=self.reading[mask],
             block=block,
             cell=self.cell[mask],
+            twin=None if self.twin is None else self.twin[mask],
         )
 
     def thin(self, n: int) -> Batch:
@@ -141,6 +152,12 @@ class Batch:
     def conditions(self) -> Conditions:
         """Conditions and past as tensors."""
         return Conditions.of(self.ping, self.past)
+
+    @cached_property
+    def twins(self) -> tuple[Tensor, Tensor]:
+        """Offset of the simulation in each ping's cell, m, 0 where unknown, and whether it is known (0 or 1), (n,)."""
+        twin = np.full(len(self), np.nan) if self.twin is None else self.twin
+        return torch.as_tensor(np.nan_to_num(twin)), torch.as_tensor((~np.isnan(twin)).astype(np.float64))
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
@@ -212,17 +229,24 @@ def _before(value: Tensor, batch: Batch) -> Tensor:
     return total - total[torch.from_numpy(batch.first)]
 
 
-def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+def prior_offset(cells: CellNuisance, batch: Batch, wider: float = 1.0) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each."""
+    twin, known = batch.twins
+    spread = (wider * cells.placement_m) ** 2 * (1.0 - (cells.link * known) ** 2) + (wider * LEAST_M) ** 2
+    return cells.link * twin, spread
+
+
+def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch, wider: float = 1.0) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (n,) each."""
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
-    prior = cells.placement_m**2 + 1e-12
+    start, prior = prior_offset(cells, batch, wider)
     # a reading counts for the offset as far as it can be the direct path's: smoothly nothing beyond 4 deviations
-    near = error**2 / (16.0 * (variance + prior))
+    near = (error - start) ** 2 / (16.0 * (variance + prior))
     weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
     precision = 1.0 / prior + _before(weight, batch)
-    mean = _before(weight * error, batch) / precision
+    mean = (start / prior + _before(weight * error, batch)) / precision
     last = torch.from_numpy(np.maximum(np.arange(len(batch)) - 1, batch.first))
     known = torch.from_numpy(batch.count > 0)
     carried = cells.carry * (weight * variance)[last] * (error - mean)[last]
@@ -230,30 +254,72 @@ def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tup
 
 
 def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
-    """Return the law with its direct path moved by a mean and widened by a variance, (n,) each."""
+    """Return the law with its direct path moved by a mean and widened by a variance, (n,) or (banks, 1, n) each."""
     path = law.state.direct
     spread = torch.sqrt(path.spread**2 + variance + 1e-18)
     state = law.state.with_direct(replace(path, length=path.length + mean, spread=spread))
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
 
 
-def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
-    """Return the prequential log probability of each reading, nats, (n,), differentiable."""
-    mean, variance = predicted_offset(law, cells, batch)
-    own = torch.exp(shifted(law, mean, variance).log_prob_tensor(batch.reading))
+def sequential(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
+    """Return the law of each ping given the readings before it in its cell, one a bank: carefully placed, or not."""
+    return [shifted(law, *predicted_offset(law, cells, batch, wider)) for wider, _ in BANKS]
+
+
+def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
+    """Return the law of a ping in a cell that has not been heard of yet, one a bank."""
+    return [shifted(law, *prior_offset(cells, batch, wider)) for wider, _ in BANKS]
+
+
+def alone(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
+    """Return one law of a single ping of whose cell nothing is known: what a simulator should sample."""
+    middle, _ = direct_median(law)
+    scatter = placement_scatter(1.0) * cells.placement_m
+    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + scatter**2)
+
+
+def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
+    """Return the log probability of each bank given the readings before in the cell, of log likelihoods (banks, n)."""
+    before = torch.stack([_before(row, batch) for row in log_likelihood])
+    prior = torch.log(number([share for _, share in BANKS]))[:, None]
+    return torch.log_softmax(prior + before, dim=0)
+
+
+def together(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> PhysicalLaw:
+    """Return the laws of `sequential` as one, whose `log_prob_tensor` is (banks, n): one pass through the physics."""
+    offsets = [predicted_offset(law, cells, batch, wider) for wider, _ in BANKS]
+    mean, variance = (torch.stack(parts)[:, None] for parts in zip(*offsets, strict=True))
+    return shifted(law, mean, variance)
+
+
+def by_bank(own: Tensor, cells: CellNuisance, batch: Batch, last_step: int) -> Tensor:
+    """Return log probabilities with floor and urn in them, nats, of a law's own, both (banks, n)."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
-    own = (1.0 - 2.0 * FLOOR) * own + FLOOR * torch.where(silent > 0, silent, number(1.0 / law.last_step))
+    floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
     delta, both, none, seen = batch.urn
     half = batch.resolution / 2.0
     upper = torch.special.ndtr((delta + half) / cells.kernel_m) - torch.special.ndtr((delta - half) / cells.kernel_m)
-    repeats = (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
-    return torch.log(own + cells.sharing * repeats) - torch.log1p(cells.sharing * seen)
+    repeats = cells.sharing * (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
+    return torch.log((1.0 - 2.0 * FLOOR) * torch.exp(own) + floor + repeats) - torch.log1p(cells.sharing * seen)
 
 
-def marginal(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
-    """Return the law of a ping in a cell of which nothing is known yet: what a simulator should sample."""
-    middle, _ = direct_median(law)
-    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + cells.placement_m**2)
+def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
+    """Return the prequential log probability of each reading, nats, (n,), differentiable."""
+    own = together(law, cells, batch).log_prob_tensor(batch.reading)
+    each = by_bank(own, cells, batch, law.last_step)
+    return torch.logsumexp(log_weights(each, batch) + each, dim=0)
+
+
+def bank_weights(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> NDArray[np.float64]:
+    """Return the probability of each bank given the readings before in the cell, (banks, n)."""
+    with torch.no_grad():
+        own = together(law, cells, batch).log_prob_tensor(batch.reading)
+        return torch.exp(log_weights(by_bank(own, cells, batch, law.last_step), batch)).numpy()
+
+
+def placement_scatter(placement_m: float) -> float:
+    """Return the standard deviation of where targets lie, careless ones included, m."""
+    return placement_m * float(np.sqrt(sum(share * wider**2 for wider, share in BANKS)))
 
 
 def silence(batch: Batch) -> float:

@@ -1,104 +1,32 @@
 """Maximum likelihood of the parameters of a stack of effects, with what cells share as a nuisance.
 
-A `Stack` is plain numbers: effect id -> parameter -> value. `maximise` frees some of them and climbs the prequential
-likelihood of `noise.cells` by L-BFGS-B in coordinates scaled by the curvature, from the starting points it is given;
-`starting_points` makes those from the catalogue's own starts, the data's extra modes and a quasi-random design.
+`maximise` frees some parameters of a `Stack` and climbs the prequential likelihood of `noise.cells` by L-BFGS-B in
+coordinates scaled by the curvature, from the starting points it is given (`noise.starts` makes them).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.stats import qmc
 from torch import Tensor
 
 from acquisition import Recording
-from noise.cells import Batch, CellNuisance, law_of, log_prob
-from noise.effects import CATALOGUE, Effect, Parameter
+from noise.cells import Batch, law_of, log_prob
 from noise.law import Floats
 from noise.physical import PhysicalModel
+from noise.stack import CELLS, LINK, NUISANCES, SPREAD, Key, Stack
+from noise.starts import nuisance_start
 
-Values = dict[str, dict[str, float]]
-Key = tuple[str, str]
-CELLS = "cells"
-JITTER = "travel_time_jitter"
-SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (CELLS, "placement_m"))
-SHARED = ((CELLS, "carry"), (CELLS, "sharing"), (CELLS, "kernel_m"))
-NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 TOLERANCE = 1e-7  # of the log likelihood, relative: about 0.002 nats in 20,000
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
 MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
-
-
-@dataclass(frozen=True)
-class Stack:
-    """A physical model and its nuisances as numbers.
-
-    Attributes:
-        values: effect id -> parameter -> value; "cells" holds the nuisances of `CellNuisance`.
-        resolution, max_range: of the register, m.
-        extra: effects that are known beyond the catalogue (the flexible part of an emulator), by id.
-    """
-
-    values: Values
-    resolution: float = 0.001
-    max_range: float = 11.008
-    extra: Mapping[str, type[Effect]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, model: PhysicalModel) -> Stack:
-        """Take the numbers out of a model."""
-        extra = {effect.name: type(effect) for effect in model.effects if effect.name not in CATALOGUE}
-        values = {effect.name: effect.values for effect in model.effects}
-        return cls(values, model.resolution, model.max_range, extra)
-
-    @cached_property
-    def known(self) -> dict[str, type[Effect]]:
-        """Every effect that the stack may hold, by id."""
-        return {**CATALOGUE, **self.extra, CELLS: CellNuisance}
-
-    def parameter(self, key: Key) -> Parameter:
-        """Return what is known of a parameter."""
-        return next(p for p in self.known[key[0]].parameters if p.name == key[1])
-
-    def get(self, key: Key) -> float:
-        """Return a parameter's value; its null value where the effect is absent."""
-        return self.values.get(key[0], {}).get(key[1], self.parameter(key).null)
-
-    def put(self, keys: Sequence[Key], numbers: Iterable[float]) -> Stack:
-        """Return the stack with some parameters at other values, clipped to their bounds."""
-        values = {name: dict(inner) for name, inner in self.values.items()}
-        for key, number in zip(keys, numbers, strict=True):
-            p = self.parameter(key)
-            values.setdefault(key[0], {})[key[1]] = float(np.clip(number, min(p.low, p.null), max(p.high, p.null)))
-        return replace(self, values=values)
-
-    def without(self, name: str) -> Stack:
-        """Return the stack without an effect."""
-        return replace(self, values={k: v for k, v in self.values.items() if k != name})
-
-    def build(self, keys: Sequence[Key] = (), numbers: Tensor | None = None) -> tuple[PhysicalModel, CellNuisance]:
-        """Return model and nuisances; the parameters at `keys` are taken from a tensor, so gradients flow."""
-        values: dict[str, dict[str, float | Tensor]] = {name: dict(v) for name, v in self.values.items()}
-        for k, key in enumerate(keys):
-            assert numbers is not None
-            values.setdefault(key[0], {})[key[1]] = numbers[k]
-        cells = CellNuisance(**values.pop(CELLS, {}))
-        effects = [self.known[name](**inner) for name, inner in values.items()]
-        return PhysicalModel(effects, self.resolution, self.max_range), cells
-
-    @property
-    def model(self) -> PhysicalModel:
-        """The model alone."""
-        return self.build()[0]
 
 
 def log_likelihood(stack: Stack, batch: Batch) -> Floats:
@@ -185,6 +113,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         iterations: of L-BFGS-B, shared by its restarts.
         enough: nats that a climb must gain for another to follow it.
     """
+    free = [key for key in free if key != LINK or batch.twin is not None]
     objective = _Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
     best = objective(x)[0]
@@ -231,6 +160,8 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
         keys: parameters to move besides the spread.
         batch: it was fitted to.
     """
+    # what looks at the reading before is told apart from a cell that repeats itself by the urn alone
+    keys = [key for key in keys if not joint.stack.known[key[0]].remembers]
     if not keys or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
         return joint
     alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
@@ -240,87 +171,6 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:
     """Return the best of several climbs."""
     return max((maximise(stack, free, batch, iterations) for stack in stacks), key=lambda fit: fit.nats)
-
-
-def extra_modes(batch: Batch, most: int = 3) -> list[float]:
-    """Return lengths that explain clusters of readings away from the true distance, m: offsets, then fixed ranges."""
-    echo = batch.reading.echo
-    error = batch.error[echo]
-    far = np.abs(error) > np.maximum(0.06, 0.05 * batch.ping.distance[echo])
-    return [*_peaks(error[far], most), *_peaks(batch.reading.range[echo][far], most)]
-
-
-def _peaks(value: Floats, most: int, bin_m: float = 0.05) -> list[float]:
-    """Return the centres of the fullest bins of a sample, fullest first."""
-    if len(value) < 4:
-        return []
-    place, count = np.unique(np.rint(value / bin_m), return_counts=True)
-    fullest = np.argsort(-count, kind="stable")[:most]
-    return [float(place[k] * bin_m) for k in fullest if count[k] >= 4]
-
-
-def starting_points(stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 8) -> list[Stack]:
-    """Return stacks with an effect switched on in different ways.
-
-    Starts of the catalogue, lengths where the data show extra modes, and a Sobol design over the bounds; the effect's
-    present values are among them.
-
-    Args:
-        stack: to begin from; holds the effect at its present values or not at all.
-        name: of the effect.
-        batch: whose extra modes to use.
-        rng: shifts the design.
-        design: number of its points, a power of two.
-    """
-    keys = [(name, p.name) for p in stack.known[name].parameters]
-    columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
-    first = [column[0] for column in columns]
-    points = [[stack.get(key) for key in keys], first]
-    for j, column in enumerate(columns):
-        points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
-    sobol = qmc.Sobol(len(keys), rng=rng).random(design)
-    points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
-    return [stack.put(keys, point) for point in points]
-
-
-def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:
-    lengths = [m for m in modes if p.unit == "m" and p.high - p.low > 0.3 and p.low <= m <= p.high]
-    starts = [s for s in p.starts if s != p.null] or [present]
-    return list(dict.fromkeys([*starts, *lengths]))
-
-
-def _spread(p: Parameter, u: float) -> float:
-    """Return a value between the bounds: evenly, in the logarithm where they span more than two decades."""
-    if p.low > 0 and p.high / p.low > 100.0:
-        return float(p.low * (p.high / p.low) ** u)
-    if p.null in (p.low, p.high):
-        return float(p.null + (p.high + p.low - 2.0 * p.null) * u**2)
-    # small effects are likelier than large ones, and a sharp law sees no further than its own width
-    v = 2.0 * u - 1.0
-    return float(p.null + abs(v) ** 3 * ((p.high - p.null) if v > 0 else (p.low - p.null)))
-
-
-def nuisance_start(stack: Stack, batch: Batch) -> Stack:
-    """Return the stack with nuisances where a robust look at the errors puts them, wide enough to climb from."""
-    echo = batch.reading.echo
-    middle = np.zeros(len(batch)) if not echo.any() else stack.model.law(batch.ping, batch.past).quantile(0.5)
-    known = echo & (middle > 0)
-    error = np.abs(batch.reading.range - middle)[known]
-    robust = 1.4826 * float(np.median(error)) if len(error) else 0.005
-    size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
-    wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (CELLS, "placement_m"): 0.5 * size}
-    shared = {(CELLS, "sharing"): 0.02, (CELLS, "carry"): 0.1, (CELLS, "kernel_m"): max(0.004, batch.resolution / 3.0)}
-    start = {**wide, **shared}
-    return stack.put(list(start), np.minimum(list(start.values()), 0.19))
-
-
-def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
-    """Return starts for cells that share little, for cells that repeat themselves, and what the stack says already."""
-    loose = nuisance_start(stack, batch)
-    tight = {(JITTER, "sigma_m"): 0.5 * loose.get((JITTER, "sigma_m")), (CELLS, "sharing"): 1.5, (CELLS, "carry"): 0.5}
-    tight[(CELLS, "kernel_m")] = max(0.001, batch.resolution / 3.0)
-    present = [stack] if CELLS in stack.values else []
-    return [loose, loose.put(list(tight), list(tight.values())), *present]
 
 
 def fit(
@@ -341,6 +191,7 @@ def fit(
 
     >>> import numpy as np
     >>> from acquisition import Ping
+    >>> from noise.effects import CATALOGUE
     >>> warm = PhysicalModel([CATALOGUE["clock_scale"](error=0.01), CATALOGUE["travel_time_jitter"](sigma_m=0.004)])
     >>> ping = Ping.of(distance=np.repeat(np.linspace(0.3, 3.0, 30), 5))
     >>> heard = Recording.of(ping, warm.law(ping).sample(np.random.default_rng(1)))

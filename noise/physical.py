@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading
-from noise.effects import CATALOGUE, Conditions, Effect, State
+from noise.effects import CATALOGUE, Conditions, Effect, Path, State
 from noise.effects.base import DETECTION_WIDTH_DB, direct_path, number
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE
@@ -42,7 +42,7 @@ class PhysicalLaw(EchoLaw):
     def silence(self, z: Tensor) -> Tensor:
         """Return P(nothing registered at an exact range <= z), for z (..., n)."""
         z = z.unsqueeze(-2)
-        parts = [path.silence(z, self.state.width_db) for path in self.state.paths]
+        parts = [self._unheard(path, z) for path in self.state.paths]
         return self._average(math.prod(parts, start=self._unhurt(z)))
 
     def between_tensor(self, low: Tensor, high: Tensor) -> Tensor:
@@ -54,13 +54,26 @@ class PhysicalLaw(EchoLaw):
         so_far = self._unhurt(high)
         total = self._unhurt(low) - so_far
         for path in self.state.paths:
-            total = total * path.silence(low, width) + so_far * path.detection(width) * path.between(low, high)
-            so_far = so_far * path.silence(high, width)
+            arriving = path.between(self._listened(low), self._listened(high))
+            total = total * self._unheard(path, low) + so_far * path.detection(width) * arriving
+            so_far = so_far * self._unheard(path, high)
         return self._average(total)
+
+    def _listened(self, z: Tensor) -> Tensor:
+        """Return the range, or where listening begins if that is farther."""
+        return z if self.state.deaf is None else torch.maximum(z, self.state.deaf)
+
+    def _unheard(self, path: Path, z: Tensor) -> Tensor:
+        """Return P(nothing registered of a path at an exact range <= z): what comes to deaf ears is lost."""
+        width, deaf = self.state.width_db, self.state.deaf
+        if deaf is None:
+            return path.silence(z, width)
+        return path.silence(self._listened(z), width) + path.detection(width) * (1.0 - path.lateness(deaf))
 
     def _unhurt(self, z: Tensor) -> Tensor:
         """Return P(no clutter before z)."""
-        return torch.exp(-self.state.clutter_per_metre * torch.clamp(z, min=0.0))
+        begun = 0.0 if self.state.deaf is None else self.state.deaf
+        return torch.exp(-self.state.clutter_per_metre * torch.clamp(z - begun, min=0.0))
 
     def _average(self, by_level: Tensor) -> Tensor:
         return (torch.softmax(self.state.log_weight, dim=0) * by_level).sum(-2)
@@ -97,8 +110,10 @@ class PhysicalLaw(EchoLaw):
 
     def probability_tensor(self, reading: Reading) -> Tensor:
         """Return the probability of each reading, (n,), differentiable."""
-        mass = torch.stack([self.no_echo_tensor(), self.echo_tensor(self.step(reading.range)), self.no_answer_tensor()])
-        return mass.gather(0, torch.from_numpy(reading.status.astype(np.int64))[None])[0]
+        kinds = self.no_echo_tensor(), self.echo_tensor(self.step(reading.range)), self.no_answer_tensor()
+        mass = torch.stack(torch.broadcast_tensors(*kinds))
+        status = torch.from_numpy(reading.status.astype(np.int64)).expand(mass.shape[1:])
+        return mass.gather(0, status[None])[0]
 
     def log_prob_tensor(self, reading: Reading) -> Tensor:
         """Return the log probability of each reading, nats, (n,), differentiable; bounded below by log(1e-300)."""

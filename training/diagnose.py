@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import tyro
 
 from acquisition import Recording, SettingError
 from acquisition.files import write_text
 from noise.discrepancy import Diagnosis, diagnose
+from noise.discrepancy.emulate import Simulator
 from noise.discrepancy.search import Progress as Tell
 from noise.store import load_model, save_model
 from training.progress import bars
@@ -32,7 +35,8 @@ class Args:
     model: str = "ideal"
     """What the simulation uses: a model's name (ideal, gaussian, ...) or the folder of a saved one."""
     simulated: Path | None = None
-    """Readings of any simulator in the recording format; they then stand in the place of the model."""
+    """What stands in the place of the model: a simulator's readings in the recording format, or module:function, which
+    is called as function(pings, rng) and returns readings."""
     seed: int = 0
     """Same seed, same verdict."""
 
@@ -45,8 +49,9 @@ def main(args: Args) -> None:
 def examine(args: Args) -> Diagnosis:
     """Diagnose and write the folder."""
     recorded = Recording.load(args.recorded)
-    simulated = None if args.simulated is None else Recording.load(args.simulated)
-    model = load_model(args.model)
+    simulator = None if args.simulated is None else simulator_of(args.simulated)
+    simulated = None if args.simulated is None or simulator is not None else Recording.load(args.simulated)
+    model = simulator or load_model(args.model)
     _check_out(args.out)
     with one_thread(), _told() as tell:
         diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=tell)
@@ -56,6 +61,27 @@ def examine(args: Args) -> Diagnosis:
     write_text(args.out / "report.html", page)
     save_model(diagnosis.corrected, args.out / "corrected")
     return diagnosis
+
+
+def simulator_of(spelled: Path) -> Simulator | None:
+    """Return the function that `module:function` names, looked for in the working directory too; None of a file.
+
+    Raises:
+        SettingError: there is no such module or function.
+    """
+    module, _, function = str(spelled).partition(":")
+    if spelled.exists() or not function.isidentifier():
+        return None
+    sys.path.insert(0, "")
+    try:
+        found = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise SettingError(f"--simulated {spelled}: {error}; give FILE.csv or module:function") from None
+    finally:
+        sys.path.remove("")
+    if not callable(found):
+        raise SettingError(f"--simulated {spelled}: {function} is a {type(found).__name__}, expected a function")
+    return cast(Simulator, found)
 
 
 def _check_out(out: Path) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from noise.cells import Batch
 from noise.discrepancy import Diagnosis
-from noise.discrepancy.locate import pit
+from noise.discrepancy.residuals import pit
 from noise.law import CREDENCE_TOLERANCE, EchoLaw
 from noise.model import SonarModel
 from training.canvas import AFTER, BEFORE, INK, SOFT, Axes, TwoSlopeNorm, svg
@@ -85,6 +86,25 @@ def errors(before: Seen, after: Seen) -> str:
     return svg(draw, "errors")
 
 
+def along_time(before: Seen, after: Seen) -> str:
+    """Reading minus what each model expects, against time: the median of each stretch and the middle half."""
+
+    def draw(axes: Axes) -> None:
+        limit = map_limit(before, after)
+        minutes = before.batch.ping.time / 60.0
+        axes.axhline(0, color=SOFT, lw=0.8)
+        for seen, colour, label in ((before, BEFORE, "model before"), (after, AFTER, "corrected model")):
+            x, middle = _binned(minutes, seen.error_mm, np.nanmedian)
+            low, high = (_binned(minutes, seen.error_mm, partial(np.nanquantile, q=q))[1] for q in (0.25, 0.75))
+            axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
+            axes.plot(x, middle, color=colour, lw=1.8, label=label, ls="--" if seen is before else "-")
+        axes.set(xlabel="time since the recording began (min)", ylabel="reading - expected (mm)")
+        axes.set_ylim(-2.0 * limit, 2.0 * limit)
+        axes.legend(loc="best")
+
+    return svg(draw, "along_time")
+
+
 def _binned(x: Floats, y: Floats, summary: Callable[[Floats], float], bins: int = 24) -> tuple[Floats, Floats]:
     edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
     if len(edges) < 2:
@@ -128,7 +148,7 @@ def calibration(before: Seen, after: Seen, seed: int) -> str:
     def draw(axes: Axes) -> None:
         edges = np.linspace(0, 1, 21)
         for seen, colour, label in ((before, BEFORE, "model before"), (after, AFTER, "corrected model")):
-            u = pit(seen.law, seen.batch.reading, np.random.default_rng(seed))
+            u = pit(seen.law, seen.batch.reading, np.random.default_rng(seed).random(len(seen.batch)))
             u = np.where(seen.batch.reading.echo & np.isnan(u), 0.5, u)  # the model excludes an echo: neither side
             share = np.histogram(u[~np.isnan(u)], edges)[0] / max(np.sum(~np.isnan(u)), 1) * 20
             axes.stairs(share, edges, color=colour, lw=1.8, label=label, ls="--" if seen is before else "-")
@@ -193,6 +213,7 @@ def all_figures(diagnosis: Diagnosis, seed: int = 0) -> dict[str, str]:
     return {
         "map_before": error_map(wide_before, "map_before", limit),
         "map_after": error_map(wide_after, "map_after", limit),
+        "along_time": along_time(wide_before, wide_after) if split.whole.timed else "",
         "readings": readings(before, after),
         "errors": errors(before, after),
         "detection": detection(before, after),

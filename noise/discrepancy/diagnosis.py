@@ -10,33 +10,25 @@ import numpy as np
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch, law_of
-from noise.discrepancy.emulate import Baseline, baseline_of
+from noise.cells import Batch, law_of, placement_scatter
+from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.locate import Finding, locate
-from noise.discrepancy.next_measurement import next_measurement
+from noise.discrepancy.matched import Matched, compare
+from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.rest import check_rest
 from noise.discrepancy.rivals import Rival, posterior, rivals
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Crossed, Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
+from noise.discrepancy.steps import coarser_steps
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
 from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
-from noise.fit import (
-    CELLS,
-    JITTER,
-    NUISANCES,
-    Fit,
-    Stack,
-    best_of,
-    covariance,
-    each_counted,
-    log_likelihood,
-    maximise,
-    nuisance_starts,
-)
+from noise.fit import Fit, best_of, covariance, each_counted, log_likelihood, maximise
 from noise.law import Floats
 from noise.model import SonarModel
+from noise.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.starts import nuisance_starts
 
 Z90 = 1.6449  # two-sided 90 % of a normal
 LEAST_P = 1e-12  # no p-value of a model of the world means more
@@ -62,7 +54,7 @@ class Diagnosis:
 
     verdict: Verdict
     corrected: EmpiricalModel
-    given: SonarModel
+    given: SonarModel | Simulator
     shown_before: SonarModel
     before: EmpiricalModel
     split: Split
@@ -85,7 +77,7 @@ class Final:
 
 
 def diagnose(
-    model: SonarModel,
+    model: SonarModel | Simulator,
     recording: Recording,
     *,
     simulated: Recording | None = None,
@@ -97,7 +89,9 @@ def diagnose(
     Args:
         model: what the simulation uses. A `PhysicalModel` is taken as it is and `IdealModel` as one without effects;
             any other (Gaussian, learned) is replaced by an emulator that is fitted to its own samples and checked
-            (`baseline_check`): what the emulator does not hold of it is not corrected.
+            (`baseline_check`): what the emulator does not hold of it is not corrected. A plain function
+            `simulator(pings, rng) -> readings` (a `Reading`, or ranges in m with 0 for no echo) is asked for fresh
+            readings under the recording's own conditions.
         recording: of the real sonar.
         simulated: readings of a simulator on its own conditions; it then stands in the place of `model`.
         seed: of splits, draws and starting points; the same seed gives the same verdict.
@@ -107,34 +101,32 @@ def diagnose(
         RecordingError: the recording holds no answered ping.
     """
     tell = progress or (lambda message, share: None)
-    batch = Batch.of(recording)
-    split = Split.of(batch, np.random.default_rng([seed, 1]))
     tell("learning what the simulation says", 0.02)
     base = baseline_of(model, recording, simulated, seed)
+    batch = base.with_twins(Batch.of(recording))
+    split = Split.of(batch, np.random.default_rng([seed, 1]))
     search, fitted = _prepare(base, split, seed, tell)
     tell("locating", 0.08)
     misfit = base.misfit(seed)
     where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), known=misfit)
-    chosen, cross_base, cross = search.run()
-    chosen, cross = base.without_repairs(search, chosen, cross)
-    final = _final(search, cross, chosen)
+    why = _explained(base, search)
     tell("weighing rivals", 0.75)
-    named, all_rivals = _name(base, search, final, chosen, cross, seed)
-    scatter = changed_scatter(base.stack, search, chosen, cross) if base.own is not None else None
-    gain = cross.nats - cross_base.nats
-    if scatter is not None:
-        named, gain = [*named, scatter[0]], gain + scatter[1]
+    named, all_rivals = _name(base, search, why, seed)
+    scatter = _scatter(base, search, why)
+    steps = coarser_steps(base.own.whole.resolution, search.both) if base.own is not None else None
+    beside = [found for found in (scatter, steps) if found is not None]
+    gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
-    rest = check_rest(search, chosen, cross, np.random.default_rng([seed, 4]), misfit)
-    verdict = _verdict(base, where, named, rest, float(gain.sum()), search)
+    rest = check_rest(search, why.chosen, why.cross, np.random.default_rng([seed, 4]), split.both, misfit)
+    matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
+    verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
-    held = _held_out(base.raw, before, final.stack, split.vault)
-    surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
-    ahead = next_measurement(final.stack, surviving, seed, base.stack if base.own is not None else None)
+    held = _held_out(base.raw, before, why.final.stack, split.vault)
+    ahead = _ahead(base, why, all_rivals, seed)
     tell("done", 1.0)
     return Diagnosis(
-        replace(verdict, held_out=held, next_measurement=tuple(ahead)),
-        corrected_model(final.fit.stack, recording),
+        replace(verdict, held_out=held, next_measurement=ahead),
+        corrected_model(why.final.fit.stack, recording),
         model,
         base.raw,
         corrected_model(fitted.stack, recording),
@@ -144,6 +136,47 @@ def diagnose(
         len(batch),
         len(recording) - len(batch),
     )
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What the search came to.
+
+    Attributes:
+        chosen: effects.
+        base: the law without them, cross-fitted; `cross` with them.
+        final: the explanation on all open data.
+    """
+
+    chosen: list[str]
+    base: Crossed
+    cross: Crossed
+    final: Final
+
+    @property
+    def gain(self) -> float:
+        """What all effects together gain on cells that they were not fitted to, nats."""
+        return float((self.cross.nats - self.base.nats).sum())
+
+
+def _explained(base: Baseline, search: Search) -> Explained:
+    """Search, and leave out what only repairs the law that stands for the simulation."""
+    chosen, without, cross = search.run()
+    chosen, cross = base.without_repairs(search, chosen, cross)
+    return Explained(chosen, without, cross, _final(search, cross, chosen))
+
+
+def _ahead(base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: int) -> tuple[Measurement, ...]:
+    """Return what to measure next to tell apart what the data did not."""
+    surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
+    return tuple(next_measurement(why.final.stack, surviving, seed, base.stack if base.own is not None else None))
+
+
+def _scatter(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:
+    """Return a change of scatter, of which only a simulation known by its readings states anything."""
+    if base.own is None:
+        return None
+    return changed_scatter(base.stack, search, why.chosen, why.cross, base.check.describes_simulation)
 
 
 def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[Search, Fit]:
@@ -166,16 +199,15 @@ def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, each)
 
 
-def _name(
-    base: Baseline, search: Search, final: Final, chosen: Sequence[str], cross: Crossed, seed: int
-) -> tuple[list[Named], list[Rival]]:
+def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[list[Named], list[Rival]]:
     """Return every chosen effect with intervals, gain and rivals."""
+    chosen, final = why.chosen, why.final
     if not chosen:
         return [], []
     spread = np.sqrt(np.diag(covariance(final.fit, search.both)))
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
-        gain, _ = search.contribution(chosen, cross, name)
+        gain, _ = search.contribution(chosen, why.cross, name)
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
@@ -225,8 +257,11 @@ def _verdict(
     rest: Rest,
     gain: float,
     search: Search,
+    matched: Matched | None,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
+    if matched is not None and not matched.agrees and gain < SURE and not rest.present:
+        named, gain = [], 0.0  # what shared cells do not show is the emulator's
     p_scan = min((finding.p_value for finding in where), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     kind = judge(named, rest, gain, p_scan, base)
@@ -235,7 +270,7 @@ def _verdict(
     p = max(LEAST_P, min(1.0, 2.0 * min(p_scan, p_gain)))
     if kind in ("none", "named", "confounded"):
         rest = replace(rest, present=False, description=None)
-    return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts))
+    return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: Baseline) -> str:
@@ -248,21 +283,23 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
         return "unknown" if p_scan < ALARM and rest.present else "none"
     if rest.present and all(n.effect == JITTER for n in named):
         return "unknown"
-    left = sum(finding.nats for finding in rest.findings)
+    left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
     if rest.present and left > SMALL_SHARE * gain:
         catch_all = all(n.effect in CATCH_ALL for n in named)
         return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
     return "confounded" if any(n.indistinguishable_from for n in named) else "named"
 
 
+SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
+SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 
 
 def corrected_model(stack: Stack, recording: Recording) -> EmpiricalModel:
     """Return the model of a stack: what cells share becomes scatter, the register the recording's where coarser."""
-    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), stack.get((CELLS, "placement_m"))))
+    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), placement_scatter(stack.get((CELLS, "placement_m")))))
     stack = stack.put([(JITTER, "sigma_m")], [sigma]).without(CELLS)
     effects = [stack.known[name](**values) for name, values in stack.values.items()]
     return EmpiricalModel(effects, max(stack.resolution, recording.resolution), stack.max_range)

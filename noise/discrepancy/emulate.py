@@ -8,24 +8,33 @@ sonar.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
+import torch
 
-from acquisition import Ping, Recording
-from noise.cells import Batch
-from noise.discrepancy.locate import residuals, scan
+from acquisition import ModelError, Ping, Reading, Recording
+from noise.cells import Batch, direct_median, law_of
+from noise.discrepancy.locate import scan
+from noise.discrepancy.matched import NEAR, NEAR_M, conditions_of
+from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import scan_p
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.empirical import DISTANCE_KNOTS, Flexible
-from noise.fit import CELLS, NUISANCES, Key, Stack, log_likelihood, maximise, nuisance_starts
+from noise.fit import log_likelihood, maximise
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
+from noise.stack import CELLS, NUISANCES, Key, Stack
+from noise.starts import nuisance_starts
 
+Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500
+MOST_ASKED = 6000
 # what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
 PLAIN: dict[Key, float] = {
     ("clock_scale", "error"): 0.0,
@@ -73,6 +82,14 @@ class Baseline:
         factor = 1.0 + blocks / max(self.own.both.blocks, 1)
         return replace(plain, least_nats=factor * plain.least_nats, least_t=float(np.sqrt(factor)) * plain.least_t)
 
+    def with_twins(self, batch: Batch) -> Batch:
+        """Return a batch whose cells know how far the simulation's readings lie from this law in the same condition."""
+        if self.own is None:
+            return batch
+        found = _offsets(self.stack, self.own.whole)
+        twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
+        return batch if np.isnan(twin).all() else replace(batch, twin=twin)
+
     def misfit(self, seed: int) -> Floats | None:
         """Return by aspect how far the law is from the simulation itself; None for a model that is used as it is."""
         if self.own is None:
@@ -90,7 +107,7 @@ class Baseline:
             gain, without = search.contribution(chosen, cross, name)
             if self._gain_on_own(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
-            elif not search.believable(gain):
+            elif not search.believable(gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
             else:
                 continue
@@ -108,16 +125,56 @@ class Baseline:
         return float(gain.sum()) / len(gain)
 
 
-def baseline_of(model: SonarModel, recording: Recording, simulated: Recording | None, seed: int) -> Baseline:
-    """Return the law that stands for a model, or for a simulator's readings."""
+def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
+    """Return by condition how far echoes of the target lie from the law's, as a median, m."""
+    with torch.no_grad():
+        middle = direct_median(law_of(stack.model, batch))[0].numpy()
+    error = batch.reading.range - middle
+    near = batch.reading.echo & (np.abs(error) < NEAR * batch.ping.distance + NEAR_M)
+    frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": near})
+    mostly = frame.groupby("condition")["near"].mean() > 0.5
+    median = frame[frame["near"]].groupby("condition")["error"].median()
+    return {key: value for key, value in zip(median.index, median.to_list(), strict=True) if mostly[key]}
+
+
+def baseline_of(
+    model: SonarModel | Simulator, recording: Recording, simulated: Recording | None, seed: int
+) -> Baseline:
+    """Return the law that stands for a model, for a simulator's readings, or for a simulator that can be asked."""
     if simulated is not None:
         return emulated(simulated, None, seed)
+    if not isinstance(model, SonarModel):
+        return emulated(asked(model, recording, seed), None, seed)
     if isinstance(model, IdealModel):
         physical = PhysicalModel((), model.resolution, model.max_range)
         return Baseline(Stack.of(physical), model, BaselineCheck(True, 1.0, "the ideal sonar is used as it is"))
     if isinstance(model, PhysicalModel):
         return Baseline(Stack.of(model), model, BaselineCheck(True, 1.0, "the given physical model is used as it is"))
     return emulated(sampled(model, recording, seed), model, seed)
+
+
+def asked(simulator: Simulator, recording: Recording, seed: int) -> Recording:
+    """Return fresh readings of a simulator under a recording's own pings, at most `MOST_ASKED` of them.
+
+    Raises:
+        ModelError: it returned something else than one reading a ping.
+    """
+    batch = Batch.of(recording).thin(MOST_ASKED)
+    order = np.argsort(batch.ping.time, kind="stable")
+    ping = batch.ping[order]
+    answer = simulator(ping, np.random.default_rng([seed, 9]))
+    if not isinstance(answer, Reading):
+        ranges = np.asarray(answer, dtype=np.float64)
+        if ranges.shape != (len(ping),) or not np.isfinite(ranges).all() or (ranges < 0).any():
+            raise ModelError(
+                f"the simulator must return {len(ping)} ranges in m, one a ping and 0 for no echo, or a Reading; "
+                f"it returned {type(answer).__name__} of shape {ranges.shape}"
+            )
+        answer = Reading.of(ranges)
+    if len(answer) != len(ping):
+        raise ModelError(f"the simulator returned {len(answer)} readings for {len(ping)} pings; return one a ping")
+    name = getattr(simulator, "__name__", type(simulator).__name__)
+    return Recording.of(ping, answer, name=f"{name} asked")
 
 
 def sampled(model: SonarModel, recording: Recording, seed: int) -> Recording:

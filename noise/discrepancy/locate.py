@@ -12,18 +12,14 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from acquisition import Reading
-from noise.cells import Batch, law_of, marginal, predicted_offset, shifted
-from noise.fit import Stack
-from noise.law import EchoLaw, Floats
+from noise.cells import Batch
+from noise.discrepancy.residuals import ASPECTS, EXTRA, Residuals, residuals
+from noise.law import Floats
+from noise.stack import Stack
 
-ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "time_correlation", "repeat")
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
-EXTRA = 1e-3  # share of echoes beyond which a reading counts as one of an extra mode
-SMALL = 0.01  # keeps the score of what hardly ever happens from outweighing everything else
 SHADOWS = ("spread", "skew", "time_correlation")  # a bias bends them wherever it changes: told of after it
 LAST = 1e6
 MORE = 1.3  # how much greater than a simulation's own a misfit must be to count; ours
@@ -37,13 +33,15 @@ class Finding:
     """One place and respect in which readings disagree with a law.
 
     Attributes:
-        aspect: one of "bias", "scale", "spread", "skew", "detection", "extra_mode", "time_correlation".
+        aspect: one of "bias", "scale", "spread", "skew", "detection", "extra_mode", "time_correlation",
+            "rhythm".
         region: condition column -> (low, high) in the column's unit; empty is everywhere.
         size: how much, in `unit`.
         unit: "m" for bias, "1" for shares, ratios and correlations.
         p_value: of the greatest statistic, all regions and aspects counted.
         nats: half the squared statistic: what correcting it would be worth.
-        place: where an extra mode sits, as (what it follows, m): "fixed range", "beyond the target", "times distance".
+        place: where an extra mode sits, as (what it follows, m): "fixed range", "beyond the target", "times distance";
+            of a rhythm, ("period", s).
     """
 
     aspect: str
@@ -53,76 +51,6 @@ class Finding:
     p_value: float
     nats: float
     place: tuple[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class Residuals:
-    """Readings seen through a law.
-
-    Attributes:
-        score: of every aspect, (n, aspects).
-        variance: of each score under the law, pings taken as independent, (n, aspects).
-        u: randomised PIT value of echoes, nan elsewhere, (n,).
-        middle: median reading that the law expects of an echo, m, (n,).
-        silent: probability of no echo that the law gives, (n,).
-    """
-
-    score: Floats
-    variance: Floats
-    u: Floats
-    middle: Floats
-    silent: Floats
-
-
-def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
-    """Return randomised PIT values of the echoes given that there was one, nan where there was none, (n,)."""
-    step = law.step(reading.range)
-    low, high, echo = law.cdf_step(step - 1), law.cdf_step(step), law.echo
-    u = (low + rng.random(len(reading)) * (high - low)) / np.maximum(echo, 1e-12)
-    return np.where(reading.echo & (echo > 1e-12), np.clip(u, 0.0, 1.0), np.nan)
-
-
-def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals:
-    """Return scores of every aspect for every reading of a batch."""
-    with torch.no_grad():
-        model, cells = stack.build()
-        given = law_of(model, batch)
-        law, sequential = marginal(given, cells), shifted(given, *predicted_offset(given, cells, batch))
-    u = pit(law, batch.reading, rng)
-    x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, pit(sequential, batch.reading, rng)))
-    heard = (~np.isnan(u)).astype(np.float64)
-    stretch = (batch.ping.distance - batch.ping.distance.mean()) / max(float(np.std(batch.ping.distance)), 1e-9)
-    p, binary = np.clip(law.no_echo, 0.0, 1.0), np.sqrt(EXTRA)
-    repeat, repeat_variance = _repeats(sequential, batch)
-    pairs = [
-        (x, heard / 3.0),
-        (x * stretch, heard * stretch**2 / 3.0),
-        # within the block: block sums of squares about an unknown offset are too lopsided for flips of sign
-        (heard * (3.0 * own**2 - 1.0) / 2.0, heard / 5.0),
-        ((5.0 * own**3 - 3.0 * own) / 2.0, heard / 7.0),
-        (((~batch.reading.echo) - p) / np.sqrt(p * (1.0 - p) + SMALL), _share(p)),
-        (heard * ((u < EXTRA) - EXTRA) / binary, heard),
-        (heard * ((u > 1.0 - EXTRA) - EXTRA) / binary, heard),
-        (np.where(batch.count > 0, 3.0 * own * np.r_[0.0, own[:-1]], 0.0), heard),
-        (repeat, repeat_variance),
-    ]
-    score, variance = (np.nan_to_num(np.stack(part, axis=1)) for part in zip(*pairs, strict=True))
-    return Residuals(score, variance, u, law.quantile(0.5), p)
-
-
-def _share(p: Floats) -> Floats:
-    """Return the variance of a yes or no of probability p after division by sqrt(p (1 - p) + SMALL)."""
-    return p * (1.0 - p) / (p * (1.0 - p) + SMALL)
-
-
-def _repeats(law: EchoLaw, batch: Batch) -> tuple[Floats, Floats]:
-    """Return how much more often than expected an echo repeats the last to the digit, and its variance, (n,) each."""
-    step = law.step(batch.past.range)
-    expected = law.cdf_step(step) - law.cdf_step(step - 1)
-    known = batch.past.echo & batch.reading.echo
-    same = np.abs(batch.past.range - batch.reading.range) < batch.resolution / 2.0
-    score = (same - expected) / np.sqrt(expected * (1.0 - expected) + SMALL)
-    return np.where(known, score, 0.0), np.where(known, _share(expected), 0.0)
 
 
 def features(batch: Batch) -> dict[str, Floats]:
@@ -213,17 +141,35 @@ def scan(seen: Residuals, batch: Batch, rng: np.random.Generator) -> Scan:
     A statistic is studentised by its blocks, but never by less than independent pings would vary: where an event of
     small probability did not happen, all blocks agree and their own scatter would be nothing.
     """
-    where = regions(batch)
-    by_block = batch.per_block(seen.score)
-    mask = np.stack([region[1] for region in where]).astype(np.float64)
-    root = np.sqrt(np.maximum(mask @ by_block**2, mask @ batch.per_block(seen.variance))) + 1e-9
     one_sided = np.array([aspect in ONE_SIDED for aspect in ASPECTS])
-    statistic = (mask @ by_block) / root
+    scanned = flipped(batch.per_block(seen.score), batch.per_block(seen.variance), regions(batch), rng, one_sided)
+    return replace(scanned, statistic=np.where(one_sided, np.maximum(scanned.statistic, 0.0), scanned.statistic))
+
+
+def flipped(
+    by_block: Floats,
+    least: Floats,
+    where: list[Region],
+    rng: np.random.Generator,
+    one_sided: NDArray[np.bool_] | None = None,
+) -> Scan:
+    """Return sums of block scores over regions, studentised, and the greatest after each flip of blocks' signs.
+
+    Args:
+        by_block: scores, (blocks, aspects).
+        least: variance below which no block's score is trusted to vary, (blocks, aspects).
+        where: regions.
+        rng: for the flips.
+        one_sided: aspects of which only a positive sum counts, (aspects,).
+    """
+    one_sided = np.zeros(by_block.shape[1], dtype=bool) if one_sided is None else one_sided
+    mask = np.stack([region[1] for region in where]).astype(np.float64)
+    root = np.sqrt(np.maximum(mask @ by_block**2, mask @ least)) + 1e-9
     highest = np.empty(FLIPS)
     for k in range(FLIPS):
         sign = rng.integers(0, 2, len(by_block)) * 2.0 - 1.0
         highest[k] = _two_sided((mask @ (by_block * sign[:, None])) / root, one_sided).max()
-    return Scan(np.where(one_sided, np.maximum(statistic, 0.0), statistic), highest, where)
+    return Scan((mask @ by_block) / root, highest, where)
 
 
 def _two_sided(statistic: Floats, one_sided: NDArray[np.bool_]) -> Floats:

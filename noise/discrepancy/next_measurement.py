@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition import Ping, Reading
-from noise.cells import FLOOR, marginal
+from noise.cells import FLOOR, alone
 from noise.discrepancy.rivals import SETTLED
-from noise.fit import Stack
 from noise.law import EchoLaw, Floats
+from noise.stack import Stack
 
 DISTANCES = np.array([0.15, 0.25, 0.4, 0.6, 0.9, 1.3, 1.8, 2.5, 3.5, 4.5, 6.0])
 ANGLES_DEG = np.array([-20.0, 0.0, 5.0, 10.0, 20.0, 30.0])
@@ -150,7 +150,7 @@ def divergence(
 
 def _law(stack: Stack, ping: Ping) -> EchoLaw:
     model, cells = stack.build()
-    return marginal(model.law(ping), cells)
+    return alone(model.law(ping), cells)
 
 
 def floored(law: EchoLaw, reading: Reading) -> Floats:

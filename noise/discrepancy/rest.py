@@ -7,11 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from noise.cells import Batch
-from noise.discrepancy.locate import Finding, locate, residuals, scan
+from noise.discrepancy.describe import formula
+from noise.discrepancy.locate import Finding, locate, scan
+from noise.discrepancy.residuals import residuals
+from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Rest
-from noise.fit import CELLS, Fit, Stack, each_counted
+from noise.fit import Fit, each_counted
 from noise.law import Floats
+from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
 _WORDS = {
@@ -22,30 +26,44 @@ _WORDS = {
     "detection": "echoes are {more} often than expected, by {percent:.1f} % of pings",
     "extra_mode": "{percent:.1f} % of readings are far from what is expected{place}",
     "time_correlation": "successive readings hang together (correlation {size:.2f})",
+    "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 
 
 def check_rest(
-    search: Search, chosen: Sequence[str], cross: Crossed, rng: np.random.Generator, known: Floats | None = None
+    search: Search,
+    chosen: Sequence[str],
+    cross: Crossed,
+    rng: np.random.Generator,
+    whole: Batch,
+    known: Floats | None = None,
 ) -> Rest:
-    """Scan the residuals of cells that were not fitted; both ways, the smaller p-value doubled.
+    """Scan the residuals of cells that were not fitted, both ways, and listen for a beat; the least p-value counts.
 
     Args:
         search: holds the parts.
         chosen: the effects of the explanation.
         cross: the explanation, fitted on either part.
         rng: for randomised PIT values and flips.
+        whole: both parts with every ping of a block, in which a beat shows best; nothing fitted can hold one.
         known: misfit by aspect that the simulation itself shows.
     """
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, known) for stack, batch in pairs]
-    p = min(1.0, 2.0 * min(p_values))
+    beat = rhythm(pairs[0][0], whole, rng)
+    p_beat = 1.0 if beat is None else beat.p_value
+    p = min(1.0, 3.0 * min(*p_values, p_beat))
     if p >= LEVEL:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
-    findings = tuple(locate(stack, batch, rng, most=3, known=known))
+    findings = tuple(locate(stack, batch, rng, most=3, known=known)) if 3.0 * min(p_values) < LEVEL else ()
+    if beat is not None and 3.0 * p_beat < LEVEL:
+        findings = (beat.finding, *findings)
     words = "; ".join(in_words(finding) for finding in findings) or "small misfits that stand out at no single place"
+    told = formula(stack, search.both, rng)
+    if told is not None:
+        words = f"{words}; {told}"
     return Rest(True, p, f"{words} (a description, not a cause)", findings)
 
 
@@ -63,8 +81,10 @@ def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, known: Floats |
 
 def in_words(finding: Finding) -> str:
     """Return a finding as a phrase."""
-    place = ""
-    if finding.place is not None:
+    place, period = "", 0.0
+    if finding.aspect == "rhythm" and finding.place is not None:
+        period = finding.place[1]
+    elif finding.place is not None:
         kind, value = finding.place
         place = f" ({kind} {value:.2f})" if kind == "times distance" else f" ({kind}, {value:.2f} m)"
     text = _WORDS[finding.aspect].format(
@@ -73,6 +93,7 @@ def in_words(finding: Finding) -> str:
         size=finding.size,
         more="heard less" if finding.size < 0 else "heard more",
         place=place,
+        period=period,
     )
     return f"{text} {region_in_words(finding)}".strip()
 

@@ -15,10 +15,11 @@ import numpy as np
 import torch
 
 from acquisition import Ping
-from noise.cells import Batch, law_of
+from noise.cells import BANKS, Batch, law_of, prior_offset
 from noise.discrepancy.search import Search
-from noise.fit import CELLS, NUISANCES, SPREAD, Fit, Stack, maximise
+from noise.fit import Fit, maximise
 from noise.law import Floats
+from noise.stack import NUISANCES, SPREAD, Stack
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %
@@ -53,8 +54,11 @@ class Rival:
 
 def replica(stack: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     """Return the batch with readings that a stack draws, every block at its own offset."""
-    model, _ = stack.build()
-    offset = rng.normal(0.0, max(stack.get((CELLS, "placement_m")), 1e-9), batch.blocks)[batch.block]
+    model, cells = stack.build()
+    with torch.no_grad():
+        middle, variance = (x.numpy()[np.unique(batch.first)] for x in prior_offset(cells, batch))
+    wider = rng.choice([wide for wide, _ in BANKS], batch.blocks, p=[share for _, share in BANKS])
+    offset = rng.normal(middle, wider * np.sqrt(variance))[batch.block]
     ping: Ping = replace(batch.ping, distance=np.maximum(batch.ping.distance + offset, 1e-3))
     with torch.no_grad():
         moved = replace(batch, ping=ping)

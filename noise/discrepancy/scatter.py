@@ -11,11 +11,12 @@ import numpy as np
 from noise.cells import Batch
 from noise.discrepancy.search import Crossed, Search, spread_over_blocks
 from noise.discrepancy.verdict import Interval, Named
-from noise.fit import JITTER, NUISANCES, Stack
 from noise.law import Floats
+from noise.stack import JITTER, NUISANCES, Stack
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours
+POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours
 
 
 def scatter_m(stack: Stack, distance: float) -> float:
@@ -25,7 +26,7 @@ def scatter_m(stack: Stack, distance: float) -> float:
 
 
 def changed_scatter(
-    simulation: Stack, search: Search, chosen: list[str], cross: Crossed
+    simulation: Stack, search: Search, chosen: list[str], cross: Crossed, describes: bool = True
 ) -> tuple[Named, Floats] | None:
     """Return the scatter as a named effect with its gain by block, or None where it is the simulation's own.
 
@@ -34,6 +35,7 @@ def changed_scatter(
         search: holds the parts of the recording.
         chosen: the effects of the explanation.
         cross: the explanation, fitted on either part with scatter free.
+        describes: whether the law that stands for the simulation fully describes it.
     """
     held = cross.first.stack.put(SCATTER, [simulation.get(key) for key in SCATTER])
     others = tuple(key for key in NUISANCES if key not in SCATTER)
@@ -42,7 +44,7 @@ def changed_scatter(
     before = max(scatter_m(simulation, distance), _least(search.both))
     after = [max(scatter_m(fit.stack, distance), _least(search.both)) for fit in (cross.first, cross.second)]
     ratios = [max(x / before, before / x) for x in after]
-    if min(ratios) < LEAST_RATIO or not search.believable(gain):
+    if min(ratios) < (LEAST_RATIO if describes else POOR_RATIO) or not search.believable(gain):
         return None
     return _named(cross, gain, before, float(np.mean(after)), distance), gain
 

@@ -1,7 +1,7 @@
 """Greedy search of the catalogue: every effect scored given what is chosen, and believed only across unseen cells.
 
 Winning a round is easy; stopping is the problem. An effect is added only if its gain is *cross-fitted* (fitted on one
-part of the cells, scored on the other, both ways), exceeds `Rules.least_nats`, its standard error over blocks, and
+part of the cells, scored on the other, both ways), exceeds `Rules.least_nats` and its standard error over blocks, and
 survives leaving out the block that speaks for it most. Under the null such a gain is negative on average; beyond 6 nats
 it lies with probability 0.0005 for one parameter, so the greatest of some thirty stays below 2 %.
 """
@@ -14,10 +14,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise.cells import Batch, direct_median, silence
+from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
-from noise.fit import JITTER, NUISANCES, SPREAD, Fit, Key, Stack, log_likelihood, maximise, starting_points
+from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
+from noise.stack import JITTER, NUISANCES, SHARED, SPREAD, Key, Stack
+from noise.starts import starting_points
 
 Progress = Callable[[str, float], None]
 THRESHOLD = "sensitivity"
@@ -33,6 +35,8 @@ class Rules:
         least_nats: cross-fitted gain below which nothing is added.
         least_t: the same in standard errors over blocks.
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
+        bounded_nats: of each block at most, where the standard error is taken a second time: one heavy block
+            then neither makes nor breaks a case.
         tie_nats: a simpler effect is preferred to one that gains no more than this, or one standard error, beyond it.
         most_effects: at most so many are added.
         grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
@@ -44,6 +48,7 @@ class Rules:
     least_nats: float = 6.0
     least_t: float = 2.0
     keep_nats: float = 2.0
+    bounded_nats: float = 2.0
     tie_nats: float = 4.0
     most_effects: int = 4
     grid_pings: int = 400
@@ -128,8 +133,9 @@ class Search:
         if name not in self._clocked:
             few = self.grid.select(self.grid.block < 2)
             conditions = replace(few.conditions, time=few.conditions.time.requires_grad_())
-            middle, _ = direct_median(Stack({name: {}}, extra=self.base.extra).model.law_of(conditions))
-            self._clocked[name] = middle.requires_grad
+            state = Stack({name: {}}, extra=self.base.extra).model.state(conditions)
+            moved = [state.offset, *(part for path in state.paths for part in (path.length, path.lag))]
+            self._clocked[name] = any(part.requires_grad for part in moved)
         return self._clocked[name]
 
     def keys(self, names: Sequence[str]) -> tuple[Key, ...]:
@@ -155,7 +161,7 @@ class Search:
     def points(self, stack: Stack, name: str) -> list[tuple[float, Stack]]:
         """Return the starting points of an effect with their log likelihoods on the grid batch, best first."""
         rng = np.random.default_rng([self.seed, zlib.crc32(name.encode())])
-        starts = starting_points(stack, name, self.grid, rng)
+        starts = starting_points(stack, name, self.grid, rng, whole=self.discover)
         scored = [(float(log_likelihood(s, self.grid).sum()), k, s) for k, s in enumerate(starts)]
         # a sharp law sees no point of a coarse grid: a few steps from the present values show where it would go
         stepped = maximise(starts[0], self.keys([name]), self.grid, STEPS, np.inf)
@@ -178,27 +184,48 @@ class Search:
         held = self.base.values.get(name, {})
         return {p.name: held.get(p.name, p.null) for p in self.base.known[name].parameters}
 
-    def cross(self, stack: Stack, chosen: Sequence[str], nuisances: Sequence[Key] = NUISANCES) -> Crossed:
-        """Fit a hypothesis on either part, score it on the other."""
-        free = (*self.keys(chosen), *nuisances)
-        first = maximise(stack, free, self.discover)
-        second = maximise(first.stack, free, self.confirm)
+    def cross(
+        self, stack: Stack, chosen: Sequence[str], nuisances: Sequence[Key] = NUISANCES, near: Crossed | None = None
+    ) -> Crossed:
+        """Fit a hypothesis on either part, score it on the other.
+
+        Args:
+            stack: values of the chosen effects to begin from; of everything else too, where `near` is not given.
+            chosen: effects of the hypothesis.
+            nuisances: what is free besides.
+            near: the hypothesis that it will be compared with: what both share begins where that one ended, so that
+                the difference is the effect's and not that of another summit among the nuisances.
+        """
+        keys = self.keys(chosen)
+        free = (*keys, *nuisances)
+        first = maximise(stack if near is None else _carried(near.first.stack, stack, keys), free, self.discover)
+        start = first.stack if near is None else _carried(near.second.stack, first.stack, (*keys, *SHARED))
+        # what cells share is a property of the sonar: the smaller part is too small to say it alone
+        second = maximise(start, [key for key in free if key not in SHARED], self.confirm)
         on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
         on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
         return Crossed(first, second, np.r_[on_discover, on_confirm])
 
     def contribution(self, chosen: Sequence[str], cross: Crossed, name: str) -> tuple[Floats, Crossed]:
         """Return what one effect adds to the others, nats by block, and the explanation without it."""
-        others = [other for other in chosen if other != name]
-        without = self.cross(self.reset(cross.first.stack, name), others)
+        without = self.without(chosen, cross, name)
         return cross.nats - without.nats, without
 
-    def believable(self, gain: Floats) -> bool:
-        """Tell whether gains by block are more than chance, and not the work of one block."""
-        total, error = gain.sum(), spread_over_blocks(gain)
+    def without(self, chosen: Sequence[str], cross: Crossed, name: str) -> Crossed:
+        """Return an explanation fitted anew without one of its effects."""
+        first, second = (replace(fit, stack=self.reset(fit.stack, name)) for fit in (cross.first, cross.second))
+        return self.cross(first.stack, [n for n in chosen if n != name], near=Crossed(first, second, cross.nats))
+
+    def believable(self, gain: Floats, first: bool = False) -> bool:
+        """Tell whether gains by block are more than chance, and not the work of one block.
+
+        Of the first effect alone it is enough if bounded gains say so: what follows it leans on what it left over.
+        """
+        total, enough, most = gain.sum(), self.rules.least_nats, self.rules.bounded_nats
         without_best = total - gain.max(initial=0.0)
-        enough = self.rules.least_nats
-        return bool(total > enough and total > self.rules.least_t * error and without_best > 0.3 * enough)
+        looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
+        sure = any(g.sum() > self.rules.least_t * spread_over_blocks(g) for g in looks)
+        return bool(total > enough and sure and without_best > 0.3 * enough)
 
     def round(self, chosen: list[str], current: Crossed) -> tuple[str, Crossed] | None:
         """Return the effect that gains most given the chosen ones, or None when none is believed."""
@@ -215,7 +242,7 @@ class Search:
         crossed: dict[str, Crossed] = {}
         for name in best[: self.rules.crossed]:
             if screened[name] > 1.0:
-                crossed[name] = self.cross(fits[name].stack, [*chosen, name])
+                crossed[name] = self.cross(fits[name].stack, [*chosen, name], near=current)
         winner = self._judge(chosen, current, screened, crossed)
         rest = {name: grids[name][0][0] - here for name in order[self.rules.fitted :]}
         self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
@@ -226,7 +253,7 @@ class Search:
     ) -> str | None:
         """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
         gains = {name: c.nats - current.nats for name, c in crossed.items()}
-        good = [name for name in gains if self.believable(gains[name])]
+        good = [name for name in gains if self.believable(gains[name], not chosen)]
         winner = self.simplest(good, gains)
         for name, nats in screened.items():
             gain = gains.get(name)
@@ -264,7 +291,7 @@ class Search:
         for name in chosen[:-1]:
             others = [other for other in chosen if other != name]
             start = self.points(self.reset(current.first.stack, name), name)
-            crossed = self.cross(self.climbed(start, others, name).stack, chosen)
+            crossed = self.cross(self.climbed(start, others, name).stack, chosen, near=current)
             if crossed.nats.sum() > current.nats.sum():
                 current = crossed
         return current
@@ -280,9 +307,9 @@ class Search:
         one by one, neither would be found.
         """
         fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
-        crossed = self.cross(fitted.stack, [THRESHOLD])
+        crossed = self.cross(fitted.stack, [THRESHOLD], near=base)
         gain = crossed.nats - base.nats
-        good = self.believable(gain)
+        good = self.believable(gain, first=True)
         told = "added first: echoes are missed" if good else "not more than chance"
         self.attempts.append(Attempt(THRESHOLD, (), np.nan, float(gain.sum()), spread_over_blocks(gain), told))
         return ([THRESHOLD], crossed) if good else ([], base)
@@ -291,13 +318,18 @@ class Search:
         """Drop what a later effect made needless."""
         for name in list(chosen[:-1]):
             others = [n for n in chosen if n != name]
-            without = self.cross(self.reset(current.first.stack, name), others)
+            without = self.without(chosen, current, name)
             loss = current.nats - without.nats
             if loss.sum() < self.rules.keep_nats:
                 nats, error = float(loss.sum()), spread_over_blocks(loss)
                 self.attempts.append(Attempt(name, tuple(others), np.nan, nats, error, "dropped again"))
                 chosen, current = others, without
         return chosen, current
+
+
+def _carried(shared: Stack, own: Stack, keys: Sequence[Key]) -> Stack:
+    """Return one stack with the values that another has at some keys."""
+    return shared.put(keys, [own.get(key) for key in keys])
 
 
 def spread_over_blocks(gain: Floats) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from noise.discrepancy.locate import Finding
+from noise.discrepancy.matched import Matched
 from noise.discrepancy.next_measurement import Measurement
 from noise.discrepancy.search import Attempt
 
@@ -116,6 +117,7 @@ class Verdict:
     next_measurement: tuple[Measurement, ...]
     baseline_check: BaselineCheck
     attempts: tuple[Attempt, ...]
+    matched: Matched | None = None
 
     @property
     def mismatch(self) -> bool:
@@ -143,6 +145,13 @@ class Verdict:
                 "describes_simulation": self.baseline_check.describes_simulation,
                 "p_value": _plain(self.baseline_check.p_value),
                 "note": self.baseline_check.note,
+            },
+            "matched_cells": None
+            if self.matched is None
+            else {
+                "cells": self.matched.cells,
+                "p_value": _plain(self.matched.p_value),
+                "shift_mm": _plain(MM_COLUMNS * self.matched.shift_m),
             },
             "tried": [_attempt(attempt) for attempt in self.attempts],
         }

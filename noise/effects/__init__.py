@@ -1,8 +1,8 @@
 """The catalogue of effects: one literal table, by id."""
 
-from noise.effects.base import Atom, Conditions, Effect, Parameter, Path, Stage, State
-from noise.effects.interping import PreviousPing, SynchronousCrosstalk
-from noise.effects.link import DroppedReading, NoiseBurst, Spike, StaleRepeat, Stuck
+from noise.effects.base import Atom, Conditions, Effect, Parameter, Path, Seen, Stage, State
+from noise.effects.interping import AsynchronousCrosstalk, PreviousPing, SynchronousCrosstalk
+from noise.effects.link import CorruptedByte, DroppedReading, NoiseBurst, Spike, StaleRepeat, Stuck
 from noise.effects.medium import AirAbsorption, Scintillation, SoundSpeed, ThermalDrift
 from noise.effects.mounting import BaselineParallax, BeamWidth, Boresight, PivotOffset
 from noise.effects.receiver import (
@@ -11,6 +11,7 @@ from noise.effects.receiver import (
     FalseAlarm,
     Quantisation,
     RangeGate,
+    RearmDeadTime,
     RingDown,
     Sensitivity,
     TimeWalk,
@@ -52,6 +53,7 @@ CATALOGUE: dict[str, type[Effect]] = {
     "time_walk": TimeWalk,
     "cycle_slip": CycleSlip,
     "ring_down": RingDown,
+    "rearm_dead_time": RearmDeadTime,
     "false_alarm": FalseAlarm,
     "quantisation": Quantisation,
     "range_gate": RangeGate,
@@ -59,11 +61,13 @@ CATALOGUE: dict[str, type[Effect]] = {
     "warm_up": WarmUp,
     "previous_ping": PreviousPing,
     "synchronous_crosstalk": SynchronousCrosstalk,
+    "asynchronous_crosstalk": AsynchronousCrosstalk,
     "dropped_reading": DroppedReading,
     "stale_repeat": StaleRepeat,
     "stuck": Stuck,
     "spike": Spike,
     "noise_burst": NoiseBurst,
+    "corrupted_byte": CorruptedByte,
 }
 
-__all__ = ["CATALOGUE", "Atom", "Conditions", "Effect", "Parameter", "Path", "Stage", "State"]
+__all__ = ["CATALOGUE", "Atom", "Conditions", "Effect", "Parameter", "Path", "Seen", "Stage", "State"]

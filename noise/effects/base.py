@@ -16,7 +16,9 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import ClassVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
@@ -187,6 +189,7 @@ class State:
         scale, offset: register = scale * exact range + offset (1 and m).
         gate: greatest exact range that is listened to, m.
         step: step to which the register rounds beyond its resolution, m; 0 for none.
+        deaf: exact range before which arrivals are not registered, m; None hears from the start.
         atoms: replacements, applied in order.
     """
 
@@ -199,6 +202,7 @@ class State:
     offset: Tensor
     gate: Tensor
     step: float = 0.0
+    deaf: Tensor | None = None
     atoms: tuple[Atom, ...] = ()
 
     @property
@@ -252,6 +256,21 @@ def direct_path(conditions: Conditions) -> Path:
     return new_path("direct", distance, wall_level_db(distance), bearing=conditions.angle)
 
 
+@dataclass(frozen=True)
+class Seen:
+    """Readings that were heard, for guesses: arrays (n,) of distance, m, time, s, and range, m."""
+
+    distance: NDArray[np.float64]
+    time: NDArray[np.float64]
+    range: NDArray[np.float64]
+
+    @property
+    def early(self) -> Seen:
+        """Return those that came clearly before the target's."""
+        keep = self.range < 0.9 * self.distance - 0.05
+        return Seen(self.distance[keep], self.time[keep], self.range[keep])
+
+
 class Effect(ABC):
     """One piece of physics with its parameters; subclasses state the class variables and `apply`."""
 
@@ -279,6 +298,11 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, state: State) -> State:
         """Return the state with this effect in it."""
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Return parameter values at which a fit of given readings should begin besides its usual starts."""
+        return []
 
     def statement(self) -> str:
         """Return one sentence of plain English with the numbers in it."""

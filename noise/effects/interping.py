@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Stage, State, new_path, wall_level_db
+from noise.effects.base import Effect, Parameter, Seen, Stage, State, new_path, wall_level_db
 from noise.effects.medium import ASSUMED_SPEED
 from noise.effects.target import presence
 
@@ -75,3 +78,82 @@ class SynchronousCrosstalk(Effect):
         v = self.values
         often = f"{100 * v['presence']:.3g} % of pings"
         return f"Another sonar's ping is read, over a way {v['other_m']:.2f} m long to the reflector, in {often}."
+
+
+TICK_S = 1e-3  # times of pings are logged no finer
+MOST_TICKS = 1 << 21
+SLOWEST_HZ, FASTEST_HZ = 0.5, 40.0  # of another sonar; ours
+
+
+class AsynchronousCrosstalk(Effect):
+    """Another sonar fires by a clock of its own: its burst arrives at first + k period, whatever this one does.
+
+    Range c/2 ((first - t) mod period): drifts from ping to ping by the difference of both intervals, and competes with
+    the echo, so that only earlier readings are seen. Without the time of each ping it is a false alarm like any other.
+    """
+
+    name = "asynchronous_crosstalk"
+    stage = Stage.PATHS
+    summary = "Another sonar, firing by its own clock, is taken for the echo"
+    parameters = (
+        presence(0.5),
+        Parameter("period_s", "s", 0.1, 0.02, 2.0, "ranging 65 ms and host loops; wider: ours", (0.0713,)),
+        Parameter("first_s", "s", 0.0, 0.0, 2.0, "phase of the other clock: ours", (0.0,)),
+        Parameter("spread_m", "m", 0.05, 0.002, 0.5, "times logged to 1 ms are 0.17 m: ours", (0.1,)),
+    )
+    presence: Tensor
+    period_s: Tensor
+    first_s: Tensor
+    spread_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Add its burst; what the clock says is time, not way, so warm air does not stretch it."""
+        late = torch.remainder(self.first_s - state.conditions.time, self.period_s) * (ASSUMED_SPEED / 2.0)
+        path = new_path("another clock", late, wall_level_db(torch.ones_like(late)), self.presence)
+        return state.with_path(replace(path, length=torch.zeros_like(late), lag=late, spread=self.spread_m))
+
+    def statement(self) -> str:
+        """Return its period."""
+        v = self.values
+        often = f"{100 * v['presence']:.3g} % of its bursts"
+        return f"Another sonar, firing every {1000 * v['period_s']:.2f} ms, is taken for the echo, by {often}."
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Return the clock to which the arrivals of early readings keep best: the peak of their spectrum."""
+        early = seen.early
+        if len(early.time) < 8:
+            return []
+        late = 2.0 * early.range / ASSUMED_SPEED
+        period = 1.0 / _beat(early.time - early.time.min(), late)
+        turn = np.angle(np.exp(2j * np.pi * (early.time + late) / period).sum()) / (2.0 * np.pi)
+        return [{"presence": 0.5, "period_s": float(period), "first_s": float(turn % 1.0 * period), "spread_m": 0.1}]
+
+
+def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
+    """Return the frequency to which arrivals `since + late` keep, Hz, beyond what the times of asking bring along."""
+    length = float(since.max() + late.max()) + 1.0
+    tick = max(TICK_S, length / MOST_TICKS)
+    size = next_fast_len(4 * (int(length / tick) + 1), real=True)
+    arrived, asked, lag = (
+        rfft(np.bincount(np.rint(t / tick).astype(np.int64), minlength=size)) for t in _parts(since, late)
+    )
+    height = np.abs(arrived - asked * lag / len(since))
+    frequency = np.arange(len(height)) / (size * tick)
+    height[(frequency < SLOWEST_HZ) | (frequency > FASTEST_HZ)] = 0.0
+    # every multiple of a clock's frequency is as high as the clock's own, and one may stand out of the asking better
+    top = frequency[int(np.argmax(height))]
+    fine = [_sharpened(top / k, since + late, length) for k in range(1, 7) if top / k > SLOWEST_HZ]
+    most = max(kept for _, kept in fine)
+    return min(found for found, kept in fine if kept > 0.9 * most)
+
+
+def _sharpened(frequency: float, arrival: NDArray[np.float64], length: float) -> tuple[float, float]:
+    """Return the frequency near one given to which arrivals keep best, Hz, and how well they do, 0 to their number."""
+    near = frequency + np.linspace(-1.0, 1.0, 401) / (2.0 * length)
+    kept = np.abs(np.exp(2j * np.pi * near[:, None] * arrival).sum(axis=1))
+    return float(near[np.argmax(kept)]), float(kept.max())
+
+
+def _parts(since: NDArray[np.float64], late: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    return since + late, since, late

@@ -138,3 +138,48 @@ class NoiseBurst(Effect):
         """Return how far and how often."""
         v = self.values
         return f"{self.summary}, by {1000 * v['sigma_m']:.0f} mm, in {100 * v['probability']:.3g} % of pings."
+
+
+class CorruptedByte(Effect):
+    """With `probability` one bit of the register is read wrong: the count changes by a power of two.
+
+    Which bit is as likely as any other; the count goes up as often as down, where it can.
+    """
+
+    name = "corrupted_byte"
+    stage = Stage.SEQUENCE
+    summary = "Now and then a bit of the reading is wrong: it is off by a power of two"
+    parameters = (
+        Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: ours", (0.03,)),
+        Parameter("unit_m", "m", 0.01, 1e-4, 0.03, "what the register counts: cm, inch, us", (0.01, 0.0254, 1.7241e-4)),
+    )
+    bits = 16
+    probability: Tensor
+    unit_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Mix in readings a power of two beside where the direct echo reads; none below zero."""
+        centre = state.scale * (state.direct.length + _mean_level(state.direct.lag)) + state.offset
+        power = 2.0 ** torch.arange(self.bits, dtype=torch.float64)[:, None] * self.unit_m
+        places = torch.cat([centre + power, centre - power])
+        sigma = torch.sqrt(state.direct.spread**2 + (self.unit_m / 2.0) ** 2)
+        allowed = (places > 0).to(torch.float64)
+        share = allowed / allowed.sum(dim=0)
+
+        def cdf(edge: Tensor) -> Tensor:
+            edge = edge.unsqueeze(-2)
+            below = ndtr(-torch.clamp(places, min=0.0) / sigma)  # those below zero are not allowed anyway
+            inside = (ndtr((edge - places) / sigma) - below) / (1.0 - below)
+            return (share * torch.clamp(inside, 0.0, 1.0)).sum(dim=-2)
+
+        zero = number(0.0)
+        return state.with_atom(Atom(self.probability, cdf, zero, zero))
+
+    def statement(self) -> str:
+        """Return how often."""
+        return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
+
+
+def _mean_level(lag: Tensor) -> Tensor:
+    """Return a lag averaged over the latent level's nodes where it depends on them."""
+    return lag.mean(dim=0) if lag.ndim == 2 else lag

@@ -201,7 +201,7 @@ class RingDown(Effect):
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 1.0, "ours", (0.2,)),
         Parameter("range_m", "m", 0.1, 0.005, 0.8, "end of blanking to 0.8 m", (0.05, 0.25)),
-        Parameter("decay_m", "m", 0.047, 0.003, 0.2, "c tau / 2, tau 220 to 460 us; wider: ours", (0.04,)),
+        Parameter("decay_m", "m", 0.047, 0.0005, 0.2, "c tau / 2, tau 220 to 460 us; wider: ours", (0.04,)),
     )
     probability: Tensor
     range_m: Tensor
@@ -217,6 +217,29 @@ class RingDown(Effect):
         """Return where and how often."""
         v = self.values
         return f"{self.summary} from {1000 * v['range_m']:.0f} mm on, in {100 * v['probability']:.3g} % of pings."
+
+
+class RearmDeadTime(Effect):
+    """After its own burst, as after any hit, the comparator is deaf until it is armed again: nearer arrivals are lost.
+
+    Not a lower limit of the reading: what comes later, from behind the target or by a longer way, is heard.
+    """
+
+    name = "rearm_dead_time"
+    stage = Stage.DETECTOR
+    summary = "The receiver is armed late: nearer echoes are lost"
+    parameters = (
+        Parameter("deaf_m", "m", 0.0, 0.0, 1.2, "blanking 150-500 us, re-arming 1-4 ms: 0.03 to 0.7 m", (0.12, 0.5)),
+    )
+    deaf_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Close the ears until then."""
+        return replace(state, deaf=self.deaf_m)
+
+    def statement(self) -> str:
+        """Return how far."""
+        return f"The receiver is armed late: echoes from nearer than {100 * self.values['deaf_m']:.0f} cm are lost."
 
 
 class FalseAlarm(Effect):

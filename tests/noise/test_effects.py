@@ -7,15 +7,20 @@ import pytest
 import torch
 from scipy import stats
 
-from acquisition import EchoStatus, Ping, Reading, SettingError
+from acquisition import EchoStatus, Ping, Reading, Recording, SettingError
+from noise.cells import Batch
 from noise.effects import CATALOGUE, Conditions
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity
 from noise.effects.receiver import HALF_WAVE
+from noise.fit import best_of, log_likelihood
 from noise.physical import PhysicalModel
+from noise.stack import Stack
+from noise.starts import starting_points
 
 torch.set_num_threads(1)
 MEMBERS = pytest.mark.parametrize("name", CATALOGUE)
+FINE = {"period_s": 1e-11}  # a clock of 71 ms turns 35,000 times in the time that these pings take
 STEP, REACH = 0.01, 6.0  # a coarse register, so that whole laws can be summed
 
 
@@ -70,6 +75,18 @@ def some_readings():
     near = np.round((ping.distance + np.tile([-0.05, -0.01, 0.0, 0.02, 0.0, 0.0], 8)) / STEP) * STEP
     status = np.tile([1, 1, 1, 1, 0, 2], 8)
     return ping, past, Reading.of(np.where(status == 1, near, 0.0), status)
+
+
+DESIGNED = """sound_speed thermal_drift air_absorption scintillation beam_width boresight zero_offset pivot_offset
+specular_loss edge_diffraction perpendicular_foot background_reflector fixed_clutter multipath repeated_bounce
+sensitivity time_walk cycle_slip ring_down false_alarm rearm_dead_time quantisation range_gate clock_scale warm_up
+previous_ping synchronous_crosstalk asynchronous_crosstalk dropped_reading stale_repeat stuck spike noise_burst
+corrupted_byte"""
+
+
+def test_the_catalogue_holds_every_effect_that_can_be_named():
+    assert set(DESIGNED.split()) <= set(CATALOGUE)
+    assert len(CATALOGUE) >= 35
 
 
 @MEMBERS
@@ -167,7 +184,7 @@ def test_gradients_are_those_of_differences(name):
         inside = min(max(values[p.name], p.low + 1e-4 * (p.high - p.low)), p.high - 1e-4 * (p.high - p.low))
         leaf = torch.tensor(inside, dtype=torch.float64, requires_grad=True)
         # readings that the law all but excludes have steep logarithms: compare by central differences of a small step
-        h = 1e-6 * (p.high - p.low)
+        h = FINE.get(p.name, 1e-6) * (p.high - p.low)
         slope = float(torch.autograd.grad(total(**{p.name: leaf}), leaf)[0])
         difference = float(total(**{p.name: inside + h}) - total(**{p.name: inside - h})) / (2 * h)
         assert slope == pytest.approx(difference, rel=2e-3, abs=2e-3)
@@ -393,3 +410,57 @@ def test_warm_up_dies_away():
 def test_reflectance_of_a_tenth_costs_20_db():
     soft = CATALOGUE["reflectance_loss"](strength=1.0)
     assert level([soft], distance=1.0, reflectance=0.1) == pytest.approx(40.0)
+
+
+def test_deaf_ears_lose_what_is_near_but_not_what_follows():
+    late = CATALOGUE["rearm_dead_time"](deaf_m=0.5)
+    law = PhysicalModel([late]).law(Ping.of(distance=[0.45, 0.55]))
+    np.testing.assert_allclose(law.echo, [0.0, 1.0])
+    behind = CATALOGUE["background_reflector"](presence=1.0, behind_m=0.3, loss_db=10.0)
+    assert PhysicalModel([late, behind]).law(Ping.of(distance=0.45)).quantile(0.5)[0] == pytest.approx(0.75)
+
+
+def test_deaf_ears_hear_no_false_alarm_either():
+    stack = [CATALOGUE["rearm_dead_time"](deaf_m=0.5), CATALOGUE["false_alarm"](per_metre=0.2)]
+    law = PhysicalModel(stack).law(Ping.of(distance=[2.0, 2.0]))
+    np.testing.assert_allclose(law.cdf(np.array([0.499, 1.5])), [0.0, 1 - np.exp(-0.2)], atol=2e-4)
+
+
+def test_another_clock_is_early_by_what_the_intervals_differ():
+    other = CATALOGUE["asynchronous_crosstalk"](presence=1.0, period_s=0.07, first_s=0.01, spread_m=0.002)
+    law = PhysicalModel([other]).law(Ping.of(distance=[5.0] * 4, time=[0.0, 0.001, 0.065, 0.0701]))
+    expected = ASSUMED_SPEED / 2 * np.array([0.01, 0.009, 0.015, 0.0099])
+    np.testing.assert_allclose(law.quantile(0.5), expected, atol=0.001)
+
+
+def test_a_wrong_bit_moves_the_count_by_a_power_of_two():
+    model = PhysicalModel([CATALOGUE["corrupted_byte"](probability=0.5, unit_m=0.01)], 0.01, 11.0)
+    drawn = model.law(Ping.of(distance=np.full(2000, 1.5))).sample(np.random.default_rng(2))
+    off = np.abs(np.rint(drawn.range * 100) - 150)
+    moved = off[(off > 1) & (off < 900)]  # the register ends at 11 m
+    nearest = 2.0 ** np.rint(np.log2(moved))
+    assert np.mean(np.abs(moved - nearest) <= 1) > 0.98
+    # of 16 bits up and 8 down, none below zero, the lowest hide in the rounding and the highest in the register's end
+    assert len(moved) / len(drawn) == pytest.approx(0.5 * 16 / 24, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("rearm_dead_time", {"deaf_m": 0.62}),
+        ("asynchronous_crosstalk", {"presence": 0.6, "period_s": 0.0917, "first_s": 0.031, "spread_m": 0.02}),
+        ("corrupted_byte", {"probability": 0.08, "unit_m": 0.01}),
+    ],
+)
+def test_what_was_put_in_is_found_again(name, values):
+    rng = np.random.default_rng(5)
+    scatter = CATALOGUE["travel_time_jitter"](sigma_m=0.004)
+    ping = Ping.of(distance=rng.uniform(0.3, 4.0, 900), time=np.cumsum(rng.uniform(0.09, 0.11, 900)))
+    heard = PhysicalModel([scatter, CATALOGUE[name](**values)]).law(ping).sample(rng)
+    batch = Batch.of(Recording.of(ping, heard))
+    plain = Stack.of(PhysicalModel([scatter]))
+    keys = [(name, p.name) for p in CATALOGUE[name].parameters]
+    starts = sorted(starting_points(plain, name, batch, rng), key=lambda s: -log_likelihood(s, batch).sum())
+    found = best_of(starts[:2], keys, batch)
+    for key, value in values.items():
+        assert found.stack.get((name, key)) == pytest.approx(value, rel=0.25, abs=0.001)

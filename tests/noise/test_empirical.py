@@ -8,7 +8,7 @@ from noise import load_model, save_model
 from noise.discrepancy.emulate import folded
 from noise.effects import CATALOGUE
 from noise.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, interpolate
-from noise.fit import Stack
+from noise.stack import Stack
 
 
 def test_interpolation_is_numpys():

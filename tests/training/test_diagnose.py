@@ -3,18 +3,20 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 
 import sonar_gym  # noqa: F401  (registers the environment)
-from acquisition import Ping, Recording
+from acquisition import Ping, Recording, SettingError
 from noise import load_model
 from noise.discrepancy.verdict import Interval
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
 from training.cli import main
+from training.diagnose import simulator_of
 from training.report import certainty, interval
 
 
@@ -58,7 +60,7 @@ def test_the_verdict_file_holds_the_offset(finished):
 def test_the_page_stands_alone(finished):
     page = (finished[0] / "report.html").read_text()
     assert len(page) < 1_500_000
-    assert page.count("<svg") == 7
+    assert page.count("<svg") == 8
     links = [part.split('"')[0] for part in page.split('href="')[1:] + page.split('src="')[1:]]
     assert all(link.startswith(("#", "data:")) for link in links)
     assert "<script" not in page
@@ -116,3 +118,15 @@ def test_numbers_are_printed_with_their_unit():
     assert interval(Interval(24.1, 23.6, 24.6, "degC")) == "24.1 degC (23.6 to 24.6)"
     assert "one recording in 1,000" in certainty(0.001)
     assert "no larger than chance" in certainty(0.5)
+
+
+def test_a_function_of_ones_own_is_a_simulator(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(
+        "def sonar(pings, rng):\n    return pings.distance + rng.normal(0, 0.003, len(pings))\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert simulator_of(Path("mine:sonar"))(Ping.of(distance=[1.0]), np.random.default_rng(0)).shape == (1,)
+    assert simulator_of(Path("mine.csv")) is None
+    for wrong in ("mine:nothing", "nowhere:sonar"):
+        with pytest.raises(SettingError, match="module:function"):
+            simulator_of(Path(wrong))

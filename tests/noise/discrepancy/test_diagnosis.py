@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition import Ping, Reading, Recording
+from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
 from noise.discrepancy import VERDICTS, diagnose
 from noise.effects import CATALOGUE
@@ -189,3 +189,34 @@ def test_centimetre_readings_without_time_or_session():
     effect = found.to_verdict()["effects"][0]
     assert effect["effect"] == "zero_offset"
     assert effect["parameters"]["offset_m"]["value"] == pytest.approx(0.03, abs=0.004)
+
+
+def test_a_function_is_a_simulator_too():
+    plain = model_of()
+    recorded = heard(11, zero_offset={"offset_m": 0.02})
+
+    def simulator(pings, rng):
+        return simulate(plain, pings, rng)
+
+    verdict = diagnose(simulator, recorded, seed=2).to_verdict()
+    check_schema(verdict)
+    assert verdict["effects"][0]["effect"] == "zero_offset"
+    assert verdict["effects"][0]["parameters"]["offset_m"]["value"] == pytest.approx(0.02, abs=0.003)
+    assert verdict["matched_cells"]["cells"] >= 50
+    assert verdict["matched_cells"]["shift_mm"] == pytest.approx(20.0, abs=4.0)
+
+
+@pytest.mark.parametrize(
+    "answer", [lambda p, r: p.distance[:-1], lambda p, r: p.distance * np.nan, lambda p, r: Reading.of([1.0])]
+)
+def test_a_simulator_that_answers_amiss_is_told_so(answer):
+    with pytest.raises(ModelError, match="simulator"):
+        diagnose(answer, heard(1, cells=20, pings=2))
+
+
+def test_coarser_steps_are_named():
+    fine, coarse = heard(21), heard(22)
+    rounded = Reading.of(np.round(coarse.reading.range, 2))
+    verdict = diagnose(IdealModel(), Recording.of(coarse.ping, rounded), simulated=fine, seed=1).to_verdict()
+    step = next(e for e in verdict["effects"] if e["effect"] == "quantisation")
+    assert step["parameters"]["step_m"]["value"] == pytest.approx(0.01)

@@ -7,11 +7,12 @@ from scipy import stats
 
 from acquisition import Ping, Recording
 from noise.cells import Batch
-from noise.discrepancy.locate import locate, residuals, scan
+from noise.discrepancy.locate import locate, scan
+from noise.discrepancy.residuals import residuals
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
-from noise.fit import Stack
 from noise.physical import PhysicalModel
+from noise.stack import Stack
 
 torch.set_num_threads(1)
 STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "cells": {"placement_m": 0.003}})

@@ -1,0 +1,1 @@
+"""Development trials of the diagnosis: causes concealed in recordings of the rig, and the table of what was said."""

@@ -1,0 +1,104 @@
+"""Where a fit should begin: the catalogue's own starts, what the data show, and a quasi-random design."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import qmc
+
+from noise.cells import Batch
+from noise.effects import Parameter, Seen
+from noise.law import Floats
+from noise.stack import CELLS, JITTER, LINK, Stack
+
+
+def extra_modes(batch: Batch, most: int = 3) -> list[float]:
+    """Return lengths that explain clusters of readings away from the true distance, m: offsets, then fixed ranges."""
+    echo = batch.reading.echo
+    error = batch.error[echo]
+    far = np.abs(error) > np.maximum(0.06, 0.05 * batch.ping.distance[echo])
+    return [*_peaks(error[far], most), *_peaks(batch.reading.range[echo][far], most)]
+
+
+def _peaks(value: Floats, most: int, bin_m: float = 0.05) -> list[float]:
+    """Return the centres of the fullest bins of a sample, fullest first."""
+    if len(value) < 4:
+        return []
+    place, count = np.unique(np.rint(value / bin_m), return_counts=True)
+    fullest = np.argsort(-count, kind="stable")[:most]
+    return [float(place[k] * bin_m) for k in fullest if count[k] >= 4]
+
+
+def starting_points(
+    stack: Stack, name: str, batch: Batch, rng: np.random.Generator, design: int = 8, whole: Batch | None = None
+) -> list[Stack]:
+    """Return stacks with an effect switched on in different ways.
+
+    Starts of the catalogue, lengths where the data show extra modes, and a Sobol design over the bounds; the effect's
+    present values are among them.
+
+    Args:
+        stack: to begin from; holds the effect at its present values or not at all.
+        name: of the effect.
+        batch: whose extra modes to use.
+        rng: shifts the design.
+        design: number of its points, a power of two.
+        whole: readings that an effect's own guesses are made from; `batch` if not given.
+    """
+    keys = [(name, p.name) for p in stack.known[name].parameters]
+    columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
+    first = [column[0] for column in columns]
+    points = [[stack.get(key) for key in keys], first]
+    for j, column in enumerate(columns):
+        points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
+    points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(_seen(whole or batch))]
+    sobol = qmc.Sobol(len(keys), rng=rng).random(design)
+    points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
+    return [stack.put(keys, point) for point in points]
+
+
+def _seen(batch: Batch) -> Seen:
+    echo = batch.reading.echo
+    return Seen(batch.ping.distance[echo], batch.ping.time[echo], batch.reading.range[echo])
+
+
+def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:
+    lengths = [m for m in modes if p.unit == "m" and p.high - p.low > 0.3 and p.low <= m <= p.high]
+    starts = [s for s in p.starts if s != p.null] or [present]
+    return list(dict.fromkeys([*starts, *lengths]))
+
+
+def _spread(p: Parameter, u: float) -> float:
+    """Return a value between the bounds: evenly, in the logarithm where they span more than two decades."""
+    if p.low > 0 and p.high / p.low > 100.0:
+        return float(p.low * (p.high / p.low) ** u)
+    if p.null in (p.low, p.high):
+        return float(p.null + (p.high + p.low - 2.0 * p.null) * u**2)
+    # small effects are likelier than large ones, and a sharp law sees no further than its own width
+    v = 2.0 * u - 1.0
+    return float(p.null + abs(v) ** 3 * ((p.high - p.null) if v > 0 else (p.low - p.null)))
+
+
+def nuisance_start(stack: Stack, batch: Batch) -> Stack:
+    """Return the stack with nuisances where a robust look at the errors puts them, wide enough to climb from."""
+    echo = batch.reading.echo
+    middle = np.zeros(len(batch)) if not echo.any() else stack.model.law(batch.ping, batch.past).quantile(0.5)
+    known = echo & (middle > 0)
+    error = np.abs(batch.reading.range - middle)[known]
+    robust = 1.4826 * float(np.median(error)) if len(error) else 0.005
+    size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
+    wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (CELLS, "placement_m"): 0.5 * size}
+    shared = {(CELLS, "sharing"): 0.02, (CELLS, "carry"): 0.1, (CELLS, "kernel_m"): max(0.004, batch.resolution / 3.0)}
+    shared[LINK] = 0.0 if batch.twin is None else 0.5
+    start = {**wide, **shared}
+    return stack.put(list(start), np.minimum(list(start.values()), 0.19))
+
+
+def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
+    """Return starts for cells that share little, for cells that repeat themselves, and what the stack says already."""
+    loose = nuisance_start(stack, batch)
+    tight = {(JITTER, "sigma_m"): 0.5 * loose.get((JITTER, "sigma_m")), (CELLS, "sharing"): 1.5, (CELLS, "carry"): 0.5}
+    tight[(CELLS, "kernel_m")] = max(0.001, batch.resolution / 3.0)
+    present = [stack] if CELLS in stack.values else []
+    return [loose, loose.put(list(tight), list(tight.values())), *present]
