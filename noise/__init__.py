@@ -14,6 +14,7 @@ _LAZY = {
     "PhysicalModel": "noise.physical",
     "CATALOGUE": "noise.effects",
     "MlpModel": "noise.networks",
+    "Faulty": "noise.faults",
     "diagnose": "noise.discrepancy",
 }
 
@@ -22,6 +23,7 @@ __all__ = [
     "ConditionPrior",
     "CredenceTable",
     "EchoLaw",
+    "Faulty",
     "GaussianModel",
     "IdealModel",
     "MlpModel",

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
-from scipy.special import expit, log_expit
+from scipy.special import expit, log_expit, logit
 
 from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
 from noise.law import EchoLaw, Floats
@@ -28,6 +29,8 @@ from noise.law import EchoLaw, Floats
 WEIGHTS_FILE = "weights.safetensors"
 HEADER_BYTES = 65_536  # more than a safetensors header of ours takes
 FLOOR = 1e-5  # least share of each outcome: a network is never certain
+# looking a member up costs more than drawing eight numbers
+_NO_ECHO, _ECHO, _NO_ANSWER = (int(EchoStatus[name]) for name in ("NO_ECHO", "ECHO", "NO_ANSWER"))
 UNIT_M = 0.01  # m; scale of the network's numbers for places and widths
 HALF_IGNORANT = 0.25  # excess at which half of the law is ignorance
 WIDENING = 10.0  # growth of every width per unit of excess
@@ -87,17 +90,19 @@ class MixtureLaw(EchoLaw):
     def sample(self, rng: np.random.Generator) -> Reading:
         """Draw a reading for each ping: one number picks the outcome, one the place within it."""
         which, where = rng.random((2, len(self)))
-        edges = self.answer_rate * np.cumsum(self.share, axis=0)
-        outcome = (which >= edges).sum(axis=0)  # C: the uniform, C + 1: silence, beyond: no answer
-        peak = np.minimum(outcome, len(self.centre) - 1)
-        column = np.arange(len(self))
-        tiny = np.finfo(float).tiny
-        logit = np.log(np.maximum(where, tiny)) - np.log1p(-where)
-        from_peak = self.centre[peak, column] + self.scale[peak, column] * logit
+        edges = self.answer_rate * self.share.cumsum(axis=0)
+        edges[-1] = self.answer_rate  # whatever the shares' sum is rounded to
+        outcome = (which >= edges).sum(axis=0)  # C: the uniform, C + 1: silence, C + 2: no answer
+        peak, column = np.minimum(outcome, len(self.centre) - 1), np.arange(len(self))
+        from_peak = self.centre[peak, column] + self.scale[peak, column] * logit(where)
         place = np.where(outcome < len(self.centre), from_peak, where * self.max_range)
-        status = np.where(outcome <= len(self.centre), EchoStatus.ECHO, EchoStatus.NO_ECHO)
-        status = np.where(which >= self.answer_rate, EchoStatus.NO_ANSWER, status)
-        return Reading.of(np.where(status == EchoStatus.ECHO, self.step(place) * self.resolution, 0.0), status)
+        step = _within(np.rint(place / self.resolution), 1, self.last_step)
+        return Reading(np.where(outcome <= len(self.centre), step * self.resolution, 0.0), self._status[outcome])
+
+    @property
+    def _status(self) -> NDArray[np.uint8]:
+        """Status of each outcome, (C + 3,)."""
+        return np.array([_ECHO] * (len(self.centre) + 1) + [_NO_ECHO, _NO_ANSWER], dtype=np.uint8)
 
 
 def _within(x: Floats, low: Floats | float, high: Floats | float) -> Floats:
