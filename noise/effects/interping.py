@@ -142,10 +142,10 @@ def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
     frequency = np.arange(len(height)) / (size * tick)
     height[(frequency < SLOWEST_HZ) | (frequency > FASTEST_HZ)] = 0.0
     # every multiple of a clock's frequency is as high as the clock's own, and one may stand out of the asking better
-    top = frequency[int(np.argmax(height))]
-    fine = [_sharpened(top / k, since + late, length) for k in range(1, 7) if top / k > SLOWEST_HZ]
+    top = max(float(frequency[int(np.argmax(height))]), SLOWEST_HZ)  # of a flat spectrum the first is the highest
+    fine = [_sharpened(top / k, since + late, length) for k in range(1, 7) if top / k >= SLOWEST_HZ]
     most = max(kept for _, kept in fine)
-    return min(found for found, kept in fine if kept > 0.9 * most)
+    return max(min(found for found, kept in fine if kept > 0.9 * most), SLOWEST_HZ)
 
 
 def _sharpened(frequency: float, arrival: NDArray[np.float64], length: float) -> tuple[float, float]:

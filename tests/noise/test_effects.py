@@ -9,7 +9,7 @@ from scipy import stats
 
 from acquisition import EchoStatus, Ping, Reading, Recording, SettingError
 from noise.cells import Batch
-from noise.effects import CATALOGUE, Conditions
+from noise.effects import CATALOGUE, Conditions, Seen
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity
 from noise.effects.receiver import HALF_WAVE
@@ -501,3 +501,11 @@ def test_what_was_put_in_is_found_again(name, values):
     found = best_of(starts[:2], keys, batch)
     for key, value in values.items():
         assert found.stack.get((name, key)) == pytest.approx(value, rel=0.25, abs=0.001)
+
+
+@pytest.mark.parametrize("pause", [0.0, 60.0, 1e6])
+def test_a_clock_is_guessed_within_its_bounds_however_few_early_readings_there_are(pause):
+    time = pause * np.arange(9.0)
+    seen = Seen(np.full(9, 4.0), time, np.full(9, 1.0))
+    for guess in CATALOGUE["asynchronous_crosstalk"].guesses(seen):
+        CATALOGUE["asynchronous_crosstalk"](**guess)
