@@ -46,7 +46,10 @@ def starting_points(
         design: number of its points, a power of two.
         whole: readings that an effect's own guesses are made from; `batch` if not given.
     """
-    keys = [(name, p.name) for p in stack.known[name].parameters]
+    every = stack.known[name].parameters
+    stack = stack.put([(name, p.name) for p in every], [stack.get((name, p.name)) for p in every])
+    logged = (whole or batch).ping.covariates
+    keys = [(name, p.name) for p in every if p.tellable(logged)]
     columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
     first = [column[0] for column in columns]
     points = [[stack.get(key) for key in keys], first]

@@ -18,6 +18,7 @@ from training.canvas import AFTER, BEFORE, INK, SOFT, Axes, TwoSlopeNorm, svg
 
 Floats = NDArray[np.float64]
 MOST_POINTS = 2500
+FEW_POINTS = 500  # below this, points are drawn larger
 DEG = np.pi / 180.0
 
 
@@ -54,7 +55,8 @@ def readings(before: Seen, after: Seen) -> str:
         rows = _sampled(len(batch))
         echo = batch.reading.echo[rows]
         distance, reading = batch.ping.distance[rows], batch.reading.range[rows]
-        axes.plot(distance[echo], reading[echo], ".", ms=3, color=INK, alpha=0.45, rasterized=True, label="recorded")
+        size = 3 if len(rows) > FEW_POINTS else 6
+        axes.plot(distance[echo], reading[echo], ".", ms=size, color=INK, alpha=0.45, rasterized=True, label="recorded")
         silent = distance[~echo]
         if len(silent):
             axes.plot(silent, np.zeros(len(silent)), "|", ms=7, color=SOFT, rasterized=True, label="no echo")
@@ -77,9 +79,8 @@ def errors(before: Seen, after: Seen) -> str:
         axes.axhline(0, color=SOFT, lw=0.8)
         for seen, colour, label in ((before, BEFORE, "model before"), (after, AFTER, "corrected model")):
             error = np.clip(seen.error_mm[rows], -limit, limit)
-            axes.plot(
-                seen.batch.ping.distance[rows], error, ".", ms=3, color=colour, alpha=0.4, rasterized=True, label=label
-            )
+            distance, size = seen.batch.ping.distance[rows], 3 if len(rows) > FEW_POINTS else 6
+            axes.plot(distance, error, ".", ms=size, color=colour, alpha=0.4, rasterized=True, label=label)
         axes.set(xlabel="true distance (m)", ylabel="reading - expected (mm)", ylim=(-limit * 1.05, limit * 1.05))
         axes.legend(loc="best", markerscale=3)
 
@@ -210,13 +211,14 @@ def all_figures(diagnosis: Diagnosis, seed: int = 0) -> dict[str, str]:
     before, after = (Seen.of(m, split.vault) for m in (diagnosis.shown_before, diagnosis.corrected))
     wide_before, wide_after = (Seen.of(m, split.whole) for m in (diagnosis.shown_before, diagnosis.corrected))
     limit = map_limit(wide_before, wide_after)
+    compared = any(np.isfinite(seen.error_mm).any() for seen in (before, after))  # of silence there is no error to draw
     return {
         "map_before": error_map(wide_before, "map_before", limit),
         "map_after": error_map(wide_after, "map_after", limit),
-        "along_time": along_time(wide_before, wide_after) if split.whole.timed else "",
+        "along_time": along_time(wide_before, wide_after) if split.whole.timed and compared else "",
         "readings": readings(before, after),
-        "errors": errors(before, after),
+        "errors": errors(before, after) if compared else "",
         "detection": detection(before, after),
         "credence": credence(before, after),
-        "calibration": calibration(before, after, seed),
+        "calibration": calibration(before, after, seed) if compared else "",
     }

@@ -29,12 +29,15 @@ BADGES = {
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in one or two sentences of plain English, with the number that matters."""
     verdict = diagnosis.verdict
+    if silent(diagnosis):
+        first = "check the sensor's power, gain and range setting, and what it points at, before anything else"
+        return f"Not one of {diagnosis.pings:,} pings brought an echo: {first}."
     if verdict.verdict == "none":
         held = verdict.held_out
         return f"The model agrees with the recording: its readings are {held.before.crps_mm:.1f} mm off on average."
     if verdict.verdict == "unknown":
         what = verdict.unknown.description or "; ".join(in_words(f) for f in verdict.where[:1])
-        what = what.replace(" (a description, not a cause)", "")
+        what = what.split(";")[0].replace(" (a description, not a cause)", "")
         return f"The recording differs from the model, and no known effect explains it: {what}."
     told = " ".join(named.statement for named in verdict.effects[:2])
     alike = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
@@ -43,6 +46,11 @@ def headline(diagnosis: Diagnosis) -> str:
     doubt = f" These data cannot tell this from {_list(alike)}." if verdict.verdict == "confounded" else ""
     rest = " Something smaller remains unexplained." if verdict.verdict == "named_with_rest" else ""
     return told + more + doubt + rest
+
+
+def silent(diagnosis: Diagnosis) -> bool:
+    """Tell whether no ping of the recording brought an echo."""
+    return not diagnosis.split.whole.reading.echo.any()
 
 
 def _list(names: list[str]) -> str:
@@ -89,7 +97,20 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "rivals": rival_rows(diagnosis),
         "tried": tried_rows(diagnosis),
         "catalogue": len(CATALOGUE),
+        "silent": silent(diagnosis),
+        "matched": matched(diagnosis),
     }
+
+
+def matched(diagnosis: Diagnosis) -> str:
+    """Return what positions that both files share say without any model; nothing where they share too few."""
+    found = diagnosis.verdict.matched
+    if found is None:
+        return ""
+    differ = (
+        f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.agrees else "do not differ beyond chance"
+    )
+    return f"Compared directly, without any model, the {found.cells} positions that both files share {differ}."
 
 
 def certainty(p_value: float) -> str:

@@ -139,8 +139,10 @@ class Search:
         return self._clocked[name]
 
     def keys(self, names: Sequence[str]) -> tuple[Key, ...]:
-        """Return the parameters of effects."""
-        return tuple((name, p.name) for name in names for p in self.base.known[name].parameters)
+        """Return the parameters of effects that these readings can tell."""
+        logged = self.both.ping.covariates
+        known = ((name, p) for name in names for p in self.base.known[name].parameters)
+        return tuple((name, p.name) for name, p in known if p.tellable(logged))
 
     def tell(self, message: str, share: float) -> None:
         """Report progress, where anybody listens."""

@@ -16,6 +16,7 @@ from noise.effects.receiver import (
     Sensitivity,
     TimeWalk,
     TravelTimeJitter,
+    Truncation,
     WarmUp,
     ZeroOffset,
 )
@@ -56,6 +57,7 @@ CATALOGUE: dict[str, type[Effect]] = {
     "rearm_dead_time": RearmDeadTime,
     "false_alarm": FalseAlarm,
     "quantisation": Quantisation,
+    "truncation": Truncation,
     "range_gate": RangeGate,
     "clock_scale": ClockScale,
     "warm_up": WarmUp,

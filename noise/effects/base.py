@@ -51,6 +51,8 @@ class Parameter:
         high: greatest plausible value.
         source: where formula and bounds come from; "ours" where they are ours.
         starts: values from which a fit should begin.
+        covariate: the logged condition without which it means nothing; "" for none.
+        span: how much the covariate must vary before the parameter can be told, in the covariate's unit.
     """
 
     name: str
@@ -60,6 +62,14 @@ class Parameter:
     high: float
     source: str
     starts: tuple[float, ...] = ()
+    covariate: str = ""
+    span: float = 0.0
+
+    def tellable(self, covariates: Mapping[str, NDArray[np.float64]]) -> bool:
+        """Return whether readings under these covariates, (n,) each, can say anything of the parameter."""
+        if not self.covariate:
+            return True
+        return self.covariate in covariates and bool(np.ptp(covariates[self.covariate]) >= self.span)
 
 
 @dataclass(frozen=True)

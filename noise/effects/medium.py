@@ -24,8 +24,17 @@ def sound_speed(temperature_c: Tensor) -> Tensor:
 ASSUMED_TEMPERATURE_C = CELSIUS * ((ASSUMED_SPEED / SPEED_AT_0C) ** 2 - 1.0)  # 22.8 degC: where 58 us/cm is true
 
 
+LOGGED = "temperature_c"  # covariate: a thermometer beside the sensor, degC
+REFERENCE_C = 20.0  # where `temperature_c` holds when a thermometer was logged
+LEAST_SWING_K = 3.0  # a log that varies less says nothing that its own error of 0.5 K would not; ours
+
+
 class SoundSpeed(Effect):
-    """Air at another temperature than the sensor assumes: range = distance * c(assumed) / c(true)."""
+    """Air at another temperature than the sensor assumes: range = distance * c(assumed) / c(true).
+
+    Where a thermometer was logged, the air was at temperature_c + logged_share (logged - 20 degC): a share of 1 is a
+    sensor that knows nothing of the temperature. No clock does that, which is how the two are told apart.
+    """
 
     name = "sound_speed"
     stage = Stage.MEDIUM
@@ -40,22 +49,38 @@ class SoundSpeed(Effect):
             "c = 331.3 sqrt(1+T/273.15)",
             (ASSUMED_TEMPERATURE_C,),
         ),
+        Parameter(
+            "logged_share",
+            "1",
+            0.0,
+            -0.5,
+            1.5,
+            "1 = uncompensated; wider: ours",
+            (0.0, 1.0),
+            covariate=LOGGED,
+            span=LEAST_SWING_K,
+        ),
     )
     temperature_c: Tensor
+    logged_share: Tensor
 
     def apply(self, state: State) -> State:
         """Stretch every path by the ratio of speeds; exactly 1 at the assumed temperature."""
-        ratio = ((CELSIUS + ASSUMED_TEMPERATURE_C) / (CELSIUS + self.temperature_c)) ** 0.5
+        logged = state.conditions.covariates.get(LOGGED)
+        beyond = 0.0 if logged is None else self.logged_share * (logged - REFERENCE_C)
+        kelvin = torch.clamp(CELSIUS + self.temperature_c + beyond, min=200.0)
+        ratio = ((CELSIUS + ASSUMED_TEMPERATURE_C) / kelvin) ** 0.5
         return state.map_paths(lambda path: replace(path, length=path.length * ratio))
 
     def statement(self) -> str:
         """Return the error as a share of distance and the temperature behind it."""
-        warm = self.values["temperature_c"]
+        warm, share = self.values["temperature_c"], self.values["logged_share"]
         error = ((CELSIUS + ASSUMED_TEMPERATURE_C) / (CELSIUS + warm)) ** 0.5 - 1.0
-        return (
-            f"Readings run {'long' if error >= 0 else 'short'} by {100 * abs(error):.2g} % of distance: "
-            f"the air was at {warm:.1f} degC, the sensor assumes {ASSUMED_TEMPERATURE_C:.1f} degC."
-        )
+        size = f"Readings run {'long' if error >= 0 else 'short'} by {100 * abs(error):.2g} % of distance"
+        if not share:
+            return f"{size}: the air was at {warm:.1f} degC, the sensor assumes {ASSUMED_TEMPERATURE_C:.1f} degC."
+        slope = -50.0 * share / (CELSIUS + warm)
+        return f"{size} in air of {warm:.1f} degC, and by {slope:+.2g} % for every kelvin that the thermometer rises."
 
 
 class AirAbsorption(Effect):

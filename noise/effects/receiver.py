@@ -279,6 +279,26 @@ class Quantisation(Effect):
         return f"{self.summary} of {1000 * self.values['step_m']:.1f} mm."
 
 
+class Truncation(Effect):
+    """The reading is cut to whole steps, as integer division does: step floor(range / step), half a step short."""
+
+    name = "truncation"
+    stage = Stage.REGISTER
+    summary = "Readings are cut down to whole steps"
+    parameters = (Parameter("step_m", "m", 0.0, 0.0, 0.2, "integer division to cm or inch, us / 58", (0.01, 0.0254)),)
+    step_m: Tensor
+
+    def apply(self, state: State) -> State:
+        """Round to the step what is half a step nearer."""
+        step = self.step_m.detach()
+        return replace(state, step=max(state.step, float(step)), offset=state.offset - step / 2.0)
+
+    def statement(self) -> str:
+        """Return the step and what it takes."""
+        step = 1000 * self.values["step_m"]
+        return f"{self.summary} of {step:.1f} mm: they run short by {step / 2:.1f} mm on average."
+
+
 class RangeGate(Effect):
     """Listening stops early: echoes from beyond `listen_m` are not heard."""
 

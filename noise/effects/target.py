@@ -141,7 +141,11 @@ class PerpendicularFoot(Effect):
 
 
 class BackgroundReflector(Effect):
-    """Something stands `behind_m` behind the reflector and answers where the reflector does not."""
+    """Something stands `behind_m` behind the reflector and answers where the reflector does not.
+
+    Its bearing is `follow` times the reflector's: a post behind it stands where the reflector does (1), a wall fills
+    the beam and answers at every angle (0).
+    """
 
     name = "background_reflector"
     stage = Stage.PATHS
@@ -150,16 +154,19 @@ class BackgroundReflector(Effect):
         presence(0.9),
         Parameter("behind_m", "m", 0.3, 0.02, 2.0, "stand of Esmi (2016): 0.3 m behind", (0.1, 0.3, 0.7)),
         Parameter("loss_db", "dB", 19.0, -10.0, 45.0, "post of 15 mm at 1.3 m: 19 dB below a wall", (5.0,)),
+        Parameter("follow", "1", 1.0, 0.0, 1.0, "0: a wall's mirror image is always on the beam; ours", (1.0, 0.0)),
     )
     presence: Tensor
     behind_m: Tensor
     loss_db: Tensor
+    follow: Tensor
 
     def apply(self, state: State) -> State:
         """Add the way to it."""
         length = state.conditions.distance + self.behind_m
         level_db = wall_level_db(length) - self.loss_db
-        return state.with_path(new_path("background", length, level_db, self.presence, state.conditions.angle))
+        bearing = self.follow * state.conditions.angle
+        return state.with_path(new_path("background", length, level_db, self.presence, bearing))
 
     def statement(self) -> str:
         """Return how far behind it stands."""

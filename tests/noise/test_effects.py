@@ -45,6 +45,7 @@ def conditions(copies=1):
         reflectance=[0.9, 0.1, 0.9, 0.5, 0.1, 0.9, 0.9, 0.9],
         time=np.linspace(30.0, 2500.0, 8),
         interval_s=[0.065, 0.04, 0.05, 0.06, 0.05, 0.065, 0.0, 0.055],
+        temperature_c=[5.0, 12.0, 18.0, 20.0, 24.0, 28.0, 31.0, 35.0],
     )
     past = Reading.of([0.3, 0.0, 1.3, 0.0, 2.5, 3.3, 4.2, 0.0], [1, 0, 1, 2, 1, 1, 1, 0])
     rows = np.repeat(np.arange(8), copies)
@@ -162,7 +163,7 @@ def test_gradients_are_finite(name, place):
     model = PhysicalModel([*ordinary(name), CATALOGUE[name](**leaves)], STEP, REACH)
     total = model.law_of(Conditions.of(ping, past)).log_prob_tensor(reading).sum()
     if not total.requires_grad:
-        assert name == "quantisation", "only a step may be without a derivative"
+        assert name in ("quantisation", "truncation"), "only a step may be without a derivative"
         return
     for gradient in torch.autograd.grad(total, list(leaves.values()), allow_unused=True):
         assert gradient is None or torch.isfinite(gradient)
@@ -170,7 +171,7 @@ def test_gradients_are_finite(name, place):
 
 @MEMBERS
 def test_gradients_are_those_of_differences(name):
-    if name in ("quantisation", "stuck"):
+    if name in ("quantisation", "truncation", "stuck"):
         pytest.skip("a place on the grid has no derivative, as its docstring says")
     ping, past, reading = some_readings()
     values = at_start(name).values
@@ -342,6 +343,16 @@ def test_the_way_behind_is_read_when_the_reflector_is_missed(effect, expected):
     assert law.quantile(0.5)[0] == pytest.approx(expected, abs=0.01)
 
 
+def test_a_wall_behind_answers_at_every_angle_and_a_post_only_in_the_beam():
+    beam, angle = CATALOGUE["beam_width"](ka=4.8), np.radians([0.0, 20.0])
+    loss = []
+    for follow in (0.0, 1.0):
+        behind = CATALOGUE["background_reflector"](presence=1.0, behind_m=0.4, follow=follow)
+        state = PhysicalModel([beam, behind]).state(Conditions.of(Ping.of(distance=[2.0] * 2, angle=angle)))
+        loss.append(float(state.paths[1].level_db[0].diff()[0]))
+    np.testing.assert_allclose(loss, [0.0, -6.2], atol=0.06)  # two-way loss of the beam at 20 deg
+
+
 def test_warm_air_stretches_the_way_of_a_previous_ping_but_not_the_interval():
     stack = [CATALOGUE["previous_ping"](presence=1.0, far_m=12.0), CATALOGUE["sound_speed"](temperature_c=0.0)]
     law = PhysicalModel(stack).law(Ping.of(distance=5.0, interval_s=0.06))
@@ -394,6 +405,32 @@ def test_quantised_readings_lie_on_the_steps():
     drawn = model.law(Ping.of(distance=np.full(500, 1.234))).sample(np.random.default_rng(1))
     np.testing.assert_allclose(drawn.range * 100, np.rint(drawn.range * 100), atol=1e-9)
     assert drawn.range.mean() == pytest.approx(1.234, abs=0.003)
+
+
+def test_cut_readings_lie_on_the_steps_and_run_half_a_step_short():
+    model = PhysicalModel([CATALOGUE["truncation"](step_m=0.01), CATALOGUE["zero_offset"](offset_m=0.002)])
+    law = model.law(Ping.of(distance=[1.2379, 1.2381, 1.2479]))
+    np.testing.assert_allclose(law.quantile(0.5), [1.23, 1.24, 1.24], atol=1e-9)
+    spread = np.random.default_rng(3).uniform(1.0, 3.0, 4000)
+    drawn = PhysicalModel([CATALOGUE["truncation"](step_m=0.01)]).law(Ping.of(distance=spread)).sample
+    assert np.mean(drawn(np.random.default_rng(4)).range - spread) == pytest.approx(-0.005, abs=3e-4)
+
+
+def test_a_sensor_without_a_thermometer_reads_warm_air_short_by_the_log():
+    stack = [CATALOGUE["sound_speed"](temperature_c=20.0, logged_share=1.0)]
+    logged = np.array([0.0, 20.0, 40.0])
+    law = PhysicalModel(stack, 1e-5).law(Ping.of(distance=[3.0] * 3, temperature_c=logged))
+    expected = 3.0 * ASSUMED_SPEED / sound_speed(torch.tensor(logged)).numpy()
+    np.testing.assert_allclose(law.quantile(0.5), expected, atol=2e-5)
+    assert "for every kelvin that the thermometer rises" in stack[0].statement()
+    assert "-0.17 %" in stack[0].statement()  # half of 1 / 293 K
+
+
+def test_a_parameter_counts_where_its_covariate_was_logged_and_varies():
+    share = CATALOGUE["sound_speed"].parameters[1]
+    assert share.tellable({"temperature_c": np.array([18.0, 22.0])})
+    assert not share.tellable({"temperature_c": np.array([18.0, 18.5])})
+    assert not share.tellable({})
 
 
 def test_gate_silences_what_lies_beyond():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sonar_gym  # noqa: F401  (registers the environment)
-from acquisition import Ping, Recording, SettingError
+from acquisition import Ping, Reading, Recording, SettingError
 from noise import load_model
 from noise.discrepancy.verdict import Interval
 from noise.effects import CATALOGUE
@@ -75,6 +75,17 @@ def test_the_corrected_model_loads_and_drives(finished):
     environment.step(environment.action_space.sample())
     assert observation is not None
     environment.close()
+
+
+def test_a_recording_of_silence_has_no_empty_pictures_and_says_what_to_check(tmp_path, capsys):
+    rng = np.random.default_rng(2)
+    distance = np.repeat(rng.uniform(0.3, 3.0, 24), 4)
+    Recording.of(Ping.of(distance=distance), Reading.of(np.zeros(len(distance)))).save(tmp_path / "silent.csv")
+    main(["diagnose", str(tmp_path / "silent.csv"), "--out", str(tmp_path / "out")])
+    assert "Not one of 96 pings brought an echo" in capsys.readouterr().out
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("<svg") == 5  # two maps, readings, detection and credence: of errors there are none
+    assert "Is the scatter right?" not in page
 
 
 HEAD = "distance_mm,angle_deg,reading_mm\n"

@@ -1,0 +1,56 @@
+"""How long a diagnosis takes and how much memory it wants, for 10,000 pings and for the thesis's 133,100.
+
+Run by `make benchmarks`; prints Markdown for docs/diagnosis.md. The bars are for two idle cores; a diagnosis uses
+one, so the time that counts is the processor's, which a busy machine changes little.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition import Ping, Recording
+from noise.effects import CATALOGUE
+from noise.physical import PhysicalModel
+
+TRUTH = {
+    "sensitivity": {"loss_db": 36.0},
+    "specular_loss": {"strength": 0.6},
+    "sound_speed": {"temperature_c": 31.0},
+    "travel_time_jitter": {"sigma_m": 0.004},
+}
+MOST_GIB = 4.0
+
+
+def recorded(cells: int, each: int, path: Path) -> None:
+    """Write a recording of a planted difference, targets placed to 3 mm."""
+    rng = np.random.default_rng(0)
+    distance, angle = np.repeat(rng.uniform(0.3, 5.5, cells), each), np.repeat(rng.uniform(0.0, 0.7, cells), each)
+    placed = distance + np.repeat(rng.normal(0.0, 0.003, cells), each)
+    seconds = np.arange(len(distance)) * 0.065
+    law = PhysicalModel([CATALOGUE[name](**values) for name, values in TRUTH.items()])
+    reading = law.law(Ping.of(distance=placed, angle=angle, time=seconds)).sample(rng)
+    Recording.of(Ping.of(distance=distance, angle=angle, time=seconds), reading).save(path)
+
+
+@pytest.mark.parametrize(("cells", "each", "most_s"), [(200, 50, 60.0), (1331, 100, 600.0)], ids=["10000", "133100"])
+def test_a_diagnosis_is_done_in_time(cells: int, each: int, most_s: float, tmp_path: Path) -> None:
+    recorded(cells, each, tmp_path / "recorded.csv")
+    command = [sys.executable, "-m", "training.cli", "diagnose", str(tmp_path / "recorded.csv")]
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run([*command, "--out", str(tmp_path / "out")], check=True, capture_output=True)
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    gib = after.ru_maxrss / 2**20
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    named = ", ".join(effect["effect"] for effect in verdict["effects"])
+    print(f"\n| {cells * each:,} pings | {wall:.0f} s | {cpu:.0f} s processor | {gib:.2f} GiB | {named} |")
+    assert cpu < most_s
+    assert gib < MOST_GIB
