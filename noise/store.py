@@ -22,6 +22,7 @@ BUILT_IN = {"ideal": IdealModel, "gaussian": GaussianModel}
 KINDS = {  # kind in model.json -> module and class; imported when asked for, since some need torch
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.empirical", "EmpiricalModel"),
+    "beam": ("noise.beam", "BeamModel"),
     "mlp": ("noise.networks", "MlpModel"),
 }
 

@@ -37,7 +37,7 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"The model agrees with the recording: its readings are {held.before.crps_mm:.1f} mm off on average."
     if verdict.verdict == "unknown":
         what = verdict.unknown.description or "; ".join(in_words(f) for f in verdict.where[:1])
-        what = what.replace(" (a description, not a cause)", "")
+        what = what.split(";")[0].replace(" (a description, not a cause)", "")
         return f"The recording differs from the model, and no known effect explains it: {what}."
     told = " ".join(named.statement for named in verdict.effects[:2])
     alike = sorted({name for named in verdict.effects for name in named.indistinguishable_from})

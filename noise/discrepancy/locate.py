@@ -25,6 +25,7 @@ LAST = 1e6
 MORE = 1.3  # how much greater than a simulation's own a misfit must be to count; ours
 FLIPS = 400
 LEAST_BLOCKS = 6
+STEADY = 0.05  # share by which intervals between pings may vary and still be one pace; ours
 MM, DEG = 1e-3, np.pi / 180.0
 
 
@@ -68,6 +69,9 @@ def features(batch: Batch) -> dict[str, Floats]:
         del table["incidence_deg"]
     if not batch.timed:
         del table["time_s"]
+    within = table.get("interval_s", np.zeros(len(batch)))[batch.count > 0]
+    if len(within) and np.ptp(np.quantile(within, [0.05, 0.95])) < STEADY * np.median(within):
+        table.pop("interval_s", None)  # one steady pace: how long a move took is no condition
     return {name: value for name, value in table.items() if np.ptp(value) > 1e-6 * np.abs(value).max()}
 
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from scipy import stats
 
-from acquisition import Ping, Recording
+from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
-from noise.discrepancy.locate import locate, scan
+from noise.discrepancy.locate import features, locate, scan
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
@@ -80,3 +80,12 @@ def test_parts_share_no_cell_and_cover_the_field():
     for part in (split.discover, split.confirm, split.vault):
         assert part.ping.distance.min() < 0.9
         assert part.ping.distance.max() > 3.4
+
+
+def test_how_long_a_move_took_is_no_condition():
+    distance = np.repeat([1.0, 2.0, 3.0], 4)
+    steady = np.array([9.0, 0.1, 0.1, 0.1, 20.0, 0.1, 0.1, 0.1, 15.0, 0.1, 0.1, 0.1])
+    for interval, kept in ((steady, False), (np.where(steady > 1, steady, np.linspace(0.07, 0.13, 12)), True)):
+        time = np.cumsum(interval)
+        recording = Recording.of(Ping.of(distance=distance, time=time, interval_s=interval), Reading.of(distance))
+        assert ("interval_s" in features(Batch.of(recording))) is kept

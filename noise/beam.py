@@ -1,0 +1,172 @@
+"""The four-part beam model of Thrun, Burgard and Fox (Probabilistic Robotics, 2005, section 6.3), as it is fitted.
+
+A reading is a hit, normal about the true distance; something unexpected in front of it, exponential and cut at the
+true distance; the sensor's greatest reading; or anything on the scale. A sonar says its greatest reading as silence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from acquisition import ModelError, Ping, Reading, SettingError
+from noise.law import EchoLaw, Floats
+from noise.model import MAX_RANGE
+
+LEAST_SIGMA = 1e-3  # m; a hit is never certain
+TINY = 1e-300
+
+
+class BeamLaw(EchoLaw):
+    """The law of n pings under a `BeamModel`."""
+
+    def __init__(self, distance: Floats, model: BeamModel) -> None:
+        super().__init__(distance, model.resolution, model.max_range)
+        self.model = model
+
+    def parts(self, low: Floats, high: Floats) -> Floats:
+        """Return P(exact range in (low, high] | hit, short, random), (3, ..., n); a hit beyond the scale is clipped."""
+        model = self.model
+        below, above = (low - self.distance) / model.sigma, (high - self.distance) / model.sigma
+        hit = np.where(below > 0, ndtr(-below) - ndtr(-above), ndtr(above) - ndtr(below))
+        return np.stack([hit, self._short(high) - self._short(low), self._anywhere(high) - self._anywhere(low)])
+
+    def _short(self, z: Floats) -> Floats:
+        rate, reach = self.model.short_rate, np.maximum(self.distance, self.resolution)
+        return -np.expm1(-rate * np.clip(z, 0.0, reach)) / -np.expm1(-rate * reach)
+
+    def _anywhere(self, z: Floats) -> Floats:
+        return np.clip(z / self.max_range, 0.0, 1.0)
+
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range in (low, high])."""
+        return np.tensordot(self.model.echo_weights, self.parts(low, high), axes=1)
+
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z)."""
+        z = np.asarray(z, dtype=np.float64)
+        return self.between(np.full(z.shape, -np.inf), z)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer): never."""
+        return np.zeros(len(self))
+
+
+@dataclass(frozen=True)
+class BeamModel:
+    """Four parts, alike at every distance and angle.
+
+    Args:
+        hit, short, silent, random: probabilities of the parts; they sum to one.
+        sigma: of a hit, m.
+        short_rate: of the exponential, per m.
+        resolution: step of the register, m.
+        max_range: of the register, m.
+    """
+
+    hit: float = 0.8
+    short: float = 0.05
+    silent: float = 0.1
+    random: float = 0.05
+    sigma: float = 0.05
+    short_rate: float = 1.0
+    resolution: float = 0.001
+    max_range: float = MAX_RANGE
+    remembers: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what is no mixture."""
+        weights = (self.hit, self.short, self.silent, self.random)
+        if min(weights) < 0 or abs(sum(weights) - 1.0) > 1e-9:
+            raise SettingError(f"BeamModel: hit, short, silent, random must be >= 0 and sum to 1, got {weights}")
+        if self.sigma <= 0 or self.short_rate <= 0:
+            raise SettingError(
+                f"BeamModel.sigma and short_rate must be > 0, got {self.sigma:g} m and {self.short_rate:g} per m"
+            )
+
+    @property
+    def echo_weights(self) -> Floats:
+        """Probabilities of hit, short and random, (3,)."""
+        return np.array([self.hit, self.short, self.random])
+
+    def law(self, ping: Ping, past: Reading | None = None) -> BeamLaw:
+        """Return the law of n pings."""
+        return BeamLaw(ping.distance, self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain data."""
+        return {"kind": "beam", **{key: value for key, value in asdict(self).items() if key != "remembers"}}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> BeamModel:
+        """Build a model from `to_dict`.
+
+        Raises:
+            ModelError: a parameter is missing or no number.
+        """
+        names = [name for name in asdict(cls()) if name != "remembers"]
+        try:
+            numbers: dict[str, Any] = {name: float(data[name]) for name in names}
+            return cls(**numbers)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"beam model: cannot be built from its parameters ({error}); it may be damaged") from None
+
+
+def fit_beam(
+    ping: Ping, reading: Reading, resolution: float, max_range: float, iterations: int = 200, enough: float = 1e-6
+) -> tuple[BeamModel, list[float]]:
+    """Fit by expectation maximisation, as Thrun's `learn_intrinsic_parameters`, on the register's own steps.
+
+    Args:
+        ping: conditions, (n,).
+        reading: answered readings, (n,).
+        resolution: step of the register, m.
+        max_range: of the register, m.
+        iterations: at most.
+        enough: gain of a pass below which fitting ends, nats a ping.
+
+    Returns:
+        The model, and the mean log-likelihood before each pass, nats a ping.
+    """
+    if not len(ping) or not reading.answered.all():
+        raise SettingError("fit_beam needs at least one ping, and an answer to each: leave out what has none")
+    model, course = BeamModel(resolution=resolution, max_range=max_range), []
+    for _ in range(iterations):
+        share, likelihood = _responsibilities(model, ping, reading)
+        course.append(float(np.log(np.maximum(likelihood, TINY)).mean()))
+        if len(course) > 1 and course[-1] - course[-2] < enough:
+            break
+        model = _updated(model, ping, reading, share)
+    return model, course
+
+
+def _responsibilities(model: BeamModel, ping: Ping, reading: Reading) -> tuple[Floats, Floats]:
+    """Return P(hit, short, random | reading), (3, n), 0 for silence; and the likelihood of each reading, (n,)."""
+    law = model.law(ping)
+    step = law.step(reading.range)
+    joint = model.echo_weights[:, None] * law.parts(law.edge(step - 1), law.edge(step)) * reading.echo
+    likelihood = np.where(reading.echo, joint.sum(axis=0), model.silent)
+    return joint / np.maximum(joint.sum(axis=0), TINY), likelihood
+
+
+def _updated(model: BeamModel, ping: Ping, reading: Reading, share: Floats) -> BeamModel:
+    hit, short, random = share.sum(axis=1) / len(ping)
+    silent = 1.0 - hit - short - random
+    off = reading.range - ping.distance
+    sigma = np.sqrt(_mean(off**2, share[0], model.sigma**2))
+    rate = 1.0 / max(_mean(reading.range, share[1], 1.0 / model.short_rate), model.resolution)
+    return replace(
+        model,
+        hit=float(hit), short=float(short), silent=float(silent), random=float(random),
+        sigma=max(float(sigma), LEAST_SIGMA), short_rate=float(rate),
+    )  # fmt: skip
+
+
+def _mean(value: Floats, weight: NDArray[np.float64], otherwise: float) -> float:
+    total = float(weight.sum())
+    return float((value * weight).sum()) / total if total > 1e-9 else otherwise

@@ -1,0 +1,150 @@
+"""Compare noise models on recordings they have not seen, such as those of other sensors, between two known ends.
+
+The lower end is a normal scatter fitted as simulators have it; the upper is what the sensor repeats of itself: half of
+each condition's pings predicted from the other half, which knows where each target truly stood, as no model can.
+Every model is given 3 arbitrary readings in 10,000, so that no single reading decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from acquisition import Recording, SettingError
+from noise import IdealModel, SonarModel, load_model
+from noise.beam import fit_beam
+from noise.faults import Faulty, Short
+from noise.law import Floats
+from noise.metrics import Evaluation, Score, evaluate
+from noise.model import MAX_RANGE
+from training.noise_model import fit_gaussian
+from training.progress import bar
+
+PRIOR_PINGS = 1.0  # weight of the fitted beam model against a condition's own pings; ours
+ARBITRARY = Short(3e-4)  # in every model, so that no single reading decides; as in `noise.cells`
+GAUSSIAN = "Gaussian, fitted"
+HEADINGS = ("model", "log-likelihood, nats a ping", "of the way", "CRPS, mm", "credence gap")
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym compare-noise`."""
+
+    learn: Annotated[Path, tyro.conf.Positional]
+    """Recording to fit the baselines to."""
+    test: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Recordings to score all models on: other sensors, other conditions. Each condition needs two pings or more."""
+    models: tuple[str, ...] = ("srf08-mlp",)
+    """Models to compare with the baselines, by name or folder."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Scores of models on fresh pings, and what the sensor's own pings are worth as a law of each other.
+
+    Attributes:
+        scores: by model.
+        repeatability: log-likelihood of the same pings, nats, each condition's law taken from its other pings.
+    """
+
+    scores: dict[str, Evaluation]
+    repeatability: Score
+
+    def way(self, name: str) -> float:
+        """Return how much of the way from the Gaussian to the repeatability a model goes: 1 is all of it."""
+        low, high = self.scores[GAUSSIAN].log_likelihood.mean, self.repeatability.mean
+        return (self.scores[name].log_likelihood.mean - low) / (high - low)
+
+
+def halves(cell: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return every second ping of each cell, beginning with its second, (n,) bool.
+
+    >>> halves(np.array([0, 1, 0, 0, 1])).tolist()
+    [False, False, True, False, True]
+    """
+    order = np.argsort(cell, kind="stable")
+    first = np.r_[True, np.diff(cell[order]) != 0]
+    start = np.maximum.accumulate(np.where(first, np.arange(len(cell)), 0))
+    fresh = np.empty(len(cell), dtype=bool)
+    fresh[order] = (np.arange(len(cell)) - start) % 2 == 1
+    return fresh
+
+
+def repeatability(recording: Recording, fresh: NDArray[np.bool_], base: SonarModel) -> Floats:
+    """Return the log probability of fresh pings under their conditions' other pings, (fresh,).
+
+    It is the predictive probability of a Dirichlet process about `base`, worth `PRIOR_PINGS` pings: shares of what was
+    read before, and a remainder for what never was.
+    """
+    reading, cell = recording.reading, recording.cell
+    said = np.rint(reading.range / recording.resolution).astype(np.int64)
+    _, name = np.unique(np.stack([cell, reading.status, said]), axis=1, return_inverse=True)
+    alike = np.bincount(name[~fresh], minlength=name.max() + 1)[name[fresh]]
+    known = np.bincount(cell[~fresh], minlength=cell.max() + 1)[cell[fresh]]
+    prior = np.exp(base.law(recording.ping[fresh]).log_prob(reading[fresh]))
+    return np.log((alike + PRIOR_PINGS * prior) / (known + PRIOR_PINGS))
+
+
+def compare(learn: Recording, test: Recording, models: dict[str, SonarModel]) -> Compared:
+    """Fit baselines to one recording and score them and other models on another.
+
+    Raises:
+        SettingError: a register differs, or no condition was met twice.
+    """
+    step = learn.resolution
+    for name, there in {test.name: test.resolution, **{k: m.resolution for k, m in models.items()}}.items():
+        if abs(there - step) > 1e-9:
+            raise SettingError(
+                f"{name}: counts in steps of {1e3 * there:g} mm, {learn.name} in {1e3 * step:g} mm: choose alike ones"
+            )
+    seen, reach = learn.reading.answered, max(MAX_RANGE, learn.reading.range.max() + step)
+    ping, reading = learn.ping[seen], learn.reading[seen]
+    beam, _ = fit_beam(ping, reading, step, reach)
+    rivals: dict[str, SonarModel] = {
+        "ideal": IdealModel(step, reach),
+        GAUSSIAN: fit_gaussian(ping, reading, step, reach),
+        "beam model, by EM": beam,
+    }
+    fresh = halves(test.cell) & test.reading.answered
+    if not fresh.any():
+        raise SettingError(f"{test.name}: no condition was met twice: record two pings or more of each")
+    cell = test.cell[fresh]
+    every = {name: Faulty(model, [ARBITRARY]) for name, model in {**rivals, **models}.items()}
+    scores = {name: evaluate(model, test.ping[fresh], test.reading[fresh], cell) for name, model in every.items()}
+    return Compared(scores, Score.of(repeatability(test, fresh, beam), cell))
+
+
+def rows(compared: Compared) -> list[tuple[str, ...]]:
+    """Return a row of text for each model and one for the sensor's repeatability."""
+    out = [
+        (name, str(s.log_likelihood), _percent(compared.way(name)), str(s.crps_mm), f"{s.credence_gap:.3f}")
+        for name, s in compared.scores.items()
+    ]
+    return [*out, ("own repeatability", str(compared.repeatability), "100 %", "", "")]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if np.isfinite(share) else "-"
+
+
+def main(args: Args) -> None:
+    """Print a table in Markdown for each recording tested on."""
+    learn, models = Recording.load(args.learn), {name: load_model(name) for name in args.models}
+    pages = []
+    with bar("scoring", len(args.test)) as progress:
+        for done, path in enumerate(args.test, start=1):
+            pages.append(_table(path, compare(learn, Recording.load(path), models)))
+            progress(done, len(args.test))
+    print("\n\n".join(pages))
+
+
+def _table(path: Path, compared: Compared) -> str:
+    score = compared.repeatability
+    head = f"{path.name}: {score.pings} fresh pings in {score.clusters} conditions, standard errors over these."
+    lines = [f"| {' | '.join(row)} |" for row in (HEADINGS, ("---",) * len(HEADINGS), *rows(compared))]
+    return "\n".join([head, "", *lines])
