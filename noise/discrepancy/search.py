@@ -18,7 +18,7 @@ from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
 from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
-from noise.stack import JITTER, NUISANCES, SHARED, SPREAD, Key, Stack
+from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.starts import starting_points
 
 Progress = Callable[[str, float], None]
@@ -201,12 +201,17 @@ class Search:
         keys = self.keys(chosen)
         free = (*keys, *nuisances)
         first = maximise(stack if near is None else _carried(near.first.stack, stack, keys), free, self.discover)
-        start = first.stack if near is None else _carried(near.second.stack, first.stack, (*keys, *SHARED))
-        # what cells share is a property of the sonar: the smaller part is too small to say it alone
-        second = maximise(start, [key for key in free if key not in SHARED], self.confirm)
+        start = first.stack if near is None else _carried(near.second.stack, first.stack, (*keys, *NUISANCES))
+        # how readings scatter and what cells share is a property of the sonar: the smaller part, a dozen cells at
+        # times, would say it all too exactly, and be wrong of a single careless cell by dozens of nats
+        second = maximise(start, keys, self.confirm) if keys else self._as_it_is(start)
         on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
         on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
         return Crossed(first, second, np.r_[on_discover, on_confirm])
+
+    def _as_it_is(self, stack: Stack) -> Fit:
+        """Return a hypothesis without anything to fit on the smaller part."""
+        return Fit(stack, (), float(log_likelihood(stack, self.confirm).sum()))
 
     def contribution(self, chosen: Sequence[str], cross: Crossed, name: str) -> tuple[Floats, Crossed]:
         """Return what one effect adds to the others, nats by block, and the explanation without it."""
