@@ -7,7 +7,7 @@ one after the other as a sequence of single numbers, 25 cells, dropout, a linear
 The inputs are scaled as the author did, and unlike the label: angle / 45 deg, reflectance, reading / 6000 mm and
 credence; an output y is a distance of 5970 y + 30 mm (his table 4.1: 3900 mm is 0.6482, and 3950 mm read is 0.6583).
 Of each kind two are published: `*_weights.hdf5` did best in validation, `*_my_model.h5` is as the last epoch left it.
-The files stay with their author; nothing of them is shipped. The HDF5 library itself can crash on a file that was damaged
+The files stay with their author; nothing of them is shipped. The HDF5 library itself can crash on a file damaged
 inside, so read files of a known source only.
 """
 
