@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from sonar_gym import kernels
 from sonar_gym.mounts import Layout, in_world, layout, mount_arrays
+from sonar_gym.odometry import Odometer, OdometryChoice
+from sonar_gym.odometry import odometry as odometry_settings
 from sonar_gym.prior import street_credence
 from sonar_gym.scene import Hits
 from sonar_gym.sonar import Heard, Sonar, SonarChoice, resolve, sonar_spaces
@@ -122,6 +124,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       `SonarModel`.
     - `sonar_layout`: "eight" (default), "four", or a list of `Mount` or mappings of their fields.
     - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields.
+    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: how far off
+      what `ego` tells of the way gone is.
     - `render_mode`: None, "rgb_array" or "human".
 
     `info` holds what a car cannot know, each (n,): `distance` (m; 3.01 where the cone is empty), `bearing`,
@@ -137,6 +141,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         street: StreetSettings | Mapping[str, Any] | None = None,
         car: CarSettings | Mapping[str, Any] | None = None,
         reward: RewardWeights | Mapping[str, Any] | None = None,
+        odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -153,7 +158,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         named = isinstance(sonar, (str, os.PathLike))
         self.sonar_name = Path(str(sonar)).name if named else type(self.sonar.model).__name__
         self._poses, self._half = mount_arrays(self.mounts)
-        self._sonar_seeded = False
+        self.odometer = Odometer(odometry_settings(odometry))
+        self._streams_seeded = False
         self._renderer: Any = None
         self.steps = -1  # no episode yet
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -172,9 +178,10 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a street and put the car at its beginning; `options` is not used."""
         super().reset(seed=seed)
-        self._reset_sonar(seed)
+        self._reset_streams(seed)
         self.street = draw_street(self.street_settings, self.np_random)
         self.car = Car.at(self.car_settings, *self.street.start)
+        self.odometer.begin()
         self.path = reference_path(self.street, self.car_settings)
         self.steps = 0
         self.parked, self.collision, self.left_street = False, False, False
@@ -187,7 +194,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         """Drive for 0.1 s towards the wanted steering and speed, then listen."""
         self._check_begun("step")
         steering, speed = self._checked(action)
+        before = self.car.pose
         self.car, hit = self.car.drive(steering, speed, self.street.scene.segments, STEP_S)
+        self.odometer.step(before, self.car.pose)
         self.steps += 1
         self.collision = hit != kernels.NOTHING
         self.left_street = bool(self.car.state[0] < -BEHIND)
@@ -198,11 +207,13 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         terminated = self.parked or self.collision or self.left_street
         return self._observation(), float(sum(terms.values())), terminated, False, self._info(terms)
 
-    def _reset_sonar(self, seed: int | None) -> None:
+    def _reset_streams(self, seed: int | None) -> None:
         self.sonar.forget()
-        if seed is not None or not self._sonar_seeded:
-            self.sonar.seed(self.np_random_seed if seed is None else seed)
-            self._sonar_seeded = True
+        if seed is not None or not self._streams_seeded:
+            own = self.np_random_seed if seed is None else seed
+            self.sonar.seed(own)
+            self.odometer.seed(own)
+            self._streams_seeded = True
 
     def _check_begun(self, call: str) -> None:
         if self.steps < 0:
@@ -229,8 +240,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     def _ego(self) -> NDArray[np.float32]:
         """Speed, steering, odometry since the start in the start's frame, time: nothing that the car cannot know."""
-        x, y = kernels.to_frame(self.car.state[0], self.car.state[1], self.street.start)
-        turn = self.car.state[2] - self.street.start[2]
+        x, y, turn = self.odometer.pose
         speed, steering = (
             self.car.speed / self.car_settings.max_speed,
             self.car.steering / self.car_settings.max_steering,
