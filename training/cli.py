@@ -24,6 +24,7 @@ COMMANDS = {
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
+    "prove": ("training.prove", "blind trials of the diagnosis on concealed effects: sealed, scored, published"),
     "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130
