@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from acquisition import Ping, Reading, SettingError
 from sonar_gym import stepping
 from sonar_gym.mounts import Layout, layout, mount_arrays, timing_array
+from sonar_gym.odometry import Odometer, OdometryChoice
+from sonar_gym.odometry import odometry as odometry_settings
 from sonar_gym.prior import street_credence
 from sonar_gym.scene import EMPTY_M, Hits
 from sonar_gym.sonar import Heard, Sonar, SonarChoice, resolve, sonar_spaces
@@ -91,6 +93,7 @@ class Fleet:
         difficulty: name of a level of `street.LEVELS`.
         street: what each episode's street is drawn from; a mapping replaces fields of the level's.
         car, reward: settings, or mappings of their fields.
+        odometry: how far off the cars' knowledge of their way is.
         threads: that share the work.
     """
 
@@ -103,6 +106,7 @@ class Fleet:
         street: StreetSettings | Mapping[str, Any] | None = None,
         car: CarSettings | Mapping[str, Any] | None = None,
         reward: RewardWeights | Mapping[str, Any] | None = None,
+        odometry: OdometryChoice = "exact",
         threads: int = 1,
     ) -> None:
         self.count = count
@@ -113,6 +117,7 @@ class Fleet:
         model = resolve(sonar)
         tables = street_credence(model, self.street_settings, self.car_settings, self.mounts, MAX_RANGE)
         self.sonar = Sonar(model, len(self.mounts), MAX_RANGE, tables=tables, copies=count)
+        self.odometer = Odometer(odometry_settings(odometry), count)
         named = isinstance(sonar, (str, os.PathLike))
         self.sonar_name = Path(str(sonar)).name if named else type(model).__name__
         parallel = threads > 1 and (count == 1 or self.sonar.at_once)
@@ -127,6 +132,7 @@ class Fleet:
         self.worlds = Worlds(
             steps=np.full(n, -1, dtype=np.int64),
             car=np.zeros((n, 5)),
+            kept=self.odometer.kept,
             task=np.zeros((n, stepping.TASK)),
             counts=np.zeros(n, dtype=np.int64),
             **_faces(n, 4 * (self.street_settings.decoys[1] + 2) + 3),
@@ -186,6 +192,11 @@ class Fleet:
 
     # ---- what happens ------------------------------------------------------------------------------------------------
 
+    def seed(self, seed: int, row: int = 0) -> None:
+        """Start the streams of a world's sonars and odometer anew; that of its streets is the caller's."""
+        self.sonar.seed(seed, row)
+        self.odometer.seed(seed, row)
+
     def reset(self, rows: Ints, rngs: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None) -> None:
         """Begin new episodes in some worlds: draw a street from each one's generator, stand at its beginning, listen.
 
@@ -197,6 +208,7 @@ class Fleet:
         for row, rng in zip(rows, rngs, strict=True):
             self._lay(int(row), self.street_for(rng, options))
         self.sonar.forget(rows)
+        self.odometer.begin(rows)
         stepping.begin(rows, self.worlds, self.rules)
         self._hear(rows)
 
@@ -207,6 +219,7 @@ class Fleet:
             rows: which worlds, increasing, (r,).
             wanted: steering and speed as shares of the greatest, within -1..1, (r, 2).
         """
+        self.odometer.slip(rows)
         if self._pool is None or len(rows) < THREAD_ROWS * self._threads:
             self._step(rows, wanted)
         else:
@@ -282,7 +295,7 @@ class Fleet:
         worlds.counts[row], worlds.owner[row, :faces] = faces, scene.owner
         worlds.segments[row, :faces], worlds.surface[row, :faces] = scene.segments, scene.surface
         worlds.car[row] = (*street.start, 0.0, 0.0)
-        worlds.task[row] = (*street.gap, street.line, goal.x, goal.y, goal.turn, goal.ready_x, 0.0, *street.start)
+        worlds.task[row] = (*street.gap, street.line, goal.x, goal.y, goal.turn, goal.ready_x, 0.0)
 
     # ---- what comes out ----------------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from sonar_gym.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights, World
 from sonar_gym.mounts import Layout, Mount
+from sonar_gym.odometry import OdometryChoice
 from sonar_gym.sonar import SonarChoice
 from sonar_gym.street import Street, StreetSettings
 from sonar_gym.vehicle import Car, CarSettings
@@ -84,6 +85,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       `SonarModel`.
     - `sonar_layout`: "eight" (default), "four", or a list of `Mount` or mappings of their fields.
     - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields.
+    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: how far off
+      what `ego` tells of the way gone is.
     - `render_mode`: None, "rgb_array" or "human".
 
     `info` holds what a car cannot know, each (n,): `distance` (m; 3.01 where the cone is empty), `bearing`,
@@ -99,14 +102,15 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         street: StreetSettings | Mapping[str, Any] | None = None,
         car: CarSettings | Mapping[str, Any] | None = None,
         reward: RewardWeights | Mapping[str, Any] | None = None,
+        odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
-        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward)
+        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry)
         self.max_range = MAX_RANGE
-        self._sonar_seeded = False
+        self._streams_seeded = False
         self._renderer: Any = None
         self.action_space: spaces.Space[Any] = self.fleet.action_space
         self.observation_space = self.fleet.observation_space
@@ -142,9 +146,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a street and put the car at its beginning; `options` fixes what is not to be drawn."""
         super().reset(seed=seed)
-        if seed is not None or not self._sonar_seeded:
-            self.fleet.sonar.seed(self.np_random_seed if seed is None else seed)
-            self._sonar_seeded = True
+        if seed is not None or not self._streams_seeded:
+            self.fleet.seed(self.np_random_seed if seed is None else seed)
+            self._streams_seeded = True
         self.fleet.reset(ONE, [self.np_random], options)
         self._show()
         return self.fleet.observation(0), self._info()

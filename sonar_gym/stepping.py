@@ -13,14 +13,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonar_gym.kernels import NOTHING, Floats, Ints, cast_cone, drive_part, out_of_frame, roll, to_frame
+from sonar_gym.kernels import NOTHING, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
+from sonar_gym.odometry import count
 
 Bits = NDArray[np.bool_]
 Singles = NDArray[np.float32]
 DISTANCE, BEARING, INCIDENCE, REFLECTANCE, THING, X, Y, SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT = range(12)
 COLUMNS = 12
-GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST, START = range(9)
-TASK = START + 3
+GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
+TASK = 8
 PARKED, COLLISION, LEFT_STREET = range(3)
 PARTS = 5  # of a step; contact is looked for at the end of each
 NOW = 1e-9  # s; two moments as near as this are one
@@ -36,9 +37,10 @@ class Worlds(NamedTuple):
     Attributes:
         steps: taken since the episode began, (n,).
         car: x, y, heading, speed, steering angle, (n, 5).
+        kept: by the odometer, as `odometry.count` wants it, (n, 7).
         task: where the gap begins and ends, m; y of the strip's line, m; x and y of the reference path's end, m; the
-            turn of its two arcs, rad; x at which they begin, m; the cost to go, m; where the car started: x, y,
-            heading; in columns `GAP` to `START`, (n, TASK).
+            turn of its two arcs, rad; x at which they begin, m; the cost to go, m; in columns `GAP` to `COST`,
+            (n, TASK).
         counts: of segments, (n,).
         segments: m, (n, m, 4).
         surface: reflectance and texture of each, 1 and rad, (n, m, 2).
@@ -57,6 +59,7 @@ class Worlds(NamedTuple):
 
     steps: Ints
     car: Floats
+    kept: Floats
     task: Floats
     counts: Ints
     segments: Floats
@@ -212,10 +215,9 @@ def land(flying: Floats, in_flight: Bits, shown: Floats, i: int, s: int, now: fl
 
 
 @njit(cache=True)
-def note_ego(ego: Singles, car: Floats, task: Floats, i: int, share: Floats, step: int) -> None:
-    """Write what wheel encoder, gyro and clock tell."""
-    x, y = to_frame(car[i, 0], car[i, 1], task[i, START:])
-    turn = car[i, 2] - task[i, START + 2]
+def note_ego(ego: Singles, car: Floats, kept: Floats, i: int, share: Floats, step: int) -> None:
+    """Write what wheels, steering and clock tell."""
+    x, y, turn = kept[i, 0], kept[i, 1], kept[i, 2]
     speed, steering = car[i, 3] / share[0], car[i, 4] / share[1]
     told = (speed, steering, math.cos(turn), math.sin(turn), x / share[2], y / share[3], step / share[4])
     for k in range(7):
@@ -244,7 +246,7 @@ def begin(rows: Ints, w: Worlds, r: Rules) -> None:
         w.fired[i], w.in_flight[i], w.ended[i] = True, False, False
         pay(w.terms, car, w.task, w.ended, i, r.arc, r.weights)
         w.terms[i] = 0.0
-        note_ego(w.ego, car, w.task, i, r.share, 0)
+        note_ego(w.ego, car, w.kept, i, r.share, 0)
 
 
 @njit(cache=True, nogil=True)
@@ -259,14 +261,15 @@ def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
     """
     steps, car, task, counts, faces, surface, owner = w.steps, w.car, w.task, w.counts, w.segments, w.surface, w.owner
     flying, fired, in_flight, shown = w.flying, w.fired, w.in_flight, w.shown
-    terms, ended, ego = w.terms, w.ended, w.ego
+    terms, ended, ego, kept = w.terms, w.ended, w.ego, w.kept
     measures, body, mounts, half, timing = r.measures, r.body, r.mounts, r.half, r.timing
     arc, weights, share, limits, dt, far = r.arc, r.weights, r.share, r.limits, r.dt, r.far
-    h, before, due = dt / PARTS, np.empty(3), np.empty(half.shape[0])
+    h, start, before, due = dt / PARTS, np.empty(3), np.empty(3), np.empty(half.shape[0])
     for k in range(rows.shape[0]):
         i = rows[k]
         begun, hit, segments, state = steps[i] * dt, NOTHING, faces[i, : counts[i]], car[i]
         steps[i] += 1
+        start[0], start[1], start[2] = state[0], state[1], state[2]
         for s in range(half.shape[0]):
             due[s] = firing(begun, dt, timing[s, 0], timing[s, 1])
             fired[i, s] = due[s] > 0.0
@@ -288,8 +291,9 @@ def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
             state[3] = 0.0
         ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NOTHING, state[0] < limits[3]
         ended[i, PARKED] = hit == NOTHING and is_parked(state, body, task[i], limits)
+        count(kept[i], start, state[:3])
         pay(terms, car, task, ended, i, arc, weights)
-        note_ego(ego, car, task, i, share, steps[i])
+        note_ego(ego, car, kept, i, share, steps[i])
 
 
 @njit(cache=True)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from sonar_gym.fleet import MAX_STEPS, Fleet, Observation, RewardWeights
 from sonar_gym.mounts import Layout
+from sonar_gym.odometry import OdometryChoice
 from sonar_gym.parking import SonarParkingEnv, check_render_mode
 from sonar_gym.sonar import SonarChoice
 from sonar_gym.street import StreetSettings
@@ -42,7 +43,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, difficulty, render_mode: of `SonarParkingEnv`.
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, render_mode: of `SonarParkingEnv`.
         max_episode_steps: after which an episode is truncated; None for never.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
         threads: that share the work; without, one for each processor, where there are many environments.
@@ -62,6 +63,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         street: StreetSettings | Mapping[str, Any] | None = None,
         car: CarSettings | Mapping[str, Any] | None = None,
         reward: RewardWeights | Mapping[str, Any] | None = None,
+        odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
         max_episode_steps: int | None = MAX_STEPS,
@@ -79,7 +81,15 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.max_episode_steps = max_episode_steps
         self.fleet = Fleet(
-            num_envs, sonar, sonar_layout, difficulty, street, car, reward, cores() if threads is None else threads
+            num_envs,
+            sonar,
+            sonar_layout,
+            difficulty,
+            street,
+            car,
+            reward,
+            odometry,
+            cores() if threads is None else threads,
         )
         self.single_observation_space = self.fleet.observation_space
         self.single_action_space = self.fleet.action_space
@@ -107,7 +117,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         if stream is None or seed is not None:
             stream, self._seeds[i] = seeding.np_random(seed)
             self._streams[i] = stream
-            self.fleet.sonar.seed(self._seeds[i], i)
+            self.fleet.seed(self._seeds[i], i)
         return stream
 
     # ---- reset and step ----------------------------------------------------------------------------------------------

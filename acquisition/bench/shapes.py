@@ -19,7 +19,7 @@ import numpy as np
 
 from acquisition.bench.air import Floats
 
-PIECE = 1.2e-3  # m of outline a piece: a seventh of the wavelength
+PIECE = 4.0e-3  # m of outline a piece, along which the phase is taken to grow evenly
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,12 @@ def surface_of(reflectance: float) -> float:
     >>> surface_of(0.9), surface_of(0.05)
     (1.0, 0.4)
     """
-    return float(np.interp(reflectance, *SURFACE))
+    return float(surfaces_of(np.array(reflectance)))
+
+
+def surfaces_of(reflectance: Floats) -> Floats:
+    """Return the amplitude factors of many surfaces, in the shape given."""
+    return np.interp(reflectance, *SURFACE)
 
 
 @lru_cache(maxsize=64)
@@ -101,19 +106,23 @@ def _pieces(a: Floats, b: Floats) -> int:
 
 
 @lru_cache(maxsize=64)
-def facets(shape: Disc | Plate, step: float) -> tuple[Floats, float]:
-    """Return the centres of a plate's facets about its centre, m, (m, 2), and the area of one, m^2."""
+def facets(shape: Disc | Plate, step: float) -> tuple[Floats, Floats]:
+    """Return the centres of a plate's facets about its centre, m, (m, 2), and the sides of one, m, (2,).
+
+    Of a disc, the facets that its rim cuts are kept or left whole, and the sides corrected so that the area is right.
+    """
     half = (shape.radius, shape.radius) if isinstance(shape, Disc) else shape.half
     count = [int(np.ceil(2.0 * h / step)) for h in half]
     axes = [(np.arange(n) + 0.5) / n * 2.0 * h - h for n, h in zip(count, half, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     if isinstance(shape, Disc):
         grid = grid[(grid**2).sum(axis=1) < shape.radius**2]
-        return grid, np.pi * shape.radius**2 / len(grid)
-    return grid, shape.width * shape.height / len(grid)
+        return grid, np.full(2, shape.radius * np.sqrt(np.pi / len(grid)))
+    return grid, np.array([2.0 * h / n for n, h in zip(count, half, strict=True)])
 
 
-def subtended(points: Floats, foot: Floats) -> Floats:
-    """Return the signed angle that each piece of an outline subtends at a foot in its plane, rad, (pieces,)."""
-    a, b = points[:-1] - foot, points[1:] - foot
-    return np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+def subtended(corners: Floats) -> Floats:
+    """Return the signed angle that each piece of an outline (..., pieces + 1, 2) subtends at the origin, rad."""
+    x, y = corners[..., 0], corners[..., 1]
+    a, b, c, d = x[..., :-1], y[..., :-1], x[..., 1:], y[..., 1:]
+    return np.arctan2(a * d - b * c, a * c + b * d)

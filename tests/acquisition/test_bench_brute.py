@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from acquisition import Ping
 from acquisition.bench import Disc, Plate, Rig, Room, Setup, Unit, Wall
 from acquisition.bench.air import absorption_db, sound_speed
-from acquisition.bench.receiver import GAINS, REFERENCE
+from acquisition.bench.receiver import GAINS
+from acquisition.bench.scene import REFERENCE
 from acquisition.bench.shapes import facets
 from acquisition.bench.transducer import Piston, reference_peak
 
@@ -58,7 +59,8 @@ def brute_crossing(pulse, shape, distance, incidence, gain, output_samples=40_00
     p = sum dS h/(2 pi r^3) [s'(t - 2r/c)/c + s(t - 2r/c)/r] for a plane at distance h.
     """
     speed, loss = float(sound_speed(19.0)), float(absorption_db(19.0))
-    plane, area = facets(shape, 1.0e-3)
+    plane, sides = facets(shape, 1.0e-3)
+    area = float(np.prod(sides))
     x = distance * np.cos(incidence)  # reflector parallel to the sensor's face: plane at x, centre aside
     y, z = plane[:, 0] + distance * np.sin(incidence), plane[:, 1]
     r = np.sqrt(x**2 + y**2 + z**2)

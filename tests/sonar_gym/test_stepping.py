@@ -14,7 +14,7 @@ from sonar_gym.vehicle import CarSettings
 STREET = draw_street(StreetSettings(), np.random.default_rng(3))
 CAR = CarSettings()
 GOAL = Goal.of(STREET, CAR)
-TASK = np.array([*STREET.gap, STREET.line, GOAL.x, GOAL.y, GOAL.turn, GOAL.ready_x, 0.0, 0.0, 0.0, 0.0])
+TASK = np.array([*STREET.gap, STREET.line, GOAL.x, GOAL.y, GOAL.turn, GOAL.ready_x, 0.0])
 
 
 def least(pose, per_metre, per_radian):

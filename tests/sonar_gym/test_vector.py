@@ -107,13 +107,14 @@ def test_every_autoreset_mode_is_gymnasium_s_own(mode):
         {"sonar": Stubborn(sigma=0.05)},
         {"sonar": Faulty(GaussianModel(), [Constant(rate=0.2, value=0.5), Short(rate=0.1, span=3.0)])},
         {"sonar": "gaussian", "sonar_layout": "eight in turn"},
+        {"sonar": "ideal", "odometry": "worn"},
         {
             "sonar": "srf08-mlp",
             "sonar_layout": [{"name": "a", "x": 0.3, "y": 0.0, "heading_deg": 0.0, "period_s": 0.3}],
         },
         {"sonar": "gaussian", "difficulty": "hard", "street": {"decoys": [3, 4]}},
     ],
-    ids=["memory", "faults", "in turn", "slow", "hard"],
+    ids=["memory", "faults", "in turn", "odometry", "slow", "hard"],
 )
 def test_whatever_the_settings_it_says_what_single_environments_say(settings):
     assert compare(120, 4, AutoresetMode.NEXT_STEP, **settings) > 0
