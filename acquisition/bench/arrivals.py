@@ -33,22 +33,20 @@ class Arrivals:
     amplitude: Complexes
 
     @classmethod
-    def of(cls, row: ArrayLike, group: int, length: ArrayLike, amplitude: ArrayLike) -> Arrivals:
+    def of(cls, row: ArrayLike, group: ArrayLike, length: ArrayLike, amplitude: ArrayLike) -> Arrivals:
         """Build from one group's lengths and amplitudes, (m,) or (m, k), of m scenes; those without amplitude fall out.
 
         Args:
             row: numbers of the scenes, (m,).
-            group: of `GROUPS`.
+            group: of `GROUPS`, one for all or (m,).
             length: m, broadcast against the amplitudes.
             amplitude: broadcast against the lengths.
         """
-        rows = np.asarray(row, dtype=np.int64)
         length, amplitude = np.broadcast_arrays(length, amplitude)
-        if length.ndim == 2:
-            rows = np.broadcast_to(rows[:, None], length.shape)
-        some = amplitude != 0.0
-        number = np.full(int(some.sum()), group, dtype=np.int64)
-        return cls(rows[some], number, length[some].astype(np.float64), amplitude[some].astype(np.complex128))
+        owner = np.nonzero(amplitude)
+        rows = np.asarray(row, dtype=np.int64)[owner[0]]
+        number = np.broadcast_to(group, (len(length),))[owner[0]]
+        return cls(rows, number, length[owner].astype(np.float64), amplitude[owner].astype(np.complex128))
 
     @classmethod
     def joined(cls, parts: Iterable[Arrivals]) -> Arrivals:

@@ -8,7 +8,7 @@ slip of half a wavelength between pings, is decided here exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,18 +82,20 @@ def _gathered(pulses: Pulses, position: Floats, keep: NDArray[np.bool_], rows: i
     row, place, weight = pulses.row[keep], position[keep], pulses.weight[keep]
     phase = OMEGA * pulses.delay[keep]
     weight = weight * (np.cos(phase) - 1j * np.sin(phase))
-    step = np.floor(place).astype(np.int64)
+    step = place.astype(np.int64)
     u = place - step
-    down, up, below, above = 1.0 - u, 1.0 + u, 2.0 - u, u
-    cubic = (-above * down * below / 6.0, up * down * below / 2.0, up * above * below / 2.0, -up * above * down / 6.0)
-    flat = row * (FINE * size)
-    index = np.concatenate([flat + (step + k) % FINE * size + (step + k) // FINE for k in (-1, 0, 1, 2)])
-    shares = np.concatenate([weight * share for share in cubic])
+    down, up, below = 1.0 - u, 1.0 + u, 2.0 - u
+    cubic = np.stack([-u * down * below, 3.0 * up * down * below, 3.0 * up * u * below, -up * u * down]) / 6.0
+    at = step + np.array([[-1], [0], [1], [2]])
+    index = (at % FINE * size + at // FINE + row * (FINE * size)).ravel()
     total = rows * FINE * size
-    gathered = np.bincount(index, shares.real, total) + 1j * np.bincount(index, shares.imag, total)
+    gathered = np.empty(total, dtype=np.complex128)
+    gathered.real = np.bincount(index, (cubic * weight.real).ravel(), total)
+    gathered.imag = np.bincount(index, (cubic * weight.imag).ravel(), total)
     return gathered.reshape(rows, FINE, size)
 
 
+@lru_cache(maxsize=64)
 def _fast_length(least: int) -> int:
     """Return the smallest length of at least that many samples whose Fourier transform is fast."""
     sizes = [2**a * 3**b * 5**c for a in range(4, 16) for b in range(5) for c in range(3)]

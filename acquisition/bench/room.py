@@ -13,9 +13,10 @@ from acquisition.bench.air import Floats
 from acquisition.bench.arrivals import CEILING, CLUTTER, FLOOR, POST, SIDES, WALL, Arrivals, Integers
 from acquisition.bench.scene import Scene, strip
 from acquisition.bench.setup import Post, Room, Scatterer
-from acquisition.bench.shapes import Disc, Plate, Wall, facets
+from acquisition.bench.shapes import Disc, Plate, Wall, outline
 
-FACET = 15e-3  # m, over which the phase is taken to grow evenly
+DETOUR_PIECES = 2  # pieces of outline taken as one where it is met by a detour
+NEAR_EDGE = 2e-3  # m; a mirror echo that passes an outline more narrowly does so at this distance
 PATCHES_PER_M2, FIELD = 40.0, (6.0, 4.0)  # of a rough floor; m ahead and across
 
 
@@ -87,58 +88,79 @@ def _at(*planes: Surface) -> Floats:
 
 def _detours(scene: Scene) -> Iterator[Arrivals]:
     """Yield the ways over the reflector that meet a surface of the room on the way there, on the way back, or both."""
-    found: list[Surface | None] = [None, *surfaces(scene.setup.room)]
+    found = surfaces(scene.setup.room)
     for shape, rows in scene.kinds:
-        if isinstance(shape, Wall):
-            continue
-        for there, back in combinations_with_replacement(found, 2):
-            if back is not None:
-                yield _detour(scene, shape, rows, there, back)
+        if found and not isinstance(shape, Wall):
+            yield _detour(scene, shape, rows, found)
 
 
-def _detour(scene: Scene, shape: Disc | Plate, rows: Integers, there: Surface | None, back: Surface) -> Arrivals:
-    """Return the way sensor - surface - reflector - surface - sensor, both senses of it, from the reflector's facets.
+def _detour(scene: Scene, shape: Disc | Plate, rows: Integers, found: list[Surface]) -> Arrivals:
+    """Return the ways sensor - surface - reflector - surface - sensor, both senses of each.
 
-    Each facet sends on i k/(2 pi) dS/(r1 r2) of what it gets (Kirchhoff), the distances counted from the sensor's
-    images. The beam is taken at the reflector's centre: by this detour it looks small.
+    As from the sensor itself, Kirchhoff's integral is a mirror echo and a wave from the outline, here of sound that
+    comes from one image of the sensor and goes to another. The beam is taken at the reflector's centre.
     """
-    grid, sides = facets(shape, FACET)
-    first, second = _seen_from(scene, rows, there), _seen_from(scene, rows, back)
-    senses = 1.0 if there == back else 2.0
-    factor = senses * back.factor * (1.0 if there is None else there.factor) * scene.surface[rows]
-    factor = factor * first.beam * second.beam / scene.wavelength[rows] * float(np.prod(sides))
-    away = first.away * second.away
-    ahead = (first.place[2] > 0.0) & (second.place[2] > 0.0)
-    heard = ahead & ~scene.faint(factor * len(grid) / away, 0.5 * (first.away + second.away), rows)
-    if not heard.any():
-        return Arrivals.joined([])
-    (u1, v1, w1), (u2, v2, w2) = (tuple(axis[heard, None] for axis in way.place) for way in (first, second))
-    x, y = grid.T
-    r1, r2 = (np.sqrt((u + x) ** 2 + (v + y) ** 2 + w**2) for u, v, w in ((u1, v1, w1), (u2, v2, w2)))
-    wave = scene.wavelength[rows][heard, None]
-    spread = np.sinc(((u1 + x) / r1 + (u2 + x) / r2) * sides[0] / wave)
-    spread = spread * np.sinc(((v1 + y) / r1 + (v2 + y) / r2) * sides[1] / wave)
-    slant = 0.5 * (w1 / r1 + w2 / r2)
-    return Arrivals.of(rows[heard], back.group, 0.5 * (r1 + r2), 1j * factor[heard, None] * spread * slant / (r1 * r2))
+    place, sent = _seen_from(scene, rows, found)
+    pairs = list(combinations_with_replacement(range(len(found) + 1), 2))[1:]  # the first meets no surface at all
+    there, back = np.array(pairs).T
+    senses = np.where(there == back, 1.0, 2.0)
+    factor = senses[:, None] * sent[there] * sent[back] * scene.surface[rows]
+    away = np.sqrt((place**2).sum(axis=-1))
+    # no more comes back than from a mirror, nor than from the whole plate in step
+    most = np.minimum(1.0, 2.0 * shape.area / scene.wavelength[rows] / np.minimum(away[there], away[back]))
+    loud = ~scene.faint(factor * most / (away[there] + away[back]), 0.5 * (away[there] + away[back]), rows)
+    pair, pick = np.nonzero(loud & (place[there, :, 2] > 0.0) & (place[back, :, 2] > 0.0))
+    first, second = (place[end[pair], pick] for end in (there, back))
+    length, echo = between_images(shape, first, second, scene.wavelength[rows][pick])
+    group = np.array([surface.group for surface in found])[back[pair] - 1]
+    return Arrivals.of(rows[pick], group, length, factor[pair, pick][:, None] * echo)
 
 
-class _Seen(NamedTuple):
-    """Reflectors seen from an image of the sensor: along their own axes, how far away, and the beam's share."""
+def between_images(shape: Disc | Plate, first: Floats, second: Floats, wavelength: Floats) -> tuple[Floats, Floats]:
+    """Return half lengths and amplitudes of what a plate sends from one place to another, (k, 1 + pieces) each.
 
-    place: tuple[Floats, Floats, Floats]
-    away: Floats
-    beam: Floats
+    With S' the source's mirror image behind the plate, r from there and s from the receiver to a piece dl of outline,
+
+        echo = inside/|S'P| delta(|S'P|) + 1/(4 pi) sum (r x s).dl / (r s (r s + r.s)) delta(r + s).
+
+    Args:
+        shape: of the plate.
+        first: its centre as seen from the source, along its width, height and normal, m, (k, 3).
+        second: and as seen from the receiver.
+        wavelength: m, (k,).
+    """
+    points = outline(shape)[::DETOUR_PIECES]
+    middle, step = 0.5 * (points[1:] + points[:-1]), np.diff(points, axis=0)
+    (u1, v1, w1), (u2, v2, w2) = (end.T[:, :, None] for end in (first, second))
+    ax, ay, bx, by = u1 + middle[:, 0], v1 + middle[:, 1], u2 + middle[:, 0], v2 + middle[:, 1]
+    r, s = np.sqrt(ax**2 + ay**2 + w1**2), np.sqrt(bx**2 + by**2 + w2**2)
+    along = (ax / r + bx / s) * step[:, 0] + (ay / r + by / s) * step[:, 1]
+    # r = (ax, ay, -w1), s = (bx, by, w2)
+    cross = (ay * w2 + w1 * by) * step[:, 0] - (ax * w2 + w1 * bx) * step[:, 1]
+    near = np.maximum(r * s + ax * bx + ay * by - w1 * w2, NEAR_EDGE**2)
+    edge = cross / (4.0 * np.pi * r * s * near) * np.sinc(along / wavelength[:, None])
+    straight = np.sqrt((u1 - u2) ** 2 + (v1 - v2) ** 2 + (w1 + w2) ** 2)
+    share = w1 / (w1 + w2)  # of the way from S' to P at which it passes the plate
+    foot = np.concatenate([-u1 + share * (u1 - u2), -v1 + share * (v1 - v2)], axis=1)
+    inside = shape.holds(foot)[:, None] / straight
+    return 0.5 * np.concatenate([straight, r + s], axis=1), np.concatenate([inside, edge], axis=1)
 
 
-def _seen_from(scene: Scene, rows: Integers, surface: Surface | None) -> _Seen:
+def _seen_from(scene: Scene, rows: Integers, found: list[Surface]) -> tuple[Floats, Floats]:
+    """Return m reflectors as seen from the sensor and from its images in s surfaces.
+
+    Their places along their own axes, m, (s + 1, m, 3), and what beam and surface leave of the sound, (s + 1, m).
+    """
     centre = scene.poses.centre[rows]
-    image, mirrored = np.zeros(3), centre.copy()
-    if surface is not None:
-        image[surface.axis] = 2.0 * surface.place
-        mirrored[:, surface.axis] = 2.0 * surface.place - mirrored[:, surface.axis]
+    image = np.zeros((len(found) + 1, 1, 3))
+    mirrored, factor = np.repeat(centre[None], len(image), axis=0), np.ones((len(image), 1))
+    for k, surface in enumerate(found, 1):
+        image[k, 0, surface.axis] = 2.0 * surface.place
+        mirrored[k, :, surface.axis] = 2.0 * surface.place - mirrored[k, :, surface.axis]
+        factor[k] = surface.factor
     way = centre - image
-    side, up, normal = ((way * axis[rows]).sum(axis=-1) for axis in scene.poses.axes)
-    return _Seen((side, up, normal), np.sqrt((way**2).sum(axis=-1)), scene.beam(mirrored, rows))
+    axes = np.stack([axis[rows] for axis in scene.poses.axes], axis=1)
+    return np.einsum("smx,max->sma", way, axes), factor * scene.beam(mirrored.swapaxes(0, 1), rows).T
 
 
 def post(scene: Scene, of: Post) -> Arrivals:

@@ -23,7 +23,7 @@ from acquisition.ping import Ping
 HOUSING = 0.043 * 0.020  # m^2, the sensor's own face, which sends an echo on its way again
 # a wall at 6 m in air of 1.29 dB/m just reaches the threshold at full gain
 REFERENCE = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)
-FAINT = 0.01  # of the threshold at full gain; what cannot reach it is not worked out
+FAINT = 0.02  # of the threshold at full gain; what cannot reach it is not worked out
 
 
 def loudness(unit: Unit, supply: float = 1.0) -> float:

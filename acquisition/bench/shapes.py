@@ -16,6 +16,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.bench.air import Floats
 
@@ -34,6 +35,15 @@ class Disc:
         side = self.radius * np.sqrt(np.pi) / 2.0
         return side, side
 
+    @property
+    def area(self) -> float:
+        """Of the plate, m^2."""
+        return float(np.pi * self.radius**2)
+
+    def holds(self, points: Floats) -> NDArray[np.bool_]:
+        """Tell which points of its plane (n, 2) lie on it."""
+        return np.asarray((points**2).sum(axis=-1) < self.radius**2)
+
 
 @dataclass(frozen=True)
 class Plate:
@@ -46,6 +56,15 @@ class Plate:
     def half(self) -> tuple[float, float]:
         """Half width and half height, m."""
         return self.width / 2.0, self.height / 2.0
+
+    @property
+    def area(self) -> float:
+        """Of the plate, m^2."""
+        return self.width * self.height
+
+    def holds(self, points: Floats) -> NDArray[np.bool_]:
+        """Tell which points of its plane (n, 2) lie on it."""
+        return np.asarray((np.abs(points) < self.half).all(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -91,7 +110,7 @@ def surfaces_of(reflectance: Floats) -> Floats:
 def outline(shape: Disc | Plate) -> Floats:
     """Return the outline as points about the centre, counter-clockwise and closed, m, (pieces + 1, 2)."""
     if isinstance(shape, Disc):
-        count = int(np.ceil(2.0 * np.pi * shape.radius / PIECE))
+        count = 2 * int(np.ceil(np.pi * shape.radius / PIECE))
         angle = np.linspace(0.0, 2.0 * np.pi, count + 1)
         # pieces are chords: the polygon of equal area keeps the mean radius
         scale = shape.radius * np.sqrt(angle[1] / np.sin(angle[1]))
@@ -102,23 +121,7 @@ def outline(shape: Disc | Plate) -> Floats:
 
 
 def _pieces(a: Floats, b: Floats) -> int:
-    return int(np.ceil(np.linalg.norm(b - a) / PIECE))
-
-
-@lru_cache(maxsize=64)
-def facets(shape: Disc | Plate, step: float) -> tuple[Floats, Floats]:
-    """Return the centres of a plate's facets about its centre, m, (m, 2), and the sides of one, m, (2,).
-
-    Of a disc, the facets that its rim cuts are kept or left whole, and the sides corrected so that the area is right.
-    """
-    half = (shape.radius, shape.radius) if isinstance(shape, Disc) else shape.half
-    count = [int(np.ceil(2.0 * h / step)) for h in half]
-    axes = [(np.arange(n) + 0.5) / n * 2.0 * h - h for n, h in zip(count, half, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    if isinstance(shape, Disc):
-        grid = grid[(grid**2).sum(axis=1) < shape.radius**2]
-        return grid, np.full(2, shape.radius * np.sqrt(np.pi / len(grid)))
-    return grid, np.array([2.0 * h / n for n, h in zip(count, half, strict=True)])
+    return 2 * int(np.ceil(np.linalg.norm(b - a) / (2.0 * PIECE)))  # even, so that two can be taken as one
 
 
 def subtended(corners: Floats) -> Floats:

@@ -45,9 +45,9 @@ class Visits:
         visit = np.cumsum(start) - 1
         middle = _mean(temperature_c, visit)[visit]
         step = np.rint((temperature_c - middle) / VISIT_C)
-        key = np.stack([visit, step, reset.astype(np.float64)], axis=1)
-        _, first, take = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        take = take.reshape(-1)
+        code = np.stack([step - step.min(initial=0.0), reset]).astype(np.int64)
+        kinds = code[0] * 2 + code[1]
+        _, first, take = np.unique(visit * (kinds.max(initial=0) + 1) + kinds, return_index=True, return_inverse=True)
         return cls(start, visit, take, first, _mean(temperature_c, take), _mean(humidity_pct, take))
 
     def batches(self, which: NDArray[np.bool_]) -> Iterator[tuple[Integers, Integers]]:

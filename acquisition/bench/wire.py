@@ -57,6 +57,8 @@ def reset(bus: Bus, ping: Ping, rng: np.random.Generator) -> tuple[NDArray[np.bo
 
 def present(rate: float, dwell_s: float, ping: Ping, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Draw a two-state process that is on with probability `rate` and keeps its state for about `dwell_s`."""
+    if rate == 0.0:
+        return np.zeros(len(ping), dtype=np.bool_)
     drawn = rng.random(len(ping)) < rate
     step = np.diff(ping.time, prepend=-np.inf)
     keep = np.exp(-np.maximum(step, 0.0) / dwell_s) if dwell_s > 0 else np.zeros(len(ping))
