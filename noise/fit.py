@@ -153,7 +153,7 @@ def maximise(
 def _climb(
     objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float
 ) -> tuple[Floats, float, int]:
-    """Return the end of one climb, minus the log likelihood there, and the iterations; a step of `least` nats ends it."""
+    """Return a climb's end, minus the log likelihood there, and the iterations; a step of `least` nats ends it."""
     start = objective(x0)[0]
     low, high = objective.bounds()
 

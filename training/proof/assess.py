@@ -108,7 +108,12 @@ def assessed(question: dict[str, Any]) -> dict[str, Any]:
     if answer["kind"] != "null":
         best = oracle(opened, truth) if truth else flexible(opened)
     separation = max(best.nats, apart["classifier_nats"]) if answer["kind"] == "stranger" else best.nats
-    scores = {"separation_nats": separation, "vault_before": before, "vault_oracle": best.vault, **apart}
+    scores: dict[str, Any] = {
+        "separation_nats": separation,
+        "vault_before": before,
+        "vault_oracle": best.vault,
+        **apart,
+    }
     scores["oracle_widths"] = best.widths
     return scores if question.get("quick") else {**scores, **_baselines(opened)}
 

@@ -1,4 +1,4 @@
-"""The published page: what fails first, the table of targets, then accuracy, confusion, baselines, and how it was run."""
+"""The published page: what fails first, the targets, then accuracy, confusion, baselines, and how it was run."""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -242,33 +243,33 @@ def _widths(trials: Sequence[Opened]) -> Line:
                 if best > 0:
                     ratio.append((told["high"] - told["low"]) / best)
     line = quantile("width of intervals against the oracle's, median", "≤ 1.3", ratio, 0.5, 0.0)
-    return Line(*[getattr(line, f) for f in ("metric", "target", "value", "low", "high", "trials")], line.value <= 1.3)
+    return replace(line, met=line.value <= 1.3 if line.trials else None)
 
 
 def _seconds(trials: Sequence[Opened]) -> Line:
     line = quantile("seconds a diagnosis, median", "≤ 60", [t.seconds for t in trials], 0.5, 0.0)
-    return Line(*[getattr(line, f) for f in ("metric", "target", "value", "low", "high", "trials")], line.value <= 60)
+    return replace(line, met=line.value <= 60.0 if line.trials else None)
 
 
 def by_separation(trials: Sequence[Opened]) -> list[tuple[str, int, float, float, float]]:
     """Return by separation: range in words, trials, shares answered, right, and right of those answered."""
     single = [t for t in trials if t.kind in ("effect", "matched", "confounded", "pair", "family")]
     out = []
-    for low, high in zip(BINS, BINS[1:], strict=False):
+    for low, high in pairwise(BINS):
         here = [t for t in single if low <= t.nats < high]
         if here:
             answered = [t for t in here if t.said in CLAIMS]
-            words = (
-                f"{low:g} to {high:g}"
-                if np.isfinite([low, high]).all()
-                else f"< {high:g}"
-                if np.isfinite(high)
-                else f"≥ {low:g}"
-            )
             right = sum(t.right for t in here)
             good = sum(t.right for t in answered) / len(answered) if answered else np.nan
-            out.append((words, len(here), len(answered) / len(here), right / len(here), good))
+            out.append((_range(low, high), len(here), len(answered) / len(here), right / len(here), good))
     return out
+
+
+def _range(low: float, high: float) -> str:
+    """Return a range in words."""
+    if np.isfinite(low) and np.isfinite(high):
+        return f"{low:g} to {high:g}"
+    return f"< {high:g}" if np.isfinite(high) else f"≥ {low:g}"
 
 
 def confusion(trials: Sequence[Opened]) -> dict[str, dict[str, int]]:
@@ -289,8 +290,8 @@ def baselines(trials: Sequence[Opened]) -> list[tuple[str, str, str, str, str]]:
     full = "independent_name" in (trials[0].scores if trials else {})
 
     def row(name: str, alarm: Callable[[Opened], bool] | None, names: str, gap: str) -> tuple[str, str, str, str, str]:
-        shares = [_percent([alarm(t) for t in group]) if alarm else "–" for group in (null, known)]
-        return name, *shares, names, gap
+        false, seen = (_percent([alarm(t) for t in group]) if alarm else "–" for group in (null, known))
+        return name, false, seen, names, gap
 
     def gap(key: str) -> str:
         values = [

@@ -8,7 +8,7 @@ The protocol, trial by trial:
 3. The answer is opened: it goes into the ledger with its salt, so that anybody can check the hash, and is scored.
 
 Every line of the ledger holds the hash of the line before, so no trial can be left out or changed afterwards without
-every later line telling. A line is forced to disk before anything else happens; a kill loses at most the trials at work.
+every later line telling. A line is forced to disk before anything else happens; a kill loses the trials at work only.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which pings are fired in a trial: random conditions, visited in random order, with waits; and marginals that match."""
+"""Which pings are fired in a trial: random conditions, in random order, with waits; and marginals that match."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,22 +68,22 @@ def visits(ping: Ping) -> list[int]:
     return [0, *(np.flatnonzero(new) + 1).tolist()]
 
 
-def with_setup(world: World, **change: object) -> World:
+def with_setup(world: World, **change: Any) -> World:
     """Return a world whose laboratory differs."""
     return replace(world, rig=replace(world.rig, setup=replace(world.rig.setup, **change)))
 
 
-def with_unit(world: World, **change: object) -> World:
+def with_unit(world: World, **change: Any) -> World:
     """Return a world whose electronics differ."""
     return replace(world, rig=replace(world.rig, unit=replace(world.rig.unit, **change)))
 
 
-def with_room(world: World, **change: object) -> World:
+def with_room(world: World, **change: Any) -> World:
     """Return a world whose room differs."""
     return with_setup(world, room=replace(world.rig.setup.room, **change))
 
 
-def with_bus(world: World, **change: object) -> World:
+def with_bus(world: World, **change: Any) -> World:
     """Return a world whose wire differs."""
     return with_setup(world, bus=replace(world.rig.setup.bus, **change))
 
