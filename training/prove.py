@@ -33,6 +33,8 @@ class Args:
     """How many."""
     seed: int = 0
     """With commit, protocol and nonce, what every trial is drawn from."""
+    deck: Literal["mixed", "effects", "strangers", "nulls"] = "mixed"
+    """What is concealed: everything, or each effect, or each stranger, in turn; or nothing."""
     nonce: str = "public"
     """A word that nobody who worked on the diagnosis could know."""
     workers: int = 2
@@ -54,6 +56,7 @@ class Job:
     trial: int
     secret: str
     deck: str
+    shuffle: str
     folder: str
     leave_out: bool
     quick: bool
@@ -68,7 +71,7 @@ def main(args: Args) -> None:
     try:
         run(args, ledger)
         check(ledger.lines)
-        write_text(args.out / "proof.md", page(ledger.lines, args.out))
+        write_text(args.out / "proof.md", page(ledger.lines))
     finally:
         ledger.close()
     print(f"{len(ledger.of(OPENED))} trials in {ledger.path}; the tables are in {args.out / 'proof.md'}")
@@ -77,7 +80,7 @@ def main(args: Args) -> None:
 def settings_of(args: Args) -> dict[str, Any]:
     """Return what makes a run: two runs of the same settings are the same run."""
     settings = {"commit": commit(), "protocol": PROTOCOL, "seed": args.seed, "nonce": args.nonce}
-    return {**settings, "leave_out": args.leave_out, "quick": args.quick}
+    return {**settings, "deck": args.deck, "leave_out": args.leave_out, "quick": args.quick}
 
 
 def commit() -> str:
@@ -112,15 +115,16 @@ def run(args: Args, ledger: Ledger) -> None:
 def job_of(args: Args, ledger: Ledger, trial: int) -> Job:
     """Return a trial's job."""
     settings = ledger.lines[0]["settings"]
-    secret, deck = (seed_of(settings["commit"], args.seed, args.nonce, k) for k in (trial, -1))
+    secret, shuffle = (seed_of(settings["commit"], args.seed, args.nonce, k) for k in (trial, -1))
     folder = args.out.absolute() / "trials" / f"{trial:05d}"
-    return Job(trial, secret, deck, str(folder), args.leave_out, args.quick, args.keep)
+    return Job(trial, secret, args.deck, shuffle, str(folder), args.leave_out, args.quick, args.keep)
 
 
 def trial_of(bench: Bench, job: Job, book: Book) -> None:
     """Run a trial, step by step, in the order of the protocol."""
     folder = {"folder": job.folder}
-    made = bench.ask("generate", {"trial": job.trial, "secret": job.secret, "deck": job.deck, **folder})
+    asked = {"trial": job.trial, "secret": job.secret, "deck": job.deck, "shuffle": job.shuffle}
+    made = bench.ask("generate", {**asked, **folder})
     answer, salt = made["answer"], salt_of(job.secret)
     book.write(SEALED, job.trial, answer_sha256=hash_of(answer, salt), files=made["files"])
     told = book.has(VERDICT, job.trial) or bench.ask("examine", folder)

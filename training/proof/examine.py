@@ -7,6 +7,7 @@ program honest; it is no wall against one that was written to break out of it.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -19,7 +20,8 @@ from noise.discrepancy import diagnose
 from training.proof.desk import ROOT, serve
 
 SIMULATED, RECORDED = "simulated.csv", "recorded.csv"
-FORBIDDEN_MODULES = ("acquisition.bench", "training.proof.generate", "training.proof.causes", "training.proof.assess")
+MAKERS = ("generate", "mix", "causes", "strangers", "family", "world", "surveys", "assess")
+FORBIDDEN_MODULES = ("acquisition.bench", *(f"training.proof.{name}" for name in MAKERS))
 FORBIDDEN_EVENTS = (
     "subprocess.Popen",
     "os.system",
@@ -56,12 +58,19 @@ class Guard:
     def see(self, name: str | bytes | Path) -> None:
         """Refuse a path that belongs to the proof and is not one of the two recordings, or that tells of processes."""
         assert self.folder is not None
-        path = Path(name.decode() if isinstance(name, bytes) else name).absolute()
+        path = Path(os.path.realpath(os.fsdecode(name)))
         run = self.folder.parent.parent
         own = path in (self.folder / SIMULATED, self.folder / RECORDED)
         library = path.is_relative_to(ROOT) or path.is_relative_to(sys.prefix)
-        if (path.is_relative_to(run) and not own and not library) or str(path).startswith("/proc"):
+        of_the_run = path.is_relative_to(run) and not own and not library
+        if of_the_run or is_maker(path) or path.is_relative_to("/proc"):
             raise SealError(f"the diagnosing process may not look at {path}")
+
+
+def is_maker(path: Path) -> bool:
+    """Tell whether a file is source or byte code of what makes trials; not every import announces itself."""
+    name, proof = path.name.split(".")[0], ROOT / "training" / "proof"
+    return path.is_relative_to(ROOT / "acquisition" / "bench") or (path.is_relative_to(proof) and name in MAKERS)
 
 
 def examined(folder: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -83,7 +92,7 @@ def guarded() -> tuple[Guard, Callable[[dict[str, Any]], dict[str, Any]]]:
     sys.addaudithook(guard)
 
     def answer(question: dict[str, Any]) -> dict[str, Any]:
-        guard.folder = Path(question["folder"]).absolute()
+        guard.folder = Path(question["folder"]).resolve()
         return examined(guard.folder, tuple(question.get("without", ())))
 
     return guard, answer

@@ -10,7 +10,7 @@ import numpy as np
 
 from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED
-from training.proof.mix import kind_of, make
+from training.proof.mix import card_of, make
 from training.proof.seal import hash_of_file
 
 
@@ -24,13 +24,13 @@ def generated(question: dict[str, Any]) -> dict[str, Any]:
     """Write the recordings of a trial; return its answer and the hashes of both files.
 
     Args:
-        question: `trial`; its `secret`; `deck`, the secret of the run's shuffled decks; `folder` for the recordings;
-            `kind` in place of the deck's, where given.
+        question: `trial`; its `secret`; `deck`, and `shuffle`, the secret of its order; `folder` for the recordings;
+            `kind`, `name` and `size` in place of the deck's, where given.
     """
-    kind = question.get("kind") or kind_of(
-        question["trial"], lambda block: generator(question["deck"], f"block {block}")
-    )
-    trial = make(kind, generator(question["secret"], "trial"))
+    card: tuple[str, str | None] = (question.get("kind", ""), question.get("name"))
+    if not card[0]:
+        card = card_of(question["trial"], question["deck"], lambda n: generator(question["shuffle"], f"block {n}"))
+    trial = make(card[0], generator(question["secret"], "trial"), card[1], question.get("size"))
     folder = Path(question["folder"])
     folder.mkdir(parents=True, exist_ok=True)
     trial.simulated.save(folder / SIMULATED)

@@ -27,6 +27,12 @@ NULL, EFFECT, PAIR, STRANGER, MATCHED, CONFOUNDED, FAMILY = (
 )
 # of every 25 trials: a fifth nothing, three in ten strangers
 DECK = (NULL,) * 5 + (STRANGER,) * 8 + (EFFECT,) * 5 + (PAIR,) * 2 + (MATCHED,) * 2 + (CONFOUNDED,) + (FAMILY,) * 2
+DECKS: dict[str, tuple[tuple[str, str | None], ...]] = {
+    "mixed": tuple((kind, None) for kind in DECK),
+    "effects": tuple((EFFECT, cause.name) for cause in causes.CAUSES),
+    "strangers": tuple((STRANGER, stranger.name) for stranger in strangers.STRANGERS),
+    "nulls": ((NULL, None),),
+}
 SMALLEST, LARGEST = 0.12, 3.0  # of the ladder of sizes, evenly in the logarithm
 # designs under which causes are the same thing, by what is not varied
 CONFOUNDING: tuple[tuple[str, dict[str, float]], ...] = (
@@ -63,19 +69,23 @@ class Trial:
     answer: dict[str, Any]
 
 
-def kind_of(trial: int, block: Callable[[int], Rng]) -> str:
-    """Return the kind of a trial: its place in a shuffled deck.
+def card_of(trial: int, deck: str, block: Callable[[int], Rng]) -> tuple[str, str | None]:
+    """Return the kind of a trial, and what is concealed in it where the deck says so: its place in a shuffled deck.
 
     Args:
         trial: its number.
+        deck: name of the deck.
         block: generator of a block of trials, by the block's number.
     """
-    number, place = divmod(trial, len(DECK))
-    return DECK[block(number).permutation(len(DECK))[place]]
+    cards = DECKS[deck]
+    number, place = divmod(trial, len(cards))
+    return cards[block(number).permutation(len(cards))[place]]
 
 
-def make(kind: str, rng: Rng) -> Trial:
-    """Make a trial of a kind."""
+def make(kind: str, rng: Rng, name: str | None = None, size: float | None = None) -> Trial:
+    """Make a trial of a kind; of an effect or a stranger, of this name and size where they are given."""
+    if kind in NAMED:
+        return NAMED[kind](rng, name, size)
     return MAKERS[kind](rng)
 
 
@@ -133,10 +143,10 @@ def null_trial(rng: Rng) -> Trial:
     return Trial(simulated, recorded, {"kind": NULL, "causes": [], "same_grid": same})
 
 
-def effect_trial(rng: Rng, name: str | None = None) -> Trial:
+def effect_trial(rng: Rng, name: str | None = None, size: float | None = None) -> Trial:
     """One cause that the catalogue knows."""
     cause = causes.BY_NAME[name] if name else causes.CAUSES[int(rng.integers(len(causes.CAUSES)))]
-    return _concealed(EFFECT, [cause], design_of(rng, cause), rng)
+    return _concealed(EFFECT, [cause], design_of(rng, cause), rng, size=size)
 
 
 def pair_trial(rng: Rng) -> Trial:
@@ -160,18 +170,21 @@ def confounded_trial(rng: Rng) -> Trial:
     return _concealed(CONFOUNDED, [cause], design_of(rng, cause, **fixed), rng)
 
 
-def stranger_trial(rng: Rng, name: str | None = None) -> Trial:
+def stranger_trial(rng: Rng, name: str | None = None, size: float | None = None) -> Trial:
     """One cause of which the catalogue does not know."""
     stranger = strangers.BY_NAME[name] if name else strangers.STRANGERS[int(rng.integers(len(strangers.STRANGERS)))]
-    world, size, design = world_of(rng), size_of(rng), design_of(rng)
+    world, drawn, design = world_of(rng), size_of(rng), design_of(rng)
+    size = drawn if size is None else size
     real = stranger.change(another_day(world, rng), size, rng)
     simulated, recorded, same = surveyed(design, world, real, rng)
     told = [{"name": stranger.name, "size": size}]
     return Trial(simulated, recorded, {"kind": STRANGER, "causes": told, "same_grid": same})
 
 
-def _concealed(kind: str, chosen: list[Cause], design: Design, rng: Rng, matched: bool = False) -> Trial:
-    simulator, sizes = world_of(rng), [size_of(rng) for _ in chosen]
+def _concealed(
+    kind: str, chosen: list[Cause], design: Design, rng: Rng, matched: bool = False, size: float | None = None
+) -> Trial:
+    simulator, sizes = world_of(rng), [size_of(rng) if size is None else size for _ in chosen]
     for cause, size in zip(chosen, sizes, strict=True):
         simulator = cause.before(simulator, size, rng)
     real = another_day(simulator, rng)
@@ -196,11 +209,10 @@ def _told(cause: Cause, size: float, simulator: World, real: World) -> dict[str,
     return out
 
 
+NAMED: dict[str, Callable[[Rng, str | None, float | None], Trial]] = {EFFECT: effect_trial, STRANGER: stranger_trial}
 MAKERS: dict[str, Callable[[Rng], Trial]] = {
     NULL: null_trial,
-    EFFECT: effect_trial,
     PAIR: pair_trial,
-    STRANGER: stranger_trial,
     MATCHED: matched_trial,
     CONFOUNDED: confounded_trial,
     FAMILY: lambda rng: Trial(*family_trial(rng, size_of(rng))),

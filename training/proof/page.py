@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from training.proof.score import Line, Opened, baselines, by_separation, confusi
 RIG, FAMILY = "rig", "family"
 
 
-def page(lines: Sequence[dict[str, Any]], out: Path) -> str:
+def page(lines: Sequence[dict[str, Any]]) -> str:
     """Return the page of a ledger as Markdown."""
     trials = trials_of(lines)
     settings = lines[0]["settings"]
