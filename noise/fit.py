@@ -196,7 +196,9 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
     spread = 0.7 * max(joint.stack.get((JITTER, "sigma_m")), joint.stack.get((CELLS, "placement_m")))
     # from no scatter of cells at all no climb leads away: its slope is zero there
     loose = alone.put([(JITTER, "sigma_m"), (CELLS, "placement_m")], [spread, spread])
-    return best_of([alone, loose], (*keys, *SPREAD), batch, 80)
+    # with a spread that does not fit, the first step of a climb may throw a share to zero, from where none leads back
+    fitting = [maximise(stack, SPREAD, batch, 40).stack for stack in (alone, loose)]
+    return best_of(fitting, (*keys, *SPREAD), batch, 80)
 
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:
