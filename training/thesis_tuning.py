@@ -21,7 +21,7 @@ from training.thesis_silence import Silence
 
 FREE = ("sensitivity_db", "radius", "yaw")  # of a unit: how loud, how wide and how askew it hears
 FIRST_STEP = 0.35  # of each range
-COARSE = replace(PLANS["thesis"], distances_mm=tuple(float(d) for d in range(50, 6001, 100)), pings=5)
+COARSE = replace(PLANS["thesis"], distances_mm=tuple(float(d) for d in range(200, 6001, 200)), pings=4)
 Progress = Callable[[int, int], None]
 
 
