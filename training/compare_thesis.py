@@ -65,12 +65,12 @@ class Args:
 
 def main(args: Args) -> None:
     """Ask the author's networks, tune, record, train, and write tables and a figure."""
-    settings, author = args.settings, published(args.networks)
+    settings, author, made = args.settings, published(args.networks), about(args)
     with _bars() as report:
         study = compared(author, settings, report)
     folder = args.page or args.out
     write_bytes(folder / FIGURE, figure(study))
-    text = page(study, about(args))
+    text = page(study, made)
     write_text(folder / TABLES, text)
     print(text)
 
