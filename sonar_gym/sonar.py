@@ -13,7 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
-from noise import ConditionPrior, CredenceTable, SonarModel, load_model
+from noise import ConditionPrior, CredenceTable, SonarModel, listener, load_model
 
 Floats = NDArray[np.float64]
 SonarChoice = str | os.PathLike[str] | SonarModel
@@ -105,10 +105,11 @@ class Sonar:
         tables: Sequence[CredenceTable] | None = None,
     ) -> None:
         self.tag = tag
-        self.model: SonarModel = resolve(model)
+        shared = resolve(model)
+        self.model = listener(shared)
         self.count = count
         self.max_range = max_range
-        tables = [broad_table(self.model, max_range)] * count if tables is None else tables
+        tables = [broad_table(shared, max_range)] * count if tables is None else tables
         self._edges, self._credence = bin_edges(max_range), np.stack([table.values for table in tables])
         self._rows = np.arange(count)
         self.rng = np.random.default_rng()

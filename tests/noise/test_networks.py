@@ -13,8 +13,11 @@ from scipy import stats
 
 from acquisition import ModelError, Ping, Reading, SettingError
 from noise import load_model, model_names, save_model
-from noise.networks import WEIGHTS_FILE, Head, Inputs, MlpModel
+from noise.inputs import Inputs
+from noise.mixture import Head
+from noise.networks import MlpModel
 from noise.store import WEIGHTS
+from noise.tensors import WEIGHTS_FILE
 
 REACH, STEP = 4.0, 0.01
 
@@ -109,15 +112,36 @@ def test_incidence_that_was_never_apart_from_bearing_is_not_learned_but_minded()
     inputs = Inputs.of(Ping.of(distance=[1.0, 2.0], angle=[0.0, 0.5]), ("distance", "angle", "incidence"))
     assert inputs.tied
     assert inputs.names == ("distance", "angle")
-    _, excess = inputs.features(Ping.of(distance=1.5, angle=0.2, incidence=[0.2, 0.45]))
+    excess = inputs.features(Ping.of(distance=1.5, angle=0.2, incidence=[0.2, 0.45])).excess
     np.testing.assert_allclose(excess, [0.0, 0.5])
 
 
-def test_a_missing_covariate_is_named():
+def test_a_covariate_that_is_not_given_is_told_as_missing_and_flagged():
     ping = Ping.of(distance=[1.0, 2.0], angle=[0.0, 0.1], temperature_c=[18.0, 20.0])
     inputs = Inputs.of(ping, ("distance", "angle", "temperature_c"))
-    with pytest.raises(SettingError, match="Ping has no covariate 'temperature_c'"):
-        inputs.features(Ping.of(distance=1.0))
+    given = inputs.features(Ping.of(distance=[1.0, 1.0, 1.0], temperature_c=[19.0, np.nan, 30.0]))
+    np.testing.assert_array_equal(given.missing, [False, True, False])
+    np.testing.assert_allclose(
+        given.feature[:, 2], [0.0, 0.0, 1.0], atol=1e-5
+    )  # the middle of what was learned; its end
+    np.testing.assert_allclose(given.feature[:, -1], [1.0, -1.0, 1.0])
+    np.testing.assert_allclose(given.excess, [0.0, 0.0, 5.0], atol=1e-5)
+    absent = inputs.features(Ping.of(distance=1.0))
+    assert absent.missing.all()
+    assert np.isfinite(absent.feature).all()
+    np.testing.assert_array_equal(absent.feature[0], given.feature[1])
+
+
+def test_beyond_the_horizon_every_distance_is_one_condition():
+    ping = Ping.of(distance=[0.1, 3.0, 20.0])
+    inputs = Inputs.of(ping, ("distance",), horizon=6.5)
+    assert inputs.high == (6.5,)
+    far = inputs.features(Ping.of(distance=[6.5, 11.0, 50.0]))
+    assert np.ptp(far.feature, axis=0).max() == 0.0
+    np.testing.assert_array_equal(far.excess, 0.0)
+    closed = Inputs.of(ping[:2], ("distance",), horizon=6.5)
+    assert not closed.open_end, "nothing was met beyond"
+    assert closed.features(Ping.of(distance=6.5)).excess[0] > 0
 
 
 @pytest.fixture
