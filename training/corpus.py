@@ -213,6 +213,8 @@ RECORDINGS: dict[str, Sessions | tuple[Plan, tuple[int, ...], int]] = {
     "known": (QUICK, KNOWN, 1),
     "cells": (BETWEEN, KNOWN, 2),
     "units": (QUICK, HELD_OUT, 3),
+    "fresh-cells": Sessions(KNOWN, surveys=6, drives=2, seed=4),
+    "fresh-units": Sessions(HELD_OUT, surveys=6, drives=2, seed=4),
 }
 
 

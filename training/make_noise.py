@@ -36,8 +36,8 @@ PLANS: dict[Law, dict[str, Any]] = {
 NOTE = (
     "Simulated by the waveform rig, not measured: SRF08s of 160 serial numbers at their power-up gain, in the "
     "laboratory of Esmi (2016) at 14 to 26 degC: its plate and disc on their stand, parallel to the sensor's "
-    "face or turned away from it, coming and going; walls; nothing at all, or too far away. {more}The best weights were "
-    "chosen by 16 other sensors; the scores are those of 8 more."
+    "face or turned away from it, coming and going; walls; nothing at all, or too far away. {more}The best weights "
+    "were chosen by 16 other sensors; the scores are those of 8 more."
 )
 FAULTY = "A sixth of the sessions have a loose wire, a sensor that is warming up, or both. "
 

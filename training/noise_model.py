@@ -14,7 +14,6 @@ import torch
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from scipy.optimize import minimize
 
 from acquisition import Ping, Reading, Recording, SettingError
 from noise import load_model
@@ -22,13 +21,14 @@ from noise.cells import cells_of
 from noise.inputs import Inputs
 from noise.metrics import Evaluation, evaluate
 from noise.mixture import Head
-from noise.model import MAX_RANGE, GaussianModel, IdealModel, SonarModel, steps
+from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
 from noise.networks import MlpModel
 from noise.recurrent import LstmModel
 from noise.store import check_model_folder, save_model
 from training.model_card import card, plain, table
 from training.networks import LONGEST, Batch, Memory, Network, Schedule, fit_network, with_memory
 from training.progress import bars
+from training.rivals import fit_gaussian
 from training.threads import one_thread
 
 FEWEST_GROUPS = 10
@@ -208,22 +208,6 @@ def _network(inputs: Inputs, head: Head, args: Args) -> Network | Memory:
             "train one with `sonar-gym train-noise`"
         )
     return Memory(base.inputs, with_memory(base.head), args.state, args.hidden, base)
-
-
-def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: float) -> GaussianModel:
-    """Return the most likely `GaussianModel` of answered pings: what is usually put in a simulator."""
-    echo = reading.echo
-    miss = float(np.clip(1.0 - echo.mean(), 0.0, 0.999))
-
-    def model(x: NDArray[np.float64]) -> GaussianModel:
-        sigma, per_metre = np.exp(np.clip(x, -20.0, 3.0))
-        return GaussianModel(float(sigma), float(per_metre), miss, resolution, max_range)
-
-    def loss(x: NDArray[np.float64]) -> float:
-        return -float(np.maximum(model(x).law(ping[echo]).log_prob(reading[echo]), -1e3).mean())
-
-    found = minimize(loss, np.log([0.03, 0.02]), method="Nelder-Mead", options={"xatol": 0.01, "fatol": 1e-4})
-    return model(found.x)
 
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
