@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
@@ -301,9 +301,11 @@ class Faulty:
         """Names of the causes by number, as `FaultyLaw.draw` counts them."""
         return ("none", *(type(fault).__name__.upper() for fault in self.faults))
 
-    def law(self, ping: Ping, past: Reading | None = None) -> FaultyLaw:
-        """Return the law of n pings, given the reading before each."""
-        return self._struck(self.model.law(ping, past), ping)
+    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> FaultyLaw:
+        """Return the law of n pings, given the reading before each, of all sensors or of those on some seats."""
+        model = self.model
+        law = model.law(ping, past, seats) if isinstance(model, Remembering) else model.law(ping, past)
+        return self._struck(law, ping)
 
     def _struck(self, law: EchoLaw, ping: Ping) -> FaultyLaw:
         return FaultyLaw([law, *(fault.law(law, ping) for fault in self.faults)], self._rate)
@@ -312,10 +314,10 @@ class Faulty:
         """Return the same with a memory of its own, empty, where the model keeps one."""
         return Faulty(listener(self.model), self.faults)
 
-    def reset(self, rows: NDArray[np.bool_] | None = None) -> None:
-        """Let the model forget everything, or what some sensors remember, (n,) bool."""
+    def reset(self, seats: ArrayLike | None = None) -> None:
+        """Let the model forget everything, or what some sensors remember: their numbers, or a mask."""
         if isinstance(self.model, Remembering):
-            self.model.reset(rows)
+            self.model.reset(seats)
 
     def follow(self, ping: Ping, reading: Reading) -> FaultyLaw:
         """Return the law of every ping of a recording given all pings before it in its run, (n,)."""

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
 from acquisition import ModelError, Ping, Reading, SettingError, previous
@@ -189,14 +189,18 @@ def numbers_of(kind: str, default: Any, data: dict[str, Any]) -> dict[str, Any]:
 
 @runtime_checkable
 class Remembering(SonarModel, Protocol):
-    """A model that keeps a memory of each sensor's pings, a row of every batch each; it serves one set of sensors."""
+    """A model that keeps a memory of each sensor's pings; it serves one set of sensors."""
+
+    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> EchoLaw:
+        """Return the law of n pings, given the reading before each, of all sensors or of those on some seats."""
+        ...
 
     def fresh(self) -> Remembering:
         """Return the same model with a memory of its own, empty."""
         ...
 
-    def reset(self, rows: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything, or what some sensors remember, (n,) bool."""
+    def reset(self, seats: ArrayLike | None = None) -> None:
+        """Forget everything, or what some sensors remember: their numbers, or a mask."""
         ...
 
     def follow(self, ping: Ping, reading: Reading) -> EchoLaw:

@@ -11,12 +11,12 @@ with the same weights. Whatever is asked without a past, or belongs to another r
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
@@ -81,12 +81,12 @@ class Before:
         """Return the memory of some of the sensors."""
         return Before(*(getattr(self, f.name)[..., rows] for f in fields(self)))
 
-    def then(self, ping: Ping, reading: Reading) -> Before:
-        """Return what is known after one more ping of each sensor."""
+    def then(self, condition: Floats, run: NDArray[np.int64], reading: Reading) -> Before:
+        """Return what is known after one more ping of each sensor, in a condition, (5, n), and run."""
         echo = reading.echo
-        off = np.where(echo, reading.range - ping.distance, self.off)
-        every = np.ones(len(ping), dtype=bool)
-        return Before(every, _condition(ping), ping.run, reading.range, reading.status, off, self.heard | echo)
+        off = np.where(echo, reading.range - condition[0], self.off)
+        every = np.ones(len(run), dtype=bool)
+        return Before(every, condition, run, reading.range, reading.status, off, self.heard | echo)
 
     def without(self, rows: NDArray[np.bool_]) -> Before:
         """Return the memory with some sensors' emptied."""
@@ -122,17 +122,47 @@ def _condition(ping: Ping) -> Floats:
 
 @dataclass
 class State:
-    """Memory of n sensors: what came before, the last ping, and the LSTM's state, (n, hidden) each."""
+    """Memory of n sensors.
+
+    Attributes:
+        before: what was known before each one's last ping.
+        condition, run: of that ping, (5, n) and (n,).
+        fired: whether there was one, (n,) bool.
+        hidden, cell: of the LSTM, (hidden, n).
+    """
 
     before: Before
+    condition: Floats
+    run: NDArray[np.int64]
+    fired: NDArray[np.bool_]
     hidden: Floats
     cell: Floats
-    last: Ping | None = None
 
     @classmethod
     def empty(cls, n: int, hidden: int) -> State:
         """Return the memory of n sensors that have not pinged yet."""
-        return cls(Before.nothing(n), np.zeros((n, hidden)), np.zeros((n, hidden)))
+        zero = np.zeros((2, hidden, n))
+        return cls(Before.nothing(n), np.zeros((5, n)), np.zeros(n, np.int64), np.zeros(n, dtype=bool), *zero)
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def __getitem__(self, rows: Any) -> State:
+        """Return the memory of some of the sensors."""
+        return State(self.before[rows], *(getattr(self, f.name)[..., rows] for f in fields(self)[1:]))
+
+    def put(self, rows: NDArray[np.int64], other: State) -> None:
+        """Put the memory of some of the sensors in its place."""
+        for mine, new in ((self.before, other.before), (self, other)):
+            for f in fields(mine):
+                if f.name != "before":
+                    getattr(mine, f.name)[..., rows] = getattr(new, f.name)
+
+    def after(self, past: Reading, run: NDArray[np.int64] | None) -> State:
+        """Return the memory with the last reading of each taken in; who is in another run now has none."""
+        anew = ~self.fired if run is None else ~self.fired | (self.run != run)
+        before = self.before.then(self.condition, self.run, past).without(anew)
+        return replace(self, before=before, hidden=self.hidden * ~anew, cell=self.cell * ~anew)
 
 
 @dataclass(frozen=True)
@@ -202,49 +232,60 @@ class LstmModel:
         """Return the same model with a memory of its own, empty."""
         return LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
 
-    def reset(self, rows: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything, or what some sensors remember, (n,) bool."""
-        if rows is None or self._state is None:
+    def reset(self, seats: ArrayLike | None = None) -> None:
+        """Forget everything, or what some sensors remember: their numbers, or a mask."""
+        if seats is None or self._state is None:
             self._state = None
             return
-        keep = ~np.asarray(rows)[:, None]
-        state = self._state
-        self._state = State(state.before.without(~keep[:, 0]), state.hidden * keep, state.cell * keep, state.last)
+        rows = np.arange(len(self._state))[np.asarray(seats)]
+        self._state.put(rows, State.empty(len(rows), self.cell.hidden))
 
-    def law(self, ping: Ping, past: Reading | None = None) -> MixtureLaw:
+    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> MixtureLaw:
         """Return the law of the next ping of each of n sensors, and remember that it was fired.
 
         Args:
-            ping: what each faces now; whoever's run is another than at its last ping begins anew.
-            past: what each read last; None begins anew for all.
+            ping: what each faces now.
+            past: what each read last; None begins anew for all of them.
+            seats: which of the sensors remembered each is, (n,), where only some fire at a time; only `reset` makes
+                them forget then. Without, the n are all, and whoever is in another run than at its last ping begins
+                anew.
 
         Raises:
-            SettingError: there are more or fewer sensors than before.
+            SettingError: without seats, there are more or fewer sensors than before.
         """
-        law, self._state = self._next(ping, self._since(ping, past))
+        places = np.arange(len(ping)) if seats is None else seats
+        state = self._seated(len(ping), past, seats)
+        here = State.empty(len(ping), self.cell.hidden)
+        if past is not None:
+            here = state[places].after(past, ping.run if seats is None else None)
+        law, now = self._next(ping, here)
+        state.put(places, now)
+        self._state = state
         return law
 
-    def _since(self, ping: Ping, past: Reading | None) -> State:
-        """Return the memory with the last reading taken in."""
-        state = self._state
-        if past is None or state is None or state.last is None:
-            return State.empty(len(ping), self.cell.hidden)
-        if not len(ping) == len(past) == len(state.last):
+    def _seated(self, n: int, past: Reading | None, seats: NDArray[np.int64] | None) -> State:
+        """Return the memory with a place for everyone."""
+        known = 0 if self._state is None else len(self._state)
+        if seats is None and past is not None and known and not n == len(past) == known:
             raise SettingError(
-                f"{len(ping)} pings and {len(past)} readings for a memory of {len(state.last)} sensors: "
+                f"{n} pings and {len(past)} readings for a memory of {known} sensors: "
                 "call reset() before another number of sensors, or take fresh()"
             )
-        before = state.before.then(state.last, past)
-        other = before.run != ping.run
-        keep = ~other[:, None]
-        return State(before.without(other), state.hidden * keep, state.cell * keep)
+        wanted = n if seats is None else max(known, int(seats.max(initial=-1)) + 1)
+        if self._state is not None and wanted == known:
+            return self._state
+        grown = State.empty(wanted, self.cell.hidden)
+        if self._state is not None and seats is not None:
+            grown.put(np.arange(known), self._state)
+        return grown
 
-    def _next(self, ping: Ping, state: State) -> tuple[MixtureLaw, State]:
-        asked, links = self.inputs.features(ping), state.before.links(ping)
+    def _next(self, ping: Ping, here: State) -> tuple[MixtureLaw, State]:
+        asked, links = self.inputs.features(ping), here.before.links(ping)
         told = np.concatenate([asked.feature, links], axis=1)
-        hidden, cell = self.cell.step(told, state.hidden, state.cell)
-        law = self._law(asked, told, hidden, state.before.anchors(ping.distance))
-        return law, State(state.before, hidden, cell, ping)
+        hidden, cell = self.cell.step(told, here.hidden.T, here.cell.T)
+        law = self._law(asked, told, hidden, here.before.anchors(ping.distance))
+        fired = np.ones(len(ping), dtype=bool)
+        return law, State(here.before, _condition(ping), ping.run, fired, hidden.T, cell.T)
 
     def _law(self, asked: Asked, told: Floats, hidden: Floats, anchors: Floats) -> MixtureLaw:
         numbers = dense(self.layers, np.concatenate([told, hidden], axis=1))

@@ -116,21 +116,27 @@ def test_reset_a_new_run_and_no_past_all_begin_anew(model):
     np.testing.assert_allclose(own.law(ping, None).credence(), began)
 
 
-def test_some_rows_can_be_reset(model):
+def test_some_sensors_can_be_made_to_forget(model):
     ping, reading = course(n=3, runs=1)
-    began = model.fresh().law(ping)
-    own = model.fresh()
-    own.law(ping)
-    own.law(ping, reading)
+    began, own, other = model.fresh().law(ping).credence(), model.fresh(), model.fresh()
+    for listening in (own, other):
+        listening.law(ping)
+        listening.law(ping, reading)
     own.reset(np.array([False, True, False]))
-    assert not np.allclose(own._state.hidden[0], 0.0)
-    np.testing.assert_array_equal(own._state.hidden[1], 0.0)
-    # the sensor that was reset still learns from the ping that it has fired since
-    other = model.fresh()
-    other.law(ping)
-    mixed = own.law(ping, reading).credence()
-    assert mixed[1] != began.credence()[1]
-    assert np.all(np.isfinite(mixed))
+    mixed, kept = own.law(ping, reading).credence(), other.law(ping, reading).credence()
+    np.testing.assert_allclose(mixed, [kept[0], began[1], kept[2]], atol=1e-12)
+
+
+def test_sensors_that_fire_in_turn_keep_their_seats(model):
+    ping, reading = course(n=30, runs=1)
+    turns, alone = model.fresh(), [model.fresh() for _ in range(3)]
+    for t in range(10):
+        seats = np.array([0, 2]) if t % 2 else np.array([1])
+        rows, before = 3 * t + seats, 3 * max(t - 2, 0) + seats
+        law = turns.law(ping[rows], reading[before], seats)
+        for i, seat in enumerate(seats):
+            single = alone[seat].law(ping[rows[[i]]], reading[before[[i]]] if t >= 2 else None)
+            assert single.credence()[0] == pytest.approx(law.credence()[i], abs=1e-12)
 
 
 @settings(max_examples=25, deadline=None)
