@@ -22,6 +22,7 @@ COMMANDS = {
     "plot": ("training.plot", "draw a recording: credence surfaces, detection, readings, course of time"),
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
     "make-noise": ("training.make_noise", "make the shipped noise models again"),
+    "noise-report": ("training.noise_report", "write the page that puts all noise models side by side"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
