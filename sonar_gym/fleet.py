@@ -306,7 +306,8 @@ class Fleet:
     def truth(self, which: int | slice | Ints) -> dict[str, Any]:
         """Return what cars cannot know, of one world or of several: of each reading shown, the ping it answers."""
         w = self.worlds
-        pings, ended = np.moveaxis(w.shown[which], -1, 0).copy(), w.ended[which].copy()
+        shown, ended = w.shown[which], w.ended[which].copy()
+        pings = shown.transpose(shown.ndim - 1, *range(shown.ndim - 1)).copy()
         out = {
             "is_success": ended[..., stepping.PARKED],
             "collision": ended[..., stepping.COLLISION],

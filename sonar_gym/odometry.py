@@ -129,6 +129,7 @@ class Odometer:
 
     def __init__(self, settings: OdometrySettings, copies: int = 1) -> None:
         self.settings = settings
+        self._exact = settings.exact
         self.rngs = [np.random.default_rng() for _ in range(copies)]
         self.kept = np.zeros((copies, 7))
 
@@ -145,13 +146,13 @@ class Odometer:
         """Begin episodes: the cars stand at the origin, and have the wheels that they have."""
         for row in rows:
             self.kept[row] = 0.0
-            if not self.settings.exact:
+            if not self._exact:
                 spread = self.settings.scale, self.settings.pull
                 self.kept[row, SCALE : PULL + 1] = self.rngs[row].normal(size=2) * spread
 
     def slip(self, rows: Iterable[int] = (0,)) -> None:
         """Draw what slips in the next step."""
-        if not self.settings.exact:
+        if not self._exact:
             spread = self.settings.slip, self.settings.wander
             for row in rows:
                 self.kept[row, SLIP : WANDER + 1] = self.rngs[row].normal(size=2) * spread
