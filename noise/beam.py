@@ -154,7 +154,7 @@ def _responsibilities(model: BeamModel, ping: Ping, reading: Reading) -> tuple[F
 
 def _updated(model: BeamModel, ping: Ping, reading: Reading, share: Floats) -> BeamModel:
     hit, short, random = share.sum(axis=1) / len(ping)
-    silent = 1.0 - hit - short - random
+    silent = max(1.0 - hit - short - random, 0.0)  # whatever the sum is rounded to
     off = reading.range - ping.distance
     sigma = np.sqrt(_mean(off**2, share[0], model.sigma**2))
     rate = 1.0 / max(_mean(reading.range, share[1], 1.0 / model.short_rate), model.resolution)

@@ -83,44 +83,53 @@ class Inputs:
         flags = [bool(data[key]) for key in ("folded", "tied", "open_end")]
         return cls(tuple(data["names"]), ranges["low"], ranges["high"], *flags)
 
-    @property
+    @cached_property
     def covariates(self) -> tuple[str, ...]:
         """Names of what a ping need not have."""
         return tuple(name for name in self.names if name not in NATURAL_SPAN)
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number of features."""
         return len(self.names) + 1 + len(self.covariates)
 
     def raw(self, ping: Ping) -> Floats:
         """Return the named quantities, (n, names); NaN for a covariate that is not given."""
-        return np.stack([self._column(ping, name) for name in self.names], axis=1)
+        value = np.empty((len(ping), len(self.names)))
+        for k, name in enumerate(self.names):
+            value[:, k] = self._column(ping, name)
+        return value
 
-    def _column(self, ping: Ping, name: str) -> Floats:
+    def _column(self, ping: Ping, name: str) -> Floats | float:
         if name in NATURAL_SPAN:
             value = getattr(ping, name)
             return np.abs(value) if self.folded and name in ("angle", "incidence") else value
-        given = ping.covariates.get(name)
-        return np.full(len(ping), np.nan) if given is None else given
+        return ping.covariates.get(name, math.nan)
 
     def features(self, ping: Ping) -> Asked:
-        """Return what pings ask."""
+        """Return what pings ask. A simulator does so at every step: each call here costs as much as eight pings."""
         value, (low, high, span) = self.raw(ping), self._ranges
         inside = np.minimum(np.maximum(value, low), high)
         off = np.abs(value - inside) / span
         if self.open_end:
-            off[:, 0] = np.where(value[:, 0] > high[0], 0.0, off[:, 0])
-        scaled = 2.0 * (inside - low) / span - 1.0
-        parts, known = [scaled, self._log_distance(inside[:, :1])], np.isfinite(value[:, self._covariate])
+            off[value[:, 0] > high[0], 0] = 0.0
+        feature = np.empty((len(value), self.width))
+        scaled, known = feature[:, : len(self.names)], feature[:, len(self.names) + 1 :]
+        np.multiply(inside - low, 2.0 / span, out=scaled)
+        scaled -= 1.0
+        feature[:, len(self.names)] = self._log_distance(inside[:, 0])
+        missing: NDArray[np.bool_] = np.zeros(len(value), dtype=bool)
+        known[:] = 1.0
         if self.covariates:
-            off, parts[0] = np.nan_to_num(off, nan=0.0), np.nan_to_num(scaled, nan=0.0)
-            parts.append(2.0 * known - 1.0)
+            gone = np.isnan(value)
+            if gone.any():
+                off[gone], scaled[gone], known[gone[:, self._covariate]] = 0.0, 0.0, -1.0
+                missing = np.any(gone, axis=1)
         excess = off.max(axis=1)
         if self.tied:
             apart = np.abs(np.abs(ping.incidence) - np.abs(ping.angle))
             excess = np.maximum(excess, np.where(apart > 1e-9, apart / 0.5, 0.0))
-        return Asked(np.concatenate(parts, axis=1), ping.distance, excess, np.any(~known, axis=1))
+        return Asked(feature, ping.distance, excess, missing)
 
     @cached_property
     def _covariate(self) -> NDArray[np.int64]:

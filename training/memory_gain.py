@@ -56,6 +56,8 @@ WORLDS: Mapping[str, World] = {
     "reflectors that stay for 8 pings": World(stay=8),
 }
 
+UNCORRELATED, CORRELATED = ("nothing to remember",), ("loose wire", "drift: a sensor that warms up")
+
 
 @dataclass(frozen=True)
 class Plan:

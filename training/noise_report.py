@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,16 +12,21 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition import Recording
+from acquisition import Recording, SettingError
 from acquisition.files import write_bytes, write_text
 from noise import CredenceTable, SonarModel, follow, load_model
-from noise.credence import wilson
 from noise.law import Floats
 from noise.metrics import Reliability, credence_reliability
+from noise.networks import MlpModel
+from noise.recent import RecentCredence
 from training.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 from training.compare_noise import HEADINGS, Compared, baselines, compare, place, rows
 from training.corpus import RECORDINGS, written
-from training.memory_gain import WORLDS, Gain, Plan, measure
+from training.draw_paths import PATHS
+from training.draw_speed import of_models, of_paths
+from training.draw_speed import rows as speed_rows
+from training.memory_gain import WORLDS, Plan, measure
+from training.noise_findings import ALONE, BAYES, RECENT, WHERE, Findings, Told, aims
 from training.progress import bar
 from training.recent_credence import CredenceScore, learn_credence, right
 from training.recent_credence import Plan as CredencePlan
@@ -29,7 +34,9 @@ from training.recent_credence import Plan as CredencePlan
 PAGE = Path(__file__).parent / "templates" / "noise_models.md"
 SHIPPED = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
 EDGES = np.linspace(0.0, 6.6, 301)  # m; bins of the table of credence given one reading
-BAYES, ALONE, RECENT = "Bayes over the conditions met", "learned, this reading", "learned, last 8 readings"
+PRIOR_PINGS = 20_000  # conditions over which Bayes' rule is taken
+DEPTHS = {ALONE: 1, RECENT: 8}
+STEPS = 7  # of the report besides recordings and worlds
 
 
 @dataclass(frozen=True)
@@ -41,82 +48,87 @@ class Args:
     docs: Path = Path("docs")
     """Folder to write noise-models.md and images/noise-credence.png to."""
     models: tuple[str, ...] = SHIPPED
-    """Models to compare with the baselines, by name or folder."""
+    """Models to compare with the baselines, by name or folder; a perceptron first."""
     sessions: int = 40
     """Sessions of each world in which the worth of memory is measured."""
 
 
 def main(args: Args) -> None:
-    """Score everything and write the page."""
-    with bar("scoring", len(RECORDINGS) + len(WORLDS) + 4) as progress:
-        step = iter(range(1, 1000))
-        tick = lambda: progress(next(step), len(RECORDINGS) + len(WORLDS) + 4)  # noqa: E731
+    """Find everything out and write the page.
+
+    Raises:
+        SettingError: the first model is no perceptron.
+    """
+    models = {name.split("/")[-1]: load_model(name) for name in args.models}
+    total = len(RECORDINGS) + len(WORLDS) + STEPS
+    with bar("scoring", total) as progress:
+        step = iter(range(1, total + 1))
+        tick = lambda: progress(next(step), total)  # noqa: E731
         recordings = {}
         for name in RECORDINGS:
             recordings[name] = Recording.load(written(args.data, name))
             tick()
-        models = {name.split("/")[-1]: load_model(name) for name in args.models}
-        rivals = baselines(recordings["known"])
-        compared = {}
-        for name in ("cells", "units"):
-            compared[name] = compare(recordings[name], {**rivals, **models})
-            tick()
-        gains = {}
-        for name, world in WORLDS.items():
-            gains[name] = measure(world, Plan(sessions=args.sessions))
-            tick()
-        given = {name: trust(models[args.models[0].split("/")[-1]], recordings, name) for name in ("cells", "units")}
-    write_bytes(args.docs / "images" / "noise-credence.png", figure(models, recordings, given))
-    write_text(args.docs / "noise-models.md", page(compared, gains, given, condition_rows(models, recordings)))
+        found = find(models, recordings, Plan(sessions=args.sessions), tick)
+    write_bytes(args.docs / "images" / "noise-credence.png", figure(models, recordings, found.given))
+    write_text(args.docs / "noise-models.md", page(found))
     print(f"{args.docs / 'noise-models.md'}: written")
 
 
-def trust(model: SonarModel, recordings: Mapping[str, Recording], name: str) -> dict[str, CredenceScore]:
-    """Return how good credence given the readings is, on fresh sessions of known or of other sensors."""
-    train, choose, test = recordings["train"], recordings["validation"], recordings[f"fresh-{name}"]
+def find(
+    models: Mapping[str, SonarModel], recordings: Mapping[str, Recording], plan: Plan, tick: Callable[[], None]
+) -> Findings:
+    """Find out all that the page tells."""
+    first = next(iter(models.values()))
+    if not isinstance(first, MlpModel):
+        raise SettingError("noise-report: the first of --models must be a perceptron, which drawing is timed with")
+    rivals = baselines(recordings["known"])
+    compared, gains = {}, {}
+    for where in WHERE:
+        compared[where] = compare(recordings[where], {**rivals, **models})
+        tick()
+    for name, world in WORLDS.items():
+        gains[name] = measure(world, plan)
+        tick()
+    told = {where: {name: Told.by(model, recordings[where]) for name, model in models.items()} for where in WHERE}
+    tick()
+    given = trust(first, recordings)
+    tick()
+    speeds = of_models(models)
+    tick()
+    paths = of_paths(first, PATHS)
+    tick()
+    return Findings(compared, told, given, gains, speeds, paths, tuple(models))
+
+
+def trust(model: SonarModel, recordings: Mapping[str, Recording]) -> dict[str, dict[str, CredenceScore]]:
+    """Return how good credence given the readings is, on fresh sessions of known and of other sensors."""
+    train, choose = recordings["train"], recordings["validation"]
+    some = np.random.default_rng(0).permutation(len(train))[:PRIOR_PINGS]
+    by_bayes = CredenceTable.over(model, train.ping[some], EDGES)
+    learned = {label: learn_credence(train, choose, CredencePlan(depth)) for label, depth in DEPTHS.items()}
+    return {where: _trust(by_bayes, learned, recordings[f"fresh-{where}"]) for where in WHERE}
+
+
+def _trust(by_bayes: CredenceTable, learned: Mapping[str, RecentCredence], test: Recording) -> dict[str, CredenceScore]:
     ping, reading = test.ping, test.reading
     echo, visit = reading.echo, np.unique(np.stack([test.run, test.cell]), axis=1, return_inverse=True)[1].ravel()
-    some = np.random.default_rng(0).permutation(len(train))[:20_000]
-    said: dict[str, Floats] = {BAYES: CredenceTable.over(model, train.ping[some], EDGES).given(reading)}
-    for label, depth in ((ALONE, 1), (RECENT, 8)):
-        said[label] = learn_credence(train, choose, CredencePlan(depth)).follow(ping, reading)
+    said: dict[str, Floats] = {BAYES: by_bayes.given(reading)}
+    said |= {label: one.follow(ping, reading) for label, one in learned.items()}
     true = right(ping, reading)
     return {label: CredenceScore.of(value[echo], true[echo], visit[echo]) for label, value in said.items()}
 
 
-def condition_rows(models: Mapping[str, SonarModel], recordings: Mapping[str, Recording]) -> str:
-    """Return how credence given the condition compares with each condition's own share and its Wilson interval."""
-    lines = []
-    for where in ("cells", "units"):
-        test = recordings[where]
-        cell, true = place(test), right(test.ping, test.reading)
-        hits, trials = np.bincount(cell, weights=true), np.bincount(cell)
-        low, high = wilson(hits, trials)
-        for name, model in models.items():
-            law = follow(model, test.ping, test.reading)
-            mean = np.bincount(cell, weights=law.credence()) / trials
-            gap = credence_reliability(law, test.reading, cell).gap
-            off, share = np.abs(mean - hits / trials).mean(), 100 * float(((mean >= low) & (mean <= high)).mean())
-            lines.append(f"| {WHERE[where]} | {name} | {gap:.3f} | {off:.3f} | {share:.0f} % |")
-    return "\n".join(lines)
-
-
-WHERE = {"cells": "other conditions, known sensors", "units": "other sensors"}
-
-
-def page(
-    compared: Mapping[str, Compared],
-    gains: Mapping[str, Gain],
-    given: Mapping[str, Mapping[str, CredenceScore]],
-    condition: str,
-) -> str:
+def page(found: Findings) -> str:
     """Return the page in Markdown."""
     return Template(PAGE.read_text(encoding="utf-8")).substitute(
         commit=_commit(),
-        condition=condition,
-        gains="\n".join(f"| {name} | {g.without} | {g.gain} |" for name, g in gains.items()),
-        given="\n".join(_given_rows(given)),
-        **{name: _table(one) for name, one in compared.items()},
+        aims="\n".join(aim.row for aim in aims(found)),
+        condition="\n".join(_condition_rows(found)),
+        gains="\n".join(f"| {name} | {g.without} | {g.gain} |" for name, g in found.gains.items()),
+        given="\n".join(_given_rows(found)),
+        speeds=speed_rows(found.speeds),
+        paths=speed_rows(found.paths),
+        **{where: _table(one) for where, one in found.compared.items()},
     )
 
 
@@ -127,10 +139,18 @@ def _table(compared: Compared) -> str:
     return "\n".join([head, "", *lines])
 
 
-def _given_rows(given: Mapping[str, Mapping[str, CredenceScore]]) -> list[str]:
+def _condition_rows(found: Findings) -> list[str]:
+    return [
+        f"| {WHERE[where]} | {name} | {one.gap:.3f} | {one.off:.3f} | {100 * one.inside:.0f} % |"
+        for where, told in found.told.items()
+        for name, one in told.items()
+    ]
+
+
+def _given_rows(found: Findings) -> list[str]:
     return [
         f"| {WHERE[where]} | {label} | {s.log_score} | {s.brier} | {s.reliability.gap:.3f} |"
-        for where, scores in given.items()
+        for where, scores in found.given.items()
         for label, s in scores.items()
     ]
 
@@ -154,7 +174,7 @@ def figure(
 ) -> bytes:
     """Return reliability diagrams of both kinds of credence, on other conditions and on other sensors, as PNG."""
     draws = []
-    for where in ("cells", "units"):
+    for where in WHERE:
         test = recordings[where]
         curves = {
             n: credence_reliability(follow(m, test.ping, test.reading), test.reading, place(test))

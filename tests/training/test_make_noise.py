@@ -8,7 +8,7 @@ import pytest
 from acquisition import Recording
 from noise import load_model
 from noise.store import WEIGHTS
-from training import corpus, make_noise, memory_gain, noise_report
+from training import corpus, draw_paths, draw_speed, make_noise, memory_gain, noise_report
 from training.cli import main
 from training.corpus import NOTHING, STAND, WALL, Sessions, drive, record, record_unit, survey, thinned
 
@@ -81,6 +81,9 @@ def made(tmp_path_factory):
         patch.setattr(make_noise, "PLANS", {law: {"epochs": 2} for law in make_noise.PLANS})
         world = {"nothing": memory_gain.World()}
         patch.setattr(noise_report, "WORLDS", world)
+        patch.setattr(noise_report, "PATHS", {"numpy": draw_paths.PATHS["numpy"]})
+        patch.setattr(draw_speed, "REPEATS", dict.fromkeys(draw_speed.LIMITS, (1, 1)))
+        patch.setattr(draw_speed, "DRAWS", 1000)
         patch.setattr(noise_report, "CredencePlan", lambda depth: make_plan(depth))
         main(["make-noise", "--out", str(folder / "weights"), "--data", str(folder / "corpus")])
         models = [str(folder / "weights" / f"srf08-{law}") for law in make_noise.PLANS]
@@ -114,6 +117,8 @@ def test_one_command_writes_the_page(made):
         "srf08-hybrid",
         "Bayes over",
         "nothing",
+        "95 % of the way",
+        "| numpy |",
     ):
         assert row in page
     assert "$" not in page
