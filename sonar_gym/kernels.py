@@ -42,11 +42,7 @@ def nearest_in_wedge(
     """Return the point of a segment nearest to the origin among those within a wedge about the x axis.
 
     A wedge below half a turn is convex, so the segment's part inside is one piece, and the nearest point of a piece
-    is the foot of the perpendicular, clamped to it.
-
-    Args:
-        x1, y1, x2, y2: the segment.
-        cosine, sine: of half the wedge's opening angle.
+    is the foot of the perpendicular, clamped to it. Cosine and sine are those of half the wedge's opening angle.
     """
     left1, left2 = sine * x1 - cosine * y1, sine * x2 - cosine * y2
     right1, right2 = sine * x1 + cosine * y1, sine * x2 + cosine * y2

@@ -12,12 +12,13 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
-from sonar_gym.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights, World
+from sonar_gym.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
 from sonar_gym.mounts import Layout, Mount
 from sonar_gym.odometry import OdometryChoice
 from sonar_gym.sonar import SonarChoice
 from sonar_gym.street import Street, StreetSettings
 from sonar_gym.vehicle import Car, CarSettings
+from sonar_gym.world import World
 
 __all__ = ["MAX_RANGE", "MAX_STEPS", "ODOMETRY_SPAN", "STEP_S", "RewardWeights", "SonarParkingEnv"]
 ONE = np.zeros(1, dtype=np.int64)  # the rows of a fleet of one
