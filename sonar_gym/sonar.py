@@ -246,12 +246,8 @@ class Sonar:
 
     def _given(self, law: EchoLaw) -> Floats | None:
         """Return credence given the condition; None where a law can only be drawn from."""
-        if self.tells_credence:
-            try:
-                return law.credence()
-            except (AttributeError, NotImplementedError):
-                self.tells_credence = False
-        return None
+        self.tells_credence = law.tells
+        return law.credence() if law.tells else None
 
     def _before(self, place: slice | NDArray[np.int64]) -> Reading | None:
         """Return the readings before, or None where nothing is known of any and no memory says since when."""
