@@ -126,12 +126,15 @@ def draws_alike(model: SonarModel) -> bool:
     ping = Ping.of(distance=[0.2, 1.0, EMPTY_M, 0.7, 2.5, 0.4], run=np.arange(6))
     alone = [np.random.default_rng(k) for k in range(2)]
     try:
-        both = model.law(ping, None).sample(
-            cast(np.random.Generator, Streams([np.random.default_rng(k) for k in range(2)], [3, 3]))
+        both = (
+            listener(model)
+            .law(ping, None)
+            .sample(cast(np.random.Generator, Streams([np.random.default_rng(k) for k in range(2)], [3, 3])))
         )
     except (AttributeError, TypeError, NotAlike):
         return False
-    apart = [model.law(ping[rows], None).sample(rng) for rows, rng in zip(([0, 1, 2], [3, 4, 5]), alone, strict=True)]
+    halves = zip(([0, 1, 2], [3, 4, 5]), alone, strict=True)
+    apart = [listener(model).law(ping[rows], None).sample(rng) for rows, rng in halves]
     said = np.concatenate([reading.range for reading in apart])
     return bool(np.array_equal(both.range, said))
 
