@@ -32,6 +32,10 @@ class UnknownModelError(ModelError, LookupError):
     """No model of that name or path."""
 
 
+class SampleOnlyError(ModelError, NotImplementedError):
+    """A model that can only be drawn from was asked for a probability."""
+
+
 class MissingExtraError(SonarError, ImportError):
     """An optional dependency is needed for what was asked."""
 

@@ -93,8 +93,8 @@ class Ping:
             value = getattr(self, name)
             if value.shape != n or value.ndim != 1:
                 raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value a ping")
-            # a finite sum proves finite terms, in one pass: a simulator builds a Ping at every step
-            if not math.isfinite(value.sum()) and not np.all(np.isfinite(value)):
+            # a finite sum of squares proves finite terms, in one fast call: a simulator builds a Ping at every step
+            if not math.isfinite(value @ value) and not np.all(np.isfinite(value)):
                 raise SettingError(f"Ping.{name} holds a value that is not finite: a condition must be known")
         if n[0] and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")

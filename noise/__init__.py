@@ -16,6 +16,7 @@ _LAZY = {
     "MlpModel": "noise.networks",
     "Faulty": "noise.faults",
     "diagnose": "noise.discrepancy",
+    "load_thesis_network": "noise.thesis",
 }
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "SonarModel",
     "diagnose",
     "load_model",
+    "load_thesis_network",
     "model_names",
     "save_model",
     "simulate",
@@ -38,7 +40,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs torch on first use."""
+    """Import what needs torch or h5py on first use."""
     if name in _LAZY:
         return getattr(importlib.import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'noise' has no attribute {name!r}")

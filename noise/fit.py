@@ -19,7 +19,7 @@ from acquisition import Recording
 from noise.cells import Batch, law_of, log_prob
 from noise.law import Floats
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, LINK, NUISANCES, SPREAD, Key, Stack
+from noise.stack import CELLS, JITTER, LINK, NUISANCES, SPREAD, Key, Stack
 from noise.starts import nuisance_start
 
 TOLERANCE = 1e-7  # of the log likelihood, relative: about 0.002 nats in 20,000
@@ -153,19 +153,22 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
     """Return a fit in which every reading counts, where cells repeat themselves; the given one where they do not.
 
     The urn answers for what a cell repeats and leaves to the law what is new, which strays are more often: their share
-    would come out too high. Here the urn is off, and errors must be taken over blocks (`covariance` does).
+    would come out too high. Here the urn is off, and errors must be taken over blocks (`covariance` does). What moves
+    whole cells is left as it is: with the urn off, a few cells that stand apart would drag it along.
 
     Args:
         joint: a fit with the urn.
-        keys: parameters to move besides the spread.
+        keys: parameters of effects; those that strike single pings are moved, and the spread.
         batch: it was fitted to.
     """
-    # what looks at the reading before is told apart from a cell that repeats itself by the urn alone
-    keys = [key for key in keys if not joint.stack.known[key[0]].remembers]
+    keys = [key for key in keys if joint.stack.known[key[0]].by_ping]
     if not keys or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
         return joint
     alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
-    return maximise(alone, (*keys, *SPREAD), batch, 80)
+    spread = 0.7 * max(joint.stack.get((JITTER, "sigma_m")), joint.stack.get((CELLS, "placement_m")))
+    # from no scatter of cells at all no climb leads away: its slope is zero there
+    loose = alone.put([(JITTER, "sigma_m"), (CELLS, "placement_m")], [spread, spread])
+    return best_of([alone, loose], (*keys, *SPREAD), batch, 80)
 
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from acquisition import Ping, Reading, SettingError, previous
-from noise.law import EchoLaw, Floats
+from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 
 MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
 
@@ -89,6 +89,29 @@ class NormalLaw(EchoLaw):
         return np.minimum(np.maximum(nearest, 1), self.last_step).astype(np.int64)
 
 
+class CertainLaw(NormalLaw):
+    """A normal arrival without spread, which needs no normal numbers: `miss` is 0 or 1, nothing is left to chance."""
+
+    def __init__(self, ping: Ping, miss: Floats, resolution: float, max_range: float) -> None:
+        super().__init__(ping, ping.distance, np.zeros(len(ping)), miss, resolution, max_range)
+
+    @property
+    def _steps(self) -> Floats:
+        """The register's step nearest to each distance, not yet a whole number's type."""
+        return np.minimum(np.maximum(np.ceil(self.distance / self.resolution - 0.5), 1.0), self.last_step)
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Return what is read, for sure; no number is drawn."""
+        echo = self.miss < 1.0
+        return Reading(self._steps * (echo * self.resolution), echo.view(np.uint8))
+
+    def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
+        """Return 1 where the register's step lies within +-tolerance of the distance, else 0, (n,)."""
+        off = np.abs(self._steps * self.resolution - self.distance)
+        right = off <= tolerance * self.distance + 1e-9 * self.resolution
+        return right * (1.0 - self.miss)
+
+
 @dataclass(frozen=True)
 class IdealModel:
     """A sonar that reads the true distance, always: what most simulators assume.
@@ -112,7 +135,7 @@ class IdealModel:
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the law of n pings: certainty."""
         miss = (ping.distance > self.max_range).astype(np.float64)
-        return NormalLaw(ping, ping.distance, np.zeros(len(ping)), miss, self.resolution, self.max_range)
+        return CertainLaw(ping, miss, self.resolution, self.max_range)
 
 
 @dataclass(frozen=True)

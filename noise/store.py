@@ -15,10 +15,11 @@ from typing import Any
 
 from acquisition import ModelError, UnknownModelError
 from noise.model import GaussianModel, IdealModel, SonarModel
+from noise.rig import RigModel
 
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
-BUILT_IN = {"ideal": IdealModel, "gaussian": GaussianModel}
+BUILT_IN: dict[str, Any] = {"ideal": IdealModel, "gaussian": GaussianModel, "rig": RigModel}
 KINDS = {  # kind in model.json -> module and class; imported when asked for, since some need torch
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.empirical", "EmpiricalModel"),

@@ -15,17 +15,31 @@ from acquisition.house import check_noise
 ENV_ID = "SonarParking-v0"
 _LAZY = {
     "SonarParkingEnv": "sonar_gym.parking",
+    "SonarParkingVectorEnv": "sonar_gym.vector",
     "SonarObservation": "sonar_gym.wrappers",
     "HighwaySonar": "sonar_gym.highway",
     "ParkingDriver": "sonar_gym.driver",
     "run_episode": "sonar_gym.driver",
 }
 
-__all__ = ["ENV_ID", "HighwaySonar", "ParkingDriver", "SonarObservation", "SonarParkingEnv", "run_episode"]
+__all__ = [
+    "ENV_ID",
+    "HighwaySonar",
+    "ParkingDriver",
+    "SonarObservation",
+    "SonarParkingEnv",
+    "SonarParkingVectorEnv",
+    "run_episode",
+]
 
 check_noise()
 if ENV_ID not in gymnasium.registry:
-    gymnasium.register(id=ENV_ID, entry_point="sonar_gym.parking:SonarParkingEnv", max_episode_steps=400)
+    gymnasium.register(
+        id=ENV_ID,
+        entry_point="sonar_gym.parking:SonarParkingEnv",
+        vector_entry_point="sonar_gym.vector:SonarParkingVectorEnv",
+        max_episode_steps=400,
+    )
 
 
 def __getattr__(name: str) -> Any:

@@ -64,18 +64,6 @@ def incidence_at(x: float, y: float, dx: float, dy: float) -> float:
 
 
 @njit(cache=True)
-def into_frame(segments: Floats, pose: Floats) -> Floats:
-    """Return segments of the world in the frame of a pose, (m, 4)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    out = np.empty_like(segments)
-    for k in range(segments.shape[0]):
-        for end in (0, 2):
-            dx, dy = segments[k, end] - pose[0], segments[k, end + 1] - pose[1]
-            out[k, end], out[k, end + 1] = c * dx + s * dy, c * dy - s * dx
-    return out
-
-
-@njit(cache=True)
 def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
     """Return a point in the frame of a pose in the world."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -83,18 +71,27 @@ def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def cast_cone(local: Floats, half: float, limit: float) -> tuple[float, float, float, int, float, float]:
-    """Find the nearest point of any segment within one cone about the x axis; see `cast_cones`."""
-    best, bearing, incidence, index, at_x, at_y = limit, 0.0, 0.0, NOTHING, 0.0, 0.0
-    for k in range(local.shape[0]):
-        x, y, inside = nearest_in_wedge(local[k, 0], local[k, 1], local[k, 2], local[k, 3], half)
-        away = math.sqrt(x * x + y * y)
+def cast_cone(
+    x: float, y: float, heading: float, half: float, segments: Floats, limit: float
+) -> tuple[float, float, float, int, float, float]:
+    """Find the nearest point of any segment within one cone; see `cast_cones`. Faces wholly behind are passed over."""
+    best, bearing, incidence, index, at_x, at_y = limit, 0.0, 0.0, NOTHING, x, y
+    c, s = math.cos(heading), math.sin(heading)
+    for k in range(segments.shape[0]):
+        ax, ay, bx, by = segments[k, 0] - x, segments[k, 1] - y, segments[k, 2] - x, segments[k, 3] - y
+        x1, x2 = c * ax + s * ay, c * bx + s * by
+        if (x1 < 0.0 and x2 < 0.0) or (x1 > best + TIE and x2 > best + TIE):
+            continue
+        y1, y2 = c * ay - s * ax, c * by - s * bx
+        px, py, inside = nearest_in_wedge(x1, y1, x2, y2, half)
+        away = math.sqrt(px * px + py * py)
         if not inside or away > best + TIE or away > limit:
             continue
-        met = incidence_at(x, y, local[k, 2] - local[k, 0], local[k, 3] - local[k, 1])
+        met = incidence_at(px, py, x2 - x1, y2 - y1)
         if away < best - TIE or index == NOTHING or met < incidence:
-            best, incidence, index, at_x, at_y = away, met, k, x, y
-            bearing = math.atan2(y, x) if away > TIE else 0.0  # on the face itself no direction is left
+            best, incidence, index = away, met, k
+            at_x, at_y = x + c * px - s * py, y + s * px + c * py
+            bearing = math.atan2(py, px) if away > TIE else 0.0  # on the face itself no direction is left
     return best, bearing, incidence, index, at_x, at_y
 
 
@@ -122,10 +119,10 @@ def cast_cones(
     distance, bearing, incidence = np.empty(count), np.empty(count), np.empty(count)
     index, point = np.empty(count, np.int64), np.zeros((count, 2))
     for i in range(count):
-        local = into_frame(segments, poses[i])
-        distance[i], bearing[i], incidence[i], index[i], x, y = cast_cone(local, half[i], limit)
+        found = cast_cone(poses[i, 0], poses[i, 1], poses[i, 2], half[i], segments, limit)
+        distance[i], bearing[i], incidence[i], index[i], x, y = found
         if index[i] != NOTHING:
-            point[i, 0], point[i, 1] = out_of_frame(x, y, poses[i])
+            point[i, 0], point[i, 1] = x, y
     return distance, bearing, incidence, index, point
 
 
@@ -148,9 +145,18 @@ def touches(pose: Floats, body: Floats, segments: Floats) -> int:
         body: the rectangle in that frame, (rear, right, front, left), m.
         segments: (m, 4).
     """
-    local = into_frame(segments, pose)
-    for k in range(local.shape[0]):
-        x1, y1, x2, y2 = local[k, 0], local[k, 1], local[k, 2], local[k, 3]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(segments.shape[0]):
+        ax, ay, bx, by = (
+            segments[k, 0] - pose[0],
+            segments[k, 1] - pose[1],
+            segments[k, 2] - pose[0],
+            segments[k, 3] - pose[1],
+        )
+        x1, x2 = c * ax + s * ay, c * bx + s * by
+        if max(x1, x2) < body[0] or min(x1, x2) > body[2]:
+            continue
+        y1, y2 = c * ay - s * ax, c * by - s * bx
         low, high = clip_half_plane(x1 - body[0], x2 - body[0], 0.0, 1.0)
         low, high = clip_half_plane(body[2] - x1, body[2] - x2, low, high)
         low, high = clip_half_plane(y1 - body[1], y2 - body[1], low, high)
@@ -168,7 +174,7 @@ def approach(value: float, target: float, rate: float, lag: float, dt: float) ->
 
 
 @njit(cache=True)
-def roll(pose: Floats, travel: float, curvature: float) -> Floats:
+def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, float]:
     """Return a pose after `travel` m of the rear axle along an arc of `curvature` 1/m: exact.
 
     The chord of an arc of angle a is travel * sin(a/2)/(a/2) long and leaves at half the angle.
@@ -177,14 +183,24 @@ def roll(pose: Floats, travel: float, curvature: float) -> Floats:
     half = 0.5 * turn
     chord = travel * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
     along = pose[2] + half
-    heading = pose[2] + turn
-    return np.array(
-        [
-            pose[0] + chord * math.cos(along),
-            pose[1] + chord * math.sin(along),
-            (heading + math.pi) % (2.0 * math.pi) - math.pi,
-        ]
-    )
+    heading = (pose[2] + turn + math.pi) % (2.0 * math.pi) - math.pi
+    return pose[0] + chord * math.cos(along), pose[1] + chord * math.sin(along), heading
+
+
+@njit(cache=True)
+def drive_part(
+    state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, h: float
+) -> tuple[int, float]:
+    """Drive a car for h s in place; it stops dead where its body touches a segment. See `drive`.
+
+    Returns:
+        The index of the segment touched or -1, and the curvature of the way, 1/m.
+    """
+    state[4] = approach(state[4], steering, car[1], car[2], h)
+    state[3] = approach(state[3], speed, car[3], car[4], h)
+    curvature = math.tan(state[4]) / car[0]
+    state[0], state[1], state[2] = roll(state[:3], state[3] * h, curvature)
+    return touches(state[:3], body, segments), curvature
 
 
 @njit(cache=True)
@@ -197,7 +213,7 @@ def drive(
         state: x, y, heading, speed, steering angle: m, m, rad, m/s, rad.
         steering: wanted steering angle, rad.
         speed: wanted speed, m/s.
-        car: wheelbase m, steering rate rad/s, steering lag s, acceleration m/s^2, speed lag s.
+        car: wheelbase m, steering rate rad/s, steering lag s, acceleration m/s^2, speed lag s, ...
         body: the rectangle in the car's frame, (rear, right, front, left), m.
         segments: what must not be touched, (m, 4).
         dt: duration, s.
@@ -206,36 +222,10 @@ def drive(
     Returns:
         The state after dt, and the index of the segment touched or -1.
     """
-    out = state.copy()
-    h = dt / parts
+    out, hit = state.copy(), NOTHING
     for _ in range(parts):
-        out[4] = approach(out[4], steering, car[1], car[2], h)
-        out[3] = approach(out[3], speed, car[3], car[4], h)
-        out[:3] = roll(out[:3], out[3] * h, math.tan(out[4]) / car[0])
-        hit = touches(out[:3], body, segments)
+        hit, _ = drive_part(out, steering, speed, car, body, segments, dt / parts)
         if hit != NOTHING:
             out[3] = 0.0
-            return out, hit
-    return out, NOTHING
-
-
-@njit(cache=True)
-def cost_to_go(pose: Floats, path: Floats, per_metre: float, per_radian: float) -> float:
-    """Return the least of what is left of a path from any of its poses, plus the price of being off that pose.
-
-    Args:
-        pose: (3,).
-        path: rows x, y, heading, m left, the last never growing, (k, 4).
-        per_metre: price of a metre off the path, m.
-        per_radian: price of a radian off its heading, m.
-    """
-    best = np.inf
-    for k in range(path.shape[0] - 1, -1, -1):
-        if path[k, 3] >= best:
-            break  # what is left only grows from here on
-        dx, dy = pose[0] - path[k, 0], pose[1] - path[k, 1]
-        cost = path[k, 3] + per_metre * math.sqrt(dx * dx + dy * dy)
-        if cost < best:
-            turn = abs((pose[2] - path[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
-            best = min(best, cost + per_radian * turn)
-    return best
+            break
+    return out, hit

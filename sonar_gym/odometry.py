@@ -9,7 +9,7 @@ Fox (2005, "Probabilistic robotics", section 5.4).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -75,8 +75,13 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
     return given if isinstance(given, OdometrySettings) else OdometrySettings(**given)
 
 
+X, Y, HEADING, SCALE, PULL, SLIP, WANDER = range(7)  # columns of what an odometer keeps
+
+
 @njit(cache=True)
-def reckoned(estimate: Floats, before: Floats, after: Floats, stretch: float, pull: float, wander: float) -> Floats:
+def reckoned(
+    estimate: Floats, before: Floats, after: Floats, stretch: float, pull: float, wander: float
+) -> tuple[float, float, float]:
     """Return where a car takes itself to be after a step.
 
     Args:
@@ -92,41 +97,67 @@ def reckoned(estimate: Floats, before: Floats, after: Floats, stretch: float, pu
     along, across = (1.0 + stretch) * (c * dx + s * dy), (1.0 + stretch) * (c * dy - s * dx)
     turn = (after[2] - before[2] + math.pi) % (2.0 * math.pi) - math.pi
     c, s = math.cos(estimate[2]), math.sin(estimate[2])
-    out = np.empty(3)
-    out[0], out[1] = estimate[0] + c * along - s * across, estimate[1] + s * along + c * across
-    out[2] = estimate[2] + turn + pull * along + wander
-    return out
+    heading = estimate[2] + turn + pull * along + wander
+    return estimate[0] + c * along - s * across, estimate[1] + s * along + c * across, heading
+
+
+@njit(cache=True)
+def count(kept: Floats, before: Floats, after: Floats) -> None:
+    """Count a step between two poses of the world.
+
+    Args:
+        kept: x, y, heading; scale and pull of the episode; slip and wander of this step, (7,).
+        before: x, y, heading where the car was, (3,).
+        after: where it is, (3,).
+    """
+    way = math.hypot(after[0] - before[0], after[1] - before[1])
+    stretch = kept[SCALE] + kept[SLIP] * math.sqrt(way) / max(way, 1e-12)
+    now = reckoned(kept[:3], before, after, stretch, kept[PULL], kept[WANDER] * math.sqrt(way))
+    kept[X], kept[Y], kept[HEADING] = now
 
 
 class Odometer:
-    """Counts a car's way from its start, in the start's frame.
+    """Counts the ways of cars from their starts, each in its start's frame.
 
     Args:
         settings: what is wrong with it.
+        copies: cars, each with a random stream of its own.
+
+    Attributes:
+        kept: x, y, heading, and what is wrong with them in columns `SCALE` to `WANDER`, (copies, 7).
     """
 
-    def __init__(self, settings: OdometrySettings) -> None:
+    def __init__(self, settings: OdometrySettings, copies: int = 1) -> None:
         self.settings = settings
-        self.rng = np.random.default_rng()
-        self.pose = np.zeros(3)
-        self._scale, self._pull = 0.0, 0.0
+        self._exact = settings.exact
+        self.rngs = [np.random.default_rng() for _ in range(copies)]
+        self.kept = np.zeros((copies, 7))
 
-    def seed(self, seed: int) -> None:
-        """Start the stream anew; worlds and sonars seeded alike are left alone."""
-        self.rng = np.random.default_rng(np.random.SeedSequence([seed, ODOMETRY_TAG]))
+    @property
+    def pose(self) -> Floats:
+        """Where the first car takes itself to be, (3,)."""
+        return self.kept[0, :SCALE].copy()
 
-    def begin(self) -> None:
-        """Begin an episode: the car stands at the origin, and has the wheels that it has."""
-        self.pose = np.zeros(3)
-        if not self.settings.exact:
-            self._scale, self._pull = self.rng.normal(size=2) * [self.settings.scale, self.settings.pull]
+    def seed(self, seed: int, copy: int = 0) -> None:
+        """Start a stream anew; worlds and sonars seeded alike are left alone."""
+        self.rngs[copy] = np.random.default_rng(np.random.SeedSequence([seed, ODOMETRY_TAG]))
+
+    def begin(self, rows: Iterable[int] = (0,)) -> None:
+        """Begin episodes: the cars stand at the origin, and have the wheels that they have."""
+        for row in rows:
+            self.kept[row] = 0.0
+            if not self._exact:
+                spread = self.settings.scale, self.settings.pull
+                self.kept[row, SCALE : PULL + 1] = self.rngs[row].normal(size=2) * spread
+
+    def slip(self, rows: Iterable[int] = (0,)) -> None:
+        """Draw what slips in the next step."""
+        if not self._exact:
+            spread = self.settings.slip, self.settings.wander
+            for row in rows:
+                self.kept[row, SLIP : WANDER + 1] = self.rngs[row].normal(size=2) * spread
 
     def step(self, before: Floats, after: Floats) -> None:
-        """Count a step between two poses of the world, (3,) each."""
-        slip, wander = 0.0, 0.0
-        if not self.settings.exact:
-            way = math.hypot(after[0] - before[0], after[1] - before[1])
-            root = math.sqrt(way)
-            slip, wander = self.rng.normal(size=2) * [self.settings.slip, self.settings.wander]
-            slip, wander = slip * root / max(way, 1e-12), wander * root
-        self.pose = reckoned(self.pose, before, after, self._scale + slip, self._pull, wander)
+        """Count a step of the first car between two poses of the world, (3,) each."""
+        self.slip()
+        count(self.kept[0], before, after)

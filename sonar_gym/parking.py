@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -15,51 +12,15 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
-from sonar_gym import kernels
-from sonar_gym.mounts import Layout, in_world, layout, mount_arrays
-from sonar_gym.odometry import Odometer, OdometryChoice
-from sonar_gym.odometry import odometry as odometry_settings
-from sonar_gym.prior import street_credence
-from sonar_gym.scene import Hits
-from sonar_gym.sonar import Heard, Sonar, SonarChoice, resolve, sonar_spaces
-from sonar_gym.street import BEHIND, Street, StreetSettings, draw_street, reference_path
+from sonar_gym.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights, World
+from sonar_gym.mounts import Layout, Mount
+from sonar_gym.odometry import OdometryChoice
+from sonar_gym.sonar import SonarChoice
+from sonar_gym.street import Street, StreetSettings
 from sonar_gym.vehicle import Car, CarSettings
 
-Observation = dict[str, NDArray[np.float32]]
-STEP_S = 0.1  # s; the SRF08 ranges in 65 ms, all of them at once after a general call (Devantech)
-MAX_RANGE = 3.01  # m; SRF08 with range register 69: (69 + 1) * 43 mm
-MAX_STEPS = 400  # of an episode, by the TimeLimit that `gymnasium.make` adds
-ODOMETRY_SPAN = (10.0, 2.0)  # m; odometry along and across the start's heading is given as shares of these
-PARKED_ANGLE = np.radians(10.0)
-PARKED_SPEED = 0.03  # m/s
-PARKED_OVERHANG = 0.02  # m; how far a parked body may stand out over the strip's line
-
-
-@dataclass(frozen=True)
-class RewardWeights:
-    """What each term of the reward is worth.
-
-    Attributes:
-        progress: per metre by which the cost to go along a reference path falls.
-        time: per step.
-        parked: once, for standing in the gap.
-        crashed: once, for touching anything or leaving the street.
-        off_path: price of a metre off the reference path, in metres of cost to go.
-        off_heading: price of a radian off its heading, in metres of cost to go.
-    """
-
-    progress: float = 1.0
-    time: float = -0.01
-    parked: float = 10.0
-    crashed: float = -10.0
-    off_path: float = 3.0
-    off_heading: float = 0.5
-
-
-def _settings(cls: type, given: Any) -> Any:
-    if given is None:
-        return cls()
-    return cls(**given) if isinstance(given, Mapping) else given
+__all__ = ["MAX_RANGE", "MAX_STEPS", "ODOMETRY_SPAN", "STEP_S", "RewardWeights", "SonarParkingEnv"]
+ONE = np.zeros(1, dtype=np.int64)  # the rows of a fleet of one
 
 
 class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
@@ -143,146 +104,82 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         reward: RewardWeights | Mapping[str, Any] | None = None,
         odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
+        difficulty: str = "normal",
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise SettingError(f"render_mode {render_mode!r}: expected None, 'human' or 'rgb_array'")
+        check_render_mode(render_mode)
         self.render_mode = render_mode
-        self.mounts = layout(sonar_layout)
-        self.street_settings: StreetSettings = _settings(StreetSettings, street)
-        self.car_settings: CarSettings = _settings(CarSettings, car)
-        self.reward_weights: RewardWeights = _settings(RewardWeights, reward)
+        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry)
         self.max_range = MAX_RANGE
-        model = resolve(sonar)
-        tables = street_credence(model, self.street_settings, self.car_settings, self.mounts, MAX_RANGE)
-        self.sonar = Sonar(model, len(self.mounts), MAX_RANGE, tables=tables)
-        named = isinstance(sonar, (str, os.PathLike))
-        self.sonar_name = Path(str(sonar)).name if named else type(self.sonar.model).__name__
-        self._poses, self._half = mount_arrays(self.mounts)
-        self.odometer = Odometer(odometry_settings(odometry))
         self._streams_seeded = False
         self._renderer: Any = None
-        self.steps = -1  # no episode yet
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        ego = spaces.Box(-1.0, 1.0, (7,), np.float32)
-        self.observation_space = spaces.Dict({**sonar_spaces(len(self.mounts)), "ego": ego})
+        self.action_space: spaces.Space[Any] = self.fleet.action_space
+        self.observation_space = self.fleet.observation_space
 
     # ---- world -------------------------------------------------------------------------------------------------------
 
-    street: Street
-    car: Car
-    hits: Hits
-    heard: Heard
+    @property
+    def world(self) -> World:
+        """The world as it is now."""
+        return self.fleet.world(0)
+
+    @property
+    def street(self) -> Street:
+        """The street of this episode."""
+        return self.world.street
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """The sonars on the car."""
+        return self.fleet.mounts
+
+    @property
+    def car(self) -> Car:
+        """The car as it is now; another may be put in its place."""
+        return self.world.car
+
+    @car.setter
+    def car(self, car: Car) -> None:
+        self.fleet.worlds.car[0] = car.state
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a street and put the car at its beginning; `options` is not used."""
+        """Draw a street and put the car at its beginning; `options` fixes what is not to be drawn."""
         super().reset(seed=seed)
-        self._reset_streams(seed)
-        self.street = draw_street(self.street_settings, self.np_random)
-        self.car = Car.at(self.car_settings, *self.street.start)
-        self.odometer.begin()
-        self.path = reference_path(self.street, self.car_settings)
-        self.steps = 0
-        self.parked, self.collision, self.left_street = False, False, False
-        self._cost = self._cost_to_go()
-        self._listen()
+        if seed is not None or not self._streams_seeded:
+            self.fleet.seed(self.np_random_seed if seed is None else seed)
+            self._streams_seeded = True
+        self.fleet.reset(ONE, [self.np_random], options)
         self._show()
-        return self._observation(), self._info({})
+        return self.fleet.observation(0), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 0.1 s towards the wanted steering and speed, then listen."""
         self._check_begun("step")
-        steering, speed = self._checked(action)
-        before = self.car.pose
-        self.car, hit = self.car.drive(steering, speed, self.street.scene.segments, STEP_S)
-        self.odometer.step(before, self.car.pose)
-        self.steps += 1
-        self.collision = hit != kernels.NOTHING
-        self.left_street = bool(self.car.state[0] < -BEHIND)
-        self.parked = not self.collision and self._is_parked()
-        terms = self._reward_terms()
-        self._listen()
+        self.fleet.step(ONE, self._checked(action))
         self._show()
-        terminated = self.parked or self.collision or self.left_street
-        return self._observation(), float(sum(terms.values())), terminated, False, self._info(terms)
-
-    def _reset_streams(self, seed: int | None) -> None:
-        self.sonar.forget()
-        if seed is not None or not self._streams_seeded:
-            own = self.np_random_seed if seed is None else seed
-            self.sonar.seed(own)
-            self.odometer.seed(own)
-            self._streams_seeded = True
+        reward = sum(self.fleet.worlds.terms[0].tolist())
+        return self.fleet.observation(0), reward, any(self.fleet.worlds.ended[0].tolist()), False, self._info()
 
     def _check_begun(self, call: str) -> None:
-        if self.steps < 0:
+        if self.fleet.worlds.steps[0] < 0:
             raise gymnasium.error.ResetNeeded(f"SonarParking-v0: {call}() before the first reset(); call reset() first")
 
-    def _checked(self, action: ArrayLike) -> tuple[float, float]:
+    def _checked(self, action: ArrayLike) -> NDArray[np.float64]:
         value = np.asarray(action, dtype=np.float64)
         if value.shape != (2,):
             raise SettingError(f"action has shape {value.shape}, expected (2,): steering and speed")
-        steering, speed = float(value[0]), float(value[1])
+        steering, speed = value.tolist()
         if not math.isfinite(steering + speed):
             raise SettingError(f"action must be finite, got steering {steering} and speed {speed}: check the policy")
-        return min(max(steering, -1.0), 1.0), min(max(speed, -1.0), 1.0)
+        return np.array([[min(max(steering, -1.0), 1.0), min(max(speed, -1.0), 1.0)]])
 
-    def _listen(self) -> None:
-        poses = in_world(self._poses, self.car.pose)
-        self.hits = self.street.scene.cast(poses, self._half, self.max_range)
-        self.heard = self.sonar.listen(self.hits.ping(self.steps * STEP_S), self.hits.seen)
-
-    # ---- what comes out ----------------------------------------------------------------------------------------------
-
-    def _observation(self) -> Observation:
-        return {**self.heard.observation(self.max_range), "ego": self._ego()}
-
-    def _ego(self) -> NDArray[np.float32]:
-        """Speed, steering, odometry since the start in the start's frame, time: nothing that the car cannot know."""
-        x, y, turn = self.odometer.pose
-        speed, steering = (
-            self.car.speed / self.car_settings.max_speed,
-            self.car.steering / self.car_settings.max_steering,
-        )
-        along, across = x / ODOMETRY_SPAN[0], y / ODOMETRY_SPAN[1]
-        ego = (speed, steering, math.cos(turn), math.sin(turn), along, across, self.steps / MAX_STEPS)
-        return np.minimum(np.maximum(np.array(ego, dtype=np.float32), -1.0), 1.0)
-
-    def _info(self, terms: dict[str, float]) -> dict[str, Any]:
-        return {
-            "is_success": self.parked,
-            "collision": self.collision,
-            "left_street": self.left_street,
-            "distance": self.hits.distance,
-            "bearing": self.hits.bearing,
-            "incidence": self.hits.incidence,
-            "reflectance": self.hits.reflectance,
-            "in_cone": self.hits.seen,
-            "credence_given_condition": self.heard.credence_given_condition,
-            "reward_terms": terms,
-        }
-
-    def _cost_to_go(self) -> float:
-        weights = self.reward_weights
-        return float(kernels.cost_to_go(self.car.pose, self.path, weights.off_path, weights.off_heading))
-
-    def _reward_terms(self) -> dict[str, float]:
-        before, self._cost = self._cost, self._cost_to_go()
-        weights = self.reward_weights
-        return {
-            "progress": weights.progress * (before - self._cost),
-            "time": weights.time,
-            "parked": weights.parked if self.parked else 0.0,
-            "crashed": weights.crashed if self.collision or self.left_street else 0.0,
-        }
-
-    def _is_parked(self) -> bool:
-        if abs(self.car.speed) > PARKED_SPEED or abs(self.car.state[2]) > PARKED_ANGLE:
-            return False
-        corners = self.car.corners()
-        between = self.street.gap[0] <= corners[:, 0].min() and corners[:, 0].max() <= self.street.gap[1]
-        return bool(between and corners[:, 1].max() <= self.street.line + PARKED_OVERHANG)
+    def _info(self) -> dict[str, Any]:
+        info = self.fleet.truth(0)
+        for name in ("is_success", "collision", "left_street"):
+            info[name] = bool(info[name])
+        info["reward_terms"] = {name: float(value) for name, value in info["reward_terms"].items()}
+        return info
 
     # ---- pictures ----------------------------------------------------------------------------------------------------
 
@@ -300,7 +197,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
             from sonar_gym.rendering import Renderer  # pygame is imported when it is first drawn
 
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
-        picture: NDArray[np.uint8] | None = self._renderer.draw(self)
+        picture: NDArray[np.uint8] | None = self._renderer.draw(self.world)
         return picture
 
     def close(self) -> None:
@@ -308,3 +205,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def check_render_mode(mode: str | None) -> None:
+    """Refuse a render mode that there is not."""
+    if mode is not None and mode not in SonarParkingEnv.metadata["render_modes"]:
+        raise SettingError(f"render_mode {mode!r}: expected None, 'human' or 'rgb_array'")

@@ -13,7 +13,7 @@ from sonar_gym.mounts import in_world, mount_arrays
 from sonar_gym.painting import Brush, Camera, Place
 
 if TYPE_CHECKING:
-    from sonar_gym.parking import SonarParkingEnv
+    from sonar_gym.fleet import World
 
 WIDTH, HEIGHT = 1000, 660  # px
 HEAD, FOOT = 54, 176  # px above and below the view
@@ -42,8 +42,8 @@ class Renderer:
         self._window: pygame.Surface | None = None
         self._clock = pygame.time.Clock()
 
-    def draw(self, env: SonarParkingEnv) -> NDArray[np.uint8] | None:
-        """Draw the environment as it is now."""
+    def draw(self, env: World) -> NDArray[np.uint8] | None:
+        """Draw a world as it is now."""
         self._remember(env)
         camera = _camera(env)
         self._canvas.fill(paint.PAPER)
@@ -62,7 +62,7 @@ class Renderer:
             return None
         return _pixels(picture)
 
-    def _remember(self, env: SonarParkingEnv) -> None:
+    def _remember(self, env: World) -> None:
         if env.steps == 0:
             self._trail.clear()
         self._trail.append((float(env.car.state[0]), float(env.car.state[1])))
@@ -88,7 +88,7 @@ def _pixels(picture: pygame.Surface) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pygame.surfarray.array3d(picture).swapaxes(0, 1), dtype=np.uint8)
 
 
-def _camera(env: SonarParkingEnv) -> Camera:
+def _camera(env: World) -> Camera:
     """Follow the car, with more of the street before it than behind it."""
     scale = WIDTH / VIEW_M
     left = float(np.clip(env.car.state[0] - 0.42 * VIEW_M, -0.9, env.street.end + 0.15 - VIEW_M))
@@ -104,7 +104,7 @@ def _area(camera: Camera, x1: float, y1: float, x2: float, y2: float) -> list[Pl
     return camera.places([(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
 
 
-def _street(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _street(brush: Brush, camera: Camera, env: World) -> None:
     street = env.street
     begin, end, far = -3.0, street.end, street.settings.far_side
     brush.polygon(_area(camera, begin, -9.0, end + 9.0, 9.0), paint.PAVEMENT)
@@ -126,7 +126,7 @@ def _on(colour: paint.Colour) -> paint.Colour:
     return paint.INK if sum(colour) > 380 else paint.PAPER
 
 
-def _markings(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _markings(brush: Brush, camera: Camera, env: World) -> None:
     street = env.street
     middle = 0.5 * (street.settings.far_side + street.line)
     for y in (street.kerb, street.settings.far_side):
@@ -136,7 +136,7 @@ def _markings(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
     brush.dashes(ends[0], ends[1], paint.MARKING, 0.16 * camera.scale, 0.12 * camera.scale, 2.5)
 
 
-def _space(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _space(brush: Brush, camera: Camera, env: World) -> None:
     (begin, end), street = env.street.gap, env.street
     outline = _area(camera, begin, street.kerb, end, street.line)
     brush.polygon(outline, paint.SPACE, 70)
@@ -160,7 +160,7 @@ def _rectangle(pose: NDArray[np.float64], x: float, y: float, length: float, wid
     return list((local + np.array([x, y])) @ np.array([[c, s], [-s, c]]) + pose[:2])
 
 
-def _car(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _car(brush: Brush, camera: Camera, env: World) -> None:
     car, s = env.car, env.car_settings
     body = _rectangle(car.pose, s.centre, 0.0, s.length, s.width)
     brush.polygon([(x + 4, y + 5) for x, y in camera.places(body)], paint.INK, 70)
@@ -175,7 +175,7 @@ def _car(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
     _windows(brush, camera, env)
 
 
-def _windows(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _windows(brush: Brush, camera: Camera, env: World) -> None:
     pose, s = env.car.pose, env.car_settings
     brush.polygon(camera.places(_rectangle(pose, s.centre - 0.02, 0.0, 0.44 * s.length, 0.62 * s.width)), paint.GLASS)
     roof = paint.blend(paint.BAD if env.collision else paint.CAR, paint.PAPER, 0.2)
@@ -191,7 +191,7 @@ def _windows(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
 # ---- the sonars ------------------------------------------------------------------------------------------------------
 
 
-def _cones(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _cones(brush: Brush, camera: Camera, env: World) -> None:
     poses, half = mount_arrays(env.mounts)
     poses, heard = in_world(poses, env.car.pose), env.heard
     for i, pose in enumerate(poses):
@@ -204,7 +204,7 @@ def _cones(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
             brush.line(outline[1:], colour, 2.5)
 
 
-def _readings(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
+def _readings(brush: Brush, camera: Camera, env: World) -> None:
     """Put a ring where the reading says the reflector is, along the true bearing, and a dot where it truly is."""
     poses, _ = mount_arrays(env.mounts)
     poses, heard, hits = in_world(poses, env.car.pose), env.heard, env.hits
@@ -226,7 +226,7 @@ def _readings(brush: Brush, camera: Camera, env: SonarParkingEnv) -> None:
 # ---- words and numbers -----------------------------------------------------------------------------------------------
 
 
-def _status(env: SonarParkingEnv) -> tuple[str, paint.Colour]:
+def _status(env: World) -> tuple[str, paint.Colour]:
     if env.parked:
         return "parked", paint.GOOD
     if env.collision:
@@ -234,7 +234,7 @@ def _status(env: SonarParkingEnv) -> tuple[str, paint.Colour]:
     return ("left the street", paint.BAD) if env.left_street else ("driving", paint.CAR)
 
 
-def _head(brush: Brush, env: SonarParkingEnv) -> None:
+def _head(brush: Brush, env: World) -> None:
     middle = 0.5 * HEAD
     brush.text("SonarParking", (20, middle), 24)
     brush.text(f"sonar: {env.sonar_name}", (232, middle), 18, paint.FAINT)
@@ -245,14 +245,14 @@ def _head(brush: Brush, env: SonarParkingEnv) -> None:
     brush.text(words, (WIDTH - 85, middle), 17, paint.PAPER, "c")
 
 
-def _foot(brush: Brush, env: SonarParkingEnv, camera: Camera) -> None:
+def _foot(brush: Brush, env: World, camera: Camera) -> None:
     top = HEIGHT - FOOT
     _map(brush, env, camera, top + 14)
     _bars(brush, env, top + 52)
     _legend(brush, top + 52)
 
 
-def _map(brush: Brush, env: SonarParkingEnv, camera: Camera, top: float) -> None:
+def _map(brush: Brush, env: World, camera: Camera, top: float) -> None:
     street = env.street
     begin, length = -1.0, street.end + 1.0
     small = Camera(begin, street.line, (WIDTH - 40) / length, 20, top)
@@ -274,14 +274,14 @@ def _map(brush: Brush, env: SonarParkingEnv, camera: Camera, top: float) -> None
     brush.panel(x, top + 0.5 * MAP_HEIGHT - 4 * min(tall, 1.0), width, 8, paint.CAR, 4)
 
 
-def _bars(brush: Brush, env: SonarParkingEnv, top: float) -> None:
+def _bars(brush: Brush, env: World, top: float) -> None:
     rows = -(-len(env.mounts) // 2)
     pitch = min(28.0, 112.0 / rows)
     for i, mount in enumerate(env.mounts):
         _bar(brush, env, i, mount.name, 20 + 340 * (i // rows), top + pitch * (i % rows + 0.5))
 
 
-def _bar(brush: Brush, env: SonarParkingEnv, i: int, name: str, x: float, y: float) -> None:
+def _bar(brush: Brush, env: World, i: int, name: str, x: float, y: float) -> None:
     heard, hits, start, span = env.heard, env.hits, x + 88, 150.0
     brush.text(name, (x, y), 14)
     brush.panel(start, y - 5, span, 10, paint.HAIRLINE, 5)

@@ -67,8 +67,9 @@ class CarSettings:
 
     @cached_property
     def dynamics(self) -> Floats:
-        """What `kernels.drive` wants to know, (5,)."""
-        return np.array([self.wheelbase, self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag])
+        """What the kernels want to know of the drive, (7,)."""
+        follow = (self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag)
+        return np.array([self.wheelbase, *follow, self.max_steering, self.max_speed])
 
 
 @dataclass(frozen=True)

@@ -22,3 +22,12 @@ def real_recordings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings at {folder}: set SONAR_GYM_SHARED to the folder that holds them")
     return folder
+
+
+@pytest.fixture(scope="session")
+def thesis_files() -> Path:
+    """Folder of the networks that the thesis's author published, which are not part of the project."""
+    folder = SHARED / "thesis"
+    if not folder.is_dir():
+        pytest.skip(f"no published networks at {folder}: set SONAR_GYM_SHARED to the folder that holds `thesis`")
+    return folder

@@ -1,7 +1,8 @@
 """The waveform-level rig: recordings from geometry and electronics, sharing nothing with the laws it puts to test."""
 
-from acquisition.bench.interference import Ambient, Neighbour
-from acquisition.bench.registers import Registers
+from acquisition.bench.air import Gradient
+from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour
+from acquisition.bench.registers import Registers, Truth
 from acquisition.bench.rig import Rig
 from acquisition.bench.setup import Bus, Post, Room, Scatterer, Setup
 from acquisition.bench.shapes import MIRROR, RUBBER, Disc, Plate, Wall
@@ -13,6 +14,9 @@ __all__ = [
     "Ambient",
     "Bus",
     "Disc",
+    "Gradient",
+    "Hum",
+    "Mover",
     "Neighbour",
     "Plate",
     "Post",
@@ -21,6 +25,7 @@ __all__ = [
     "Room",
     "Scatterer",
     "Setup",
+    "Truth",
     "Unit",
     "Wall",
 ]

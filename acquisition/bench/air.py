@@ -87,11 +87,76 @@ class Drift:
         return self.sigma * np.sqrt(2.0 / COMPONENTS) * waves.sum(axis=1)
 
 
-def flutter(time: Floats, tau: float, rows: int, rng: np.random.Generator) -> Floats:
-    """Draw `rows` independent Ornstein-Uhlenbeck processes of unit variance at given times, (n, rows)."""
+def flutter(time: Floats, start: NDArray[np.bool_], tau: float, rows: int, rng: np.random.Generator) -> Floats:
+    """Draw `rows` independent Ornstein-Uhlenbeck processes of unit variance at given times, (n, rows).
+
+    Args:
+        time: s, (n,).
+        start: where a stretch begins that knows nothing of the one before, (n,).
+        tau: correlation time, s.
+        rows: number of processes.
+        rng: all randomness.
+    """
     white = rng.standard_normal((len(time), rows))
-    keep = np.exp(-np.abs(np.diff(time)) / tau) if tau > 0 else np.zeros(len(time) - 1)
-    fresh = np.sqrt(1.0 - keep**2)
-    for k in range(1, len(time)):
-        white[k] = keep[k - 1] * white[k - 1] + fresh[k - 1] * white[k]
+    keep = np.exp(-np.abs(np.diff(time, prepend=time[:1])) / tau) if tau > 0 else np.zeros(len(time))
+    keep[start] = 0.0
+    rank = np.arange(len(time)) - np.maximum.accumulate(np.where(start, np.arange(len(time)), 0))
+    order = np.argsort(rank, kind="stable")
+    for now in np.split(order, np.flatnonzero(np.diff(rank[order])) + 1)[1:]:
+        white[now] = keep[now, None] * white[now - 1] + np.sqrt(1.0 - keep[now, None] ** 2) * white[now]
     return white
+
+
+@dataclass(frozen=True)
+class Air:
+    """Air of n visits.
+
+    Attributes:
+        temperature_c: at the sensor, degC, (n,).
+        speed: of sound there, m/s, (n,).
+        absorption_db: dB/m, (n,).
+    """
+
+    temperature_c: Floats
+    speed: Floats
+    absorption_db: Floats
+
+    @classmethod
+    def of(cls, temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Air:
+        """Work out the air at temperatures and humidities, (n,) each."""
+        temperature, humidity = np.broadcast_arrays(np.atleast_1d(temperature_c), np.atleast_1d(humidity_pct))
+        temperature = np.asarray(temperature, dtype=np.float64)
+        return cls(temperature, sound_speed(temperature, humidity), absorption_db(temperature, humidity))
+
+    def __getitem__(self, pick: NDArray[np.generic]) -> Air:
+        """Return some of the visits."""
+        return Air(self.temperature_c[pick], self.speed[pick], self.absorption_db[pick])
+
+    def loss(self, row: NDArray[np.int64], path: Floats) -> Floats:
+        """Return what is left of the pressure after a way of `path` m there and as much back, in visit `row`."""
+        return np.exp(-np.log(10.0) / 10.0 * self.absorption_db[row] * path)
+
+    def delay(self, row: NDArray[np.int64], path: Floats, ahead: float = 0.0) -> Floats:
+        """Return how long sound takes for `path` m and back, s, in visit `row`; air gets warmer by `ahead` K/m."""
+        if ahead == 0.0:
+            return 2.0 * path / self.speed[row]
+        # speed goes with the root of the absolute temperature, of which the way meets the mean
+        warmer = 0.5 * ahead * path / (self.temperature_c[row] + CELSIUS)
+        return 2.0 * path / (self.speed[row] * np.sqrt(np.maximum(1.0 + warmer, 0.01)))
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Air that is not everywhere as warm as at the sensor, K/m.
+
+    Attributes:
+        up: bends the sound towards the colder side, by 0.1 degrees a metre for 1 K/m.
+        ahead: lets readings grow or shrink with the square of distance.
+    """
+
+    up: float = 0.0
+    ahead: float = 0.0
+
+    def bend(self, air: Air) -> Floats:
+        """Return the curvature of a level ray, downwards, 1/m, (n,)."""
+        return 0.5 * self.up / (air.temperature_c + CELSIUS)

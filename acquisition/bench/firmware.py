@@ -38,19 +38,41 @@ def first_echoes(ping: NDArray[np.int64], time: Floats, count: int, unit: Unit, 
 
 def to_codes(time: Floats, unit: Unit, output: Output) -> NDArray[np.uint16]:
     """Return what the firmware writes into its registers for times in s; 0 for none."""
-    ticks = np.floor(np.maximum(time + unit.t_offset, 0.0) * (1.0 + unit.clock_error) / unit.tick)
+    counted = np.maximum(time + unit.t_offset, 0.0) * (1.0 + unit.clock_error)
+    if unit.ramp_tau_s > 0.0:
+        counted = unit.ramp_tau_s * -np.expm1(-counted / unit.ramp_tau_s)
+    ticks = np.floor(counted / unit.tick)
     value = ticks * unit.tick / PER_UNIT[output]
     whole = np.rint(value) if unit.rounding == "nearest" else np.floor(value + 1e-9)
     return np.where(np.isnan(time), 0.0, np.clip(whole, 1.0, 65_535.0)).astype(np.uint16)
 
 
-def averaged(code: NDArray[np.uint16], run: NDArray[np.int64], count: int) -> NDArray[np.uint16]:
-    """Return the codes with the first echo replaced by the mean of the last `count` first echoes of its run."""
+def smoothed(code: NDArray[np.uint16], run: NDArray[np.int64], unit: Unit, output: Output) -> NDArray[np.uint16]:
+    """Return the codes with the first echo as a firmware gives it that does not trust a single one.
+
+    The mean or median of the last `averaging` first echoes of a run, then that before it until it differs by more than
+    the dead band. Pings of a run must stand together.
+    """
     out = code.copy()
-    for number in np.unique(run):
-        heard = np.flatnonzero((run == number) & (code[:, 0] > 0))
-        total = np.concatenate([[0.0], np.cumsum(code[heard, 0], dtype=np.float64)])
-        end = np.arange(1, len(heard) + 1)
-        begin = np.maximum(end - count, 0)
-        out[heard, 0] = np.rint((total[end] - total[begin]) / (end - begin))
+    band = unit.deadband / PER_UNIT[output]
+    for rows in np.split(np.arange(len(run)), np.flatnonzero(np.diff(run)) + 1):
+        heard = rows[code[rows, 0] > 0]
+        value = _averaged(code[heard, 0].astype(np.float64), unit)
+        out[heard, 0] = np.rint(_held(value, band) if band > 0.0 else value)
+    return out
+
+
+def _averaged(value: Floats, unit: Unit) -> Floats:
+    if unit.averaging == 1 or not len(value):
+        return value
+    padded = np.concatenate([np.full(unit.averaging - 1, np.nan), value])
+    window = np.lib.stride_tricks.sliding_window_view(padded, unit.averaging)
+    return np.asarray(np.nanmean(window, axis=1) if unit.average == "mean" else np.nanmedian(window, axis=1))
+
+
+def _held(value: Floats, band: float) -> Floats:
+    """Return each value, or the one given before it where it is within a band of that."""
+    out = value.copy()
+    for k in range(1, len(out)):
+        out[k] = out[k] if abs(out[k] - out[k - 1]) > band else out[k - 1]
     return out

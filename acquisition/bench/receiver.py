@@ -1,4 +1,4 @@
-"""The receiver: arrivals become a waveform, and the waveform trips a comparator.
+"""The receiver: arrivals become waveforms, and waveforms trip a comparator.
 
 Waveforms are complex baseband with one sample a carrier period; the voltage is Im[z exp(i 2 pi 40 kHz t)]. A
 comparator of one polarity sees one positive peak a period, so which period is first over the threshold, and hence the
@@ -8,14 +8,15 @@ slip of half a wavelength between pings, is decided here exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench.air import Floats
-from acquisition.bench.scene import Arrivals
+from acquisition.bench.arrivals import Complexes, Integers
 from acquisition.bench.setup import Setup
-from acquisition.bench.transducer import FINE, OMEGA, PERIOD, Complexes, pulse_phases
+from acquisition.bench.transducer import FINE, OMEGA, PERIOD, pulse_phases, spectra
 from acquisition.bench.unit import Unit
 
 # gain of the analogue stage over the code in register 1 (Devantech SRF08 manual; Linux drivers/iio/proximity/srf08.c)
@@ -28,68 +29,89 @@ GAINS = (
 GAIN_STEP = 70e-6  # s a step, from the burst's start
 SIGMAS = 7.0  # noise reaches no further: exp(-7^2/2) = 2e-11 a sample
 BAND = float(np.exp(-np.pi * 10e3 * PERIOD))  # a sample of the amplifier's band-pass, Q = 4 at 40 kHz, on the next
-# a wall at 6 m in air of 1.29 dB/m just reaches the threshold at full gain
-REFERENCE = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)
+LEAD = 1  # periods before the burst's start that a waveform begins with: a cubic needs a step on each side
 
 
 @dataclass(frozen=True)
-class Waveform:
-    """Echo of one group at the receiver's input, over the comparator's threshold at full gain, (samples,)."""
+class Pulses:
+    """Echoes to be summed up, each a pulse at a delay with a complex weight.
 
-    signal: Complexes
-    slope: Complexes
-    length: float  # half the way, m, weighted by what arrives
+    Attributes:
+        row: of the waveform that each belongs to, (k,).
+        delay: s, (k,); those that began before the waveform have negative ones.
+        weight: over the comparator's threshold at full gain, the carrier's phase not yet in it, (k,).
+    """
+
+    row: Integers
+    delay: Floats
+    weight: Complexes
 
     @classmethod
-    def of(cls, unit: Unit, arrivals: Arrivals, air: Air, samples: int) -> Waveform:
-        """Sum the pulses of all arrivals that begin within the waveform."""
-        path = np.hypot(arrivals.length, 0.5 * unit.baseline)
-        delay = 2.0 * path / air.speed
-        loss = 10.0 ** (-air.absorption_db * 2.0 * path / 20.0)
-        weight = loudness(unit) * loss * arrivals.amplitude * np.exp(-1j * OMEGA * delay)
-        signal = _sum_pulses(delay, weight, pulse_phases(unit, round(air.temperature_c)), samples)
-        share = np.abs(weight)
-        length = float((share * path).sum() / max(share.sum(), 1e-300))
-        return cls(signal, np.gradient(signal, PERIOD), length)
+    def joined(cls, parts: list[Pulses]) -> Pulses:
+        """Return all parts as one."""
+        row, delay, weight = ([getattr(part, name) for part in parts] for name in ("row", "delay", "weight"))
+        return cls(np.concatenate(row), np.concatenate(delay), np.concatenate(weight))
 
 
-@dataclass(frozen=True)
-class Air:
-    """Air of one visit: degC, m/s, dB/m."""
+def waveforms(unit: Unit, temperature_c: Floats, pulses: Pulses, samples: int) -> Complexes:
+    """Return the sums of pulses at whole periods, (rows, samples), the carrier's phase in them.
 
-    temperature_c: float
-    speed: float
-    absorption_db: float
-
-
-def _sum_pulses(delay: Floats, weight: Complexes, phases: Complexes, samples: int) -> Complexes:
-    """Return sum of weight * pulse(t - delay) at whole periods, (samples,).
-
-    A delay lies between two fine steps and is shared linearly between them; all delays within one period make one row
-    of fine steps, and only rows that hold any are turned into pulses.
+    Args:
+        unit: whose pulse it is.
+        temperature_c: of each row, (rows,); resonances follow it.
+        pulses: what arrives; those that begin after the waveform, or have died before it, are left out.
+        samples: of each waveform.
     """
-    length = phases.shape[1]
-    out = np.zeros(samples + length + 1, dtype=np.complex128)
-    keep = delay < samples * PERIOD
-    position = delay[keep] / (PERIOD / FINE)
-    step = np.floor(position).astype(np.int64)
-    share = position - step
-    steps, parts = np.append(step, step + 1), np.append(weight[keep] * (1.0 - share), weight[keep] * share)
-    starts, row = np.unique(steps // FINE, return_inverse=True)
-    grid = _histogram(row * FINE + steps % FINE, parts, len(starts) * FINE).reshape(-1, FINE)
-    for start, pulse in zip(starts, grid @ phases, strict=True):
-        out[start : start + length] += pulse
-    return out[:samples]
+    early = pulse_phases(unit, 20.0).shape[1] if len(pulses.delay) and pulses.delay.min() < 0.0 else 0
+    lead = LEAD + early
+    position = pulses.delay / (PERIOD / FINE) + lead * FINE
+    keep = (position >= 1.0) & (position < (lead + samples) * FINE - 2)
+    size = _fast_length(lead + samples + pulse_phases(unit, 20.0).shape[1])
+    grid = _gathered(pulses, position, keep, len(temperature_c), size)
+    degree = np.rint(temperature_c).astype(np.int64)
+    out = np.empty((len(degree), samples), dtype=np.complex128)
+    for value in np.unique(degree):
+        same = degree == value
+        spectrum = (np.fft.fft(grid[same], axis=2) * spectra(unit, float(value), size)).sum(axis=1)
+        out[same] = np.fft.ifft(spectrum, axis=1)[:, lead : lead + samples]
+    return out
 
 
-def _histogram(index: NDArray[np.int64], weight: Complexes, size: int) -> Complexes:
-    return np.bincount(index, weight.real, size) + 1j * np.bincount(index, weight.imag, size)
+def _gathered(pulses: Pulses, position: Floats, keep: NDArray[np.bool_], rows: int, size: int) -> Complexes:
+    """Return the pulses' weights on a grid of delays, (rows, FINE, size), each shared among four steps by a cubic."""
+    row, place, weight = pulses.row[keep], position[keep], pulses.weight[keep]
+    phase = OMEGA * pulses.delay[keep]
+    weight = weight * (np.cos(phase) - 1j * np.sin(phase))
+    step = place.astype(np.int64)
+    u = place - step
+    down, up, below = 1.0 - u, 1.0 + u, 2.0 - u
+    cubic = np.stack([-u * down * below, 3.0 * up * down * below, 3.0 * up * u * below, -up * u * down]) / 6.0
+    at = step + np.array([[-1], [0], [1], [2]])
+    index = (at % FINE * size + at // FINE + row * (FINE * size)).ravel()
+    total = rows * FINE * size
+    gathered = np.empty(total, dtype=np.complex128)
+    gathered.real = np.bincount(index, (cubic * weight.real).ravel(), total)
+    gathered.imag = np.bincount(index, (cubic * weight.imag).ravel(), total)
+    return gathered.reshape(rows, FINE, size)
+
+
+@lru_cache(maxsize=64)
+def _fast_length(least: int) -> int:
+    """Return the smallest length of at least that many samples whose Fourier transform is fast."""
+    sizes = [2**a * 3**b * 5**c for a in range(4, 16) for b in range(5) for c in range(3)]
+    return min(size for size in sizes if size >= least)
 
 
 def gain_over_time(cap: int, samples: int) -> Floats:
     """Return the amplifier's gain over its greatest, one value a period: a step every 70 us up to the cap."""
     code = np.minimum((np.arange(samples) * PERIOD / GAIN_STEP + 1e-9).astype(np.int64), cap)
     return np.asarray(GAINS, dtype=np.float64)[code] / GAINS[-1]
+
+
+def amplification(unit: Unit, setup: Setup, samples: int) -> Floats:
+    """Return the gain over the greatest one, against the comparator's threshold as that recovers from the burst."""
+    sag = unit.sag * np.exp(-np.arange(samples) * PERIOD / unit.sag_tau_s)
+    return gain_over_time(setup.gain, samples) / np.maximum(1.0 - sag, 0.01)
 
 
 def noise(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.complex64]:
@@ -102,52 +124,73 @@ def noise(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.comple
 
 
 @dataclass(frozen=True)
-class Sent:
-    """What differs from ping to ping of m pings that share their waveforms of g groups.
+class Mixture:
+    """m pings that share v waveforms, each with a level and a small delay of its own.
 
     Attributes:
-        factor: level of each group, complex, (m, g).
-        delay: by how much each group comes late, s, (m, g); small against the pulse.
-        noise: factor on the receiver's noise, (m,).
-        other: what comes from elsewhere, over the threshold at full gain, (m, samples), or (1, samples) for all.
+        voice: the waveforms, (v, samples).
+        factor: level of each in each ping, (m, v).
+        late: by how much each comes late, s, (m, v); small against the pulse.
     """
 
-    factor: Complexes
-    delay: Floats
-    noise: Floats
-    other: Complexes
+    voice: Complexes
+    factor: Floats
+    late: Floats
 
-    def __getitem__(self, rows: slice) -> Sent:
-        """Return some of the pings."""
-        other = self.other if len(self.other) == 1 else self.other[rows]
-        return Sent(self.factor[rows], self.delay[rows], self.noise[rows], other)
+    @cached_property
+    def slope(self) -> Complexes:
+        """Change of the waveforms with time, 1/s, (v, samples)."""
+        return np.gradient(self.voice, PERIOD, axis=1)
+
+    def bound(self) -> Floats:
+        """Return what no ping exceeds, (samples,)."""
+        moved = np.abs(self.factor * self.late).max(axis=0)
+        return self.factor.max(axis=0) @ np.abs(self.voice) + moved @ np.abs(self.slope)
+
+    def summed(self, live: slice) -> NDArray[np.complex64]:
+        """Return each ping's waveform at some samples, (m, k)."""
+        phase = OMEGA * self.late
+        turned = self.factor * (np.cos(phase) - 1j * np.sin(phase))
+        both = np.concatenate([self.voice[:, live], self.slope[:, live]])
+        return np.concatenate([turned, -turned * self.late], axis=1).astype(np.complex64) @ both.astype(np.complex64)
+
+
+@dataclass(frozen=True)
+class Alone:
+    """m pings with a waveform of its own each, (m, samples)."""
+
+    wave: Complexes
+
+    def bound(self) -> Floats:
+        """Return what no ping exceeds, (samples,)."""
+        return np.abs(self.wave).max(axis=0)
+
+    def summed(self, live: slice) -> NDArray[np.complex64]:
+        """Return each ping's waveform at some samples, (m, k)."""
+        return self.wave[:, live].astype(np.complex64)
 
 
 def voltages(
-    waves: list[Waveform], sent: Sent, unit: Unit, setup: Setup, rng: np.random.Generator
+    waves: list[Mixture | Alone], hiss: Floats, gain: Floats, threshold: Floats | None, rng: np.random.Generator
 ) -> tuple[NDArray[np.complex64], int]:
     """Return the amplified waveforms of m pings over the comparator's threshold, (m, k), and their first sample.
 
     Only the k samples are worked out between the first and the last where the threshold can be reached at all.
 
     Args:
-        waves: one a group, g of them.
-        sent: what differs from ping to ping.
-        unit: the electronics.
-        setup: the gain's cap.
+        waves: to be added up.
+        hiss: rms of the noise at full gain over the threshold, (m,).
+        gain: from `amplification`, (samples,).
+        threshold: over its usual value, (m, samples), or None where it is that.
         rng: the noise.
     """
-    gain = gain_over_time(setup.gain, len(waves[0].signal))
-    signal = np.stack([wave.signal for wave in waves] + [wave.slope for wave in waves]) * gain
-    turned = sent.factor * np.exp(-1j * OMEGA * sent.delay)
-    weight = np.concatenate([turned, -turned * sent.delay], axis=1)
-    hiss = unit.noise * gain
-    other = gain * np.abs(sent.other).max(axis=0)
-    live = _live(np.abs(weight).max(axis=0) @ np.abs(signal) + other + SIGMAS * sent.noise.max() * hiss)
-    total = weight.astype(np.complex64) @ signal[:, live].astype(np.complex64)
-    total += noise(total.shape, rng) * (sent.noise[:, None] * hiss[live]).astype(np.float32)
-    if sent.other.any():
-        total += (sent.other[:, live] * gain[live]).astype(np.complex64)
+    bound = gain * (sum(wave.bound() for wave in waves) + SIGMAS * hiss.max())
+    live = _live(bound if threshold is None else bound / threshold.min(axis=0))
+    total = np.asarray(sum(wave.summed(live) for wave in waves))
+    total += noise(total.shape, rng) * hiss[:, None].astype(np.float32)
+    total *= gain[live].astype(np.float32)
+    if threshold is not None:
+        total /= threshold[:, live].astype(np.float32)
     return total, live.start
 
 
@@ -171,7 +214,7 @@ def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], 
     over[:, :-1] |= over[:, 1:]
     over[:, -1] = False
     flat = np.flatnonzero(over)
-    flat = flat[~_deaf(power.reshape(-1), flat, unit)]
+    flat = flat[~_deaf(power, flat, unit)]
     here, there = z.reshape(-1)[flat].astype(np.complex128), z.reshape(-1)[flat + 1].astype(np.complex128)
     turn = 2.0 * np.pi + np.angle(there * here.conj())
     first = np.mod(0.5 * np.pi - np.angle(here), 2.0 * np.pi) / turn
@@ -185,11 +228,7 @@ def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], 
 
 def _deaf(power: NDArray[np.float32], flat: NDArray[np.int64], unit: Unit) -> NDArray[np.bool_]:
     """Tell which samples lie in the recovery after the amplifier clipped."""
-    rail = unit.rail**2
-    before = np.arange(1, round(unit.recovery / PERIOD) + 1)
-    return (power[np.maximum(flat[:, None] - before, 0)] >= rail).any(axis=1) & (power[flat] < rail)
-
-
-def loudness(unit: Unit) -> float:
-    """Return what an amplitude of 1 (the pressure at 1 m) comes to over the threshold at full gain."""
-    return REFERENCE * float(10.0 ** (unit.sensitivity_db / 20.0))
+    ping, sample = np.divmod(flat, power.shape[1])
+    before = sample[:, None] - np.arange(1, round(unit.recovery / PERIOD) + 1)
+    clipped = power >= unit.rail**2
+    return (clipped[ping[:, None], np.maximum(before, 0)] & (before >= 0)).any(axis=1) & ~clipped[ping, sample]

@@ -1,243 +1,259 @@
-"""The ways of the sound between a unit and what stands around it, from geometry alone.
+"""The ways of the sound between a unit and the reflectors of many visits, from geometry alone.
 
-Axes: x ahead of the housing, y to its left, z up, the sensor at the origin. Every way is a group of arrivals; an
-arrival has a length (half the way that the sound goes, m) and an amplitude (pressure against that at 1 m from the
-transmitter on its axis, before the air takes its share).
+Axes: x ahead of the housing, y to its left, z up, the sensor at the origin. Everything is worked out for n scenes at
+once, as arrays whose first axis they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from acquisition.bench.air import CARRIER, Floats
-from acquisition.bench.setup import Post, Room, Scatterer, Setup
-from acquisition.bench.shapes import Shape, Wall, facets, outline, shape_of, subtended, surface_of
-from acquisition.bench.transducer import Complexes, Piston
+from acquisition.bench.air import CARRIER, Air, Floats
+from acquisition.bench.arrivals import BOUNCE, FACE, LEAK, Arrivals, Complexes, Integers
+from acquisition.bench.setup import Setup
+from acquisition.bench.shapes import Disc, Plate, Shape, Wall, outline, shape_of, subtended, surfaces_of
+from acquisition.bench.transducer import directivity
 from acquisition.bench.unit import Unit
+from acquisition.ping import Ping
 
 HOUSING = 0.043 * 0.020  # m^2, the sensor's own face, which sends an echo on its way again
-FACET = 2.5e-3  # m, under a third of the wavelength
-LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, CLUTTER = range(8)
-GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "clutter")
+# a wall at 6 m in air of 1.29 dB/m just reaches the threshold at full gain
+REFERENCE = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)
+FAINT = 0.02  # of the threshold at full gain; what cannot reach it is not worked out
+
+
+def loudness(unit: Unit, supply: float = 1.0) -> float:
+    """Return what an amplitude of 1 (the pressure at 1 m) comes to over the threshold at full gain."""
+    return REFERENCE * supply * float(10.0 ** (unit.sensitivity_db / 20.0))
 
 
 @dataclass(frozen=True)
-class Arrivals:
-    """Sound that comes back by one group of ways: half lengths, m, (k,), and complex amplitudes, (k,)."""
+class Poses:
+    """Where reflectors stand, each (n,).
 
-    length: Floats
-    amplitude: Complexes
+    Attributes:
+        distance: slant, to the centre, m.
+        bearing, incidence: rad; the normal points `bearing - incidence` to the left.
+        tilt: backwards, rad.
+        above: height of the centre over the sensor, m.
+    """
 
-    @classmethod
-    def of(cls, *ways: tuple[float, complex]) -> Arrivals:
-        """Build from pairs of length and amplitude."""
-        table = np.array(ways, dtype=np.complex128).reshape(-1, 2)
-        return cls(table[:, 0].real, table[:, 1])
+    distance: Floats
+    bearing: Floats
+    incidence: Floats
+    tilt: Floats
+    above: Floats
 
-    def __add__(self, other: Arrivals) -> Arrivals:
-        """Return both together."""
-        return Arrivals(np.append(self.length, other.length), np.append(self.amplitude, other.amplitude))
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where a reflector stands: polar distance, m, bearing, incidence and backward tilt, rad."""
-
-    distance: float
-    bearing: float
-    incidence: float
-    tilt: float = 0.0
-
-    @property
+    @cached_property
     def centre(self) -> Floats:
-        """Return the centre, m, (3,)."""
-        return self.distance * np.array([np.cos(self.bearing), np.sin(self.bearing), 0.0])
+        """Return the centres, m, (n, 3)."""
+        level = np.sqrt(np.maximum(self.distance**2 - self.above**2, 1e-6))
+        return np.stack([level * np.cos(self.bearing), level * np.sin(self.bearing), self.above], axis=-1)
 
-    @property
-    def axes(self) -> Floats:
-        """Return unit vectors along the plate's width, its height and its normal, (3, 3)."""
-        yaw, tilt = self.bearing - self.incidence, self.tilt
-        ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    @cached_property
+    def axes(self) -> tuple[Floats, Floats, Floats]:
+        """Return unit vectors along each plate's width, its height and its normal, (n, 3) each."""
+        yaw, none = self.bearing - self.incidence, np.zeros(len(self.tilt))
+        ahead = np.stack([np.cos(yaw), np.sin(yaw), none], axis=-1)
+        side = np.stack([-np.sin(yaw), np.cos(yaw), none], axis=-1)
+        cosine, sine = np.cos(self.tilt)[:, None], np.sin(self.tilt)[:, None]
         up = np.array([0.0, 0.0, 1.0])
-        return np.stack([side, np.cos(tilt) * up - np.sin(tilt) * ahead, np.cos(tilt) * ahead + np.sin(tilt) * up])
+        return side, cosine * up - sine * ahead, cosine * ahead + sine * up
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A unit in front of a reflector; `speed` of sound in m/s fixes wavelength and beam."""
+    """A unit in front of n reflectors, each in its own air.
+
+    Attributes:
+        unit, setup: as everywhere.
+        poses: of the reflectors.
+        reflectance: (n,).
+        air: of each.
+    """
 
     unit: Unit
     setup: Setup
-    pose: Pose
-    reflectance: float
-    speed: float
+    poses: Poses
+    reflectance: Floats
+    air: Air
 
-    @property
-    def wavelength(self) -> float:
-        """Of the carrier, m."""
-        return self.speed / CARRIER
+    @classmethod
+    def of(cls, unit: Unit, setup: Setup, placed: Ping, air: Air) -> Scene:
+        """Build from pings as `Rig.place` returns them; air that gets warmer upwards bends the way to a reflector."""
+        lean = placed.covariates.get("tilt_back", np.zeros(len(placed)))
+        bend = setup.gradient.bend(air)
+        # where rays are straightened, the reflector stands higher and leans back (circles of curvature `bend`)
+        above = setup.above_m + 0.5 * bend * placed.distance**2
+        lean = lean + bend * placed.distance
+        return cls(
+            unit,
+            setup,
+            Poses(placed.distance, placed.angle, placed.incidence, lean, np.broadcast_to(above, lean.shape)),
+            placed.reflectance,
+            air,
+        )
 
-    @property
-    def shape(self) -> Shape:
-        """Of the reflector."""
-        return self.setup.reflector or shape_of(self.reflectance)
+    def __len__(self) -> int:
+        """Return the number of scenes."""
+        return len(self.reflectance)
 
-    def beam(self, points: Floats) -> Floats:
-        """Return one leg's directivity towards points (..., 3)."""
+    @cached_property
+    def rows(self) -> Integers:
+        """Numbers of the scenes."""
+        return np.arange(len(self))
+
+    @cached_property
+    def wavelength(self) -> Floats:
+        """Of the carrier, m, (n,)."""
+        return self.air.speed / CARRIER
+
+    @cached_property
+    def ka(self) -> Floats:
+        """Wave number times radius of the pistons, (n,)."""
+        return 2.0 * np.pi * self.unit.radius / self.wavelength
+
+    @cached_property
+    def axis(self) -> Floats:
+        """Return the beam's axis, a unit vector (3,)."""
         yaw, pitch = self.unit.yaw, self.unit.pitch
-        axis = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
-        cosine = points @ axis / np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
-        return Piston(2.0 * np.pi * self.unit.radius / self.wavelength)(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
 
-    def groups(self) -> dict[int, Arrivals]:
-        """Return the arrivals of every group that has any."""
-        found = {LEAK: self.leak(), FACE: self.face()}
-        found[BOUNCE] = self.bounce(found[FACE])
-        found |= dict(self._stand()) | dict(self._room())
-        return {name: arrivals for name, arrivals in found.items() if len(arrivals.length)}
+    @cached_property
+    def surface(self) -> Floats:
+        """Amplitude factors of the reflectors, (n,)."""
+        return surfaces_of(self.reflectance)
 
-    def leak(self) -> Arrivals:
-        """Return the sound that goes from transmitter to receiver directly."""
-        return Arrivals.of((0.5 * self.unit.leak_delay * self.speed, 10.0 ** (self.unit.leak_db / 20.0)))
+    @cached_property
+    def kinds(self) -> list[tuple[Shape, Integers]]:
+        """Return each shape with the scenes that it stands in, those where it returns anything."""
+        if self.setup.reflector is not None:
+            return [(self.setup.reflector, np.flatnonzero(self.surface > 0.0))]
+        low = self.reflectance < 0.5
+        rows = [np.flatnonzero((self.surface > 0.0) & which) for which in (low, ~low)]
+        return [(shape_of(value), pick) for value, pick in zip((0.0, 1.0), rows, strict=True) if len(pick)]
 
-    def face(self) -> Arrivals:
-        """Return the mirror echo of the reflector, where it has one, first; then the waves from its outline."""
-        surface = surface_of(self.reflectance)
-        side, up, normal = self.pose.axes
-        centre = self.pose.centre
-        h = float(centre @ normal)
-        if surface == 0.0 or h <= 0.0:
-            return Arrivals.of()
-        mirror = surface * float(self.beam(h * normal)) ** 2 / (2.0 * h)
-        if isinstance(self.shape, Wall):
-            return Arrivals.of((h, mirror))
-        points = outline(self.shape)
-        foot = np.array([-(centre @ side), -(centre @ up)])
-        angle = subtended(points, foot)
-        middle = 0.5 * (points[:-1] + points[1:])
-        length = np.sqrt(h**2 + ((middle - foot) ** 2).sum(axis=1))
-        place = centre + middle @ np.stack([side, up])
-        edge = -surface * self.beam(place) ** 2 * h / length**2 * angle / (4.0 * np.pi)
-        held = round(float(angle.sum()) / (2.0 * np.pi))
-        return Arrivals.of((h, mirror * held)) + Arrivals(length, edge.astype(np.complex128))
+    @cached_property
+    def half(self) -> tuple[Floats, Floats]:
+        """Half width and half height of the rectangle of each reflector's area, m, (n,) each."""
+        wide, high = np.zeros(len(self)), np.zeros(len(self))
+        for shape, rows in self.kinds:
+            wide[rows], high[rows] = shape.half
+        return wide, high
 
-    def bounce(self, face: Arrivals) -> Arrivals:
-        """Return the echo that the sensor's own face sends to the reflector a second time."""
-        if not len(face.length) or face.amplitude[0] == 0.0:
-            return Arrivals.of()
-        again = face.amplitude[0] * HOUSING / self.wavelength
-        return Arrivals(face.length + face.length[0], face.amplitude * again)
+    def beam(self, points: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return one leg's directivity towards points (m, 3) or (m, k, 3) of some scenes."""
+        away = np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
+        return self.towards(points @ self.axis / away, rows)
 
-    def shadow(self, point: Floats) -> float:
-        """Return what passes the reflector on the way to a point behind it, as amplitude one way."""
-        side, up, normal = self.pose.axes
-        reach, plane = float(point @ normal), float(self.pose.centre @ normal)
-        if surface_of(self.reflectance) == 0.0 or not 0.0 < plane < reach:
-            return 1.0
-        crossing = point * plane / reach
-        near, far = np.linalg.norm(crossing), np.linalg.norm(point - crossing)
-        scale = float(np.sqrt(2.0 * (near + far) / (self.wavelength * near * far)))
-        offset = crossing - self.pose.centre
-        width, height = self.shape.half
-        covered = _covered(float(offset @ side), width, scale) * _covered(float(offset @ up), height, scale)
-        return float(abs(1.0 - covered))
+    def towards(self, cosine: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return one leg's directivity at angles off the axis of given cosines, (m,) or (m, k), of some scenes."""
+        ka = self.ka[rows]
+        straight = directivity(ka[:, None] if cosine.ndim == 2 else ka, cosine)
+        return straight if self.unit.spill == 0.0 else straight + self.unit.spill
 
-    def _stand(self) -> Iterator[tuple[int, Arrivals]]:
-        if self.setup.post is not None:
-            yield POST, self.post(self.setup.post)
+    def faint(self, amplitude: Floats, path: Floats, rows: Integers | slice = slice(None)) -> np.ndarray:
+        """Tell where pressures of a half length (m,) cannot be heard among others, in some scenes, (m,)."""
+        loss = 10.0 ** (-0.1 * self.air.absorption_db[rows] * path)
+        return loudness(self.unit, self.setup.supply) * np.abs(amplitude) * loss < FAINT
 
-    def post(self, post: Post) -> Arrivals:
-        """Return the echo of the stand's upright: a long cylinder, seen past the reflector."""
-        normal = self.pose.axes[2] * np.array([1.0, 1.0, 0.0])
-        axis = self.pose.centre + post.behind * normal / np.linalg.norm(normal)
-        front = float(np.linalg.norm(axis)) - post.radius
-        if front <= 0.0:
-            return Arrivals.of()
-        pressure = np.sqrt(post.radius / (post.radius + front)) / (2.0 * front)
-        ways: list[tuple[float, complex]] = [(front, pressure * float(self.beam(axis)) ** 2 * self.shadow(axis) ** 2)]
-        room = self.setup.room
-        if room.height is not None:  # its foot and the floor form a corner
-            ways.append(self._corner(axis, -room.height, room.floor_factor * np.sqrt(post.radius / front)))
-        return Arrivals.of(*ways)
+    def near(self) -> Iterator[Arrivals]:
+        """Yield the leak, the reflectors' echoes, and these sent on their way a second and third time."""
+        delay = 0.5 * self.unit.leak_delay * self.air.speed
+        yield Arrivals.of(self.rows, LEAK, delay, 10.0 ** (self.unit.leak_db / 20.0) * np.ones(len(self)))
+        for shape, rows in self.kinds:
+            h, mirror, face = self._face(shape, rows)
+            yield face
+            yield from self._bounces(rows, h, mirror, face)
 
-    def _corner(self, foot: Floats, z: float, factor: float) -> tuple[float, complex]:
-        """Return the echo of a right-angled corner, which sends sound back where it came from."""
-        place = np.array([foot[0], foot[1], z])
-        length = float(np.linalg.norm(place))
-        return length, factor * float(self.beam(place)) ** 2 / (2.0 * length)
+    def _face(self, shape: Shape, rows: Integers) -> tuple[Floats, Floats, Arrivals]:
+        """Return distance and mirror echo of the planes of m reflectors, (m,) each, and all that their faces return."""
+        side, up, normal = (axis[rows] for axis in self.poses.axes)
+        centre = self.poses.centre[rows]
+        h = (centre * normal).sum(axis=-1)
+        ahead = np.maximum(h, 1e-9)
+        mirror = np.where(h > 0.0, self.surface[rows] * self.beam(normal, rows) ** 2 / (2.0 * ahead), 0.0)
+        if isinstance(shape, Wall):
+            return h, mirror, Arrivals.of(rows, FACE, h, mirror)
+        foot = -np.stack([(centre * side).sum(axis=-1), (centre * up).sum(axis=-1)], axis=-1)
+        held, length, edge = self._edge(shape, rows, np.where(h > 0.0, h, np.nan), foot)
+        mirror = mirror * held
+        return h, mirror, Arrivals.joined([Arrivals.of(rows, FACE, h, mirror), Arrivals.of(rows, FACE, length, edge)])
 
-    def _room(self) -> Iterator[tuple[int, Arrivals]]:
-        room = self.setup.room
-        if room.height is not None:
-            yield FLOOR, self._surface(-room.height, room.floor_factor, room)
-        if room.height is not None and room.ceiling is not None:
-            yield CEILING, self._surface(room.ceiling - room.height, room.ceiling_factor, room)
-        if room.wall is not None:
-            ahead = np.array([room.wall, 0.0, 0.0])
-            passed = float(self.beam(ahead)) ** 2 * self.shadow(ahead) ** 2
-            yield WALL, Arrivals.of((room.wall, room.wall_factor * passed / (2.0 * room.wall)))
+    def _edge(self, shape: Disc | Plate, rows: Integers, h: Floats, foot: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return how often m outlines go round their feet, (m,), and half length and amplitude of each piece, (m, k).
 
-        if room.clutter:
-            yield CLUTTER, Arrivals.of(*map(self._scattered, room.clutter))
-
-    def _scattered(self, thing: Scatterer) -> tuple[float, complex]:
-        place = np.array(thing.position_m)
-        length = float(np.linalg.norm(place))
-        passed = float(self.beam(place)) ** 2 * self.shadow(place) ** 2
-        return length, 10.0 ** (thing.strength_db / 20.0) * passed / length**2
-
-    def _surface(self, z: float, factor: float, room: Room) -> Arrivals:
-        """Return the echoes by a level surface at height z over the beam's axis, images of first order."""
-        below = np.array([0.0, 0.0, z])
-        ways: list[tuple[float, complex]] = [(abs(z), factor * float(self.beam(below)) ** 2 / (2.0 * abs(z)))]
-        if room.wall is not None:
-            ways.append(self._corner(np.array([room.wall, 0.0]), z, factor * room.wall_factor))
-        return Arrivals.of(*ways) + self._by_way_of(z, factor)
-
-    def _by_way_of(self, z: float, factor: float) -> Arrivals:
-        """Return the ways sensor - level surface - reflector - sensor and back, from the reflector's facets.
-
-        Each facet sends on i k/(2 pi) dS/(r1 r2) of what it gets (Kirchhoff), r1 counted from the sensor's image.
-        The beam is taken at the reflector's centre: by this detour it looks small.
+        Along a piece the phase grows by 2 pi times twice the difference of its ends' distances over the wavelength.
         """
-        surface = surface_of(self.reflectance)
-        if surface == 0.0 or isinstance(self.shape, Wall):
-            return Arrivals.of()
-        side, up, normal = self.pose.axes
-        centre = self.pose.centre
-        plane, area = facets(self.shape, FACET)
-        image = np.array([0.0, 0.0, 2.0 * z])
-        place = centre + plane @ np.stack([side, up])
-        from_image = place - image
-        r1, r2 = np.sqrt((from_image**2).sum(axis=1)), np.sqrt((place**2).sum(axis=1))
-        slant = 0.5 * (from_image @ normal / r1 + place @ normal / r2)
-        launch = (centre - image) * np.array([1.0, 1.0, -1.0])
-        beams = float(self.beam(launch)) * float(self.beam(centre))
-        density = 1j / self.wavelength * area * 2.0 * factor * surface * beams
-        return Arrivals(0.5 * (r1 + r2), density * slant / (r1 * r2))
+        side, up, _ = (axis[rows] for axis in self.poses.axes)
+        points = outline(shape)
+        angle = subtended(points - foot[:, None])
+        ends = np.sqrt(h[:, None] ** 2 + ((points - foot[:, None]) ** 2).sum(axis=-1))
+        middle = 0.5 * (points[:-1] + points[1:])
+        length = np.sqrt(h[:, None] ** 2 + ((middle - foot[:, None]) ** 2).sum(axis=-1))
+        along = np.stack([side @ self.axis, up @ self.axis], axis=0)
+        cosine = ((self.poses.centre[rows] @ self.axis)[:, None] + along.T @ middle.T) / length
+        spread = np.sinc(2.0 * np.diff(ends, axis=1) / self.wavelength[rows, None])
+        strength = -self.surface[rows] * h / (4.0 * np.pi)
+        edge = strength[:, None] * self.towards(cosine, rows) ** 2 * angle * spread / length**2
+        return np.rint(angle.sum(axis=1) / (2.0 * np.pi)), length, np.nan_to_num(edge)
+
+    def _bounces(self, rows: Integers, h: Floats, mirror: Floats, face: Arrivals) -> Iterator[Arrivals]:
+        """Yield what the sensor's own face sends to the reflectors again."""
+        again, reach = np.zeros(len(self)), np.zeros(len(self))
+        again[rows] = mirror * HOUSING / self.wavelength[rows]
+        reach[rows] = h
+        again[self.faint(2.0 * again * np.abs(again) * self.wavelength / HOUSING, 2.0 * reach)] = 0.0
+        way = face[again[face.row] != 0.0]
+        strength, longer = again[way.row], reach[way.row]
+        yield Arrivals.of(way.row, BOUNCE, way.length + longer, way.amplitude * strength)
+        yield Arrivals.of(self.rows, BOUNCE, 3.0 * reach, again**3 * self.wavelength / HOUSING)
+
+    def shadow(self, points: Floats) -> Floats:
+        """Return what passes the reflectors on the way to points (n, k, 3), an amplitude one way, (n, k)."""
+        side, up, normal = self.poses.axes
+        reach = np.einsum("nkx,nx->nk", points, normal)
+        plane = (self.poses.centre * normal).sum(axis=-1)[:, None]
+        hidden = (self.surface[:, None] > 0.0) & (plane > 0.0) & (plane < reach)
+        share = np.where(hidden, plane / np.where(reach > 0.0, reach, 1.0), 0.5)
+        away = np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
+        near, far = share * away, (1.0 - share) * away
+        scale = np.sqrt(2.0 * away / (self.wavelength[:, None] * np.maximum(near * far, 1e-12)))
+        offset = share[..., None] * points - self.poses.centre[:, None]
+        covered = np.ones(reach.shape, dtype=np.complex128)
+        for axis, half in zip((side, up), self.half, strict=True):
+            covered *= strip(np.einsum("nkx,nx->nk", offset, axis), half[:, None], scale)
+        return np.where(hidden, np.abs(1.0 - covered), 1.0)
 
 
-def _covered(offset: float, half: float, scale: float) -> complex:
-    """Return the share of a wave that a strip takes out of it (Fresnel's integrals)."""
-    if np.isinf(half):
-        return 1.0 + 0.0j
-    low, high = _fresnel((np.array([-half, half]) - offset) * scale)
-    return complex((high - low) / (1.0 + 1.0j))
+def strip(offset: Floats, half: Floats, scale: Floats) -> Complexes:
+    """Return the share of a wave that a strip takes out of it (Fresnel's integrals).
+
+    Args:
+        offset: of the wave's foot from the strip's middle, m.
+        half: of the strip's width, m; may be infinite.
+        scale: of Fresnel's integrals, 1/m.
+    """
+    low, high = _fresnel((-half - offset) * scale), _fresnel((half - offset) * scale)
+    return (high - low) / (1.0 + 1.0j)
+
+
+FRESNEL_STEP, FRESNEL_LENGTH = 5e-4, 24_000
 
 
 def _fresnel(v: Floats) -> Complexes:
-    grid, value = _fresnel_table()
-    inside = np.interp(np.abs(v), grid, value.real) + 1j * np.interp(np.abs(v), grid, value.imag)
-    return np.sign(v) * np.where(np.abs(v) > grid[-1], 0.5 + 0.5j, inside)
+    place = np.minimum(np.abs(v) / FRESNEL_STEP, FRESNEL_LENGTH - 1.0)
+    at = place.astype(np.int64)
+    table = _fresnel_table()
+    inside = table[at] + (place - at) * (table[at + 1] - table[at])
+    return np.sign(v) * np.where(np.abs(v) > FRESNEL_STEP * (FRESNEL_LENGTH - 1), 0.5 + 0.5j, inside)
 
 
 @lru_cache(maxsize=1)
-def _fresnel_table() -> tuple[Floats, Complexes]:
-    grid = np.linspace(0.0, 12.0, 24_001)
-    wave = np.exp(0.5j * np.pi * grid**2)
-    steps = 0.5 * (wave[1:] + wave[:-1]) * grid[1]
-    return grid, np.concatenate([[0.0], np.cumsum(steps)])
+def _fresnel_table() -> Complexes:
+    wave = np.exp(0.5j * np.pi * (np.arange(FRESNEL_LENGTH + 1) * FRESNEL_STEP) ** 2)
+    return np.concatenate([[0.0], np.cumsum(0.5 * (wave[1:] + wave[:-1]) * FRESNEL_STEP)])

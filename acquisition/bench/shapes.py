@@ -16,10 +16,11 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.bench.air import Floats
 
-PIECE = 1.2e-3  # m of outline a piece: a seventh of the wavelength
+PIECE = 4.0e-3  # m of outline a piece, along which the phase is taken to grow evenly
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,15 @@ class Disc:
         side = self.radius * np.sqrt(np.pi) / 2.0
         return side, side
 
+    @property
+    def area(self) -> float:
+        """Of the plate, m^2."""
+        return float(np.pi * self.radius**2)
+
+    def holds(self, points: Floats) -> NDArray[np.bool_]:
+        """Tell which points of its plane (n, 2) lie on it."""
+        return np.asarray((points**2).sum(axis=-1) < self.radius**2)
+
 
 @dataclass(frozen=True)
 class Plate:
@@ -46,6 +56,15 @@ class Plate:
     def half(self) -> tuple[float, float]:
         """Half width and half height, m."""
         return self.width / 2.0, self.height / 2.0
+
+    @property
+    def area(self) -> float:
+        """Of the plate, m^2."""
+        return self.width * self.height
+
+    def holds(self, points: Floats) -> NDArray[np.bool_]:
+        """Tell which points of its plane (n, 2) lie on it."""
+        return np.asarray((np.abs(points) < self.half).all(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -79,14 +98,19 @@ def surface_of(reflectance: float) -> float:
     >>> surface_of(0.9), surface_of(0.05)
     (1.0, 0.4)
     """
-    return float(np.interp(reflectance, *SURFACE))
+    return float(surfaces_of(np.array(reflectance)))
+
+
+def surfaces_of(reflectance: Floats) -> Floats:
+    """Return the amplitude factors of many surfaces, in the shape given."""
+    return np.interp(reflectance, *SURFACE)
 
 
 @lru_cache(maxsize=64)
 def outline(shape: Disc | Plate) -> Floats:
     """Return the outline as points about the centre, counter-clockwise and closed, m, (pieces + 1, 2)."""
     if isinstance(shape, Disc):
-        count = int(np.ceil(2.0 * np.pi * shape.radius / PIECE))
+        count = 2 * int(np.ceil(np.pi * shape.radius / PIECE))
         angle = np.linspace(0.0, 2.0 * np.pi, count + 1)
         # pieces are chords: the polygon of equal area keeps the mean radius
         scale = shape.radius * np.sqrt(angle[1] / np.sin(angle[1]))
@@ -97,23 +121,11 @@ def outline(shape: Disc | Plate) -> Floats:
 
 
 def _pieces(a: Floats, b: Floats) -> int:
-    return int(np.ceil(np.linalg.norm(b - a) / PIECE))
+    return 2 * int(np.ceil(np.linalg.norm(b - a) / (2.0 * PIECE)))  # even, so that two can be taken as one
 
 
-@lru_cache(maxsize=64)
-def facets(shape: Disc | Plate, step: float) -> tuple[Floats, float]:
-    """Return the centres of a plate's facets about its centre, m, (m, 2), and the area of one, m^2."""
-    half = (shape.radius, shape.radius) if isinstance(shape, Disc) else shape.half
-    count = [int(np.ceil(2.0 * h / step)) for h in half]
-    axes = [(np.arange(n) + 0.5) / n * 2.0 * h - h for n, h in zip(count, half, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    if isinstance(shape, Disc):
-        grid = grid[(grid**2).sum(axis=1) < shape.radius**2]
-        return grid, np.pi * shape.radius**2 / len(grid)
-    return grid, shape.width * shape.height / len(grid)
-
-
-def subtended(points: Floats, foot: Floats) -> Floats:
-    """Return the signed angle that each piece of an outline subtends at a foot in its plane, rad, (pieces,)."""
-    a, b = points[:-1] - foot, points[1:] - foot
-    return np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+def subtended(corners: Floats) -> Floats:
+    """Return the signed angle that each piece of an outline (..., pieces + 1, 2) subtends at the origin, rad."""
+    x, y = corners[..., 0], corners[..., 1]
+    a, b, c, d = x[..., :-1], y[..., :-1], x[..., 1:], y[..., 1:]
+    return np.arctan2(a * d - b * c, a * c + b * d)

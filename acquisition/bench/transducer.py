@@ -15,7 +15,8 @@ Complexes = NDArray[np.complex128]
 CYCLES = 8  # of the burst: 200 us at 40 kHz
 OMEGA = 2.0 * np.pi * CARRIER
 PERIOD = 1.0 / CARRIER  # s; also the step of every waveform here, so each step holds one period of the carrier
-FINE = 8  # delays are resolved to PERIOD / FINE before the carrier's phase is put back exactly
+FINE = 2  # steps a period in which arrivals are gathered, each shared by a cubic among four of them
+SMALL = PERIOD / 32  # s, the step at which a pulse is worked out
 LENGTH = 5.0e-3  # s, after which a pulse has rung down: by 70 dB even at Q = 58
 REFERENCE_C = 20.0
 
@@ -50,7 +51,7 @@ def pulse_phases(unit: Unit, temperature_c: float) -> Complexes:
 
     Scaled so that the nominal unit's echo peaks at 1: a poor or detuned resonator is heard as a weak one.
     """
-    fine = pulse_at(unit, temperature_c, PERIOD / FINE / 4)[::4] / reference_peak()
+    fine = pulse_at(unit, temperature_c, SMALL)[:: round(PERIOD / FINE / SMALL)] / reference_peak()
     padded = np.concatenate([np.zeros(FINE, dtype=np.complex128), fine])
     starts = np.arange(0, len(fine) - FINE, FINE)
     return np.stack([padded[starts + FINE - j] for j in range(FINE)])
@@ -59,13 +60,19 @@ def pulse_phases(unit: Unit, temperature_c: float) -> Complexes:
 @lru_cache(maxsize=1)
 def reference_peak() -> float:
     """Return the peak of the nominal unit's pulse: 11.7 dB below what an endless burst would reach."""
-    return float(np.abs(pulse_at(Unit.nominal(), REFERENCE_C, PERIOD / FINE / 4)).max())
+    return float(np.abs(pulse_at(Unit.nominal(), REFERENCE_C, SMALL)).max())
 
 
-def _bessel_j1(x: Floats) -> Floats:
+def _bessel_j1(x: NDArray[np.floating]) -> Floats:
     """Return the Bessel function J1 by its integral over [0, pi]; the midpoint rule converges geometrically."""
     angle = (np.arange(64) + 0.5) * np.pi / 64
     return np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1)
+
+
+@lru_cache(maxsize=64)
+def spectra(unit: Unit, temperature_c: float, size: int) -> Complexes:
+    """Return the discrete Fourier transforms of `pulse_phases`, (FINE, size)."""
+    return np.fft.fft(pulse_phases(unit, temperature_c), size, axis=1)
 
 
 @dataclass(frozen=True)
@@ -76,11 +83,22 @@ class Piston:
 
     def __call__(self, angle: Floats) -> Floats:
         """Return the relative pressure at angles off the axis, rad; nothing is sent backwards."""
-        x = self.ka * np.sin(np.minimum(np.abs(angle), np.pi / 2))
-        return np.where(np.abs(angle) < np.pi / 2, np.interp(x, *_table()), 0.0)
+        return directivity(np.float64(self.ka), np.cos(angle))
+
+
+def directivity(ka: Floats | np.float64, cosine: Floats) -> Floats:
+    """Return a piston's relative pressure where the angle off its axis has a given cosine; 0 behind it."""
+    place = np.minimum(ka / TABLE_STEP * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), TABLE_LENGTH - 1.0)
+    at = place.astype(np.int32)
+    table = _table()
+    value = table[at]
+    return np.where(cosine > 0.0, value + (place - at) * (table[at + 1] - value), 0.0)
+
+
+TABLE_STEP, TABLE_LENGTH = 2.5e-3, 12_000
 
 
 @lru_cache(maxsize=1)
-def _table() -> tuple[Floats, Floats]:
-    x = np.linspace(0.0, 12.0, 4001)
-    return x, np.concatenate([[1.0], 2.0 * _bessel_j1(x[1:]) / x[1:]])
+def _table() -> Floats:
+    x = np.arange(1, TABLE_LENGTH + 1) * TABLE_STEP
+    return np.concatenate([[1.0], 2.0 * _bessel_j1(x) / x])

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 DEG = np.pi / 180.0
+TICKS = (1e-6, 2e-6, 4e-6, 8e-6, 16e-6, 32e-6, 64e-6)  # s; which one is unknown
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,12 @@ class Unit:
         leak_delay: when it begins, s.
         baseline: distance between the transducers, m.
         cold_s, warm_up_tau_s: by how much its times run long when it is switched on, s, and how fast that goes.
-        averaging: how many first echoes the firmware takes the mean of; the SRF08's takes one.
+        averaging, average: of how many first echoes the firmware makes what; the SRF08's takes one.
+        deadband: the firmware repeats its first echo until one differs by more, s; the SRF08's does not.
+        ramp_tau_s: where time is measured by charging a capacitor through a resistor, not by counting: its constant, s;
+            long times then read short. 0 counts.
+        sag, sag_tau_s: share by which the comparator's reference is low after the burst, and how fast it recovers.
+        spill: pressure that leaves and enters past the beam, by the housing, against that on the axis, each way.
         light: what the light register reads.
     """
 
@@ -66,6 +72,12 @@ class Unit:
     cold_s: float = 0.0
     warm_up_tau_s: float = 600.0
     averaging: int = 1
+    average: Literal["mean", "median"] = "mean"
+    deadband: float = 0.0
+    ramp_tau_s: float = 0.0
+    sag: float = 0.0
+    sag_tau_s: float = 3e-3
+    spill: float = 0.0
     light: int = 92
 
     @classmethod
@@ -91,7 +103,7 @@ class Unit:
             hysteresis=uniform(0.05, 0.10),
             recovery=uniform(50e-6, 100e-6),
             t_offset=uniform(-120e-6, 0.0),
-            tick=float(rng.choice([1e-6, 2e-6, 4e-6, 8e-6, 16e-6])),
+            tick=float(rng.choice(TICKS)),
             rounding="nearest" if rng.random() < 0.5 else "down",
             blanking=uniform(150e-6, 500e-6),
             rearm=uniform(1e-3, 4e-3),

@@ -20,6 +20,7 @@ class Link(IntEnum):
     LOST_WRITE = 3
     DROPPED = 4
     BIT_FLIP = 5
+    RESET = 6
 
 
 # in the order in which they overrule each other
@@ -42,8 +43,22 @@ def faults(bus: Bus, ping: Ping, rng: np.random.Generator) -> NDArray[np.uint8]:
     return out
 
 
+def reset(bus: Bus, ping: Ping, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Draw which pings the sensor's supply breaks down before, and which find its registers as it left them, (n,)."""
+    if bus.reset == 0.0:
+        return np.zeros(len(ping), dtype=np.bool_), np.zeros(len(ping), dtype=np.bool_)
+    down = rng.random(len(ping)) < bus.reset
+    written = np.floor(ping.time / bus.rewrite_s) if bus.rewrite_s > 0.0 else np.arange(len(ping))
+    fresh = (np.diff(written, prepend=-1.0) != 0) | (np.diff(ping.run, prepend=ping.run[:1] - 1) != 0)
+    epoch = np.cumsum(fresh)
+    fallen = np.cumsum(down)
+    return down, fallen > np.concatenate([[0], (fallen - down)[fresh]])[epoch]
+
+
 def present(rate: float, dwell_s: float, ping: Ping, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Draw a two-state process that is on with probability `rate` and keeps its state for about `dwell_s`."""
+    if rate == 0.0:
+        return np.zeros(len(ping), dtype=np.bool_)
     drawn = rng.random(len(ping)) < rate
     step = np.diff(ping.time, prepend=-np.inf)
     keep = np.exp(-np.maximum(step, 0.0) / dwell_s) if dwell_s > 0 else np.zeros(len(ping))

@@ -27,7 +27,7 @@ from noise.empirical import EmpiricalModel
 from noise.fit import Fit, best_of, covariance, each_counted, log_likelihood, maximise
 from noise.law import Floats
 from noise.model import SonarModel
-from noise.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.stack import CELLS, JITTER, NUISANCES, Key, Stack
 from noise.starts import nuisance_starts
 
 Z90 = 1.6449  # two-sided 90 % of a normal
@@ -70,10 +70,18 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Final:
-    """The explanation: its stack with nuisances for scoring, and the fit that its parameters and errors come from."""
+    """The explanation: its stack with nuisances for scoring, and the fits that its parameters and errors come from.
+
+    The last fit that moved a parameter is the one that counts; its stack is the law of single readings.
+    """
 
     stack: Stack
-    fit: Fit
+    fits: tuple[Fit, ...]
+
+    @property
+    def single(self) -> Stack:
+        """The law of single readings."""
+        return self.fits[-1].stack
 
 
 def diagnose(
@@ -126,7 +134,7 @@ def diagnose(
     tell("done", 1.0)
     return Diagnosis(
         replace(verdict, held_out=held, next_measurement=ahead),
-        corrected_model(why.final.fit.stack, recording),
+        corrected_model(why.final.single, recording),
         model,
         base.raw,
         corrected_model(fitted.stack, recording),
@@ -194,9 +202,9 @@ def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80)
     each = each_counted(joint, keys, search.both)
     if each is joint:
-        return Final(joint.stack, joint)
+        return Final(joint.stack, (joint,))
     cells = {**each.stack.values, CELLS: joint.stack.values[CELLS]}
-    return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, each)
+    return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, (joint, each))
 
 
 def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[list[Named], list[Rival]]:
@@ -204,15 +212,15 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
     chosen, final = why.chosen, why.final
     if not chosen:
         return [], []
-    spread = np.sqrt(np.diag(covariance(final.fit, search.both)))
+    known = _intervals(final, search.both)
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
         gain, _ = search.contribution(chosen, why.cross, name)
         own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
-        told = _told(base, final.fit.stack, name)
-        parameters = _intervals(final.fit, name, spread)
+        told = _told(base, final.single, name)
+        parameters = {key[1]: interval for key, interval in known.items() if key[0] == name}
         weight, error = posterior(own), spread_over_blocks(gain)
         named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, told))
     return named, all_rivals
@@ -240,13 +248,14 @@ def compared_air(before_c: float, after_c: float) -> str:
     )
 
 
-def _intervals(final: Fit, name: str, spread: Floats) -> dict[str, Interval]:
+def _intervals(final: Final, batch: Batch) -> dict[Key, Interval]:
     out = {}
-    for key, sd in zip(final.free, spread, strict=True):
-        if key[0] == name:
-            p, value = final.stack.parameter(key), final.stack.get(key)
+    for fitted in final.fits:
+        spread = np.sqrt(np.diag(covariance(fitted, batch)))
+        for key, sd in zip(fitted.free, spread, strict=True):
+            p, value = fitted.stack.parameter(key), fitted.stack.get(key)
             low, high = max(value - Z90 * sd, min(p.low, p.null)), min(value + Z90 * sd, max(p.high, p.null))
-            out[key[1]] = Interval(value, float(low), float(high), p.unit)
+            out[key] = Interval(value, float(low), float(high), p.unit)
     return out
 
 

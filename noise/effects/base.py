@@ -289,6 +289,7 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     summary: ClassVar[str]  # one line of plain English: what the effect is
     remembers: ClassVar[bool] = False  # whether it looks at the previous reading
+    by_ping: ClassVar[bool] = False  # whether it strikes single pings, whatever their cell
 
     def __init__(self, **values: float | Tensor) -> None:
         """Set parameters by name; those left out are at their null values.

@@ -94,6 +94,7 @@ class AsynchronousCrosstalk(Effect):
 
     name = "asynchronous_crosstalk"
     stage = Stage.PATHS
+    by_ping = True
     summary = "Another sonar, firing by its own clock, is taken for the echo"
     parameters = (
         presence(0.5),

@@ -16,6 +16,7 @@ class Spike(Effect):
 
     name = "spike"
     stage = Stage.SEQUENCE
+    by_ping = True
     summary = "Now and then a reading is replaced by an arbitrary one"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: ours", (0.01,)),
@@ -44,6 +45,7 @@ class DroppedReading(Effect):
 
     name = "dropped_reading"
     stage = Stage.SEQUENCE
+    by_ping = True
     summary = "Now and then a reading is lost, whatever the target"
     parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: ours", (0.02,)),)
     probability: Tensor
@@ -89,6 +91,7 @@ class Stuck(Effect):
 
     name = "stuck"
     stage = Stage.SEQUENCE
+    by_ping = True
     summary = "Now and then the sensor gives one and the same reading, whatever the target"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) CONSTANT; rate: ours", (0.02,)),
@@ -119,6 +122,7 @@ class NoiseBurst(Effect):
 
     name = "noise_burst"
     stage = Stage.SEQUENCE
+    by_ping = True
     summary = "Some readings scatter far more than the others"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) NOISE; rate: ours", (0.05,)),
@@ -148,6 +152,7 @@ class CorruptedByte(Effect):
 
     name = "corrupted_byte"
     stage = Stage.SEQUENCE
+    by_ping = True
     summary = "Now and then a bit of the reading is wrong: it is off by a power of two"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: ours", (0.03,)),

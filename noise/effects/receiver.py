@@ -247,6 +247,7 @@ class FalseAlarm(Effect):
 
     name = "false_alarm"
     stage = Stage.DETECTOR
+    by_ping = True
     summary = "Noise is taken for an echo before the true one comes"
     parameters = (Parameter("per_metre", "1/m", 0.0, 0.0, 1.0, "1e-5 to 1e-2 a ping; wider: ours", (0.005,)),)
     per_metre: Tensor

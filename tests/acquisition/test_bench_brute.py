@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from acquisition import Ping
 from acquisition.bench import Disc, Plate, Rig, Room, Setup, Unit, Wall
 from acquisition.bench.air import absorption_db, sound_speed
-from acquisition.bench.receiver import GAINS, REFERENCE
-from acquisition.bench.shapes import facets
+from acquisition.bench.receiver import GAINS
+from acquisition.bench.room import between_images
+from acquisition.bench.scene import REFERENCE
 from acquisition.bench.transducer import Piston, reference_peak
 
 STEP = 0.5e-6
@@ -50,6 +51,17 @@ def pulse():
     t = np.arange(0.0, 5e-3, STEP)
     burst = np.where(t < 200e-6, np.sin(2.0 * np.pi * 40e3 * t), 0.0)
     return resonate(resonate(burst, 40e3, 35.0), 40e3, 35.0) / reference_peak()
+
+
+def facets(shape, step):
+    """Centres of a plate's facets about its centre, (m, 2), and the area of one."""
+    half = (shape.radius, shape.radius) if isinstance(shape, Disc) else shape.half
+    count = [int(np.ceil(2.0 * h / step)) for h in half]
+    axes = [(np.arange(n) + 0.5) / n * 2.0 * h - h for n, h in zip(count, half, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    if isinstance(shape, Disc):
+        grid = grid[(grid**2).sum(axis=1) < shape.radius**2]
+    return grid, shape.area / len(grid)
 
 
 def brute_crossing(pulse, shape, distance, incidence, gain, output_samples=40_000):
@@ -154,3 +166,37 @@ def test_left_is_as_right(distance, angle, incidence, reflectance):
     sides = [Ping.of(distance, sign * angle, sign * incidence, reflectance) for sign in (1.0, -1.0)]
     left, right = (rig.ping(side, np.random.default_rng(0)).code[0].astype(int) for side in sides)
     assert np.abs(left - right).max() <= 1
+
+
+def brute_between(shape, first, second, wavelength):
+    """Kirchhoff's integral over the facets of a plate for sound from one place to another, a continuous wave.
+
+    p = i k/(2 pi) sum dS (cos of incidence + cos of emission)/2 e^(-i k (r + s))/(r s)
+    """
+    plane, area = facets(shape, 0.7e-3)
+    a, b = (end + np.concatenate([plane, np.zeros((len(plane), 1))], axis=1) for end in (first, second))
+    r, s = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
+    slant = 0.5 * (a[:, 2] / r + b[:, 2] / s)
+    return (1j / wavelength * area * slant / (r * s) * np.exp(-2j * np.pi * (r + s) / wavelength)).sum()
+
+
+@pytest.mark.parametrize("shape", [Disc(0.1), Plate(0.12, 0.13)], ids=["disc", "plate"])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0)),  # from the sensor itself: the mirror echo
+        ((0.02, 0.6, 0.5), (0.02, 0.0, 0.5)),  # by a near floor
+        ((0.05, 0.8, 1.0), (0.05, 0.8, 1.0)),  # by the floor there and back
+        ((0.3, 2.0, 1.0), (0.3, 0.0, 1.0)),
+        ((-0.4, 0.7, 1.2), (-0.4, -0.5, 1.2)),  # floor and ceiling: mirrored near the rim
+        ((0.0, 0.05, 2.0), (0.0, -0.04, 2.2)),
+    ],
+)
+def test_plate_between_two_images_is_kirchhoff_s_integral(shape, first, second):
+    """Within 3 % of a mirror's echo, or a twentieth of its own."""
+    wavelength, ends = 8.584e-3, [np.array([end]) for end in (first, second)]
+    length, amplitude = between_images(shape, *ends, np.array([wavelength]))
+    found = (amplitude * np.exp(-4j * np.pi * length / wavelength)).sum()
+    expected = brute_between(shape, *ends, wavelength)
+    mirror = 1.0 / (np.linalg.norm(first) + np.linalg.norm(second))
+    assert abs(found - expected) < max(0.03 * mirror, 0.05 * abs(expected))

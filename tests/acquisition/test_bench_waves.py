@@ -5,11 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.bench import MIRROR, RUBBER, Disc, Neighbour, Plate, Post, Room, Scatterer, Setup, Unit, Wall
-from acquisition.bench.air import sound_speed
-from acquisition.bench.firmware import averaged, first_echoes, to_codes
-from acquisition.bench.receiver import GAINS, Air, Sent, Waveform, crossings, gain_over_time, noise, voltages
-from acquisition.bench.scene import BOUNCE, CEILING, CLUTTER, FACE, FLOOR, POST, WALL, Arrivals, Pose, Scene
+from acquisition.bench import (
+    MIRROR,
+    RUBBER,
+    Disc,
+    Room,
+    Setup,
+    Unit,
+    Wall,
+)
+from acquisition.bench.air import Air, sound_speed
+from acquisition.bench.arrivals import FACE, Arrivals
+from acquisition.bench.firmware import first_echoes, smoothed, to_codes
+from acquisition.bench.receiver import (
+    GAINS,
+    Mixture,
+    Pulses,
+    amplification,
+    crossings,
+    gain_over_time,
+    noise,
+    voltages,
+    waveforms,
+)
+from acquisition.bench.room import arrivals
+from acquisition.bench.scene import Poses, Scene, loudness
 from acquisition.bench.transducer import PERIOD, Piston, pulse_at, pulse_phases
 
 SPEED = float(sound_speed(19.0, 50.0))
@@ -19,25 +39,43 @@ BARE = replace(
     Unit.nominal(), radius=1e-6, baseline=0.0, noise=0.0, hysteresis=0.0, rail=1e9, leak_db=-300.0, sensitivity_db=0.0
 )
 EMPTY = Setup(post=None, room=Room(None, None, None))
-AIR = Air(19.0, SPEED, 0.0)
+AIR = Air(np.array([19.0]), np.array([SPEED]), np.array([0.0]))
 
 
-def scene(distance, incidence_deg=0.0, shape=MIRROR, bearing_deg=0.0, setup=EMPTY, unit=BARE):
-    pose = Pose(distance, np.deg2rad(bearing_deg), np.deg2rad(incidence_deg))
-    return Scene(unit, replace(setup, reflector=shape), pose, 1.0, SPEED)
+def one(value):
+    return np.array([float(value)])
 
 
-def steady_db(arrivals, distance):
+def scene(distance, incidence_deg=0.0, shape=MIRROR, bearing_deg=0.0, setup=EMPTY, unit=BARE, reflectance=1.0):
+    pose = Poses(one(distance), one(np.deg2rad(bearing_deg)), one(np.deg2rad(incidence_deg)), one(0.0), one(0.0))
+    return Scene(unit, replace(setup, reflector=shape), pose, one(reflectance), AIR)
+
+
+def face(*args, **kwargs):
+    return arrivals(scene(*args, **kwargs)).only(FACE)
+
+
+def signal(unit, way, samples=1600, air=AIR):
+    """What reaches the receiver's input, over the threshold at full gain."""
+    weight = loudness(unit) * air.loss(way.row, way.length) * way.amplitude
+    return waveforms(unit, air.temperature_c, Pulses(way.row, air.delay(way.row, way.length), weight), samples)[0]
+
+
+def ways(*pairs):
+    length, amplitude = np.array(pairs, dtype=complex).T
+    return Arrivals.of([0], FACE, length.real[None], amplitude[None])
+
+
+def steady_db(way, distance):
     """Level of a continuous wave against a wall at the same distance, dB."""
-    phase = np.exp(-4j * np.pi * arrivals.length / WAVELENGTH)
-    return 20.0 * np.log10(abs((arrivals.amplitude * phase).sum()) * 2.0 * distance)
+    phase = np.exp(-4j * np.pi * way.length / WAVELENGTH)
+    return 20.0 * np.log10(abs((way.amplitude * phase).sum()) * 2.0 * distance)
 
 
-def burst_db(arrivals, distance):
+def burst_db(way, distance):
     """Level of the burst's peak against a wall at the same distance, dB."""
-    wall = Arrivals.of((distance, 1.0 / (2.0 * distance)))
-    echo, reference = (Waveform.of(BARE, way, AIR, 1600).signal for way in (arrivals, wall))
-    return 20.0 * np.log10(np.abs(echo).max() / np.abs(reference).max())
+    echo, wall = (np.abs(signal(BARE, w)).max() for w in (way, ways((distance, 0.5 / distance))))
+    return 20.0 * np.log10(echo / wall)
 
 
 def test_pulse_peaks_when_and_where_the_cascade_does():
@@ -97,22 +135,22 @@ def test_time_walk_in_millimetres_and_its_comb():
 
 def test_disc_on_its_axis_is_the_exact_solution():
     """1/(2d) [delta(2d) - (d/R)^2 delta(2R)], summed over the outline."""
-    face = scene(0.7).face()
+    way = face(0.7)
     distance, rim = 0.7, np.hypot(0.7, 0.1)
-    assert face.amplitude[0] == pytest.approx(1.0 / (2.0 * distance))
-    assert face.length[1:] == pytest.approx(rim, abs=2e-6)
-    assert face.amplitude[1:].sum().real == pytest.approx(-distance / (2.0 * rim**2), rel=1e-4)
+    assert way.amplitude[0] == pytest.approx(1.0 / (2.0 * distance))
+    assert way.length[1:] == pytest.approx(rim, abs=2e-6)
+    assert way.amplitude[1:].sum().real == pytest.approx(-distance / (2.0 * rim**2), rel=1e-4)
 
 
 @pytest.mark.parametrize(
     ("distance", "level"), [(1.163, -18.0), (0.578, -12.0), (0.382, -9.0), (1.10, -9.0), (1.25, -7.0), (2.33, 6.0)]
 )
 def test_burst_from_the_disc_has_its_nulls_and_maxima(distance, level):
-    assert burst_db(scene(distance).face(), distance) == pytest.approx(level, abs=0.5)
+    assert burst_db(face(distance), distance) == pytest.approx(level, abs=0.5)
 
 
 def test_a_degree_of_tilt_washes_the_null_out():
-    assert burst_db(scene(1.163, 1.0).face(), 1.163) > -1.0
+    assert burst_db(face(1.163, 1.0), 1.163) > -1.0
 
 
 # dB against a wall, continuous wave, at 0, 1, 2, 3, 5, 10, 15, 20, 30 degrees of tilt
@@ -134,30 +172,29 @@ PLATE = {
 @pytest.mark.parametrize(("shape", "table"), [(MIRROR, DISC), (RUBBER, PLATE)], ids=["disc", "plate"])
 def test_tilted_reflectors_against_the_surface_integral(shape, table):
     for distance, row in table.items():
-        levels = [steady_db(scene(distance, tilt, shape).face(), distance) for tilt in TILTS]
+        levels = [steady_db(face(distance, tilt, shape), distance) for tilt in TILTS]
         assert levels == pytest.approx(row, abs=1.2), distance
 
 
 def test_face_is_lost_where_its_perpendicular_misses_it():
     """At 1 m the disc mirrors up to atan(0.1/1) = 5.7 degrees; beyond, only its outline is left."""
-    assert scene(1.0, 5.5).face().amplitude[0].real > 0.0
-    assert scene(1.0, 5.9).face().amplitude[0] == 0.0
-    assert burst_db(scene(1.0, 8.0).face(), 1.0) < -12.0
+    assert face(1.0, 5.5).amplitude[0].real > 0.0
+    assert face(1.0, 5.9).length.min() > 1.0 * np.cos(np.deg2rad(5.9))
+    assert burst_db(face(1.0, 8.0), 1.0) < -12.0
 
 
 def test_seen_face_reads_the_perpendicular_and_an_edge_its_own_distance():
-    face = scene(0.5, 10.0).face()
-    assert face.length[0] == pytest.approx(0.5 * np.cos(np.deg2rad(10.0)))
-    tilted = scene(2.0, 22.5).face()
-    assert tilted.length[1:].min() == pytest.approx(
-        np.sqrt(2.0**2 + 0.1**2 - 2.0 * 2.0 * 0.1 * np.sin(np.deg2rad(22.5))), abs=1e-4
-    )
+    way = face(0.5, 10.0)
+    assert way.length[0] == pytest.approx(0.5 * np.cos(np.deg2rad(10.0)))
+    tilted = face(2.0, 22.5)
+    near = np.sqrt(2.0**2 + 0.1**2 - 2.0 * 2.0 * 0.1 * np.sin(np.deg2rad(22.5)))
+    assert tilted.length.min() == pytest.approx(near, abs=1e-4)
 
 
 def test_a_great_disc_is_a_wall_until_its_rim_is_heard():
-    face, wall = scene(1.0, 0.0, Disc(3.0)).face(), scene(1.0, 0.0, Wall()).face()
-    assert face.amplitude[0] == wall.amplitude[0] == pytest.approx(0.5)
-    assert face.length[1:].min() > 3.0
+    disc, wall = face(1.0, 0.0, Disc(3.0)), face(1.0, 0.0, Wall())
+    assert disc.amplitude[0] == wall.amplitude[0] == pytest.approx(0.5)
+    assert disc.length[1:].min() > 3.0
 
 
 def test_gain_steps_every_70_us_up_to_its_cap():
@@ -171,17 +208,17 @@ def test_gain_steps_every_70_us_up_to_its_cap():
 
 
 def test_wall_at_six_metres_just_reaches_the_threshold_at_full_gain():
-    wave = Waveform.of(BARE, Arrivals.of((6.0, 1.0 / 12.0)), Air(19.0, SPEED, 1.29), 1600)
-    assert np.abs(wave.signal).max() == pytest.approx(1.0, abs=0.01)
+    wave = signal(BARE, ways((6.0, 1.0 / 12.0)), air=replace(AIR, absorption_db=one(1.29)))
+    assert np.abs(wave).max() == pytest.approx(1.0, abs=0.01)
 
 
 def test_waveform_is_the_sum_of_delayed_pulses():
     """Against the pulse sampled at the exact delay."""
-    arrivals = Arrivals.of((1.2345, 0.3), (1.30, -0.1), (2.0, 0.2j))
-    wave = Waveform.of(BARE, arrivals, AIR, 900).signal
+    given = ways((1.2345, 0.3), (1.30, -0.1), (2.0, 0.2j))
+    wave = signal(BARE, given, 900)
     fine = pulse_at(BARE, 19.0, PERIOD / 32)
     expected = np.zeros(900, dtype=complex)
-    for length, amplitude in zip(arrivals.length, arrivals.amplitude, strict=True):
+    for length, amplitude in zip(given.length, given.amplitude, strict=True):
         delay = 2.0 * length / SPEED
         at = np.arange(900) * PERIOD - delay
         grid = np.arange(len(fine)) * PERIOD / 32
@@ -250,63 +287,16 @@ def test_clipping_makes_deaf_for_a_moment():
     assert 23 in sample
 
 
-def test_room_returns_come_from_where_they_must():
-    setup = Setup(post=Post(radius=0.015, behind=0.3), room=Room(1.5, 3.0, 9.0))
-    groups = scene(4.0, 0.0, setup=setup, unit=replace(BARE, radius=6.55e-3)).groups()
-    assert groups[POST].length == pytest.approx([4.3 - 0.015, np.hypot(4.3, 1.5)])
-    assert groups[FLOOR].length[:2] == pytest.approx([1.5, np.hypot(9.0, 1.5)])
-    via_floor = groups[FLOOR].length[2:]
-    assert via_floor.mean() == pytest.approx((np.sqrt(4.0**2 + 3.0**2) + 4.0) / 2.0, abs=0.01)
-    assert groups[CEILING].length[0] == pytest.approx(1.5)
-    assert groups[WALL].length == pytest.approx([9.0])
-    assert groups[BOUNCE].length[0] == pytest.approx(8.0)
-
-
-def test_post_behind_the_face_is_shadowed_and_stands_free_beside_it():
-    setup = Setup(post=Post(), room=Room(None, None, None))
-    hidden = scene(1.0, 0.0, setup=setup)
-    beside = scene(1.0, 35.0, bearing_deg=35.0, setup=setup)
-    assert abs(hidden.groups()[POST].amplitude[0]) < 0.35 * abs(beside.groups()[POST].amplitude[0])
-    place = np.array([np.cos(np.deg2rad(35.0)) + 0.3, np.sin(np.deg2rad(35.0)), 0.0])
-    assert hidden.shadow(place) == pytest.approx(1.0, abs=0.15)
-
-
-def test_post_is_19_db_below_a_wall():
-    """A round post of 15 mm at 1.3 m, nothing in front of it."""
-    setup = Setup(post=Post(radius=0.015, behind=0.3), room=Room(None, None, None))
-    there = replace(scene(1.015, 0.0, setup=setup), reflectance=0.0)
-    front = there.groups()[POST]
-    assert 20.0 * np.log10(abs(front.amplitude[0]) * 2.0 * front.length[0]) == pytest.approx(-19.0, abs=0.5)
-
-
-def test_no_reflectance_no_face():
-    assert FACE not in replace(scene(1.0), reflectance=0.0).groups()
-
-
-def test_floor_detour_matches_the_mirror_law_where_the_floor_is_near():
-    """A tall plate on a near floor: sensor, floor, plate, sensor is the mirror image's perpendicular, if both exist.
-
-    With the beam's height h small and a plate reaching below the floor's image, the detour's perpendicular from the
-    image at -2h meets the plate; its amplitude is then that of a wall as far away as half the way, both senses.
-    """
-    setup = Setup(post=None, room=Room(0.05, None, None, floor_factor=1.0))
-    floor = scene(1.0, 0.0, Plate(0.8, 0.8), setup=setup).groups()[FLOOR]
-    detour = Arrivals(floor.length[1:], floor.amplitude[1:])
-    half = (np.sqrt(1.0 + 0.1**2 / 4) * 2) / 2
-    phase = np.exp(-4j * np.pi * detour.length / WAVELENGTH)
-    assert abs((detour.amplitude * phase).sum()) == pytest.approx(2.0 / (2.0 * half), rel=0.35)
-
-
 def test_working_out_only_what_can_trip_loses_nothing(monkeypatch):
     """With the shortcut off, the same echoes: their shares and spreads agree."""
-    waves = [Waveform.of(Unit.nominal(), Arrivals.of((2.0, 0.11)), AIR, 1440)]
-    setup, none = Setup(gain=20), np.zeros((400, 1))
-    sent = Sent(none + 1.0 + 0j, none, np.ones(400), np.zeros((1, 1440), dtype=complex))
+    unit, none = Unit.nominal(), np.zeros((400, 1))
+    waves = [Mixture(signal(unit, ways((2.0, 0.11)), 1440)[None], none + 1.0, none)]
+    gain = amplification(unit, Setup(gain=20), 1440)
 
     def times(seed):
-        z, start = voltages(waves, sent, Unit.nominal(), setup, np.random.default_rng(seed))
-        ping, time = crossings(z, Unit.nominal())
-        return first_echoes(ping, time + start * PERIOD, 400, Unit.nominal(), 1.0)[:, 0], z.shape[1]
+        z, start = voltages(waves, np.full(400, unit.noise), gain, None, np.random.default_rng(seed))
+        ping, time = crossings(z, unit)
+        return first_echoes(ping, time + start * PERIOD, 400, unit, 1.0)[:, 0], z.shape[1]
 
     short, width = times(0)
     monkeypatch.setattr("acquisition.bench.receiver.SIGMAS", 1e9)
@@ -321,25 +311,23 @@ def test_firmware_that_averages_takes_the_last_first_echoes_of_its_run():
     code = np.zeros((6, 17), dtype=np.uint16)
     code[:, 0] = [100, 200, 0, 300, 400, 500]
     run = np.array([0, 0, 0, 0, 1, 1])
-    assert averaged(code, run, 3)[:, 0].tolist() == [100, 150, 0, 200, 400, 450]
-    assert averaged(code, run, 1)[:, 0].tolist() == code[:, 0].tolist()
+    mean = replace(Unit.nominal(), averaging=3)
+    assert smoothed(code, run, mean, "cm")[:, 0].tolist() == [100, 150, 0, 200, 400, 450]
+    assert smoothed(code, run, replace(mean, averaging=1), "cm")[:, 0].tolist() == code[:, 0].tolist()
+    code[3, 0] = 900
+    assert smoothed(code, run, replace(mean, average="median"), "cm")[3, 0] == 200
 
 
-def test_neighbours_bursts_arrive_by_its_clock():
-    other = Neighbour(period_s=0.070, first_s=0.010, path_m=3.4336)
-    assert other.arrivals(0.0, 343.36, 0.036, 0.005) == pytest.approx([0.020])
-    assert other.arrivals(0.093, 343.36, 0.036, 0.005) == pytest.approx([-0.003])
-    assert len(other.arrivals(0.030, 343.36, 0.036, 0.005)) == 0
-    waves = other.waveforms(np.array([0.0, 0.03]), 343.36, 2.0, pulse_phases(BARE, 19.0), 1440)
-    first = np.flatnonzero(np.abs(waves[0]) > 0.01)[0] * PERIOD
-    assert first == pytest.approx(0.020, abs=2 * PERIOD)
-    assert np.abs(waves[0]).max() == pytest.approx(2.0, abs=0.02)
-    assert not waves[1].any()
+def test_firmware_with_a_dead_band_repeats_itself_until_something_moves():
+    code = np.zeros((7, 17), dtype=np.uint16)
+    code[:, 0] = [5800, 5850, 0, 5890, 5910, 5830, 5790]
+    unit = replace(Unit.nominal(), deadband=100e-6)
+    assert smoothed(code, np.zeros(7, dtype=int), unit, "us")[:, 0].tolist() == [5800, 5800, 0, 5800, 5910, 5910, 5790]
 
 
-def test_clutter_scatters_as_a_sphere():
-    thing = Scatterer((2.0, 0.0, 0.0), strength_db=20.0 * np.log10(0.05))
-    setup = Setup(post=None, room=Room(None, None, None, clutter=(thing,)))
-    way = replace(scene(1.0, setup=setup), reflectance=0.0).groups()[CLUTTER]
-    assert way.length == pytest.approx([2.0])
-    assert abs(way.amplitude[0]) == pytest.approx(0.05 / 4.0)
+def test_a_ramp_from_the_wrong_rail_is_bent():
+    """t is measured as tau (1 - exp(-t / tau)): short by t^2 / (2 tau), so by the square of distance."""
+    unit = replace(Unit.nominal(), t_offset=0.0, ramp_tau_s=1.0)
+    time = np.array([6e-3, 12e-3, 24e-3])
+    short = time * 1e6 - to_codes(time, unit, "us")
+    assert short == pytest.approx([18.0, 72.0, 288.0], abs=2.5)

@@ -194,13 +194,19 @@ def test_what_is_no_place_for_a_file_is_refused(tmp_path):
         Session(PLAN, SOURCE, tmp_path / "file" / "r.csv").run()
 
 
+def heed_interrupts():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs are started deaf to it
+
+
 @posix
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, number, code):
     path, whole = tmp_path / "r.csv", tmp_path / "whole.csv"
     command = [sys.executable, "-m", "training.cli", "record", "--pings", "20", "--interval-s", "1", "--out"]
     root = Path(__file__).parents[2]
-    process = subprocess.Popen([*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root)
+    process = subprocess.Popen(
+        [*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root, preexec_fn=heed_interrupts
+    )
     while not (path.exists() and path.stat().st_size > 10_000):
         assert process.poll() is None
         time.sleep(0.01)

@@ -150,9 +150,3 @@ def test_car_stops_dead_at_a_wall():
         car, hit = car.drive(0.0, 1.0, wall, 0.1)
     assert car.speed == 0.0
     assert car.corners()[:, 0].max() == pytest.approx(0.6, abs=CarSettings().max_speed * 0.02)
-
-
-def test_cost_to_go_falls_by_what_is_driven_along_the_path():
-    path = np.column_stack([np.linspace(0, 1, 101), np.zeros(101), np.zeros(101), np.linspace(1, 0, 101)])
-    assert kernels.cost_to_go(np.array([0.2, 0.0, 0.0]), path, 3.0, 0.5) == pytest.approx(0.8)
-    assert kernels.cost_to_go(np.array([0.2, 0.1, 0.2]), path, 3.0, 0.5) == pytest.approx(0.8 + 0.3 + 0.1, abs=0.02)

@@ -71,8 +71,8 @@ def test_both_ways_of_naming_it_work():
 def test_spec_goes_through_json():
     env = gymnasium.make("SonarParking-v0", sonar="gaussian", street={"gap": [0.9, 1.0]}, sonar_layout="four")
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.sonar_name == "gaussian"
-    assert again.unwrapped.street_settings.gap == (0.9, 1.0)
+    assert again.unwrapped.fleet.sonar_name == "gaussian"
+    assert again.unwrapped.fleet.street_settings.gap == (0.9, 1.0)
     assert again.observation_space["ranges"].shape == (4,)
 
 
@@ -236,7 +236,7 @@ def test_leaving_by_the_open_end_ends_the_episode():
 def test_standing_in_the_gap_is_success(turn, parked):
     env = SonarParkingEnv()
     env.reset(seed=0)
-    street, car = env.street, env.car_settings
+    street, car = env.street, env.world.car_settings
     middle = 0.5 * sum(street.gap) - car.centre
     env.car = env.car.at(car, middle, 0.5 * (street.line + street.kerb), np.radians(turn))
     _, _, terminated, _, info = env.step(np.zeros(2))
@@ -248,7 +248,7 @@ def test_standing_in_the_gap_is_success(turn, parked):
 def test_standing_in_the_lane_beside_the_gap_is_no_success():
     env = SonarParkingEnv()
     env.reset(seed=0)
-    env.car = env.car.at(env.car_settings, 0.5 * sum(env.street.gap) - env.car_settings.centre, 0.0, 0.0)
+    env.car = env.car.at(env.world.car_settings, 0.5 * sum(env.street.gap) - env.world.car_settings.centre, 0.0, 0.0)
     assert not env.step(np.zeros(2))[4]["is_success"]
 
 

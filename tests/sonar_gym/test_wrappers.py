@@ -92,7 +92,7 @@ def test_all_of_a_box_may_be_ranges():
         gymnasium.make("SonarParking-v0"), key="ranges", metres_per_unit=MAX_RANGE, max_range=MAX_RANGE
     )
     observation, _ = env.reset(seed=0)
-    assert set(observation) == {"ranges", "credence", "echo", "ego"}
+    assert set(observation) == {"ranges", "credence", "echo", "age", "ego"}
 
 
 @pytest.mark.parametrize("sonar", ["ideal", "gaussian"])

@@ -1,0 +1,193 @@
+"""The networks that the thesis's author published (Esmi 2016), read from their Keras 1 files and evaluated as they are.
+
+They map what a ping read back to where the reflector stood, so they are no law and draw no noise: they are the only
+public trace of the real recordings. Two kinds: an MLP (25 sigmoids, dropout, a sigmoid) and an LSTM (the four inputs
+one after the other as a sequence of single numbers, 25 cells, dropout, a linear output).
+
+The inputs are scaled as the author did, and unlike the label: angle / 45 deg, reflectance, reading / 6000 mm and
+credence; an output y is a distance of 5970 y + 30 mm (his table 4.1: 3900 mm is 0.6482, and 3950 mm read is 0.6583).
+Of each kind two are published: `*_weights.hdf5` did best in validation, `*_my_model.h5` is as the last epoch left it.
+The files stay with their author; nothing of them is shipped. The HDF5 library itself can crash on a file damaged
+inside, so read files of a known source only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition import ModelError
+from noise.law import Floats
+
+Kind = Literal["mlp", "lstm"]
+GREATEST_ANGLE = np.deg2rad(45.0)
+GREATEST_READING = 6.0  # m
+NEAREST, FARTHEST = 0.030, 6.0  # m, of the distances that label 0 and label 1 stand for
+LARGEST_FILE = 1 << 20  # bytes; the published ones hold 17 and 61 kB
+WIDEST = 1024  # neurons or cells
+GATES = ("i", "f", "c", "o")  # input, forget, candidate, output, by the letters of Keras 1
+
+# class and the settings that decide what a layer computes, of each layer of each kind
+LAYERS: dict[Kind, tuple[tuple[str, dict[str, Any]], ...]] = {
+    "mlp": (("Dense", {"activation": "sigmoid"}), ("Dropout", {}), ("Dense", {"activation": "sigmoid"})),
+    "lstm": (
+        ("LSTM", {"activation": "sigmoid", "inner_activation": "hard_sigmoid", "return_sequences": False}),
+        ("Dropout", {}),
+        ("Dense", {"activation": "linear"}),
+    ),
+}
+
+
+def _sigmoid(x: Floats) -> Floats:
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+def _hard_sigmoid(x: Floats) -> Floats:
+    return np.clip(0.2 * x + 0.5, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class ThesisNetwork:
+    """One of the published networks.
+
+    Attributes:
+        kind: mlp or lstm.
+        weights: arrays by their names in the file, float64.
+
+    >>> flat = {"dense_1_W": np.zeros((4, 25)), "dense_1_b": np.zeros(25)}
+    >>> network = ThesisNetwork("mlp", {**flat, "dense_2_W": np.zeros((25, 1)), "dense_2_b": np.zeros(1)})
+    >>> network.distance(angle=0.0, reflectance=0.9, reading=[0.0, 3.0], credence=0.5)
+    array([3.015, 3.015])
+    """
+
+    kind: Kind
+    weights: Mapping[str, Floats]
+
+    def distance(self, angle: ArrayLike, reflectance: ArrayLike, reading: ArrayLike, credence: ArrayLike) -> Floats:
+        """Return the distance that the network takes a reading for, m, in the shape that the arguments make.
+
+        Args:
+            angle: of the reflector, rad; the network saw 0 to 45 deg.
+            reflectance: 0.1 rubber, 0.9 mirror; it saw no other.
+            reading: range that was read, m; 0 for no echo, as in the author's tables.
+            credence: share of the cell's readings within 10 % of its distance, 0..1.
+        """
+        scaled = (
+            np.asarray(angle, dtype=np.float64) / GREATEST_ANGLE,
+            np.asarray(reflectance, dtype=np.float64),
+            np.asarray(reading, dtype=np.float64) / GREATEST_READING,
+            np.asarray(credence, dtype=np.float64),
+        )
+        inputs = np.stack(np.broadcast_arrays(*scaled), axis=-1)
+        label = self.output(inputs.reshape(-1, 4)).reshape(inputs.shape[:-1])
+        return NEAREST + (FARTHEST - NEAREST) * label
+
+    def output(self, inputs: Floats) -> Floats:
+        """Return the label that the network gives to scaled inputs (n, 4), (n,)."""
+        return self._mlp(inputs) if self.kind == "mlp" else self._lstm(inputs)
+
+    def _mlp(self, inputs: Floats) -> Floats:
+        w = self.weights
+        hidden = _sigmoid(inputs @ w["dense_1_W"] + w["dense_1_b"])
+        return _sigmoid(hidden @ w["dense_2_W"] + w["dense_2_b"])[:, 0]
+
+    def _lstm(self, inputs: Floats) -> Floats:
+        w = self.weights
+        cell = hidden = np.zeros((len(inputs), len(w["lstm_1_b_i"])))
+        for x in inputs.T[:, :, None]:
+            drive = {g: x @ w[f"lstm_1_W_{g}"] + hidden @ w[f"lstm_1_U_{g}"] + w[f"lstm_1_b_{g}"] for g in GATES}
+            kept, let_in = _hard_sigmoid(drive["f"]) * cell, _hard_sigmoid(drive["i"]) * _sigmoid(drive["c"])
+            cell = kept + let_in
+            hidden = _hard_sigmoid(drive["o"]) * _sigmoid(cell)
+        return (hidden @ w["dense_1_W"] + w["dense_1_b"])[:, 0]
+
+
+def load_thesis_network(path: str | os.PathLike[str]) -> ThesisNetwork:
+    """Return a network from a file that the thesis's author published, `*_my_model.h5` or `*_weights.hdf5`.
+
+    Raises:
+        ModelError: the file is not there, is damaged, or holds another network; the message says which.
+    """
+    path = Path(path)
+    _check_file(path)
+    try:
+        with h5py.File(path, "r") as file:
+            kind, width = _architecture(path, file)
+            weights = {name: _array(path, file, name, shape) for name, shape in _shapes(kind, width).items()}
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"{path}: not a whole HDF5 file ({error}); get the author's file again") from None
+    return ThesisNetwork(kind, weights)
+
+
+def _check_file(path: Path) -> None:
+    if not path.is_file():
+        raise ModelError(f"{path}: no such file; give one of the networks that the thesis's author published")
+    if path.stat().st_size > LARGEST_FILE:
+        raise ModelError(
+            f"{path}: {path.stat().st_size} bytes, but the thesis's networks are under {LARGEST_FILE} bytes"
+        )
+
+
+def _architecture(path: Path, file: h5py.File) -> tuple[Kind, int]:
+    """Return which of the two networks a file says it holds, and its number of neurons or cells."""
+    version, config = _text(file.attrs.get("keras_version", "")), _text(file.attrs.get("model_config", "{}"))
+    if not version.startswith("1."):
+        raise ModelError(
+            f"{path}: of Keras {version or '(not said)'}, expected 1.0.8: not one of the thesis's networks"
+        )
+    found = _layers(path, config)
+    for kind, expected in LAYERS.items():
+        if len(found) == len(expected) and all(map(_is_as, found, expected)):
+            width = found[0][1].get("output_dim")
+            if isinstance(width, int) and 0 < width <= WIDEST and found[2][1].get("output_dim") == 1:
+                return kind, width
+    names = ", ".join(f"{name} ({settings.get('activation', '-')})" for name, settings in found) or "none"
+    raise ModelError(f"{path}: layers are {names}: neither the thesis's MLP nor its LSTM")
+
+
+def _layers(path: Path, config: str) -> list[tuple[str, dict[str, Any]]]:
+    try:
+        return [(str(layer["class_name"]), dict(layer["config"])) for layer in json.loads(config).get("config", [])]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ModelError(f"{path}: its `model_config` is not that of a Keras 1 model") from None
+
+
+def _is_as(found: tuple[str, dict[str, Any]], expected: tuple[str, dict[str, Any]]) -> bool:
+    return found[0] == expected[0] and all(found[1].get(key) == value for key, value in expected[1].items())
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _shapes(kind: Kind, width: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array by its name in the file."""
+    if kind == "mlp":
+        return {"dense_1_W": (4, width), "dense_1_b": (width,), "dense_2_W": (width, 1), "dense_2_b": (1,)}
+    parts = {"W": (1, width), "U": (width, width), "b": (width,)}
+    cells = {f"lstm_1_{part}_{gate}": shape for gate in GATES for part, shape in parts.items()}
+    return {**cells, "dense_1_W": (width, 1), "dense_1_b": (1,)}
+
+
+def _array(path: Path, file: h5py.File, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return one array of weights; nothing is read that lies outside the file."""
+    place = f"model_weights/{name[: name.index('_', name.index('_') + 1)]}/{name}"
+    item = file.get(place)
+    if not isinstance(item, h5py.Dataset) or item.file != file or item.external is not None or item.is_virtual:
+        raise ModelError(f"{path}: holds no array {place}: not one of the thesis's networks")
+    if item.shape != shape or item.dtype.kind != "f":
+        raise ModelError(f"{path}: {place} is {item.dtype} of shape {item.shape}, expected float32 of shape {shape}")
+    value = np.asarray(item[()], dtype=np.float64)
+    if not np.isfinite(value).all():
+        raise ModelError(f"{path}: {place} holds a weight that is not finite; get the author's file again")
+    return value

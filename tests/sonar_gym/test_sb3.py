@@ -1,0 +1,96 @@
+"""Stable-Baselines3 on the vector environment: what its own vector of single environments says, and learning."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+
+import sonar_gym
+from acquisition import SettingError
+from sonar_gym.sb3 import SonarVecEnv
+
+
+def singles(n, **settings):
+    return DummyVecEnv([lambda: gymnasium.make(sonar_gym.ENV_ID, **settings)] * n)
+
+
+def same(a, b):
+    assert set(a) == set(b)
+    assert all(np.array_equal(a[key], b[key]) for key in a)
+
+
+def test_it_says_what_their_own_vector_of_single_environments_says():
+    ours, theirs = SonarVecEnv(4, sonar="gaussian"), singles(4, sonar="gaussian")
+    ours.seed(5), theirs.seed(5)
+    same(ours.reset(), theirs.reset())
+    rng, ends = np.random.default_rng(0), 0
+    for k in range(150):
+        actions = np.repeat(rng.uniform([-0.8, 0.2], 1.0, (1, 4, 2)), 1, axis=0)[0].astype(np.float32)
+        (a, r, done, infos), (b, q, over, others) = ours.step(actions), theirs.step(actions)
+        same(a, b)
+        assert np.array_equal(r, q)
+        assert np.array_equal(done, over)
+        for i in np.flatnonzero(done):
+            same(infos[i]["terminal_observation"], others[i]["terminal_observation"])
+            for name in ("TimeLimit.truncated", "is_success", "collision", "left_street"):
+                assert infos[i][name] == others[i][name]
+            same(ours.reset_infos[i]["reward_terms"], theirs.reset_infos[i]["reward_terms"])
+        ends += done.sum()
+        assert k < 400
+    assert ends > 4
+
+
+def test_an_episode_cut_by_time_is_told_apart():
+    envs = SonarVecEnv(2, max_episode_steps=3)
+    envs.reset()
+    for _ in range(3):
+        _, _, done, infos = envs.step(np.zeros((2, 2), dtype=np.float32))
+    assert done.all()
+    assert all(info["TimeLimit.truncated"] for info in infos)
+
+
+def test_monitor_counts_episodes():
+    envs = VecMonitor(SonarVecEnv(3, max_episode_steps=10), info_keywords=("is_success",))
+    envs.reset()
+    told = [info["episode"] for _ in range(25) for info in envs.step(np.zeros((3, 2)))[3] if "episode" in info]
+    assert len(told) == 6
+    assert {episode["l"] for episode in told} == {10}
+    assert not any(episode["is_success"] for episode in told)
+
+
+def test_ppo_learns_on_it_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        envs = VecMonitor(SonarVecEnv(8, sonar="srf08-mlp"))
+        model = PPO("MultiInputPolicy", envs, n_steps=32, batch_size=64, n_epochs=2, seed=0, device="cpu")
+        before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+        model.learn(512)
+        assert any(not value.equal(before[name]) for name, value in model.policy.state_dict().items())
+        mean, _ = evaluate_policy(model, SonarVecEnv(2, max_episode_steps=5), n_eval_episodes=2, warn=False)
+    assert np.isfinite(mean)
+
+
+def test_options_and_pictures():
+    envs = SonarVecEnv(2, render_mode="rgb_array", pictured=[0, 1], infos=True)
+    envs.set_options({"difficulty": "easy", "start": [0.5, 0.0, 0.0]})
+    envs.reset()
+    assert np.all(envs.envs.fleet.worlds.car[:, 0] == 0.5)
+    assert envs.render().shape == (660, 2000, 3) or envs.render().shape == (1320, 1000, 3)
+    assert set(envs.step(np.zeros((2, 2)))[3][0]["reward_terms"]) == {"progress", "time", "parked", "crashed"}
+    envs.close()
+
+
+def test_what_is_shared_is_set_for_all():
+    envs = SonarVecEnv(3)
+    assert envs.get_attr("render_mode", [0, 1]) == [None, None]
+    assert envs.env_is_wrapped(gymnasium.Wrapper) == [False] * 3
+    envs.set_attr("max_episode_steps", 7)
+    assert envs.envs.max_episode_steps == 7
+    with pytest.raises(SettingError, match="'max_episode_steps' is shared by all"):
+        envs.set_attr("max_episode_steps", 7, indices=[0])
+    with pytest.raises(SettingError, match="SonarVecEnv takes no autoreset_mode"):
+        SonarVecEnv(2, autoreset_mode="NextStep")
