@@ -87,7 +87,7 @@ class SonarObservation(gymnasium.ObservationWrapper, RecordConstructorArgs):
     >>> env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", key="ranges", metres_per_unit=3.01,
     ...     max_range=3.01, incidence="incidence", bearing="bearing", reflectance="reflectance")
     >>> sorted(env.reset(seed=0)[0])
-    ['credence', 'echo', 'ego', 'ranges']
+    ['age', 'credence', 'echo', 'ego', 'ranges']
     """
 
     def __init__(
