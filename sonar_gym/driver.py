@@ -25,17 +25,28 @@ from sonar_gym.vehicle import CarSettings
 Floats = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 NEEDED = ("left", "right front", "right rear", "rear", "front")
-ARC_MARGIN = 1.1  # arcs are this much wider than the tightest turn, which leaves room to correct
-LEAST_SPACE = 0.68  # m; two arcs of this car need 0.65 m
-REAR_ROOM = 0.11  # m left behind the parked car
-KERB_ROOM = 0.07  # m left beside it
+ARC_MARGIN = 1.05  # arcs are this much wider than the tightest turn, which leaves room to correct
+LEAST_SPACE = 0.68  # m
+ARCS_NEED = 0.69  # m of a space, by two arcs of this car; half of what is more is left behind it
+REAR_ROOM = (0.03, 0.11)  # m, least and greatest
+KERB_ROOM = 0.10  # m left beside it
 CRUISE, CREEP = 0.30, 0.15  # m/s
 END_OF_STREET = 0.35  # m; a wall so near ahead ends the search
 END_READINGS = 5  # in a row that must say so
-STOP_SHORT = 0.05  # m; nearest that anything may come at either end
+STOP_SHORT = 0.03  # m; nearest that anything may come at either end
+STAND, LEG = 4, 12  # steps; a car that stands tells whether it is parked
 LEAD = 0.03  # m; wheels take 0.2 s from one lock to the other
 STIFFNESS, DAMPING = 16.0, 8.0  # 1/m^2, 1/m; errors off the path die out within 0.25 m
 PERCEPTIONS: dict[str, type[Survey] | type[StreetFilter]] = {"survey": Survey, "fusion": StreetFilter}
+
+
+def perceiving(given: str | Perception, mounts: Sequence[Mount], max_range: float) -> Perception:
+    """Return a perception by name, or as it is."""
+    if not isinstance(given, str):
+        return given
+    if given not in PERCEPTIONS:
+        raise SettingError(f"perception {given!r}: no such kind; expected {', '.join(PERCEPTIONS)}")
+    return PERCEPTIONS[given](mounts, max_range)
 
 
 class Driver(Protocol):
@@ -127,12 +138,9 @@ class ParkingDriver:
         missing = [name for name in NEEDED if name not in names]
         if missing:
             raise SettingError(f"ParkingDriver needs a sonar called {missing[0]!r}; the layout has {names}")
-        if isinstance(perception, str) and perception not in PERCEPTIONS:
-            raise SettingError(f"perception {perception!r}: no such kind; expected {', '.join(PERCEPTIONS)}")
         self.car = car or CarSettings()
         self.max_range = max_range
-        own = isinstance(perception, str)
-        self.perception: Perception = PERCEPTIONS[perception](mounts, max_range) if own else perception
+        self.perception = perceiving(perception, mounts, max_range)
         self.reset()
 
     def reset(self) -> None:
@@ -179,7 +187,8 @@ class ParkingDriver:
         """Plan two arcs from the lane into the space, as it is known now."""
         space = self.perception.space
         assert space is not None
-        goal = np.array([space.begin + self.car.rear_overhang + REAR_ROOM, self._goal_y(), 0.0])
+        room = float(np.clip(0.5 * (space.length - ARCS_NEED), *REAR_ROOM))
+        goal = np.array([space.begin + self.car.rear_overhang + room, self._goal_y(), 0.0])
         return Plan.to(goal, lane_y, ARC_MARGIN * self.car.turning_radius)
 
     def _goal_y(self) -> float:
@@ -215,11 +224,11 @@ class ParkingDriver:
         return float(-np.arctan(self.car.wheelbase * bend)), -min(CREEP, 0.04 + rest)
 
     def _forth(self, pose: Floats) -> tuple[float, float]:
-        """Stand; if that is not well parked, straighten forwards and backwards in what room there is."""
+        """Stand; if that is not well parked, straighten forwards and backwards in what room there is, and stand again."""
+        leg, turn = divmod(self.turns, STAND + LEG)
         self.turns += 1
-        forwards = (self.turns // 12) % 2 == 1
-        near = self.perception.room("front" if forwards else "rear") < STOP_SHORT + 0.02
-        if self.turns < 12 or near:
+        forwards = leg % 2 == 0
+        if turn < STAND or self.perception.room("front" if forwards else "rear") < STOP_SHORT + 0.02:
             return 0.0, 0.0
         bend = -STIFFNESS * (pose[1] - self._goal_y()) - DAMPING * pose[2]
         steering = float(np.arctan(self.car.wheelbase * bend))

@@ -15,26 +15,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sonar_gym import kernels
 from sonar_gym.mounts import Mount, in_world, mount_arrays
+from sonar_gym.street_inference import EDGES, FACE, HEADING, KERB, PULL, X, Y, edge_log_likelihood, heard_all, opened
 from sonar_gym.survey import JUMP, LEAST_CREDENCE, Space, clearance, runs
 
 Floats = NDArray[np.float64]
-X, Y, HEADING, PULL, WALL, FACE, KERB, EDGES = range(8)  # places in the state; edges of boxes are the rest
-FAR_M = 30.0  # m; lines of the street are this long to either side
-STEP = 1e-4  # m, rad; of the differences that give slopes
 RECENT = 3  # readings of which one may be wrong
 AT_START = 1e-3  # m; the frame is where the car stands first
 WALL_SIDE, BOX_SIDE = "left", "right front"
 BOX_SIDES = ("right front", "right rear")
-SQUARE, SILENT = np.radians(25.0), 0.1  # met at less than this, a face is rarely silent: ours
-ASKEW = np.radians(15.0)  # off the beam, or off a face's normal: here the spread is twice that met squarely; ours
 REACH, GRID = 0.2, 81  # m to either side of where an edge was proposed, and places there
 NEAR_EDGE = 0.6  # m; sonars farther from an edge than that say nothing of it
-EDGE_FLOOR = 0.005  # m
+EDGE_FLOOR = 0.02  # m
+DOUBTFUL = (0.55, 0.90)  # m; spaces first proposed as long as this may be long enough, or not
 
 
 @dataclass(frozen=True)
@@ -70,193 +66,6 @@ class FusionSettings:
     doubt: float = 0.02
 
 
-@njit(cache=True)
-def faces_of(state: Floats) -> Floats:
-    """Return the street as segments, m, (2 + edges + boxes, 4): wall, kerb, the boxes' ends and their faces.
-
-    Edges are where boxes begin and end by turns; the last box has no end.
-    """
-    wall, face, kerb, edges = state[WALL], state[FACE], state[KERB], state[EDGES:]
-    count = len(edges)
-    out = np.empty((2 + count + (count + 1) // 2, 4))
-    out[0] = np.array([-FAR_M, wall, FAR_M, wall])
-    out[1] = np.array([-FAR_M, kerb, FAR_M, kerb])
-    for j in range(count):
-        out[2 + j] = np.array([edges[j], face, edges[j], kerb])
-    for box in range((count + 1) // 2):
-        end = edges[2 * box + 1] if 2 * box + 1 < count else FAR_M
-        out[2 + count + box] = np.array([edges[2 * box], face, end, face])
-    return out
-
-
-@njit(cache=True)
-def expected(state: Floats, mounts: Floats, half: Floats, limit: float) -> Floats:
-    """Return what the sonars would read in a street without noise, m, (n,); `limit` where their cones are empty."""
-    return kernels.cast_cones(kernels.mounted(mounts, state[:3]), half, faces_of(state), limit)[0]
-
-
-@njit(cache=True)
-def linearised(state: Floats, mounts: Floats, half: Floats, limit: float, step: float) -> tuple[Floats, Floats]:
-    """Return what is expected, m, (n,), and its slopes in every number of the state by differences, (n, states)."""
-    at, slopes = expected(state, mounts, half, limit), np.zeros((len(half), len(state)))
-    for k in range(len(state)):
-        up, down = state.copy(), state.copy()
-        up[k] += step
-        down[k] -= step
-        slopes[:, k] = (expected(up, mounts, half, limit) - expected(down, mounts, half, limit)) / (2.0 * step)
-    return at, slopes
-
-
-@njit(cache=True)
-def associated(
-    state: Floats, spread: Floats, at: Floats, slope: Floats, reading: float, credence: float, sigma: float, span: float
-) -> tuple[Floats, Floats]:
-    """Return state and covariance after one reading that may be wrong.
-
-    Args:
-        state: mean, (k,).
-        spread: covariance, (k, k).
-        at: what is expected of the reading at the state, m.
-        slope: of the expectation, (k,).
-        reading: m.
-        credence: prior probability that it is right.
-        sigma: its spread where it is right, m.
-        span: it may be anything in 0 to `span` where it is wrong, m.
-    """
-    across = spread @ slope
-    variance = slope @ across + sigma * sigma
-    off = reading - at
-    right = credence * np.exp(-0.5 * off * off / variance) / np.sqrt(2.0 * np.pi * variance)
-    weight = right / (right + (1.0 - credence) / span)
-    gain = across / variance
-    # with probability 1 - weight nothing was learned; the last term is the spread between both means
-    narrower = weight * (1.0 - (1.0 - weight) * off * off / variance)
-    return state + weight * off * gain, spread - narrower * np.outer(gain, across)
-
-
-@njit(cache=True)
-def edge_log_likelihood(
-    state: Floats,
-    k: int,
-    at: Floats,
-    poses: Floats,
-    half: Floats,
-    reading: Floats,
-    credence: Floats,
-    tolerance: tuple[float, float],
-    limit: float,
-) -> Floats:
-    """Return the log likelihood of some readings for each place at which an edge may be, (g,).
-
-    Faces met askew may stay silent, those met squarely rarely do.
-
-    Args:
-        state: of the filter, (k,).
-        k: which number of it is the edge.
-        at: where it may be, x in m, (g,).
-        poses: of the sonars in the street, (n, 3).
-        half: half angles of their cones, rad, (n,).
-        reading: m, (n,).
-        credence: of each, (n,); 0 is silence.
-        tolerance: spread of a right reading as a share of what is expected, and its least, m.
-        limit: of the sonars' range, m.
-    """
-    out, moved = np.zeros(len(at)), state.copy()
-    for g in range(len(at)):
-        moved[k] = at[g]
-        distance, _, incidence, _, _ = kernels.cast_cones(poses, half, faces_of(moved), limit)
-        for i in range(len(half)):
-            silence = SILENT if distance[i] < limit and incidence[i] < SQUARE else 0.5
-            if credence[i] == 0.0:
-                out[g] += np.log(silence)
-                continue
-            sigma = max(tolerance[0] * distance[i], tolerance[1])
-            off = (reading[i] - distance[i]) / sigma
-            right = credence[i] * np.exp(-0.5 * off * off) / (np.sqrt(2.0 * np.pi) * sigma)
-            out[g] += np.log((1.0 - silence) * (right + (1.0 - credence[i]) / limit))
-    return out
-
-
-@njit(cache=True)
-def heard_all(
-    state: Floats,
-    spread: Floats,
-    mounts: Floats,
-    half: Floats,
-    reading: Floats,
-    credence: Floats,
-    free: Floats,
-    tolerance: tuple[float, float],
-    limit: float,
-) -> tuple[Floats, Floats]:
-    """Return state and covariance after all readings of a step, one by one about one linearisation.
-
-    Args:
-        state: mean, (k,).
-        spread: covariance, (k, k).
-        mounts: poses of the sonars on the car, (n, 3).
-        half: half angles of their cones, rad, (n,).
-        reading: m, (n,).
-        credence: prior probability that each is right, (n,); 0 for those that say nothing.
-        free: 1 for what may be learned, 0 for what is taken as it is, (k,).
-        tolerance: spread of a right reading as a share of what is expected, and its least, m.
-        limit: of the sonars' range, m.
-    """
-    about = state.copy()
-    at, slope = linearised(about, mounts, half, limit, STEP)
-    slope *= free
-    _, bearing, incidence, _, _ = kernels.cast_cones(kernels.mounted(mounts, state[:3]), half, faces_of(state), limit)
-    for i in range(len(half)):
-        if credence[i] > 0.0 and at[i] < limit:
-            here = at[i] + slope[i] @ (state - about)
-            askew = 1.0 + (bearing[i] ** 2 + incidence[i] ** 2) / ASKEW**2
-            sigma = askew * max(tolerance[0] * at[i], tolerance[1])
-            state, spread = associated(state, spread, here, slope[i], reading[i], credence[i], sigma, limit)
-    return state, spread
-
-
-def opened(far: NDArray[np.bool_], credence: Floats, step: Floats, span: float, hazard: float) -> Floats:
-    """Return the probability that there was no box beside a sonar at each of its readings, given all of them, (n,).
-
-    A hidden Markov chain of two states, box and none, by the forward-backward algorithm (Rabiner 1989). A reading is
-    right with its credence; a wrong one is near or far with probabilities that do not depend on the state.
-
-    Args:
-        far: whether each reading is farther than a box's face would be, (n,).
-        credence: of each, (n,); 0 tells nothing.
-        step: way from the reading before, m, (n,).
-        span: share of the range that counts as far, 0..1.
-        hazard: how often boxes begin or end, 1/m.
-    """
-    wrong = (1.0 - credence) * np.where(far, span, 1.0 - span)
-    likely = np.stack([np.where(far, 0.0, credence) + wrong, np.where(far, credence, 0.0) + wrong], axis=1)
-    likely = np.where(credence[:, None] > 0.0, likely, 1.0)
-    change = 0.5 * -np.expm1(-2.0 * hazard * step)  # of a chain that changes at this rate either way
-    return _both_ways(likely, change)
-
-
-@njit(cache=True)
-def _both_ways(likely: Floats, change: Floats) -> Floats:
-    n = len(change)
-    forward, backward = np.empty((n, 2)), np.ones((n, 2))
-    before = np.array([1.0, 0.0])  # a street begins with nothing that is a space
-    before[:] = 0.5
-    for k in range(n):
-        before = _stepped(before, change[k]) * likely[k]
-        before = before / before.sum()
-        forward[k] = before
-    for k in range(n - 2, -1, -1):
-        later = _stepped(backward[k + 1] * likely[k + 1], change[k + 1])
-        backward[k] = later / later.sum()
-    both = forward * backward
-    return both[:, 1] / both.sum(axis=1)
-
-
-@njit(cache=True)
-def _stepped(share: Floats, change: float) -> Floats:
-    return np.array([share[0] + change * (share[1] - share[0]), share[1] + change * (share[0] - share[1])])
-
-
 @dataclass(frozen=True)
 class Look:
     """What came in at one step.
@@ -285,6 +94,7 @@ class StreetFilter:
         self.index = {mount.name: i for i, mount in enumerate(mounts)}
         self.max_range = max_range
         self.settings = settings or FusionSettings()
+        self._tolerance = self.settings.right, self.settings.floor
         self._poses, self._half = mount_arrays(mounts)
         self._used = np.arange(len(mounts)) == self.index[WALL_SIDE]  # until the boxes are known
         self.reset()
@@ -298,6 +108,7 @@ class StreetFilter:
         self._looks: list[Look] = []
         self._track: list[Floats] = []
         self._recent: deque[Floats] = deque(maxlen=RECENT)
+        self._known: dict[Space, Space] = {}  # spaces as first proposed, and as measured
 
     def _prior(self, edges: Sequence[float]) -> tuple[Floats, Floats]:
         """Return mean and covariance at the start, with what edges of boxes are known."""
@@ -337,10 +148,10 @@ class StreetFilter:
 
     def _take(self, look: Look) -> None:
         self._move(look.moved)
-        s = self.settings
         credence = np.where(self._used, look.credence, 0.0) if self._beside is None else look.credence
+        sonars = self._poses, self._half, look.reading, credence
         self.state, self.spread = heard_all(
-            self.state, self.spread, self._poses, self._half, look.reading, credence, self._free, (s.right, s.floor), self.max_range
+            self.state, self.spread, *sonars, self._free, self._tolerance, self.max_range
         )
 
     def _move(self, moved: Floats) -> None:
@@ -367,9 +178,7 @@ class StreetFilter:
         credence = np.array([look.credence[i] for look in self._looks])
         threshold = clearance(reading[credence > LEAST_CREDENCE]) + JUMP
         step = np.abs(np.diff(along, prepend=along[0]))
-        chance = opened(
-            reading > threshold, credence, step, 1.0 - threshold / self.max_range, self.settings.hazard
-        )
+        chance = opened(reading > threshold, credence, step, 1.0 - threshold / self.max_range, self.settings.hazard)
         corner = threshold * np.sin(self._half[i])
         turns = runs(chance > 0.5)
         turns = turns[1:] if turns[0][2] else turns  # what is open before the first box is no space
@@ -377,15 +186,29 @@ class StreetFilter:
         return [along[0] - corner, *out[1:]] if turns and turns[0][0] == 0 else out
 
     def spaces(self) -> list[Space]:
-        """Return the spaces passed so far, the last perhaps without its end."""
+        """Return the spaces passed so far, the last perhaps without its end; those that may do are measured well."""
         edges = [*self.edges(), np.inf]
-        return [Space(begin, end) for begin, end in zip(edges[1:-1:2], edges[2::2], strict=True)]
+        coarse = [Space(begin, end) for begin, end in zip(edges[1:-1:2], edges[2::2], strict=True)]
+        return [self._measured(space) if DOUBTFUL[0] < space.length < DOUBTFUL[1] else space for space in coarse]
+
+    def _measured(self, space: Space) -> Space:
+        """Return a space by all that was heard of it; its ends as first proposed tell whether that is known yet."""
+        if space not in self._known:
+            kept = self.state, self.spread, self._free
+            self.choose(space)
+            assert self.space is not None
+            self._known[space] = self.space
+            self._beside = None
+            self.state, self.spread, self._free = kept
+        return self._known[space]
 
     def choose(self, space: Space) -> None:
         """Begin anew with all edges known, and take in all that was heard so far with them in mind."""
-        edges = [edge for edge in self.edges() if edge <= space.end]
-        self._beside = EDGES + edges.index(space.begin)
-        self.state, self.spread = self._prior(edges)
+        edges = np.array(self.edges())
+        first = int(np.argmin(np.abs(edges - space.begin)))
+        edges = edges[: first + 2]
+        self._beside = EDGES + first
+        self.state, self.spread = self._prior(edges.tolist())
         self._free = np.ones(len(self.state))
         self._free[[X, *range(EDGES, len(self.state))]] = 0.0  # what edges are seen at says nothing of the way yet
         track = [self._taken(look) for look in self._looks]
@@ -407,7 +230,8 @@ class StreetFilter:
             poses = in_world(self._poses[used], pose)
             near = np.abs(poses[:, 0] - self.state[k]) < NEAR_EDGE
             if near.any():
-                log += edge_log_likelihood(self.state, k, at, poses[near], self._half[used][near], look.reading[used][near], look.credence[used][near], (self.settings.right, self.settings.floor), self.max_range)
+                heard = self._half[used][near], look.reading[used][near], look.credence[used][near]
+                log += edge_log_likelihood(self.state, k, at, poses[near], *heard, self._tolerance, self.max_range)
         share = np.exp(log - log.max())
         share /= share.sum()
         mean = float(share @ at)

@@ -23,6 +23,7 @@ COMMANDS = {
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
+    "compare-drivers": ("training.compare_drivers", "park with ideal and real sonars, with and without credence"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
     "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }
