@@ -224,7 +224,7 @@ class ParkingDriver:
         return float(-np.arctan(self.car.wheelbase * bend)), -min(CREEP, 0.04 + rest)
 
     def _forth(self, pose: Floats) -> tuple[float, float]:
-        """Stand; if that is not well parked, straighten forwards and backwards in what room there is, and stand again."""
+        """Stand; if that is not well parked, straighten forwards and backwards in what room there is; stand again."""
         leg, turn = divmod(self.turns, STAND + LEG)
         self.turns += 1
         forwards = leg % 2 == 0
