@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from acquisition import Ping, Reading
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
@@ -131,3 +132,22 @@ class CredenceTable:
 
 def _ratio(part: Floats, whole: Floats) -> Floats:
     return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 1e-12)
+
+
+def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats, Floats]:
+    """Return Wilson's interval (1927) for the probability of what came true in some of many trials, each (...,).
+
+    Args:
+        hits: how often it came true.
+        trials: of how many, at least 1.
+        z: of the normal distribution; 1.96 holds 95 % of it.
+
+    >>> low, high = wilson([0, 5], 10)
+    >>> low.round(3).tolist(), high.round(3).tolist()
+    ([0.0, 0.237], [0.278, 0.763])
+    """
+    n = np.asarray(trials, dtype=np.float64)
+    share = np.asarray(hits, dtype=np.float64) / n
+    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
+    return np.clip(centre - half, 0.0, 1.0), np.clip(centre + half, 0.0, 1.0)
