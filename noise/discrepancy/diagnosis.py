@@ -126,7 +126,7 @@ def diagnose(
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
     scatter = _scatter(base, search, why)
-    steps = coarser_steps(base.own.whole.resolution, search.both) if base.own is not None else None
+    steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack) if base.own is not None else None
     beside = [found for found in (scatter, steps) if found is not None]
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
