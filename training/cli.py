@@ -21,6 +21,8 @@ COMMANDS = {
     "import": ("training.foreign", "turn a log of another program into a recording"),
     "plot": ("training.plot", "draw a recording: credence surfaces, detection, readings, course of time"),
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
+    "train-agent": ("training.agent", "train an agent that parks, with the sonars that you choose"),
+    "evaluate-agent": ("training.evaluate_agent", "let agents drive the same streets, and say how often they park"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),

@@ -1,0 +1,212 @@
+"""Drive the streets of given seeds, many at once, and say how often it went well, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from acquisition import SettingError
+from sonar_gym.agent import Agents, Policy
+from sonar_gym.driver import ParkingDriver
+from sonar_gym.fleet import MAX_STEPS
+from sonar_gym.stepping import COLLISION, PARKED
+from sonar_gym.vector import SonarParkingVectorEnv
+
+Bits = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+Singles = NDArray[np.float32]
+Observation = dict[str, Singles]
+TOGETHER = 250  # streets driven at the same time
+CONFIDENCE, NORMAL_95 = 0.95, 1.959964
+SCRIPTED = "scripted"  # name of the driver written by hand
+
+
+class Crew(Protocol):
+    """Anything that drives many cars from what each observes."""
+
+    def forget(self, rows: Ints) -> None:
+        """Begin episodes with some cars."""
+
+    def act(self, observation: Observation, rows: Ints) -> Singles:
+        """Return an action for each of some cars, (r, 2)."""
+        ...
+
+
+class Scripted:
+    """The driver written by hand, once a car."""
+
+    def __init__(self, count: int, credence: bool = True) -> None:
+        self._drivers, self._credence = [ParkingDriver() for _ in range(count)], credence
+
+    def forget(self, rows: Ints) -> None:
+        """Begin episodes with some cars."""
+        for row in rows:
+            self._drivers[row].reset()
+
+    def act(self, observation: Observation, rows: Ints) -> Singles:
+        """Return an action for each of some cars, (r, 2); without credence, every echo is believed."""
+        if not self._credence:
+            observation = observation | {"credence": (observation["echo"] > 0).astype(np.float32)}
+        each = [{name: value[k] for name, value in observation.items()} for k in range(len(rows))]
+        return np.stack([self._drivers[row].act(one) for row, one in zip(rows, each, strict=True)])
+
+
+def crew_of(policy: Policy | str) -> Callable[[int], Crew]:
+    """Return what makes a crew of n: of a policy, or of the driver written by hand."""
+    if isinstance(policy, Policy):
+        return lambda count: Agents(policy, count)
+    if policy != SCRIPTED:
+        raise SettingError(f"driver {policy!r}: expected a policy or {SCRIPTED!r}")
+    return Scripted
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often something happened.
+
+    Attributes:
+        count: how often.
+        of: how many times it could have.
+    """
+
+    count: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """0..1."""
+        return self.count / self.of
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's score interval at 95 % (Wilson 1927)."""
+        found = binomtest(self.count, self.of).proportion_ci(CONFIDENCE, method="wilson")
+        return float(found.low), float(found.high)
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """How episodes ended, in the order of their seeds.
+
+    Attributes:
+        seeds: of the streets, (n,).
+        success, collision: (n,).
+        steps: actions taken, (n,).
+        score: sums of rewards, (n,).
+    """
+
+    seeds: Ints
+    success: Bits
+    collision: Bits
+    steps: Ints
+    score: NDArray[np.float64]
+
+    @property
+    def successes(self) -> Rate:
+        """How often the car parked."""
+        return Rate(int(self.success.sum()), len(self.success))
+
+    @property
+    def collisions(self) -> Rate:
+        """How often it touched something."""
+        return Rate(int(self.collision.sum()), len(self.collision))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Outcomes]) -> Outcomes:
+        """Return several as one."""
+        names = ("seeds", "success", "collision", "steps", "score")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Two drivers on the same streets.
+
+    Attributes:
+        first: streets on which only the first succeeded.
+        second: on which only the second did.
+        of: streets in all.
+    """
+
+    first: int
+    second: int
+    of: int
+
+    @classmethod
+    def between(cls, first: Outcomes, second: Outcomes) -> Paired:
+        """Compare successes on the same seeds."""
+        if not np.array_equal(first.seeds, second.seeds):
+            raise SettingError("paired outcomes must be of the same seeds in the same order: evaluate both on them")
+        a, b = first.success, second.success
+        return cls(int((a & ~b).sum()), int((b & ~a).sum()), len(a))
+
+    @property
+    def difference(self) -> float:
+        """Share of successes of the first less that of the second."""
+        return (self.first - self.second) / self.of
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the difference at 95 %, with half a street more of each kind (Agresti and Min 2005)."""
+        b, c, n = self.first + 0.5, self.second + 0.5, self.of + 2.0
+        middle = (b - c) / n
+        half = NORMAL_95 * np.sqrt(b + c - (b - c) ** 2 / n) / n
+        return float(max(middle - half, -1.0)), float(min(middle + half, 1.0))
+
+    @property
+    def p_value(self) -> float:
+        """Of no difference: McNemar's test, exact."""
+        changed = self.first + self.second
+        return float(binomtest(self.first, changed).pvalue) if changed else 1.0
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return f"{100 * self.difference:+.1f} % ({100 * low:+.1f} to {100 * high:+.1f}), p = {self.p_value:.2g}"
+
+
+def evaluate(
+    crew: Callable[[int], Crew],
+    world: dict[str, Any],
+    seeds: Sequence[int],
+    tell: Callable[[int, int], None] = lambda done, of: None,
+) -> Outcomes:
+    """Drive one episode on the street of each seed.
+
+    Args:
+        crew: makes drivers of n cars.
+        world: settings of `SonarParkingVectorEnv`.
+        seeds: of the streets, and of sonars and odometers.
+        tell: called with how many episodes are over, and how many there are.
+    """
+    parts = []
+    for begin in range(0, len(seeds), TOGETHER):
+        some = list(seeds[begin : begin + TOGETHER])
+        parts.append(_drive(crew(len(some)), world, some, lambda over, b=begin: tell(b + over, len(seeds))))  # type: ignore[misc]
+    return Outcomes.joined(parts)
+
+
+def _drive(crew: Crew, world: dict[str, Any], seeds: list[int], tell: Callable[[int], None]) -> Outcomes:
+    """Drive some streets at once; cars whose episodes are over are stepped no more, since a rig takes its time."""
+    n = len(seeds)
+    envs = SonarParkingVectorEnv(n, **world)
+    envs.reset(seed=seeds)
+    crew.forget(np.arange(n))
+    fleet, score, rows = envs.fleet, np.zeros(n), np.arange(n)
+    while len(rows):
+        wanted = crew.act(fleet.observation(rows), rows)
+        fleet.step(rows, np.clip(wanted.astype(np.float64), -1.0, 1.0))
+        score[rows] += fleet.worlds.terms[rows].sum(axis=1)
+        rows = rows[~fleet.worlds.ended[rows].any(axis=1) & (fleet.worlds.steps[rows] < MAX_STEPS)]
+        tell(n - len(rows))
+    envs.close()
+    ended, steps = fleet.worlds.ended, fleet.worlds.steps
+    return Outcomes(np.asarray(seeds), ended[:, PARKED].copy(), ended[:, COLLISION].copy(), steps.copy(), score)
