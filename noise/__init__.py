@@ -7,12 +7,13 @@ from typing import Any
 
 from noise.credence import ConditionPrior, CredenceTable
 from noise.law import EchoLaw
-from noise.model import GaussianModel, IdealModel, SonarModel, simulate
+from noise.model import GaussianModel, IdealModel, SonarModel, follow, listener, simulate
 from noise.store import load_model, model_names, save_model
 
 _LAZY = {
     "PhysicalModel": "noise.physical",
     "CATALOGUE": "noise.effects",
+    "LstmModel": "noise.recurrent",
     "MlpModel": "noise.networks",
     "Faulty": "noise.faults",
     "diagnose": "noise.discrepancy",
@@ -27,10 +28,13 @@ __all__ = [
     "Faulty",
     "GaussianModel",
     "IdealModel",
+    "LstmModel",
     "MlpModel",
     "PhysicalModel",
     "SonarModel",
     "diagnose",
+    "follow",
+    "listener",
     "load_model",
     "load_thesis_network",
     "model_names",

@@ -6,7 +6,7 @@ true distance; the sensor's greatest reading; or anything on the scale. A sonar 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from acquisition import ModelError, Ping, Reading, SettingError
 from noise.law import EchoLaw, Floats
-from noise.model import MAX_RANGE
+from noise.model import MAX_RANGE, numbers_of, plain_numbers
 
 LEAST_SIGMA = 1e-3  # m; a hit is never certain
 TINY = 1e-300
@@ -100,7 +100,7 @@ class BeamModel:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain data."""
-        return {"kind": "beam", **{key: value for key, value in asdict(self).items() if key != "remembers"}}
+        return plain_numbers("beam", self)
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> BeamModel:
@@ -109,11 +109,9 @@ class BeamModel:
         Raises:
             ModelError: a parameter is missing or no number.
         """
-        names = [name for name in asdict(cls()) if name != "remembers"]
         try:
-            numbers: dict[str, Any] = {name: float(data[name]) for name in names}
-            return cls(**numbers)
-        except (KeyError, TypeError, ValueError) as error:
+            return cls(**numbers_of("beam", cls(), data))
+        except SettingError as error:
             raise ModelError(f"beam model: cannot be built from its parameters ({error}); it may be damaged") from None
 
 
@@ -156,7 +154,7 @@ def _responsibilities(model: BeamModel, ping: Ping, reading: Reading) -> tuple[F
 
 def _updated(model: BeamModel, ping: Ping, reading: Reading, share: Floats) -> BeamModel:
     hit, short, random = share.sum(axis=1) / len(ping)
-    silent = 1.0 - hit - short - random
+    silent = max(1.0 - hit - short - random, 0.0)  # whatever the sum is rounded to
     off = reading.range - ping.distance
     sigma = np.sqrt(_mean(off**2, share[0], model.sigma**2))
     rate = 1.0 / max(_mean(reading.range, share[1], 1.0 / model.short_rate), model.resolution)

@@ -10,13 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from acquisition import Ping, Reading
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel
 
 DEG = np.pi / 180.0
-REPEATS = 4  # draws of each ping of a prior where a law knows no probabilities
+DRAWS = 3000  # of a prior's pings, at least one of each, where a law knows no probabilities
 
 
 @dataclass(frozen=True)
@@ -104,18 +105,18 @@ class CredenceTable:
 
     @classmethod
     def counted(cls, law: EchoLaw, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
-        """Tabulate the credence of a law that can only be drawn from, by counting `REPEATS` draws of each ping.
+        """Tabulate the credence of a law that can only be drawn from, by counting some `DRAWS` draws of its pings.
 
         Always the same draws; with c of them in a bin, a credence p is off by about sqrt(p (1 - p)/c).
         """
         right, total = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
-        rng = np.random.default_rng(REPEATS)
-        for _ in range(REPEATS):
+        rng, repeats = np.random.default_rng(DRAWS), max(1, DRAWS // len(law))
+        for _ in range(repeats):
             reading = law.sample(rng)
             within = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance * (1 + 1e-9))
             total += np.histogram(reading.range[reading.echo], edges)[0]
             right += np.histogram(reading.range[within], edges)[0]
-        return cls(edges, _ratio(right, total), total / (REPEATS * len(law)))
+        return cls(edges, _ratio(right, total), total / (repeats * len(law)))
 
     def mixed(self, other: CredenceTable, weight: float) -> CredenceTable:
         """Return the table under a mixture of two priors, the other's weighing `weight`; the bins must be the same."""
@@ -131,3 +132,22 @@ class CredenceTable:
 
 def _ratio(part: Floats, whole: Floats) -> Floats:
     return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 1e-12)
+
+
+def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats, Floats]:
+    """Return Wilson's interval (1927) for the probability of what came true in some of many trials, each (...,).
+
+    Args:
+        hits: how often it came true.
+        trials: of how many, at least 1.
+        z: of the normal distribution; 1.96 holds 95 % of it.
+
+    >>> low, high = wilson([0, 5], 10)
+    >>> low.round(3).tolist(), high.round(3).tolist()
+    ([0.0, 0.237], [0.278, 0.763])
+    """
+    n = np.asarray(trials, dtype=np.float64)
+    share = np.asarray(hits, dtype=np.float64) / n
+    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
+    return np.clip(centre - half, 0.0, 1.0), np.clip(centre + half, 0.0, 1.0)

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from acquisition import EchoStatus, Ping, Reading, SettingError
+from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
 from noise.law import EchoLaw, Floats
-from noise.model import MAX_RANGE, SonarModel
+from noise.model import MAX_RANGE, Remembering, SonarModel, follow, listener
 
 
 @dataclass(frozen=True)
@@ -192,6 +194,18 @@ class Calibration(Fault):
         return CalibratedLaw(law, self.scale, self.offset + self.drift * ping.time)
 
 
+FAULTS: dict[str, type[Fault]] = {fault.__name__: fault for fault in (Short, Noise, Constant, Calibration)}
+
+
+@runtime_checkable
+class Weighty(Protocol):
+    """A model that keeps weights beside its model.json."""
+
+    def write_weights(self, folder: Path) -> None:
+        """Write them into a folder."""
+        ...
+
+
 class FaultyLaw(EchoLaw):
     """A mixture over causes.
 
@@ -287,7 +301,62 @@ class Faulty:
         """Names of the causes by number, as `FaultyLaw.draw` counts them."""
         return ("none", *(type(fault).__name__.upper() for fault in self.faults))
 
-    def law(self, ping: Ping, past: Reading | None = None) -> FaultyLaw:
-        """Return the law of n pings, given the reading before each."""
-        law = self.model.law(ping, past)
+    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> FaultyLaw:
+        """Return the law of n pings, given the reading before each, of all sensors or of those on some seats."""
+        model = self.model
+        law = model.law(ping, past, seats) if isinstance(model, Remembering) else model.law(ping, past)
+        return self._struck(law, ping)
+
+    def _struck(self, law: EchoLaw, ping: Ping) -> FaultyLaw:
         return FaultyLaw([law, *(fault.law(law, ping) for fault in self.faults)], self._rate)
+
+    def fresh(self) -> Faulty:
+        """Return the same with a memory of its own, empty, where the model keeps one."""
+        return Faulty(listener(self.model), self.faults)
+
+    def reset(self, seats: ArrayLike | None = None) -> None:
+        """Let the model forget everything, or what some sensors remember: their numbers, or a mask."""
+        if isinstance(self.model, Remembering):
+            self.model.reset(seats)
+
+    def follow(self, ping: Ping, reading: Reading) -> FaultyLaw:
+        """Return the law of every ping of a recording given all pings before it in its run, (n,)."""
+        return self._struck(follow(self.model, ping, reading), ping)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return model and faults as plain data.
+
+        Raises:
+            ModelError: the model is of a kind that cannot be kept.
+        """
+        inner: Any = self.model
+        if not hasattr(inner, "to_dict"):
+            raise ModelError(f"Faulty: a {type(inner).__name__} cannot be saved; it has no to_dict()")
+        faults = [{"fault": type(fault).__name__, **asdict(fault)} for fault in self.faults]
+        return {"kind": "faulty", "model": inner.to_dict(), "faults": faults}
+
+    def write_weights(self, folder: Path) -> None:
+        """Write the model's weights, where it has any, into a folder."""
+        if isinstance(self.model, Weighty):
+            self.model.write_weights(folder)
+
+    @classmethod
+    def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, Any], SonarModel]) -> Faulty:
+        """Read what was saved.
+
+        Args:
+            folder: that holds the weights, where there are any.
+            data: its model.json.
+            load_kind: reads the model within.
+
+        Raises:
+            ModelError: there is no such fault, or a value is not usable.
+        """
+        path = folder / "model.json"
+        try:
+            faults = [
+                FAULTS[given["fault"]](**{k: v for k, v in given.items() if k != "fault"}) for given in data["faults"]
+            ]
+            return cls(load_kind(folder, data["model"]), faults)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ModelError(f"{path}: does not describe faults on a model ({error}); it may be damaged") from None

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
-from noise.model import SonarModel
+from noise.model import SonarModel, follow
 
 LEVELS = 200  # of the quantile form of CRPS
-BATCH = 2000  # pings whose quantiles are taken at once; bounds the memory
+AT_ONCE = 400_000  # quantiles taken at once; bounds the memory
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,11 @@ def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
         levels: number K of quantiles.
     """
     level = ((np.arange(levels) + 0.5) / levels)[:, None]
-    quantile = law.quantile(level)
-    score = 2.0 * np.mean(((reading.range < quantile) - level) * (quantile - reading.range), axis=0)
-    return np.where(reading.echo, score, np.nan)
+    score, batch = np.zeros(len(law)), max(1, AT_ONCE // max(len(law), 1))
+    for part in (level[k : k + batch] for k in range(0, levels, batch)):
+        quantile = law.quantile(part)
+        score += np.sum(((reading.range < quantile) - part) * (quantile - reading.range), axis=0)
+    return np.where(reading.echo, 2.0 * score / levels, np.nan)
 
 
 def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
@@ -115,6 +117,7 @@ def credence_reliability(
     cluster: ArrayLike,
     tolerance: float = CREDENCE_TOLERANCE,
     bins: int = 10,
+    rows: NDArray[np.bool_] | slice = slice(None),
 ) -> Reliability:
     """Compare credence given the condition with how often readings were within tolerance.
 
@@ -124,10 +127,16 @@ def credence_reliability(
         cluster: of each ping, (n,).
         tolerance: half width of "right", as a share of the true distance.
         bins: of equal width over [0, 1].
+        rows: pings that count; all by default.
     """
-    said, g = law.credence(tolerance), np.asarray(cluster)
     slack = 1e-9
     true = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance + slack)
+    return reliability(law.credence(tolerance)[rows], true[rows], np.asarray(cluster)[rows], bins)
+
+
+def reliability(said: Floats, true: NDArray[np.bool_], cluster: ArrayLike, bins: int = 10) -> Reliability:
+    """Compare probabilities as said, (n,), with what came true, (n,), by bins of equal width over [0, 1]."""
+    g = np.asarray(cluster)
     place = np.minimum((said * bins).astype(np.int64), bins - 1)
     scores = [_score_or_none(true, g, place == k) for k in range(bins)]
     count = np.bincount(place, minlength=bins)
@@ -164,24 +173,24 @@ def evaluate(
     ping: Ping,
     reading: Reading,
     cluster: ArrayLike,
-    past: Reading | None = None,
+    counts: NDArray[np.bool_] | None = None,
 ) -> Evaluation:
-    """Score a model.
+    """Score a model, each ping given what the model remembers of those before it in its run.
 
     Args:
         model: to score.
-        ping: conditions, (n,).
+        ping: conditions, (n,), in the order in which they were faced.
         reading: what was read, (n,).
         cluster: cell or session of each ping, (n,).
-        past: the reading before each, taken before rows were picked; only needed by models that remember.
+        counts: which pings are scored, (n,); the others are only remembered. All by default.
     """
-    g = np.asarray(cluster)
-    value, log_prob = np.full(len(ping), np.nan), np.empty(len(ping))
-    for start in range(0, len(ping), BATCH):
-        rows = slice(start, start + BATCH)
-        law = model.law(ping[rows], None if past is None else past[rows])
-        value[rows], log_prob[rows] = crps(law, reading[rows]), law.log_prob(reading[rows])
-    echo = reading.echo
-    gap = credence_reliability(model.law(ping, past), reading, g).gap
-    scored = Score.of(1e3 * value[echo], g[echo]) if echo.any() else Score(np.nan, np.nan, 0, 0)
-    return Evaluation(Score.of(log_prob, g), scored, gap)
+    rows = np.ones(len(ping), dtype=bool) if counts is None else counts
+    return score_law(follow(model, ping, reading), reading, cluster, rows)
+
+
+def score_law(law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_]) -> Evaluation:
+    """Score the rows of a law of n pings by what was read, (n,)."""
+    g, echo = np.asarray(cluster), reading.echo & rows
+    likelihood = Score.of(law.log_prob(reading)[rows], g[rows])
+    crps_mm = Score.of(1e3 * crps(law, reading)[echo], g[echo]) if echo.any() else Score(np.nan, np.nan, 0, 0)
+    return Evaluation(likelihood, crps_mm, credence_reliability(law, reading, g, rows=rows).gap)

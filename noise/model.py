@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from acquisition import Ping, Reading, SettingError, previous
+from acquisition import ModelError, Ping, Reading, SettingError, previous
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 
 MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
@@ -137,6 +137,15 @@ class IdealModel:
         miss = (ping.distance > self.max_range).astype(np.float64)
         return CertainLaw(ping, miss, self.resolution, self.max_range)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain data."""
+        return plain_numbers("ideal", self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> IdealModel:
+        """Build a model from `to_dict`; see `GaussianModel.from_dict`."""
+        return cls(**numbers_of("ideal", cls(), data))
+
 
 @dataclass(frozen=True)
 class GaussianModel:
@@ -170,6 +179,75 @@ class GaussianModel:
         miss = np.where(ping.distance > self.max_range, 1.0, self.miss)
         return NormalLaw(ping, ping.distance, sigma, miss, self.resolution, self.max_range)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain data."""
+        return plain_numbers("gaussian", self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> GaussianModel:
+        """Build a model from `to_dict`.
+
+        Raises:
+            ModelError: a parameter is missing or no number.
+        """
+        return cls(**numbers_of("gaussian", cls(), data))
+
+
+def plain_numbers(kind: str, model: Any) -> dict[str, Any]:
+    """Return a model that is a dataclass of numbers as plain data."""
+    return {"kind": kind, **{name: value for name, value in asdict(model).items() if name != "remembers"}}
+
+
+def numbers_of(kind: str, default: Any, data: dict[str, Any]) -> dict[str, Any]:
+    """Return the numbers of such a model from plain data.
+
+    Raises:
+        ModelError: one is missing or no number.
+    """
+    try:
+        return {name: float(data[name]) for name in asdict(default) if name != "remembers"}
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{kind} model: cannot be built from its parameters ({error}); it may be damaged") from None
+
+
+@runtime_checkable
+class Remembering(SonarModel, Protocol):
+    """A model that keeps a memory of each sensor's pings; it serves one set of sensors."""
+
+    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> EchoLaw:
+        """Return the law of n pings, given the reading before each, of all sensors or of those on some seats."""
+        ...
+
+    def fresh(self) -> Remembering:
+        """Return the same model with a memory of its own, empty."""
+        ...
+
+    def reset(self, seats: ArrayLike | None = None) -> None:
+        """Forget everything, or what some sensors remember: their numbers, or a mask."""
+        ...
+
+    def follow(self, ping: Ping, reading: Reading) -> EchoLaw:
+        """Return the law of every ping of a recording given all pings before it in its run, (n,)."""
+        ...
+
+
+def listener(model: SonarModel) -> SonarModel:
+    """Return a model for one set of sensors alone: one that keeps a memory is given another, empty one."""
+    return model.fresh() if isinstance(model, Remembering) else model
+
+
+def follow(model: SonarModel, ping: Ping, reading: Reading) -> EchoLaw:
+    """Return the law of every ping of a recording given what its model remembers of those before it in its run, (n,).
+
+    Args:
+        model: of the sensor.
+        ping: conditions, (n,), in the order in which they were faced.
+        reading: what was read, (n,).
+    """
+    if isinstance(model, Remembering):
+        return model.follow(ping, reading)
+    return model.law(ping, previous(reading, ping.run)) if model.remembers else model.law(ping)
+
 
 def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading:
     """Draw a reading for every ping, in the order of each run where the model remembers.
@@ -181,19 +259,38 @@ def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading
     """
     if not model.remembers:
         return model.law(ping).sample(rng)
+    if isinstance(model, Remembering):
+        return _simulate_all(model.fresh(), ping, rng)
     reading = Reading.of(np.zeros(len(ping)), np.full(len(ping), 2))
     value, status = reading.range.copy(), reading.status.copy()
-    for rows, before in _in_step(ping.run):
-        past = previous(Reading(value, status), ping.run)[rows] if before else None
+    for k, rows in enumerate(steps(ping.run)):
+        past = previous(Reading(value, status), ping.run)[rows] if k else None
         drawn = model.law(ping[rows], past).sample(rng)
         value[rows], status[rows] = drawn.range, drawn.status
     return Reading.of(value, status)
 
 
-def _in_step(run: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-    """Return for k = 0, 1, ... the rows that are k-th in their run, and whether any came before."""
+def _simulate_all(model: Remembering, ping: Ping, rng: np.random.Generator) -> Reading:
+    """Draw with all runs side by side; a run that has ended fires its last ping on, and nobody listens."""
+    value, status, past = np.zeros(len(ping)), np.zeros(len(ping), np.uint8), None
+    number = np.unique(ping.run, return_inverse=True)[1]
+    now = np.zeros(int(number.max(initial=-1)) + 1, dtype=np.int64)
+    for rows in steps(ping.run):
+        now[number[rows]] = rows
+        past = model.law(ping[now], past).sample(rng)
+        value[rows], status[rows] = past.range[number[rows]], past.status[number[rows]]
+    return Reading.of(value, status)
+
+
+def steps(run: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return for k = 0, 1, ... the rows that are k-th in their run.
+
+    >>> [rows.tolist() for rows in steps(np.array([7, 3, 7, 7]))]
+    [[0, 1], [2], [3]]
+    """
     order = np.argsort(run, kind="stable")
     starts = np.r_[0, np.flatnonzero(np.diff(run[order])) + 1]
     rank = np.empty(len(run), dtype=np.int64)
     rank[order] = np.arange(len(run)) - np.repeat(starts, np.diff(np.r_[starts, len(run)]))
-    return [(np.flatnonzero(rank == k), k > 0) for k in range(int(rank.max(initial=-1)) + 1)]
+    by_rank = np.argsort(rank, kind="stable")
+    return np.split(by_rank, np.cumsum(np.bincount(rank))[:-1]) if len(run) else []

@@ -25,6 +25,10 @@ KINDS = {  # kind in model.json -> module and class; imported when asked for, si
     "empirical": ("noise.empirical", "EmpiricalModel"),
     "beam": ("noise.beam", "BeamModel"),
     "mlp": ("noise.networks", "MlpModel"),
+    "ideal": ("noise.model", "IdealModel"),
+    "gaussian": ("noise.model", "GaussianModel"),
+    "faulty": ("noise.faults", "Faulty"),
+    "lstm": ("noise.recurrent", "LstmModel"),
 }
 
 
@@ -48,9 +52,18 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
     if not folder.is_dir():
         known = ", ".join(model_names())
         raise UnknownModelError(f"model {str(name)!r}: no such name or folder; known names: {known}")
-    data = _read(folder)
-    module, attribute = KINDS[data["kind"]]
+    return _of_kind(folder, _read(folder))
+
+
+def _of_kind(folder: Path, data: Any) -> SonarModel:
+    """Return the model that (part of) a folder's model.json describes."""
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if kind not in KINDS:
+        raise ModelError(f"{folder / 'model.json'}: holds a model of kind {kind!r}, expected {', '.join(KINDS)}")
+    module, attribute = KINDS[kind]
     cls = getattr(importlib.import_module(module), attribute)
+    if kind == "faulty":
+        return cls.load(folder, data, _of_kind)
     return cls.load(folder, data) if hasattr(cls, "load") else cls.from_dict(data)
 
 

@@ -13,7 +13,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
-from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, load_model
+from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model
+from noise.model import Remembering
 from sonar_gym.scene import EMPTY_M
 
 Floats = NDArray[np.float64]
@@ -125,12 +126,15 @@ def draws_alike(model: SonarModel) -> bool:
     ping = Ping.of(distance=[0.2, 1.0, EMPTY_M, 0.7, 2.5, 0.4], run=np.arange(6))
     alone = [np.random.default_rng(k) for k in range(2)]
     try:
-        both = model.law(ping, None).sample(
-            cast(np.random.Generator, Streams([np.random.default_rng(k) for k in range(2)], [3, 3]))
+        both = (
+            listener(model)
+            .law(ping, None)
+            .sample(cast(np.random.Generator, Streams([np.random.default_rng(k) for k in range(2)], [3, 3])))
         )
     except (AttributeError, TypeError, NotAlike):
         return False
-    apart = [model.law(ping[rows], None).sample(rng) for rows, rng in zip(([0, 1, 2], [3, 4, 5]), alone, strict=True)]
+    halves = zip(([0, 1, 2], [3, 4, 5]), alone, strict=True)
+    apart = [listener(model).law(ping[rows], None).sample(rng) for rows, rng in halves]
     said = np.concatenate([reading.range for reading in apart])
     return bool(np.array_equal(both.range, said))
 
@@ -172,16 +176,20 @@ class Sonar:
         copies: int = 1,
     ) -> None:
         self.tag = tag
-        self.model: SonarModel = resolve(model)
+        shared = resolve(model)
+        self.model = listener(shared)
+        self._recalls = isinstance(self.model, Remembering)  # asked once: a protocol takes its time to answer
         self.count, self.copies = count, copies
         self.max_range = max_range
-        tables = [broad_table(self.model, max_range)] * count if tables is None else tables
+        tables = [broad_table(shared, max_range)] * count if tables is None else tables
         self.edges, self.tables = bin_edges(max_range), np.stack([table.values for table in tables])
         self.rngs = [np.random.default_rng() for _ in range(copies)]
         self.at_once = copies > 1 and draws_alike(self.model)
         self.tells_credence = True  # until a law says that it cannot
         self.causes = tuple(getattr(self.model, "causes", ("none",)))[1:]
         self._past = np.zeros(copies * count), np.full(copies * count, EchoStatus.NO_ANSWER, dtype=np.uint8)
+        self._seats = np.arange(copies * count)
+        self.forget()
 
     @property
     def rng(self) -> np.random.Generator:
@@ -196,6 +204,8 @@ class Sonar:
         """Clear the memory of previous readings: a new episode begins, for all copies or for some."""
         which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
+        if self._recalls:
+            cast(Remembering, self.model).reset(self._seats.reshape(shape)[which].ravel())
 
     def listen(self, ping: Ping, seen: NDArray[np.bool_]) -> Heard:
         """Draw what every sonar of every copy says.
@@ -218,11 +228,11 @@ class Sonar:
             each: number of pings of each of them.
             place: number of each ping's sonar among all of all copies.
         """
-        past = self._before(place) if self.model.remembers else None
+        past, seats = self._before(place) if self.model.remembers else None, self._seats[place]
         if self.at_once or len(copies) == 1:
-            drawn = self._draw(ping, past, self._stream(copies, each))
+            drawn = self._draw(ping, past, seats, self._stream(copies, each))
         else:
-            drawn = self._draw_apart(ping, past, copies, each)
+            drawn = self._draw_apart(ping, past, seats, copies, each)
         if self.model.remembers:
             self._past[0][place], self._past[1][place] = drawn.reading.range, drawn.reading.status
         return drawn
@@ -232,32 +242,34 @@ class Sonar:
             return self.rngs[copies[0]]
         return cast(np.random.Generator, Streams([self.rngs[copy] for copy in copies], each))
 
-    def _draw(self, ping: Ping, past: Reading | None, rng: np.random.Generator) -> Draw:
-        law: Any = self.model.law(ping, past)
+    def _draw(self, ping: Ping, past: Reading | None, seats: NDArray[np.int64], rng: np.random.Generator) -> Draw:
+        model: Any = self.model
+        law: Any = model.law(ping, past, seats) if self._recalls else model.law(ping, past)
         reading, fault = law.draw(rng) if self.causes else (law.sample(rng), None)
         return Draw(self._gate(reading), self._given(law), fault)
 
     def _given(self, law: EchoLaw) -> Floats | None:
         """Return credence given the condition; None where a law can only be drawn from."""
-        if self.tells_credence:
-            try:
-                return law.credence()
-            except (AttributeError, NotImplementedError):
-                self.tells_credence = False
-        return None
+        self.tells_credence = law.tells
+        return law.credence() if law.tells else None
 
     def _before(self, place: slice | NDArray[np.int64]) -> Reading | None:
-        """Return the readings before, or None where nothing is known of any."""
+        """Return the readings before, or None where nothing is known of any and no memory says since when."""
         status = self._past[1][place]
+        if self._recalls:
+            return Reading(self._past[0][place], status)
         return Reading(self._past[0][place], status) if np.any(status != EchoStatus.NO_ANSWER) else None
 
-    def _draw_apart(self, ping: Ping, past: Reading | None, copies: Copies, each: Sequence[int]) -> Draw:
+    def _draw_apart(
+        self, ping: Ping, past: Reading | None, seats: NDArray[np.int64], copies: Copies, each: Sequence[int]
+    ) -> Draw:
         """Draw for one copy after the other, each from its own stream: for laws that draw in ways of their own."""
         parts, end = [], 0
         for copy, count in zip(copies, each, strict=True):
             rows, end = slice(end, end + count), end + count
             if count:
-                parts.append(self._draw(ping[rows], None if past is None else past[rows], self.rngs[copy]))
+                before = None if past is None else past[rows]
+                parts.append(self._draw(ping[rows], before, seats[rows], self.rngs[copy]))
         reading = Reading(
             *(np.concatenate([getattr(part.reading, name) for part in parts]) for name in ("range", "status"))
         )

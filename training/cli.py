@@ -23,8 +23,12 @@ COMMANDS = {
     "train-noise": ("training.noise_model", "train a noise model on a recording"),
     "train-agent": ("training.agent", "train an agent that parks, with the sonars that you choose"),
     "evaluate-agent": ("training.evaluate_agent", "let agents drive the same streets, and say how often they park"),
+    "make-noise": ("training.make_noise", "make the shipped noise models again"),
+    "noise-report": ("training.noise_report", "write the page that puts all noise models side by side"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
+    "compare-thesis": ("training.compare_thesis", "hold the rig against the networks of the thesis's own sonar"),
+    "compare-drivers": ("training.compare_drivers", "park with ideal and real sonars, with and without credence"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
     "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }

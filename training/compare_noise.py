@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 import tyro
 from numpy.typing import NDArray
 
@@ -22,12 +23,11 @@ from noise.faults import Faulty, Short
 from noise.law import Floats
 from noise.metrics import Evaluation, Score, evaluate
 from noise.model import MAX_RANGE
-from training.noise_model import fit_gaussian
 from training.progress import bar
+from training.rivals import PRIOR_PINGS, CellModel, fit_gaussian, fit_physics
 
-PRIOR_PINGS = 1.0  # weight of the fitted beam model against a condition's own pings; ours
 ARBITRARY = Short(3e-4)  # in every model, so that no single reading decides; as in `noise.cells`
-GAUSSIAN = "Gaussian, fitted"
+GAUSSIAN, BEAM = "Gaussian, fitted", "beam model, by EM"
 HEADINGS = ("model", "log-likelihood, nats a ping", "of the way", "CRPS, mm", "credence gap")
 
 
@@ -39,7 +39,7 @@ class Args:
     """Recording to fit the baselines to."""
     test: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Recordings to score all models on: other sensors, other conditions. Each condition needs two pings or more."""
-    models: tuple[str, ...] = ("srf08-mlp",)
+    models: tuple[str, ...] = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Models to compare with the baselines, by name or folder."""
 
 
@@ -81,7 +81,7 @@ def repeatability(recording: Recording, fresh: NDArray[np.bool_], base: SonarMod
     It is the predictive probability of a Dirichlet process about `base`, worth `PRIOR_PINGS` pings: shares of what was
     read before, and a remainder for what never was.
     """
-    reading, cell = recording.reading, recording.cell
+    reading, cell = recording.reading, place(recording)
     said = np.rint(reading.range / recording.resolution).astype(np.int64)
     _, name = np.unique(np.stack([cell, reading.status, said]), axis=1, return_inverse=True)
     alike = np.bincount(name[~fresh], minlength=name.max() + 1)[name[fresh]]
@@ -90,33 +90,45 @@ def repeatability(recording: Recording, fresh: NDArray[np.bool_], base: SonarMod
     return np.log((alike + PRIOR_PINGS * prior) / (known + PRIOR_PINGS))
 
 
-def compare(learn: Recording, test: Recording, models: dict[str, SonarModel]) -> Compared:
-    """Fit baselines to one recording and score them and other models on another.
+def baselines(learn: Recording) -> dict[str, SonarModel]:
+    """Return what simulators have, fitted to a recording."""
+    step, seen = learn.resolution, learn.reading.answered
+    reach = max(MAX_RANGE, learn.reading.range.max() + step)
+    ping, reading = learn.ping[seen], learn.reading[seen]
+    beam, _ = fit_beam(ping, reading, step, reach)
+    return {
+        "ideal": IdealModel(step, reach),
+        GAUSSIAN: fit_gaussian(ping, reading, step, reach),
+        BEAM: beam,
+        "each condition as recorded": CellModel.of(learn, beam),
+        "physics, fitted": fit_physics(learn.select(seen), reach),
+    }
+
+
+def compare(test: Recording, models: dict[str, SonarModel]) -> Compared:
+    """Score models on the fresh pings of a recording; those that remember have heard all pings before.
 
     Raises:
         SettingError: a register differs, or no condition was met twice.
     """
-    step = learn.resolution
-    for name, there in {test.name: test.resolution, **{k: m.resolution for k, m in models.items()}}.items():
-        if abs(there - step) > 1e-9:
-            raise SettingError(
-                f"{name}: counts in steps of {1e3 * there:g} mm, {learn.name} in {1e3 * step:g} mm: choose alike ones"
-            )
-    seen, reach = learn.reading.answered, max(MAX_RANGE, learn.reading.range.max() + step)
-    ping, reading = learn.ping[seen], learn.reading[seen]
-    beam, _ = fit_beam(ping, reading, step, reach)
-    rivals: dict[str, SonarModel] = {
-        "ideal": IdealModel(step, reach),
-        GAUSSIAN: fit_gaussian(ping, reading, step, reach),
-        "beam model, by EM": beam,
-    }
-    fresh = halves(test.cell) & test.reading.answered
+    for name, model in models.items():
+        if abs(model.resolution - test.resolution) > 1e-9:
+            own, wanted = (f"{1e3 * one.resolution:g} mm" for one in (model, test))
+            raise SettingError(f"{name}: counts in steps of {own}, {test.name} in {wanted}: choose alike ones")
+    cell = place(test)
+    fresh = halves(cell) & test.reading.answered
     if not fresh.any():
         raise SettingError(f"{test.name}: no condition was met twice: record two pings or more of each")
-    cell = test.cell[fresh]
-    every = {name: Faulty(model, [ARBITRARY]) for name, model in {**rivals, **models}.items()}
-    scores = {name: evaluate(model, test.ping[fresh], test.reading[fresh], cell) for name, model in every.items()}
-    return Compared(scores, Score.of(repeatability(test, fresh, beam), cell))
+    every = {name: Faulty(model, [ARBITRARY]) for name, model in models.items()}
+    scores = {name: evaluate(model, test.ping, test.reading, cell, fresh) for name, model in every.items()}
+    return Compared(scores, Score.of(repeatability(test, fresh, models[BEAM]), cell[fresh]))
+
+
+def place(recording: Recording) -> NDArray[np.int64]:
+    """Return the number of the condition, as met by one sensor, of each ping, (n,)."""
+    sensor = recording.table["sensor"] if recording.has("sensor") else pd.Series(0, recording.table.index)
+    both = np.stack([recording.cell, pd.factorize(sensor)[0]])
+    return np.unique(both, axis=1, return_inverse=True)[1].ravel()
 
 
 def rows(compared: Compared) -> list[tuple[str, ...]]:
@@ -134,11 +146,11 @@ def _percent(share: float) -> str:
 
 def main(args: Args) -> None:
     """Print a table in Markdown for each recording tested on."""
-    learn, models = Recording.load(args.learn), {name: load_model(name) for name in args.models}
+    models = {**baselines(Recording.load(args.learn)), **{name: load_model(name) for name in args.models}}
     pages = []
     with bar("scoring", len(args.test)) as progress:
         for done, path in enumerate(args.test, start=1):
-            pages.append(_table(path, compare(learn, Recording.load(path), models)))
+            pages.append(_table(path, compare(Recording.load(path), models)))
             progress(done, len(args.test))
     print("\n\n".join(pages))
 

@@ -12,6 +12,8 @@ from rich.table import Table
 from acquisition import Recording
 from noise.metrics import Evaluation
 from noise.networks import MlpModel
+from noise.recurrent import LstmModel
+from training.networks import LONGEST
 
 CARD = Path(__file__).parent / "templates" / "model_card.md"
 HEADINGS = ("model", "log-likelihood, nats a ping", "CRPS, mm", "credence gap")
@@ -41,6 +43,7 @@ def plain(scores: dict[str, Evaluation]) -> dict[str, Any]:
             "log_likelihood_error": _finite(s.log_likelihood.error),
             "crps_mm": _finite(s.crps_mm.mean),
             "crps_mm_error": _finite(s.crps_mm.error),
+            "credence_gap": _finite(s.credence_gap),
         }
         for name, s in scores.items()
     }
@@ -50,9 +53,27 @@ def _finite(value: float) -> float | None:
     return round(value, 4) if math.isfinite(value) else None
 
 
+def _network(model: MlpModel | LstmModel) -> str:
+    """Return what kind of network it is, and its widths."""
+    sizes = " - ".join(map(str, model.sizes))
+    if isinstance(model, MlpModel):
+        return f"a perceptron ({sizes})"
+    lstm = f"an LSTM over the pings of each run (state of {model.cell.hidden}) and a perceptron ({sizes})"
+    return lstm if model.base is None else f"{lstm}, which correct a perceptron without memory,"
+
+
+def _memory(model: MlpModel | LstmModel) -> str:
+    """Return what it does not know of the past."""
+    if isinstance(model, MlpModel):
+        return "The law knows nothing of time or of the previous reading, nor of"
+    return (
+        f"The law remembers what one sensor reads in one run, learned on {LONGEST} pings at most; it knows nothing of"
+    )
+
+
 def card(
     name: str,
-    model: MlpModel,
+    model: MlpModel | LstmModel,
     scores: dict[str, Evaluation],
     unit: str,
     recording: Recording,
@@ -74,10 +95,11 @@ def card(
     learned = zip(inputs.names, inputs.low, inputs.high, strict=True)
     return Template(CARD.read_text(encoding="utf-8")).substitute(
         name=name,
-        sizes=" - ".join(map(str, model.sizes)),
+        network=_network(model),
+        memory=_memory(model),
         near=model.head.near,
         fixed=model.head.fixed,
-        recording=Path(recording.name).name,
+        recording=recording.name if " and " in recording.name else Path(recording.name).name,
         pings=len(recording),
         cells=int(recording.cell.max()) + 1,
         step=f"{1e3 * model.resolution:g}",

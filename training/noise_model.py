@@ -1,33 +1,43 @@
-"""Train a noise model on a recording and say, on conditions held out, what it is worth."""
+"""Train a noise model on a recording and say, on pings held out, what it is worth."""
 
 from __future__ import annotations
 
 import math
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from scipy.optimize import minimize
 
 from acquisition import Ping, Reading, Recording, SettingError
+from noise import load_model
 from noise.cells import cells_of
+from noise.inputs import Inputs
 from noise.metrics import Evaluation, evaluate
-from noise.model import MAX_RANGE, GaussianModel, IdealModel, SonarModel
-from noise.networks import Head, Inputs, MlpModel
+from noise.mixture import Head
+from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
+from noise.networks import MlpModel
+from noise.recurrent import LstmModel
 from noise.store import check_model_folder, save_model
 from training.model_card import card, plain, table
-from training.networks import Batch, Network, Schedule, fit_network
+from training.networks import LONGEST, Batch, Memory, Network, Schedule, fit_network, with_memory
 from training.progress import bars
+from training.rivals import fit_gaussian
 from training.threads import one_thread
 
-FEWEST_CELLS = 10
+FEWEST_GROUPS = 10
+Law = Literal["mlp", "lstm", "hybrid"]
+Report = Callable[[int, float], None]
+
+
+def silent(epoch: int, score: float) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +48,25 @@ class Args:
     """CSV file to learn from, one row a ping."""
     out: Path
     """Folder to write the model to: model.json, weights.safetensors, README.md."""
+    law: Law = "mlp"
+    """mlp: no memory. lstm: remembers the pings of a run. hybrid: an LSTM on top of the perceptron `base`."""
+    base: str = "srf08-mlp"
+    """hybrid: perceptron whose law is corrected, by name or folder; it learns no more."""
     hidden: int = 64
     """Width of each hidden layer."""
     depth: int = 2
-    """Number of hidden layers."""
+    """mlp: number of hidden layers."""
+    state: int = 48
+    """lstm, hybrid: width of the state."""
     components: int = 6
     """Mixture components placed about the true distance."""
     fixed: int = 2
     """Mixture components placed anywhere on the scale: clutter, ghosts."""
     covariates: tuple[str, ...] = ()
-    """Logged columns to learn from besides the geometry, for example temperature_c; to be given at every use."""
+    """Logged columns to learn from besides the geometry, for example temperature_c; where one is not given when the
+    model is used, its law is that over all of the values learned."""
+    horizon: float | None = None
+    """Distance from which on nothing is heard, m: all farther pings teach one law, that of an empty cone."""
     epochs: int = 300
     """Most passes over the training pings."""
     patience: int = 40
@@ -59,9 +78,9 @@ class Args:
     weight_decay: float = 1e-3
     """Pull of all weights towards zero."""
     validation: float = 0.15
-    """Share of cells by which the best weights are chosen."""
+    """Share of cells, or of runs where the law remembers, by which the best weights are chosen."""
     test: float = 0.2
-    """Share of cells held out for the scores that are reported."""
+    """Share of cells, or of runs where the law remembers, held out for the scores that are reported."""
     seed: int = 0
     """Decides the split, the first weights and the order of pings."""
     made_by: tuple[str, ...] = ()
@@ -71,67 +90,52 @@ class Args:
 
     @property
     def schedule(self) -> Schedule:
-        """How the network is trained."""
-        return Schedule(self.epochs, self.patience, self.batch, self.learning_rate, self.weight_decay)
+        """How the network is trained; a run of a law that remembers stands for its pings."""
+        batch = self.batch if self.law == "mlp" else max(1, self.batch // 32)
+        return Schedule(self.epochs, self.patience, batch, self.learning_rate, self.weight_decay)
 
 
 @dataclass(frozen=True)
 class Split:
-    """Which rows train, validate and test; whole cells each, (n,) bool."""
+    """Which rows train, validate and test; whole groups each, (n,) bool."""
 
     train: NDArray[np.bool_]
     validation: NDArray[np.bool_]
     test: NDArray[np.bool_]
 
     @classmethod
-    def by_cell(cls, cell: NDArray[np.int64], validation: float, test: float, rng: np.random.Generator) -> Split:
-        """Deal whole cells out at random.
+    def by_group(
+        cls, group: NDArray[np.int64], validation: float, test: float, rng: np.random.Generator, what: str = "groups"
+    ) -> Split:
+        """Deal whole groups out at random.
 
         Raises:
-            SettingError: too few cells, or shares that leave none to train on.
+            SettingError: too few groups, or shares that leave none to train on.
         """
-        names, place = np.unique(cell, return_inverse=True)
-        cells = len(names)
-        if cells < FEWEST_CELLS:
-            raise SettingError(f"the recording holds {cells} conditions, training needs {FEWEST_CELLS}: record more")
+        names, place = np.unique(group, return_inverse=True)
+        groups = len(names)
+        if groups < FEWEST_GROUPS:
+            raise SettingError(f"the recording holds {groups} {what}, training needs {FEWEST_GROUPS}: record more")
         if not (0 < validation < 1 and 0 < test < 1 and validation + test < 0.9):
             raise SettingError(f"validation {validation:g} and test {test:g} must be > 0 and together < 0.9")
-        n_test, n_validation = max(1, round(test * cells)), max(1, round(validation * cells))
-        part = np.full(cells, 2)
-        order = rng.permutation(cells)
+        n_test, n_validation = max(1, round(test * groups)), max(1, round(validation * groups))
+        part = np.full(groups, 2)
+        order = rng.permutation(groups)
         part[order[:n_test]], part[order[n_test : n_test + n_validation]] = 0, 1
         return cls(part[place] == 2, part[place] == 1, part[place] == 0)
-
-
-def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: float) -> GaussianModel:
-    """Return the most likely `GaussianModel` of answered pings: what is usually put in a simulator."""
-    echo = reading.echo
-    miss = float(np.clip(1.0 - echo.mean(), 0.0, 0.999))
-
-    def model(x: NDArray[np.float64]) -> GaussianModel:
-        sigma, per_metre = np.exp(np.clip(x, -20.0, 3.0))
-        return GaussianModel(float(sigma), float(per_metre), miss, resolution, max_range)
-
-    def loss(x: NDArray[np.float64]) -> float:
-        return -float(np.maximum(model(x).law(ping[echo]).log_prob(reading[echo]), -1e3).mean())
-
-    found = minimize(loss, np.log([0.03, 0.02]), method="Nelder-Mead", options={"xatol": 0.01, "fatol": 1e-4})
-    return model(found.x)
 
 
 @dataclass(frozen=True)
 class Trained:
     """What training gave: the model, the scores of it and of its rivals on what was held out, and what that was."""
 
-    model: MlpModel
+    model: MlpModel | LstmModel
     scores: dict[str, Evaluation]
     unit: str
 
 
-def train(
-    recording: Recording, args: Args, report: Callable[[int, float], None] = lambda epoch, score: None
-) -> Trained:
-    """Train a network on a recording.
+def train(recording: Recording, args: Args, report: Report = silent) -> Trained:
+    """Train a network on some of a recording and score it on the rest.
 
     Args:
         recording: what to learn from.
@@ -139,30 +143,71 @@ def train(
         report: called after each pass with its number and the validation score.
 
     Raises:
-        SettingError: too few conditions, no echo at all, or a covariate that was not logged in every row.
+        SettingError: too few conditions or runs, no echo at all, or a covariate that was not logged in every row.
     """
-    ping, reading = recording.ping, recording.reading
-    inputs, head = Inputs.of(ping, _logged(recording, args.covariates)), _head(recording, args)
-    cell, unit = groups(recording)
-    split = Split.by_cell(cell, args.validation, args.test, np.random.default_rng(args.seed))
-    answered = reading.answered
-    rows = {name: getattr(split, name) & answered for name in ("train", "validation", "test")}
-    if not (reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
+    group, unit = groups(recording) if args.law == "mlp" else stretches(recording)
+    split = Split.by_group(group, args.validation, args.test, np.random.default_rng(args.seed), unit)
+    rows = {name: getattr(split, name) for name in ("train", "validation", "test")}
+    if args.law == "mlp":
+        rows = {name: mask & recording.reading.answered for name, mask in rows.items()}
+    if not (recording.reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
         raise SettingError(f"{recording.name}: too few echoes or answers to train, validate and test on: record more")
-    with torch.random.fork_rng(), one_thread():
-        torch.manual_seed(args.seed)
-        network = Network(inputs, head, args.hidden, args.depth)
-        parts = {name: Batch.of(inputs, head, ping[mask], reading[mask]) for name, mask in rows.items()}
-        epoch, validation = fit_network(network, parts["train"], parts["validation"], args.schedule, report)
-    learn = rows["train"] | rows["validation"]
+    parts = {name: Pings.of(recording, mask, group) for name, mask in rows.items()}
+    head = head_of(recording, args)
+    model = learn(parts["train"], parts["validation"], Inputs.of(recording.ping, told(recording, args), args.horizon),
+                  head, args, report)  # fmt: skip
+    seen = (rows["train"] | rows["validation"]) & recording.reading.answered
     rivals: dict[str, SonarModel] = {
         "ideal": IdealModel(head.resolution, head.max_range),
-        "Gaussian, fitted": fit_gaussian(ping[learn], reading[learn], head.resolution, head.max_range),
+        "Gaussian, fitted": fit_gaussian(
+            recording.ping[seen], recording.reading[seen], head.resolution, head.max_range
+        ),
     }
-    model = network.to_model(inputs, {"epoch": epoch, "validation_log_likelihood": validation})
-    t = rows["test"]
-    scores = {k: evaluate(m, ping[t], reading[t], cell[t]) for k, m in {**rivals, "network": model}.items()}
+    test = parts["test"]
+    every: dict[str, SonarModel] = {**rivals, "network": model}
+    scores = {name: evaluate(m, test.ping, test.reading, recording.cell[rows["test"]]) for name, m in every.items()}
     return Trained(model, scores, unit)
+
+
+@dataclass(frozen=True)
+class Pings:
+    """Pings to learn from: conditions, with the run within which a law may remember, and readings, (n,)."""
+
+    ping: Ping
+    reading: Reading
+
+    @classmethod
+    def of(cls, recording: Recording, rows: NDArray[np.bool_], run: NDArray[np.int64]) -> Pings:
+        """Take some rows of a recording; `run` is of all rows."""
+        return cls(replace(recording.ping[rows], run=run[rows]), recording.reading[rows])
+
+    def batch(self, network: Network | Memory) -> Batch:
+        """Return them as a network learns them: in runs, where it remembers."""
+        batch = Batch.of(network.inputs, network.head, self.ping, self.reading)
+        return batch.in_runs(self.ping.run) if isinstance(network, Memory) else batch
+
+
+def learn(train: Pings, validation: Pings, inputs: Inputs, head: Head, args: Args, report: Report = silent) -> Any:
+    """Train a network on some pings, keeping the weights that are best on others; returns a model."""
+    with torch.random.fork_rng(), one_thread():
+        torch.manual_seed(args.seed)
+        network = _network(inputs, head, args)
+        epoch, score = fit_network(network, train.batch(network), validation.batch(network), args.schedule, report)
+    return network.to_model({"epoch": epoch, "validation_log_likelihood": score})
+
+
+def _network(inputs: Inputs, head: Head, args: Args) -> Network | Memory:
+    if args.law == "mlp":
+        return Network(inputs, head, args.hidden, args.depth)
+    if args.law == "lstm":
+        return Memory(inputs, with_memory(head), args.state, args.hidden)
+    base = load_model(args.base)
+    if not isinstance(base, MlpModel) or abs(base.resolution - head.resolution) > 1e-9:
+        raise SettingError(
+            f"base {args.base!r}: expected a perceptron that counts in steps of {1e3 * head.resolution:g} mm; "
+            "train one with `sonar-gym train-noise`"
+        )
+    return Memory(base.inputs, with_memory(base.head), args.state, args.hidden, base)
 
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
@@ -172,16 +217,30 @@ def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
     return recording.cell, "conditions"
 
 
-def _logged(recording: Recording, covariates: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of what the network is told: only what was logged."""
-    missing = [name for name in covariates if name not in recording.ping.covariates]
+def stretches(recording: Recording) -> tuple[NDArray[np.int64], str]:
+    """Return runs cut into stretches of at most `LONGEST` pings, (n,), and their name."""
+    place = np.empty(len(recording), dtype=np.int64)
+    for k, rows in enumerate(steps(recording.run)):
+        place[rows] = k // LONGEST
+    cut = np.unique(np.stack([recording.run, place]), axis=1, return_inverse=True)[1].ravel()
+    return cut, "stretches of runs"
+
+
+def told(recording: Recording, args: Args) -> tuple[str, ...]:
+    """Return the names of what the network is told: only what was logged.
+
+    Raises:
+        SettingError: a covariate was not.
+    """
+    missing = [name for name in args.covariates if name not in recording.ping.covariates]
     if missing:
         known = ", ".join(recording.ping.covariates) or "none"
         raise SettingError(f"{recording.name}: covariate {missing[0]!r} is not logged in every row; there are: {known}")
-    return ("distance", "angle", "incidence", *(["reflectance"] if recording.has("reflectance") else []), *covariates)
+    reflectance = ["reflectance"] if recording.has("reflectance") else []
+    return ("distance", "angle", "incidence", *reflectance, *args.covariates)
 
 
-def _head(recording: Recording, args: Args) -> Head:
+def head_of(recording: Recording, args: Args) -> Head:
     """Return a head whose register fits the recording."""
     reading = recording.reading
     reach = max(MAX_RANGE, math.ceil(reading.range.max() + recording.resolution))

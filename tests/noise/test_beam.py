@@ -64,3 +64,11 @@ def test_what_is_no_mixture_and_what_has_no_answer_is_refused():
         BeamModel(hit=0.9)
     with pytest.raises(SettingError, match="leave out what has none"):
         fit_beam(Ping.of(distance=[1.0]), Reading.of([0.0], [2]), STEP, REACH)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sensor_that_always_hears_is_never_silent(seed):
+    rng = np.random.default_rng(seed)
+    ping = Ping.of(distance=rng.uniform(0.2, 4.0, 200))
+    reading = Reading.of(np.rint(np.clip(ping.distance + rng.normal(0.0, 0.03, 200), STEP, REACH) / STEP) * STEP)
+    assert 0.0 <= fit_beam(ping, reading, STEP, REACH)[0].silent < 1e-12

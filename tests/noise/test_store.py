@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from acquisition import ModelError, Ping, UnknownModelError
-from noise import IdealModel, load_model, model_names, save_model
+from noise import Faulty, GaussianModel, IdealModel, load_model, model_names, save_model
 from noise.effects import CATALOGUE
+from noise.faults import Calibration, Short
 from noise.physical import PhysicalModel
 from noise.store import KINDS
 
@@ -62,9 +63,30 @@ def test_a_damaged_model_is_refused_by_name(tmp_path, text, message):
 
 
 def test_a_model_without_plain_data_is_not_half_written(tmp_path):
-    with pytest.raises(AttributeError):
-        save_model(IdealModel(), tmp_path / "ideal")
+    class Unkept(IdealModel):
+        to_dict = None
+
+    with pytest.raises(TypeError):
+        save_model(Unkept(), tmp_path / "unkept")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("model", [IdealModel(0.01), GaussianModel(0.02, 0.01, 0.1)])
+@pytest.mark.parametrize("faults", [(), (Short(0.1, span=5.0), Calibration(0.5, drift=1e-3))])
+def test_simple_models_and_faults_on_them_come_back_as_they_were(tmp_path, model, faults):
+    kept = Faulty(model, faults) if faults else model
+    again = load_model(save_model(kept, tmp_path / "model"))
+    assert (again.model, again.faults) == (model, faults) if faults else again == model
+
+
+def test_faults_that_are_none_are_refused(tmp_path):
+    save_model(Faulty(IdealModel(), [Short(0.1)]), tmp_path / "model")
+    path = tmp_path / "model" / "model.json"
+    data = json.loads(path.read_text())
+    for broken in ({"faults": [{"fault": "Gremlin"}]}, {"faults": 3}, {"model": {"kind": "pickle"}}, {"model": None}):
+        path.write_text(json.dumps({**data, **broken}))
+        with pytest.raises(ModelError, match=r"model\.json"):
+            load_model(tmp_path / "model")
 
 
 def test_saving_replaces_an_older_model_and_leaves_nothing_beside_it(tmp_path):

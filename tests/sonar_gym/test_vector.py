@@ -11,10 +11,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import sonar_gym
-from acquisition import SettingError
+from acquisition import Ping, SettingError
 from noise import GaussianModel
 from noise.faults import Constant, Faulty, Short
+from noise.inputs import Inputs
+from noise.mixture import Head
 from noise.networks import MlpModel
+from noise.recurrent import ANCHORS, LINKS, Cell, LstmModel
 from sonar_gym.vector import SonarParkingVectorEnv
 
 MODES = list(AutoresetMode)
@@ -38,6 +41,17 @@ class Stubborn(GaussianModel):
 
         law.sample = stubborn
         return law
+
+
+def lstm(state=6):
+    """Return a model that keeps a memory, of random weights."""
+    rng, ping = np.random.default_rng(0), Ping.of([0.1, 3.0], [0.0, 0.5], [0.0, 0.6], [0.1, 0.9])
+    inputs = Inputs.of(ping, ("distance", "angle", "incidence", "reflectance"))
+    head = Head(near=2, fixed=1, resolution=0.01, max_range=6.0, anchored=ANCHORS, fails=True)
+    told = inputs.width + LINKS
+    shapes = ((4 * state, told), (4 * state, state), (4 * state,))
+    layers = [(rng.normal(size=(head.width, told + state)), rng.normal(size=head.width))]
+    return LstmModel(inputs, head, Cell(*(rng.normal(size=shape) for shape in shapes)), layers)
 
 
 def native(n, mode=AutoresetMode.NEXT_STEP, **settings):
@@ -105,6 +119,8 @@ def test_every_autoreset_mode_is_gymnasium_s_own(mode):
     "settings",
     [
         {"sonar": Stubborn(sigma=0.05)},
+        {"sonar": lstm()},
+        {"sonar": lstm(), "sonar_layout": "eight in turn"},
         {"sonar": Faulty(GaussianModel(), [Constant(rate=0.2, value=0.5), Short(rate=0.1, span=3.0)])},
         {"sonar": "gaussian", "sonar_layout": "eight in turn"},
         {"sonar": "ideal", "odometry": "worn"},
@@ -114,16 +130,17 @@ def test_every_autoreset_mode_is_gymnasium_s_own(mode):
         },
         {"sonar": "gaussian", "difficulty": "hard", "street": {"decoys": [3, 4]}},
     ],
-    ids=["memory", "faults", "in turn", "odometry", "slow", "hard"],
+    ids=["past", "memory", "memory in turn", "faults", "in turn", "odometry", "slow", "hard"],
 )
 def test_whatever_the_settings_it_says_what_single_environments_say(settings):
     assert compare(120, 4, AutoresetMode.NEXT_STEP, **settings) > 0
 
 
-def test_threads_change_nothing():
+@pytest.mark.parametrize("sonar", ["gaussian", lstm()], ids=["gaussian", "memory"])
+def test_threads_change_nothing(sonar):
     runs = []
     for threads in (1, 3):
-        envs, out = native(200, sonar="gaussian", threads=threads), []
+        envs, out = native(200, sonar=sonar, threads=threads), []
         out.append(envs.reset(seed=3)[0])
         out += [envs.step(actions)[0] for actions in wild(200, 60)]
         envs.close()
@@ -206,6 +223,14 @@ def test_gymnasium_s_episode_statistics_count_episodes(mode):
             lengths.extend(info["episode"]["l"][info["_episode"]])
     assert len(lengths) == 8
     assert set(lengths) == {20}
+
+
+def test_a_memory_grows_with_the_environments_that_are_reset():
+    envs = native(3, AutoresetMode.DISABLED, sonar=lstm())
+    for i in range(3):
+        envs.reset(seed=i, options={"reset_mask": np.arange(3) == i})
+    said, _, _, _, _ = envs.step(np.zeros((3, 2)))
+    assert said in envs.observation_space
 
 
 def test_environments_that_have_ended_must_be_reset_where_autoreset_is_off():

@@ -1,19 +1,22 @@
 """Training against data whose law is known, and the command around it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from acquisition import Ping, Recording, SettingError
+from acquisition import Ping, Reading, Recording, SettingError
 from acquisition.foreign import ColumnMap, import_table, parse_constants
-from noise import load_model, simulate
+from noise import GaussianModel, follow, load_model, save_model, simulate
 from noise.effects import CATALOGUE
+from noise.inputs import Inputs
 from noise.metrics import evaluate
-from noise.networks import Head, Inputs
+from noise.mixture import Head
 from noise.physical import PhysicalModel
 from training.cli import main
-from training.networks import Batch, Network
-from training.noise_model import Args, Split, groups, train
+from training.networks import Batch, Memory, Network, with_memory
+from training.noise_model import Args, Split, groups, stretches, train
 
 torch.set_num_threads(1)
 
@@ -70,13 +73,68 @@ def test_what_is_trained_is_what_is_run():
     network = Network(inputs, head, hidden=16, depth=2)
     with torch.no_grad():
         here = network.log_prob(Batch.of(inputs, head, ping, reading)).numpy()
-    there = network.to_model(inputs, {}).law(ping).log_prob(reading)
+    there = network.to_model({}).law(ping).log_prob(reading)
     np.testing.assert_allclose(here, there, atol=2e-3)
+
+
+@pytest.mark.parametrize("hybrid", [True, False])
+def test_what_is_trained_with_memory_is_what_is_run(hybrid):
+    rng = np.random.default_rng(1)
+    ping = Ping.of(
+        rng.uniform(0.0, 6.0, 90), rng.uniform(0.0, 0.7, 90), reflectance=0.5, run=rng.integers(0, 3, 90),
+        time=np.sort(rng.uniform(0.0, 30.0, 90)), temperature_c=rng.uniform(15, 25, 90),
+    )  # fmt: skip
+    reading = simulate(true_model(), ping, rng)
+    reading.range[::7], reading.status[::7] = 0.0, 2
+    inputs = Inputs.of(ping, ("distance", "angle", "reflectance", "temperature_c"))
+    torch.manual_seed(0)
+    base = Network(inputs, Head(4, 2, 0.01, 11.0), hidden=8, depth=1).to_model({}) if hybrid else None
+    network = Memory(inputs, with_memory(Head(4, 2, 0.01, 11.0)), state=5, hidden=7, base=base).eval()
+    batch = Batch.of(inputs, network.head, ping, reading).in_runs(ping.run)
+    with torch.no_grad():
+        here = network.log_prob(batch).numpy()
+    there = network.to_model({}).follow(ping, reading).log_prob(reading)
+    np.testing.assert_allclose(here, there[np.argsort(ping.run, kind="stable")], atol=2e-3)
+
+
+def many_units(seed, sensors=60, pings=40):
+    """Sensors that differ by a steady offset of 40 mm, each on a run of its own."""
+    rng = np.random.default_rng(seed)
+    run = np.repeat(np.arange(sensors), pings)
+    ping = Ping.of(rng.uniform(0.3, 3.0, len(run)), run=run, time=np.tile(np.arange(pings) * 0.1, sensors))
+    offset, scatter = 0.04 * rng.normal(size=sensors)[run], 0.01 * rng.normal(size=len(run))
+    return Recording.of(ping, Reading.of(np.rint((ping.distance + offset + scatter) / 0.01) * 0.01))
+
+
+def test_memory_learns_what_a_sensor_keeps_to_itself(tmp_path):
+    settings = Args(tmp_path, tmp_path, epochs=40, hidden=16, state=12, components=2, fixed=0, validation=0.2)
+    gaussian = train(many_units(0), settings).scores["network"].log_likelihood
+    memory = train(many_units(0), replace(settings, law="lstm")).scores["network"].log_likelihood
+    # entropy of a normal in steps of 10 mm: of both scatters together, and of the sensor's own alone
+    before, after = (-0.5 * np.log(2 * np.pi * np.e * var / 0.01**2) for var in (0.04**2 + 0.01**2, 0.01**2))
+    assert gaussian.mean == pytest.approx(before, abs=0.25)
+    assert memory.mean > before + 0.5 * (after - before)
+
+
+def test_memory_gains_nothing_where_there_is_nothing_to_remember(tmp_path):
+    rng = np.random.default_rng(3)
+    run = np.repeat(np.arange(60), 40)
+    ping = Ping.of(rng.uniform(0.3, 3.0, len(run)), run=run, time=np.tile(np.arange(40) * 0.1, 60))
+    independent = Recording.of(ping, simulate(GaussianModel(0.03, 0.0, 0.05, 0.01), ping, rng))
+    settings = Args(tmp_path, tmp_path, epochs=30, hidden=16, state=12, components=2, fixed=0, test=0.3)
+    without = train(independent, settings)
+    base = save_model(without.model, tmp_path / "base")
+    rows = stretches(independent)[0]
+    test = Split.by_group(rows, 0.15, 0.3, np.random.default_rng(0)).test
+    hybrid = train(independent, replace(settings, law="hybrid", base=str(base))).model
+    gain = (follow(hybrid, ping, independent.reading).log_prob(independent.reading)
+            - without.model.law(ping).log_prob(independent.reading))[test]  # fmt: skip
+    assert abs(gain.mean()) < 0.03
 
 
 def test_split_keeps_cells_whole_and_apart():
     rec = recording(pings=5)
-    split = Split.by_cell(rec.cell, 0.15, 0.2, np.random.default_rng(0))
+    split = Split.by_group(rec.cell, 0.15, 0.2, np.random.default_rng(0))
     parts = [split.train, split.validation, split.test]
     assert np.all(np.sum(parts, axis=0) == 1)
     cells = [set(rec.cell[mask]) for mask in parts]
