@@ -63,7 +63,7 @@ class MemorySettings:
     @property
     def places(self) -> Floats:
         """Where the strip on the right is shown, m from the rear axle."""
-        return STEP * np.arange(-round(self.behind / STEP), round(self.ahead / STEP) + 1)
+        return np.arange(-round(self.behind / STEP), round(self.ahead / STEP) + 1) * np.float64(STEP)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -120,7 +120,7 @@ class Memory:
         """
         ranges, echo, ego = (np.asarray(observation[name]) for name in ("ranges", "echo", "ego"))
         credence = np.asarray(observation["credence"]) if self.settings.credence else (echo > 0).astype(np.float32)
-        shown = ranges * MAX_RANGE
+        shown = (ranges * MAX_RANGE).astype(np.float32)
         self._lately[rows, 1:] = self._lately[rows, :-1]
         self._lately[rows, 0] = np.concatenate([2.0 * shown / (shown + NEAR) - 1.0, credence, echo], axis=1)
         self._note_way(rows, ODOMETRY_SPAN[0] * (ego[:, 4] - self._ego[rows, 4]))
@@ -181,7 +181,9 @@ def write(
         weight: of what is known of it, (n, 2, c).
         last: where each sonar wrote last, m along the lane; NaN where it did not, (n, s).
         metres: readings, (r, s).
-        credence, echo, ego: as observed, (r, s), (r, s), (r, 7).
+        credence: as observed, (r, s).
+        echo: as observed, (r, s).
+        ego: as observed, (r, 7).
         mounts: poses of the sonars, (s, 3).
         side: `RIGHT`, `LEFT` or -1 for sonars that look elsewhere, (s,).
     """
@@ -216,7 +218,7 @@ def write(
 @njit(cache=True)
 def between(level: Floats, weight: Floats, place: float) -> tuple[float, float]:
     """Return level and weight at a place between two steps; of the one that is known, where the other is not."""
-    low = int(math.floor(place))
+    low = math.floor(place)
     if low < 0 or low + 1 >= level.shape[0]:
         return 0.0, 0.0
     share = place - low
@@ -236,7 +238,8 @@ def read(
 
     Args:
         rows: which cars, (r,).
-        level, weight: as of `write`.
+        level: as of `write`.
+        weight: as of `write`.
         ego: last observed, (n, 7).
         places: shown, m from the rear axle, (p,).
         coarse: every so many of them on the left.

@@ -46,9 +46,11 @@ class Args:
     """Names or folders of the models to learn with; cars are shared out evenly among them."""
     odometry: tuple[str, ...] = ("exact",)
     """How far off the car's knowledge of its way is: exact, wheels, worn; each with each sonar."""
-    lessons: int = 2500
+    difficulty: tuple[str, ...] = ("normal",)
+    """Of the streets: easy, normal, hard; each with each sonar."""
+    lessons: int = 2000
     """Rounds of imitation, each a decision of every car; 0 to learn by trial alone."""
-    steps: int = 4_000_000
+    steps: int = 3_000_000
     """Steps of 0.1 s of the environments to learn from by trial; 0 for imitation alone."""
     num_envs: int = 256
     """Cars that drive at the same time."""
@@ -79,7 +81,8 @@ class Args:
     @property
     def worlds(self) -> list[World]:
         """The kinds of world that it learns in."""
-        return [{"sonar": sonar, "odometry": odometry} for sonar, odometry in product(self.sonars, self.odometry)]
+        kinds = product(self.sonars, self.odometry, self.difficulty)
+        return [dict(zip(("sonar", "odometry", "difficulty"), kind, strict=True)) for kind in kinds]
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,9 @@ class Trials:
 
     def rows(self, num_envs: int) -> int:
         """Return how many decisions of each car make a step of the optimiser: a divisor of `length`."""
-        return max(k for k in range(1, self.length + 1) if self.length % k == 0 and (k == 1 or k * num_envs <= self.batch))
+        return max(
+            k for k in range(1, self.length + 1) if self.length % k == 0 and (k == 1 or k * num_envs <= self.batch)
+        )
 
 
 def make_model(args: Args, envs: AgentVecEnv, trials: Trials) -> PPO:

@@ -18,9 +18,16 @@ from sonar_gym.sb3 import SonarVecEnv
 Singles = NDArray[np.float32]
 Bits = NDArray[np.bool_]
 World = Mapping[str, Any]
+Infos = list[dict[str, Any]]
 Outcome = tuple[Singles, Singles, Bits, list[dict[str, Any]]]
 CAUTION = 10.0  # most that a memory shows; anything beyond is a fault
 EPISODE = "episode"  # under which Stable-Baselines3 looks for what an episode came to
+
+
+def as_dict(observation: Any) -> dict[str, Singles]:
+    """Return what worlds of several sonars say; Stable-Baselines3 cannot tell that it is a dictionary."""
+    assert isinstance(observation, dict)
+    return observation
 
 
 class Ended(NamedTuple):
@@ -86,19 +93,24 @@ class AgentVecEnv(VecEnv):
     def step_wait(self) -> Outcome:
         """Do it for some steps; a car whose episode ends stands at the next one's beginning for the rest of them."""
         rewards, done = np.zeros(self.num_envs, dtype=np.float32), np.zeros(self.num_envs, dtype=np.bool_)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: Infos = [{} for _ in range(self.num_envs)]
         for _ in range(self.repeat):
             for part, venv in zip(self.parts, self.venvs, strict=True):
                 wanted = np.where(done[part, None], 0.0, self._actions[part])
                 observation, reward, ended, told = venv.step(wanted)
                 rewards[part] += np.where(done[part], 0.0, reward)
                 self._end(part, ended & ~done[part], told, infos)
-                self.memory.see(part, observation)
+                self.memory.see(part, as_dict(observation))
                 done[part] |= ended
         self._count(rewards, done, infos)
         return self.memory.show(self._everyone), rewards, done, infos
 
-    def _end(self, part: NDArray[np.int64], ended: Bits, told: list[dict[str, Any]], infos: list[dict[str, Any]]) -> None:
+    def advance(self, actions: Singles) -> Outcome:
+        """Return `step`, its types known."""
+        self.step_async(actions)
+        return self.step_wait()
+
+    def _end(self, part: NDArray[np.int64], ended: Bits, told: Infos, infos: Infos) -> None:
         """Keep what episodes came to that end now, and clear the memory of their cars."""
         which = np.flatnonzero(ended)
         if not len(which):
@@ -110,7 +122,7 @@ class AgentVecEnv(VecEnv):
             infos[row] = {**told[k], "terminal_observation": shown}
         self.memory.forget(rows)
 
-    def _count(self, rewards: Singles, done: Bits, infos: list[dict[str, Any]]) -> None:
+    def _count(self, rewards: Singles, done: Bits, infos: Infos) -> None:
         self._score += rewards
         self._length += 1
         for i in np.flatnonzero(done):

@@ -16,13 +16,13 @@ from sonar_gym.driver import ParkingDriver
 from sonar_gym.fleet import MAX_STEPS
 from sonar_gym.stepping import COLLISION, PARKED
 from sonar_gym.vector import SonarParkingVectorEnv
+from training.paired import CONFIDENCE
 
 Bits = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Observation = dict[str, Singles]
 TOGETHER = 250  # streets driven at the same time
-CONFIDENCE, NORMAL_95 = 0.95, 1.959964
 SCRIPTED = "scripted"  # name of the driver written by hand
 
 
@@ -40,8 +40,8 @@ class Crew(Protocol):
 class Scripted:
     """The driver written by hand, once a car."""
 
-    def __init__(self, count: int, credence: bool = True) -> None:
-        self._drivers, self._credence = [ParkingDriver() for _ in range(count)], credence
+    def __init__(self, count: int) -> None:
+        self._drivers = [ParkingDriver() for _ in range(count)]
 
     def forget(self, rows: Ints) -> None:
         """Begin episodes with some cars."""
@@ -49,9 +49,7 @@ class Scripted:
             self._drivers[row].reset()
 
     def act(self, observation: Observation, rows: Ints) -> Singles:
-        """Return an action for each of some cars, (r, 2); without credence, every echo is believed."""
-        if not self._credence:
-            observation = observation | {"credence": (observation["echo"] > 0).astype(np.float32)}
+        """Return an action for each of some cars, (r, 2)."""
         each = [{name: value[k] for name, value in observation.items()} for k in range(len(rows))]
         return np.stack([self._drivers[row].act(one) for row, one in zip(rows, each, strict=True)])
 
@@ -125,52 +123,6 @@ class Outcomes:
         """Return several as one."""
         names = ("seeds", "success", "collision", "steps", "score")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-@dataclass(frozen=True)
-class Paired:
-    """Two drivers on the same streets.
-
-    Attributes:
-        first: streets on which only the first succeeded.
-        second: on which only the second did.
-        of: streets in all.
-    """
-
-    first: int
-    second: int
-    of: int
-
-    @classmethod
-    def between(cls, first: Outcomes, second: Outcomes) -> Paired:
-        """Compare successes on the same seeds."""
-        if not np.array_equal(first.seeds, second.seeds):
-            raise SettingError("paired outcomes must be of the same seeds in the same order: evaluate both on them")
-        a, b = first.success, second.success
-        return cls(int((a & ~b).sum()), int((b & ~a).sum()), len(a))
-
-    @property
-    def difference(self) -> float:
-        """Share of successes of the first less that of the second."""
-        return (self.first - self.second) / self.of
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Of the difference at 95 %, with half a street more of each kind (Agresti and Min 2005)."""
-        b, c, n = self.first + 0.5, self.second + 0.5, self.of + 2.0
-        middle = (b - c) / n
-        half = NORMAL_95 * np.sqrt(b + c - (b - c) ** 2 / n) / n
-        return float(max(middle - half, -1.0)), float(min(middle + half, 1.0))
-
-    @property
-    def p_value(self) -> float:
-        """Of no difference: McNemar's test, exact."""
-        changed = self.first + self.second
-        return float(binomtest(self.first, changed).pvalue) if changed else 1.0
-
-    def __str__(self) -> str:
-        low, high = self.interval
-        return f"{100 * self.difference:+.1f} % ({100 * low:+.1f} to {100 * high:+.1f}), p = {self.p_value:.2g}"
 
 
 def evaluate(

@@ -18,7 +18,8 @@ from acquisition.files import write_text
 from sonar_gym.agent import AgentDriver, load_policy
 from sonar_gym.driver import Driver, Episode, ParkingDriver, run_episode
 from training.demo_page import gif
-from training.evaluate import SCRIPTED, Outcomes, Paired, crew_of, evaluate
+from training.evaluate import SCRIPTED, Outcomes, crew_of, evaluate
+from training.paired import Paired
 from training.progress import bars
 
 EVERY = 3  # steps from picture to picture of a film
@@ -85,13 +86,20 @@ def table(args: Args, found: Found) -> Table:
     last = args.seed + args.episodes - 1
     title = f"streets {args.seed} to {last}, {args.difficulty}, odometry {args.odometry}; intervals at 95 %"
     out = Table(title=title)
-    for heading in ("sonar", "agent", "parked", "touched something", "seconds", f"parked less than {args.agent[0]}"):
+    for heading in (
+        "sonar",
+        "agent",
+        "parked",
+        "touched something",
+        "seconds",
+        f"against {Path(args.agent[0]).name}, points",
+    ):
         out.add_column(heading, justify="left" if heading in ("sonar", "agent") else "right")
     for (name, sonar), one in found.items():
         first = found[args.agent[0], sonar]
-        against = "" if one is first else str(Paired.between(first, one))
+        change = "" if one is first else str(Paired.of(first.success, one.success))
         seconds = f"{0.1 * one.steps.mean():.1f}"
-        out.add_row(sonar, name, str(one.successes), str(one.collisions), seconds, against)
+        out.add_row(Path(sonar).name, Path(name).name, str(one.successes), str(one.collisions), seconds, change)
     return out
 
 

@@ -74,7 +74,9 @@ class Comments:
 
 def mean_action(policy: ActorCriticPolicy, shown: torch.Tensor) -> torch.Tensor:
     """Return what a policy would do without chance, (n, 2)."""
-    latent: torch.Tensor = policy.mlp_extractor.forward_actor(policy.extract_features(shown, policy.pi_features_extractor))
+    features = policy.extract_features(shown, policy.pi_features_extractor)
+    assert isinstance(features, torch.Tensor)
+    latent = policy.mlp_extractor.forward_actor(features)
     wanted: torch.Tensor = policy.action_net(latent)
     return wanted
 
@@ -106,7 +108,7 @@ def imitate(
         comments.add(shown, advice)
         with torch.no_grad():
             own = np.clip(mean_action(policy, torch.from_numpy(shown)).numpy(), -1.0, 1.0)
-        shown, _, over, _ = envs.step(np.where(guided[:, None], advice, own).astype(np.float32))
+        shown, _, over, _ = envs.advance(np.where(guided[:, None], advice, own).astype(np.float32))
         share = max(0.0, 1.0 - done / (lessons.guided * lessons.rounds))
         guided[over] = rng.random(int(over.sum())) < share
         adam.param_groups[0]["lr"] = lessons.learning_rate * max(FALL, 1.0 - done / lessons.rounds)
