@@ -130,6 +130,7 @@ def evaluate(
     world: dict[str, Any],
     seeds: Sequence[int],
     tell: Callable[[int, int], None] = lambda done, of: None,
+    pooled: bool = False,
 ) -> Outcomes:
     """Drive one episode on the street of each seed.
 
@@ -138,18 +139,21 @@ def evaluate(
         world: settings of `SonarParkingVectorEnv`.
         seeds: of the streets, and of sonars and odometers.
         tell: called with how many episodes are over, and how many there are.
+        pooled: whether the sonars of all cars are drawn at once, which a rig does faster; what one car hears is then
+            another draw of the same law when it drives alone.
     """
     parts = []
     for begin in range(0, len(seeds), TOGETHER):
         some = list(seeds[begin : begin + TOGETHER])
-        parts.append(_drive(crew(len(some)), world, some, lambda over, b=begin: tell(b + over, len(seeds))))  # type: ignore[misc]
+        parts.append(_drive(crew(len(some)), world, some, pooled, lambda over, b=begin: tell(b + over, len(seeds))))  # type: ignore[misc]
     return Outcomes.joined(parts)
 
 
-def _drive(crew: Crew, world: dict[str, Any], seeds: list[int], tell: Callable[[int], None]) -> Outcomes:
+def _drive(crew: Crew, world: dict[str, Any], seeds: list[int], pooled: bool, tell: Callable[[int], None]) -> Outcomes:
     """Drive some streets at once; cars whose episodes are over are stepped no more, since a rig takes its time."""
     n = len(seeds)
     envs = SonarParkingVectorEnv(n, **world)
+    envs.fleet.sonar.at_once |= pooled
     envs.reset(seed=seeds)
     crew.forget(np.arange(n))
     fleet, score, rows = envs.fleet, np.zeros(n), np.arange(n)

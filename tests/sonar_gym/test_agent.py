@@ -1,6 +1,7 @@
 """Agents as they are saved, loaded and driven; and the one that is shipped."""
 
 import json
+from itertools import pairwise
 
 import gymnasium
 import numpy as np
@@ -19,7 +20,7 @@ def policy(seed=0, repeat=2, **memory):
     rng, sizes = np.random.default_rng(seed), [Memory(1, settings=settings).size, 16, 2]
     layers = [
         (rng.normal(size=(b, a)).astype(np.float32) / np.float32(np.sqrt(a)), rng.normal(size=b).astype(np.float32))
-        for a, b in zip(sizes, sizes[1:], strict=False)
+        for a, b in pairwise(sizes)
     ]
     return Policy(layers, settings, repeat, {"seed": seed}, "# card\n")
 

@@ -146,7 +146,7 @@ def test_command_compares_and_films(tmp_path, whole, capsys):
 
 
 def test_what_cannot_be_evaluated_is_refused(tmp_path, capsys):
-    with pytest.raises(SettingError, match="must end with .gif"):
+    with pytest.raises(SettingError, match=r"must end with \.gif"):
         evaluate_agent.Args(film=tmp_path / "film.mp4")
     with pytest.raises(SystemExit) as stop:
         main(["evaluate-agent", "--agent", "nobody", "--episodes", "1"])
