@@ -25,6 +25,7 @@ COMMANDS = {
     "evaluate-agent": ("training.evaluate_agent", "let agents drive the same streets, and say how often they park"),
     "make-noise": ("training.make_noise", "make the shipped noise models again"),
     "noise-report": ("training.noise_report", "write the page that puts all noise models side by side"),
+    "ship-agent": ("training.ship_agent", "score an agent on unseen streets, and write it out with its card"),
     "transfer": ("training.transfer", "train agents with several sonars, and test all of them in the rig"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
