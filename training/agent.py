@@ -202,8 +202,8 @@ class Training:
         self.model.num_timesteps, self.model._n_updates = int(state["decisions"]), int(state["updates"])
         return True
 
-    def run(self) -> None:
-        """Do the legs that are left, with a checkpoint after each."""
+    def run(self, after: Callable[[], None] = lambda: None) -> None:
+        """Do the legs that are left, with a checkpoint after each, and call `after` then."""
         board = self.args.out / BOARD
         self.model.set_logger(configure(str(board), ["tensorboard"]))
         while self.leg == 0 or self.steps < self.args.steps:
@@ -213,6 +213,7 @@ class Training:
             self._note(time.perf_counter() - begin)
             self.leg += 1
             self._save()
+            after()
 
     def _begin_leg(self) -> None:
         """Begin with streets and chances of the leg's own; Stable-Baselines3 draws from the global generators."""
@@ -279,7 +280,12 @@ class Training:
 
     def policy(self, card: str = "") -> Policy:
         """Return the agent as it is now, for use without torch."""
-        about = {"settings": self.args.settings, "steps": self.steps, "history": self.history}
+        about = {
+            "settings": self.args.settings,
+            "steps": self.steps,
+            "planned": self.args.steps,
+            "history": self.history,
+        }
         return Policy(layers(self.actor_critic), self.memory, self.args.repeat, about, card)
 
 

@@ -47,7 +47,7 @@ def card(name: str, policy: Policy, scores: dict[World, Outcomes], commands: Seq
         cars=settings["num_envs"],
         worlds="\n".join(f"- {part}: {', '.join(settings[part])}" for part in PARTS),
         lessons=settings["lessons"],
-        steps=f"{policy.about['steps']:,}",
+        steps=_steps(policy.about["steps"], policy.about["planned"]),
         imitated=f"{100 * lessons[0]['success']:.1f} %" if lessons else "none",
         course="\n".join(map(_leg, _some(history))),
         seed=settings["seed"],
@@ -56,6 +56,11 @@ def card(name: str, policy: Policy, scores: dict[World, Outcomes], commands: Seq
         last=streets[-1],
         scores="\n".join(_score(*item) for item in scores.items()),
     )
+
+
+def _steps(done: int, planned: int) -> str:
+    ended = f" (and was stopped there, of {planned:,} planned)" if done < planned else ""
+    return f"{done:,} steps of 0.1 s{ended}"
 
 
 def _some(history: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -26,6 +26,7 @@ COMMANDS = {
     "make-noise": ("training.make_noise", "make the shipped noise models again"),
     "noise-report": ("training.noise_report", "write the page that puts all noise models side by side"),
     "ship-agent": ("training.ship_agent", "score an agent on unseen streets, and write it out with its card"),
+    "sweep": ("training.sweep", "train agents of many seeds and settings on Ray Tune, on one machine or many"),
     "transfer": ("training.transfer", "train agents with several sonars, and test all of them in the rig"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),

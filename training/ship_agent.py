@@ -23,7 +23,7 @@ class Args:
     """Folder of a trained agent."""
     out: Path = WEIGHTS / "parking"
     """Folder to write it to, with its card."""
-    sonars: tuple[str, ...] = ("ideal", "gaussian", "srf08-mlp")
+    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
     """Names of the sonars to score it with."""
     odometry: tuple[str, ...] = ("exact", "wheels")
     """Kinds of odometry to score it with."""
@@ -45,7 +45,7 @@ def main(args: Args) -> None:
             world = {"sonar": sonar, "odometry": odometry, "difficulty": difficulty}
             scores[sonar, odometry, difficulty] = evaluate(crew_of(policy), world, seeds)
             tell(k + 1, len(kinds))
-    made_by = command(policy.about["settings"], policy.about["steps"], "run")
+    made_by = command(policy.about["settings"], policy.about["planned"], "run")
     commands = [made_by, f"sonar-gym ship-agent run/agent --out {args.out.name}"]
     replace(policy, card=card(args.out.name, policy, scores, commands)).save(args.out)
     print(f"{args.out}: saved; load it with sonar_gym.agent.load_agent({args.out.name!r})")
