@@ -237,7 +237,8 @@ class LstmModel:
         if seats is None or self._state is None:
             self._state = None
             return
-        rows = np.arange(len(self._state))[np.asarray(seats)]
+        rows = np.flatnonzero(seats) if np.asarray(seats).dtype == bool else np.asarray(seats)
+        rows = rows[rows < len(self._state)]  # who has not pinged yet has nothing to forget
         self._state.put(rows, State.empty(len(rows), self.cell.hidden))
 
     def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> MixtureLaw:
