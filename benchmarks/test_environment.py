@@ -1,12 +1,17 @@
-"""How fast the environment steps, beside highway-env's parking in the same run, and how often the driver parks.
+"""How fast the environment steps, alone and in thousands, beside highway-env's parking in the same run; what it keeps.
 
-Run by `make benchmarks`; prints Markdown for docs/environment.md.
+Run by `make benchmarks`; prints Markdown for docs/environment.md. All pairs are timed in turn, a round of one after a
+round of the other, so that whatever else the machine does falls on both. What runs in one thread is timed by the
+processor, so that waiting for others does not count; OMP_NUM_THREADS=1 keeps the algebra to that thread.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
+import tracemalloc
+from collections.abc import Callable
 
 import gymnasium
 import highway_env
@@ -15,40 +20,119 @@ import pytest
 
 import sonar_gym
 from sonar_gym.driver import ParkingDriver, run_episode
+from sonar_gym.sb3 import SonarVecEnv
+from sonar_gym.vector import SonarParkingVectorEnv, cores
 
 SONARS = ("ideal", "gaussian", "srf08-mlp")
 ROUNDS, STEPS, EPISODES = 12, 100, 100
+MANY, MANY_STEPS, MANY_ROUNDS = 1024, 30, 8
+Clock = Callable[[], float]
+LIDAR = {"observation": {"type": "LidarObservation", "cells": 8, "maximum_range": 6.0}}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def commit() -> None:
+    gymnasium.register_envs(highway_env)
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    print(f"\ncommit {done.stdout.strip()}, command `make benchmarks`\n")
+    load = os.getloadavg()[1] if hasattr(os, "getloadavg") else float("nan")
+    print(f"\ncommit {done.stdout.strip()}, {cores()} processors, load {load:.1f}; `make benchmarks`\n")
 
 
 def seconds(env: gymnasium.Env, steps: int) -> float:
+    """Return the processor time of a step of an environment under random actions, s."""
     env.action_space.seed(0)
     env.reset(seed=0)
-    start = time.perf_counter()
+    start = time.process_time()
     for _ in range(steps):
         _, _, terminated, truncated, _ = env.step(env.action_space.sample())
         if terminated or truncated:
             env.reset()
-    return time.perf_counter() - start
+    return (time.process_time() - start) / steps
+
+
+def paired(env: gymnasium.Env, peer: gymnasium.Env, steps: int, peer_steps: int) -> np.ndarray:
+    """Return times of a step of both, round by round, s, (ROUNDS, 2)."""
+    seconds(env, 20), seconds(peer, 5)
+    return np.array([(seconds(env, steps), seconds(peer, peer_steps)) for _ in range(ROUNDS)])
 
 
 def test_steps_beside_highway_env() -> None:
-    gymnasium.register_envs(highway_env)
+    peer, lidar = gymnasium.make("parking-v0"), gymnasium.make("parking-v0", config=LIDAR)
+    print(
+        "| sonar | steps a second | times highway-env parking-v0 | times parking-v0 with its lidar |\n|---|---|---|---|"
+    )
+    for name in SONARS:
+        env = gymnasium.make(sonar_gym.ENV_ID, sonar=name)
+        plain, seen = (paired(env, other, STEPS, STEPS // 5) for other in (peer, lidar))
+        ratio, with_lidar = (np.median(pairs[:, 1] / pairs[:, 0]) for pairs in (plain, seen))
+        print(f"| {name} | {1 / np.median(plain[:, 0]):.0f} | {ratio:.1f} | {with_lidar:.1f} |")
+        assert ratio > 1.0
+
+
+def seconds_of_many(envs: SonarParkingVectorEnv | SonarVecEnv, actions: np.ndarray, clock: Clock) -> float:
+    """Return the time of a step of one environment among many, s."""
+    start = clock()
+    for action in actions:
+        envs.step(action)
+    return (clock() - start) / actions[..., 0].size
+
+
+def test_steps_of_many() -> None:
     peer = gymnasium.make("parking-v0")
-    envs = {name: gymnasium.make(sonar_gym.ENV_ID, sonar=name) for name in SONARS}
-    for env in (peer, *envs.values()):
-        seconds(env, 20)
-    print("| sonar | steps a second, median | times highway-env parking-v0, median of paired rounds |\n|---|---|---|")
-    peer_steps = STEPS // 4
-    for name, env in envs.items():
-        pairs = np.array([(seconds(env, STEPS) / STEPS, seconds(peer, peer_steps) / peer_steps) for _ in range(ROUNDS)])
-        print(f"| {name} | {1 / np.median(pairs[:, 0]):.0f} | {np.median(pairs[:, 1] / pairs[:, 0]):.1f} |")
-        assert np.median(pairs[:, 1] / pairs[:, 0]) > 1.0
+    rng = np.random.default_rng(0)
+    actions = rng.uniform([-0.6, -0.8], [0.6, 1.0], (MANY_STEPS, MANY, 2)).astype(np.float32)
+    print(f"\n| sonar, {MANY} at once | threads, clock | steps a second, median | best round | times parking-v0 |")
+    print("|---|---|---|---|---|")
+    for name in SONARS:
+        for threads, clock in ((1, time.process_time), (cores(), time.perf_counter)):
+            envs = SonarParkingVectorEnv(MANY, sonar=name, threads=threads)
+            envs.reset(seed=0), seconds_of_many(envs, actions[:5], clock)
+            pairs = np.array([(seconds_of_many(envs, actions, clock), seconds(peer, 10)) for _ in range(MANY_ROUNDS)])
+            envs.close()
+            median, best = 1 / np.median(pairs[:, 0]), 1 / pairs[:, 0].min()
+            ratio = np.median(pairs[:, 1] / pairs[:, 0])
+            print(f"| {name} | {threads}, {clock.__name__} | {median:.0f} | {best:.0f} | {ratio:.0f} |")
+            assert ratio > 10.0
+
+
+def test_steps_of_stable_baselines() -> None:
+    rng = np.random.default_rng(0)
+    print("\n| sonar, `SonarVecEnv` | environments | steps a second, median | best round |\n|---|---|---|---|")
+    for name in ("ideal", "srf08-mlp"):
+        for count in (16, 64, 256):
+            envs = SonarVecEnv(count, sonar=name, threads=1)
+            actions = rng.uniform([-0.6, -0.8], [0.6, 1.0], (8192 // count, count, 2)).astype(np.float32)
+            envs.reset(), seconds_of_many(envs, actions[:5], time.process_time)
+            times = [seconds_of_many(envs, actions, time.process_time) for _ in range(MANY_ROUNDS)]
+            envs.close()
+            print(f"| {name} | {count} | {1 / np.median(times):.0f} | {1 / np.min(times):.0f} |")
+            assert np.median(times) < 1e-3
+
+
+def test_memory_of_an_environment() -> None:
+    print("\n| sonar, layout | kB an environment |\n|---|---|")
+    for name, layout in (("ideal", "eight"), ("srf08-mlp", "eight"), ("gaussian", "eight in turn")):
+        kept = []
+        for count in (64, 64 + MANY):
+            tracemalloc.start()
+            envs = SonarParkingVectorEnv(count, sonar=name, sonar_layout=layout, threads=1)
+            envs.reset(seed=0), envs.step(np.zeros((count, 2)))
+            kept.append(tracemalloc.get_traced_memory()[0])
+            tracemalloc.stop()
+            envs.close()
+        each = (kept[1] - kept[0]) / MANY / 1000
+        print(f"| {name}, {layout} | {each:.1f} |")
+        assert each < 20.0
+
+
+@pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
+def test_what_the_wrapper_adds_to_parking(sonar: str) -> None:
+    bare, wrapped = gymnasium.make("parking-v0"), sonar_gym.HighwaySonar(gymnasium.make("parking-v0"), sonar)
+    pairs = paired(wrapped, bare, STEPS // 5, STEPS // 5)
+    added = np.median(pairs[:, 0] / pairs[:, 1]) - 1.0
+    bare_ms = 1e3 * np.median(pairs[:, 1])
+    print(f"\n`HighwaySonar(parking-v0, {sonar!r})` adds {100 * added:.0f} % to a step of {bare_ms:.1f} ms")
+    assert added < 1.0
 
 
 def test_how_often_the_driver_parks() -> None:

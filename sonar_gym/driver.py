@@ -16,25 +16,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import SettingError
-from sonar_gym.mounts import LAYOUTS, Mount, in_world, mount_arrays
+from sonar_gym.fusion import StreetFilter
+from sonar_gym.mounts import LAYOUTS, Mount
 from sonar_gym.parking import MAX_RANGE, ODOMETRY_SPAN
-from sonar_gym.survey import Space, clearance, lane_heading, spaces
+from sonar_gym.survey import Perception, Survey
 from sonar_gym.vehicle import CarSettings
 
 Floats = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 NEEDED = ("left", "right front", "right rear", "rear", "front")
-ARC_MARGIN = 1.1  # arcs are this much wider than the tightest turn, which leaves room to correct
-LEAST_SPACE = 0.68  # m; two arcs of this car need 0.65 m
-REAR_ROOM = 0.11  # m left behind the parked car
-KERB_ROOM = 0.07  # m left beside it
-DEPTH = 0.35  # m from the boxes' faces to the kerb, where the kerb gave no echo
-LEAST_CREDENCE = 0.2  # a reading less credible is treated as none
+ARC_MARGIN = 1.05  # arcs are this much wider than the tightest turn, which leaves room to correct
+LEAST_SPACE = 0.68  # m
+ARCS_NEED = 0.69  # m of a space, by two arcs of this car; half of what is more is left behind it
+REAR_ROOM = (0.03, 0.11)  # m, least and greatest
+KERB_ROOM = 0.10  # m left beside it
 CRUISE, CREEP = 0.30, 0.15  # m/s
 END_OF_STREET = 0.35  # m; a wall so near ahead ends the search
 END_READINGS = 5  # in a row that must say so
-STOP_SHORT = 0.05  # m; nearest that anything may come at either end
+STOP_SHORT = 0.03  # m; nearest that anything may come at either end
+STAND, LEG = 4, 12  # steps; a car that stands tells whether it is parked
+LEAD = 0.03  # m; wheels take 0.2 s from one lock to the other
 STIFFNESS, DAMPING = 16.0, 8.0  # 1/m^2, 1/m; errors off the path die out within 0.25 m
+PERCEPTIONS: dict[str, type[Survey] | type[StreetFilter]] = {"survey": Survey, "fusion": StreetFilter}
+
+
+def perceiving(given: str | Perception, mounts: Sequence[Mount], max_range: float) -> Perception:
+    """Return a perception by name, or as it is."""
+    if not isinstance(given, str):
+        return given
+    if given not in PERCEPTIONS:
+        raise SettingError(f"perception {given!r}: no such kind; expected {', '.join(PERCEPTIONS)}")
+    return PERCEPTIONS[given](mounts, max_range)
 
 
 class Driver(Protocol):
@@ -112,6 +124,7 @@ class ParkingDriver:
             rear are used.
         car: its measures.
         max_range: what a range of 1 in the observation stands for, m.
+        perception: "survey" takes readings as they are, "fusion" weighs each by its credence; or one of your own.
     """
 
     def __init__(
@@ -119,105 +132,67 @@ class ParkingDriver:
         mounts: Sequence[Mount] = LAYOUTS["eight"],
         car: CarSettings | None = None,
         max_range: float = MAX_RANGE,
+        perception: str | Perception = "survey",
     ) -> None:
-        self.index = {mount.name: i for i, mount in enumerate(mounts)}
-        missing = [name for name in NEEDED if name not in self.index]
+        names = [mount.name for mount in mounts]
+        missing = [name for name in NEEDED if name not in names]
         if missing:
-            raise SettingError(f"ParkingDriver needs a sonar called {missing[0]!r}; the layout has {list(self.index)}")
+            raise SettingError(f"ParkingDriver needs a sonar called {missing[0]!r}; the layout has {names}")
         self.car = car or CarSettings()
         self.max_range = max_range
-        self._poses, self._half = mount_arrays(mounts)
+        self.perception = perceiving(perception, mounts, max_range)
         self.reset()
 
     def reset(self) -> None:
         """Forget the last episode."""
         self.phase = Phase.SEARCH
-        self.lane = 0.0  # heading of the lane in odometry's frame, rad
         self.plan: Plan | None = None
-        self.space: Space | None = None
-        self.kerb: float = -np.inf
         self.turns = 0
-        self._track: list[Floats] = []
-        self._heard: list[Floats] = []
+        self._blocked = 0
+        self.perception.reset()
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return steering and speed wanted, as shares of the greatest."""
         ego = np.asarray(observation["ego"], dtype=np.float64)
         odometry = np.array([ego[4] * ODOMETRY_SPAN[0], ego[5] * ODOMETRY_SPAN[1], np.arctan2(ego[3], ego[2])])
-        trusted = (observation["echo"] > 0.5) & (observation["credence"] >= LEAST_CREDENCE)
-        readings = np.where(trusted, observation["ranges"] * self.max_range, self.max_range).astype(np.float64)
-        steering, speed = self._decide(odometry, readings)
+        reading = np.asarray(observation["ranges"], dtype=np.float64) * self.max_range
+        self.perception.look(odometry, reading, np.where(observation["echo"] > 0.5, observation["credence"], 0.0))
+        steering, speed = self._decide(self.perception.pose)
         action = [steering / self.car.max_steering, speed / self.car.max_speed]
         return np.clip(np.array(action, dtype=np.float32), -1.0, 1.0)
 
-    def _decide(self, odometry: Floats, readings: Floats) -> tuple[float, float]:
-        if self.phase is Phase.SEARCH:
-            self._survey(odometry, readings)
-        pose = self.in_lane(odometry)
+    def _decide(self, pose: Floats) -> tuple[float, float]:
         if self.phase is Phase.SEARCH:
             return self._search(pose)
         if self.phase is Phase.ALIGN:
             return self._align(pose)
         if self.phase is Phase.BACK:
-            return self._back(pose, readings)
-        return self._forth(pose, readings) if self.phase is Phase.FORTH else (0.0, 0.0)
-
-    def in_lane(self, pose: Floats) -> Floats:
-        """Return poses of odometry's frame in the lane's, (..., 3)."""
-        c, s = np.cos(self.lane), np.sin(self.lane)
-        x, y, heading = pose[..., 0], pose[..., 1], pose[..., 2]
-        return np.stack([c * x + s * y, c * y - s * x, heading - self.lane], axis=-1)
+            return self._back(pose)
+        return self._forth(pose) if self.phase is Phase.FORTH else (0.0, 0.0)
 
     # ---- search ------------------------------------------------------------------------------------------------------
 
-    def _survey(self, odometry: Floats, readings: Floats) -> None:
-        """Keep where every sonar was and what it read, and fit the lane to the wall on the left."""
-        self._track.append(in_world(self._poses, odometry))
-        self._heard.append(readings)
-        left = self.index["left"]
-        track, heard = np.array(self._track)[:, left], np.array(self._heard)[:, left]
-        echo = heard < self.max_range
-        self.lane = lane_heading(track[echo, 0], track[echo, 1], heard[echo])
-
-    def _profile(self, name: str) -> tuple[Floats, Floats]:
-        """Return where a sonar was in the lane's frame and what it read: (n, 3), (n,)."""
-        i = self.index[name]
-        return self.in_lane(np.array(self._track)[:, i]), np.array(self._heard)[:, i]
-
     def _search(self, pose: Floats) -> tuple[float, float]:
-        along, heard = self._profile("right front")
-        found = [s for s in spaces(along[:, 0], heard, self._half[self.index["right front"]]) if s.length > LEAST_SPACE]
+        found = [space for space in self.perception.spaces() if space.length > LEAST_SPACE]
+        self._blocked = self._blocked + 1 if self.perception.room("front") < END_OF_STREET else 0
         if found and np.isfinite(found[0].end):
-            self._choose(found[0], pose)
-        elif np.all(self._profile("front")[1][-END_READINGS:] < END_OF_STREET) and len(self._track) > END_READINGS:
+            self.perception.choose(found[0])
+            self.plan = self._planned(self.perception.pose[1])
+            self.phase = Phase.ALIGN
+        elif self._blocked >= END_READINGS:
             self.phase = Phase.DONE  # the street ends and no space was long enough
         return self._keep_lane(pose), CRUISE
 
-    def _choose(self, space: Space, pose: Floats) -> None:
-        """Plan two arcs into a space; its beginning is the mean of what both sonars on the right say."""
-        rear, heard = self._profile("right rear")
-        again = spaces(rear[:, 0], heard, self._half[self.index["right rear"]])
-        close = [s.begin for s in again if abs(s.begin - space.begin) < 0.1]
-        self.space = Space(float(np.mean([space.begin, *close])), space.end)
-        self.kerb = self._kerb_y(self.space)
-        goal = np.array([self.space.begin + self.car.rear_overhang + REAR_ROOM, self._goal_y(), 0.0])
-        self.plan = Plan.to(goal, pose[1], ARC_MARGIN * self.car.turning_radius)
-        self.phase = Phase.ALIGN
+    def _planned(self, lane_y: float) -> Plan:
+        """Plan two arcs from the lane into the space, as it is known now."""
+        space = self.perception.space
+        assert space is not None
+        room = float(np.clip(0.5 * (space.length - ARCS_NEED), *REAR_ROOM))
+        goal = np.array([space.begin + self.car.rear_overhang + room, self._goal_y(), 0.0])
+        return Plan.to(goal, lane_y, ARC_MARGIN * self.car.turning_radius)
 
     def _goal_y(self) -> float:
-        return self.kerb + KERB_ROOM + 0.5 * self.car.width
-
-    def _kerb_y(self, space: Space) -> float:
-        """Return where the kerb lies: the sonars on the right read it from the middle of the space."""
-        face, kerb = [], []
-        for name in ("right front", "right rear"):
-            where, heard = self._profile(name)
-            inside = (where[:, 0] > space.begin + 0.3) & (where[:, 0] < space.end - 0.3) & (heard < 1.0)
-            kerb.extend(where[inside, 1] - heard[inside])
-            face.append(float(np.median(where[:, 1])) - clearance(heard))
-        expected = float(np.mean(face)) - DEPTH
-        seen = [y for y in kerb if abs(y - expected) < 0.08]
-        return float(np.median(seen)) if seen else expected
+        return self.perception.kerb + KERB_ROOM + 0.5 * self.car.width
 
     def _keep_lane(self, pose: Floats) -> float:
         return float(np.arctan(self.car.wheelbase * (-STIFFNESS * pose[1] - DAMPING * pose[2])))
@@ -226,34 +201,34 @@ class ParkingDriver:
 
     def _align(self, pose: Floats) -> tuple[float, float]:
         assert self.plan is not None
+        self.plan = self._planned(pose[1])  # from the lane as it is really kept
         rest = self.plan.ready[0] - pose[0]
         if abs(rest) < 0.015:
-            goal = self.plan.pose(np.array([self.plan.length]))[0]
-            self.plan = Plan.to(goal, pose[1], self.plan.radius)  # from the lane as it was really kept
             self.phase = Phase.BACK
             return 0.0, 0.0
         return self._keep_lane(pose) if rest > 0 else 0.0, float(np.clip(2.0 * rest, -CREEP, CRUISE))
 
-    def _back(self, pose: Floats, readings: Floats) -> tuple[float, float]:
+    def _back(self, pose: Floats) -> tuple[float, float]:
         """Follow the arcs backwards; the way off them and the turn off theirs are steered away."""
         assert self.plan is not None
+        self.plan = self._planned(float(self.plan.ready[1]))
         gone = self.plan.nearest(pose)
         rest = self.plan.length - gone
-        if rest < 0.01 or (rest < 0.3 and readings[self.index["rear"]] < STOP_SHORT):
+        if rest < 0.01 or (rest < 0.3 and self.perception.room("rear") < STOP_SHORT):
             self.phase = Phase.FORTH
             return 0.0, 0.0
         ref = self.plan.pose(np.array([gone]))[0]
         dx, dy = pose[0] - ref[0], pose[1] - ref[1]
         off, turned = np.cos(ref[2]) * dy - np.sin(ref[2]) * dx, pose[2] - ref[2]
-        bend = self.plan.curvature(gone) + STIFFNESS * off - DAMPING * turned
+        bend = self.plan.curvature(gone + LEAD) + STIFFNESS * off - DAMPING * turned
         return float(-np.arctan(self.car.wheelbase * bend)), -min(CREEP, 0.04 + rest)
 
-    def _forth(self, pose: Floats, readings: Floats) -> tuple[float, float]:
-        """Stand; if that is not well parked, straighten forwards and backwards in what room there is."""
+    def _forth(self, pose: Floats) -> tuple[float, float]:
+        """Stand; if that is not well parked, straighten forwards and backwards in what room there is; stand again."""
+        leg, turn = divmod(self.turns, STAND + LEG)
         self.turns += 1
-        forwards = (self.turns // 12) % 2 == 1
-        near = readings[self.index["front" if forwards else "rear"]] < STOP_SHORT + 0.02
-        if self.turns < 12 or near:
+        forwards = leg % 2 == 0
+        if turn < STAND or self.perception.room("front" if forwards else "rear") < STOP_SHORT + 0.02:
             return 0.0, 0.0
         bend = -STIFFNESS * (pose[1] - self._goal_y()) - DAMPING * pose[2]
         steering = float(np.arctan(self.car.wheelbase * bend))

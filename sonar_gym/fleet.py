@@ -17,17 +17,18 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from acquisition import Ping, Reading, SettingError
+from acquisition import Ping, SettingError
 from sonar_gym import stepping
 from sonar_gym.mounts import Layout, layout, mount_arrays, timing_array
 from sonar_gym.odometry import Odometer, OdometryChoice
 from sonar_gym.odometry import odometry as odometry_settings
 from sonar_gym.prior import street_credence
-from sonar_gym.scene import EMPTY_M, Hits
-from sonar_gym.sonar import Heard, Sonar, SonarChoice, resolve, sonar_spaces
+from sonar_gym.scene import EMPTY_M
+from sonar_gym.sonar import Sonar, SonarChoice, resolve, sonar_spaces
 from sonar_gym.stepping import Rules, Worlds
 from sonar_gym.street import BEHIND, Goal, Street, StreetSettings, arc_table, draw_street, street_of, street_settings
-from sonar_gym.vehicle import Car, CarSettings
+from sonar_gym.vehicle import CarSettings
+from sonar_gym.world import World
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -333,65 +334,3 @@ class Fleet:
     def world(self, row: int) -> World:
         """Return one world as a picture wants it."""
         return World(self, row)
-
-
-class World:
-    """One world of a fleet, as it is now.
-
-    Args:
-        fleet: it belongs to.
-        row: its number.
-    """
-
-    def __init__(self, fleet: Fleet, row: int) -> None:
-        self.fleet, self.worlds, self.row = fleet, fleet.worlds, row
-        self.mounts, self.sonar_name, self.car_settings = fleet.mounts, fleet.sonar_name, fleet.car_settings
-
-    @property
-    def street(self) -> Street:
-        """The street of this episode."""
-        street = self.fleet.streets[self.row]
-        assert street is not None
-        return street
-
-    @property
-    def car(self) -> Car:
-        """The car."""
-        return Car(self.car_settings, self.worlds.car[self.row].copy())
-
-    @property
-    def steps(self) -> int:
-        """Taken since the episode began; -1 before the first."""
-        return int(self.worlds.steps[self.row])
-
-    @property
-    def hits(self) -> Hits:
-        """What the pings met whose readings are shown."""
-        ping = self.worlds.shown[self.row].T.copy()
-        thing = ping[stepping.THING].astype(np.int64)
-        point = ping[[stepping.X, stepping.Y]].T.copy()
-        distance, bearing, incidence, reflectance = ping[: stepping.THING]
-        return Hits(distance, bearing, incidence, reflectance, thing >= 0, thing, point)
-
-    @property
-    def heard(self) -> Heard:
-        """What is shown of the sonars."""
-        ping = self.worlds.shown[self.row].T
-        reading = Reading(ping[stepping.RANGE].copy(), ping[stepping.STATUS].astype(np.uint8))
-        credence = self.worlds.credence[self.row].astype(np.float64)
-        return Heard(reading, credence, ping[stepping.GIVEN_CONDITION].copy())
-
-    @property
-    def parked(self) -> bool:
-        """Whether the car stands in the gap."""
-        return bool(self.worlds.ended[self.row, stepping.PARKED])
-
-    @property
-    def collision(self) -> bool:
-        """Whether it touches anything."""
-        return bool(self.worlds.ended[self.row, stepping.COLLISION])
-
-    @property
-    def left_street(self) -> bool:
-        """Whether it has left by the open end."""
-        return bool(self.worlds.ended[self.row, stepping.LEFT_STREET])

@@ -36,15 +36,20 @@ def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def nearest_in_wedge(x1: float, y1: float, x2: float, y2: float, half: float) -> tuple[float, float, bool]:
-    """Return the point of a segment nearest to the origin among those within +-half rad of the x axis.
+def nearest_in_wedge(
+    x1: float, y1: float, x2: float, y2: float, cosine: float, sine: float
+) -> tuple[float, float, bool]:
+    """Return the point of a segment nearest to the origin among those within a wedge about the x axis.
 
     A wedge below half a turn is convex, so the segment's part inside is one piece, and the nearest point of a piece
-    is the foot of the perpendicular, clamped to it.
+    is the foot of the perpendicular, clamped to it. Cosine and sine are those of half the wedge's opening angle.
     """
-    s, c = math.sin(half), math.cos(half)
-    low, high = clip_half_plane(s * x1 - c * y1, s * x2 - c * y2, 0.0, 1.0)
-    low, high = clip_half_plane(s * x1 + c * y1, s * x2 + c * y2, low, high)
+    left1, left2 = sine * x1 - cosine * y1, sine * x2 - cosine * y2
+    right1, right2 = sine * x1 + cosine * y1, sine * x2 + cosine * y2
+    if (left1 < 0.0 and left2 < 0.0) or (right1 < 0.0 and right2 < 0.0):
+        return 0.0, 0.0, False  # most are passed over here, without a division
+    low, high = clip_half_plane(left1, left2, 0.0, 1.0)
+    low, high = clip_half_plane(right1, right2, low, high)
     if low > high:
         return 0.0, 0.0, False
     dx, dy = x2 - x1, y2 - y1
@@ -55,12 +60,10 @@ def nearest_in_wedge(x1: float, y1: float, x2: float, y2: float, half: float) ->
 
 
 @njit(cache=True)
-def incidence_at(x: float, y: float, dx: float, dy: float) -> float:
-    """Return the angle between the ray to (x, y) and the normal of a face along (dx, dy), 0 to pi/2."""
-    scale = math.hypot(x, y) * math.hypot(dx, dy)
-    if scale == 0.0:
-        return 0.0
-    return math.acos(min(1.0, abs(x * dy - y * dx) / scale))
+def squareness(x: float, y: float, dx: float, dy: float) -> float:
+    """Return the cosine of the angle between the ray to (x, y) and the normal of a face along (dx, dy), 0 to 1."""
+    scale = math.sqrt((x * x + y * y) * (dx * dx + dy * dy))
+    return min(1.0, abs(x * dy - y * dx) / scale) if scale > 0.0 else 1.0
 
 
 @njit(cache=True)
@@ -75,24 +78,25 @@ def cast_cone(
     x: float, y: float, heading: float, half: float, segments: Floats, limit: float
 ) -> tuple[float, float, float, int, float, float]:
     """Find the nearest point of any segment within one cone; see `cast_cones`. Faces wholly behind are passed over."""
-    best, bearing, incidence, index, at_x, at_y = limit, 0.0, 0.0, NOTHING, x, y
-    c, s = math.cos(heading), math.sin(heading)
+    best, square, index, at_x, at_y = limit, 0.0, NOTHING, 0.0, 0.0
+    c, s, cosine, sine = math.cos(heading), math.sin(heading), math.cos(half), math.sin(half)
     for k in range(segments.shape[0]):
         ax, ay, bx, by = segments[k, 0] - x, segments[k, 1] - y, segments[k, 2] - x, segments[k, 3] - y
         x1, x2 = c * ax + s * ay, c * bx + s * by
         if (x1 < 0.0 and x2 < 0.0) or (x1 > best + TIE and x2 > best + TIE):
             continue
         y1, y2 = c * ay - s * ax, c * by - s * bx
-        px, py, inside = nearest_in_wedge(x1, y1, x2, y2, half)
+        px, py, inside = nearest_in_wedge(x1, y1, x2, y2, cosine, sine)
         away = math.sqrt(px * px + py * py)
         if not inside or away > best + TIE or away > limit:
             continue
-        met = incidence_at(px, py, x2 - x1, y2 - y1)
-        if away < best - TIE or index == NOTHING or met < incidence:
-            best, incidence, index = away, met, k
-            at_x, at_y = x + c * px - s * py, y + s * px + c * py
-            bearing = math.atan2(py, px) if away > TIE else 0.0  # on the face itself no direction is left
-    return best, bearing, incidence, index, at_x, at_y
+        met = squareness(px, py, x2 - x1, y2 - y1)
+        if away < best - TIE or index == NOTHING or met > square:
+            best, square, index, at_x, at_y = away, met, k, px, py
+    if index == NOTHING:
+        return limit, 0.0, 0.0, NOTHING, x, y
+    bearing = math.atan2(at_y, at_x) if best > TIE else 0.0  # on the face itself no direction is left
+    return best, bearing, math.acos(square), index, x + c * at_x - s * at_y, y + s * at_x + c * at_y
 
 
 @njit(cache=True)

@@ -12,12 +12,13 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
-from sonar_gym.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights, World
+from sonar_gym.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
 from sonar_gym.mounts import Layout, Mount
 from sonar_gym.odometry import OdometryChoice
 from sonar_gym.sonar import SonarChoice
 from sonar_gym.street import Street, StreetSettings
 from sonar_gym.vehicle import Car, CarSettings
+from sonar_gym.world import World
 
 __all__ = ["MAX_RANGE", "MAX_STEPS", "ODOMETRY_SPAN", "STEP_S", "RewardWeights", "SonarParkingEnv"]
 ONE = np.zeros(1, dtype=np.int64)  # the rows of a fleet of one
@@ -58,6 +59,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     | `ranges` | (n,) | reading over the maximum range of 3.01 m, 0 to 1; 1 without an echo |
     | `credence` | (n,) | P(reading within 10 % of the truth), given the reading alone; 0 without an echo |
     | `echo` | (n,) | 1 echo, 0 silence, -1 no answer (a dead wire) |
+    | `age` | (n,) | time since the ping that the reading answers, s, at most 1 |
     | `ego` | (7,) | what wheel encoder, gyro and clock tell, see below |
 
     `ego`: speed and steering angle as shares of the greatest; cosine and sine of the turn since the start; metres gone
@@ -70,27 +72,49 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     ## Starting State
 
-    The car stands at the beginning of its lane, up to 30 mm and 3 deg off it. Number, length and reflectance of boxes,
-    number and length of spaces are drawn anew (`StreetSettings`).
+    The car stands at the beginning of its lane, some millimetres and degrees off it. Number, length, reflectance and
+    texture of boxes, number and length of spaces are drawn anew (`StreetSettings`).
 
     ## Episode End
 
     Terminated: the car stands in the gap (`info["is_success"]`): slower than 0.03 m/s, within 10 deg of the kerb's
     direction, no more than 20 mm over the strip's line; or it touched something (`info["collision"]`), or left the
-    street by the open end behind it. Truncated after 400 steps (40 s) when made by `gymnasium.make`.
+    street by the open end behind it (`info["left_street"]`). Truncated after 400 steps (40 s) when made by
+    `gymnasium.make`.
+
+    ## Information
+
+    `info` holds what a car cannot know. Of the ping that each reading answers, each (n,): `distance` (m; 3.01 where the
+    cone is empty), `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause`, the reading's, by number of
+    `env.unwrapped.causes`; `credence_given_condition`, unless the model can only be drawn from. Of the car:
+    `is_success`, `collision`, `left_street`, `reward_terms`.
 
     ## Arguments
 
+    ```python
+    gymnasium.make("SonarParking-v0", sonar="srf08-mlp", sonar_layout="eight in turn", difficulty="hard")
+    ```
+
     - `sonar`: "ideal" (default), "gaussian", another name of `noise.model_names()`, the path of a saved model, or a
       `SonarModel`.
-    - `sonar_layout`: "eight" (default), "four", or a list of `Mount` or mappings of their fields.
-    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields.
+    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never together, and
+      readings come in 20 ms later), "four", or a list of `Mount` or mappings of their fields: place, cone, period,
+      phase and latency.
+    - `difficulty`: "easy", "normal" (default) or "hard": how tight the gap is, how many spaces are too short, how dark
+      boxes are, how far off the car starts.
+    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields; those of
+      a street take the place of the difficulty's.
     - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: how far off
       what `ego` tells of the way gone is.
     - `render_mode`: None, "rgb_array" or "human".
 
-    `info` holds what a car cannot know, each (n,): `distance` (m; 3.01 where the cone is empty), `bearing`,
-    `incidence` (rad), `reflectance`, `in_cone`, and `credence_given_condition`.
+    `reset(options=...)` fixes what is not to be drawn: `difficulty`; `street`, a mapping of fields of `StreetSettings`
+    or a `Street`; `boxes`, a list of mappings of `begin`, `length` and, where wanted, `recess`, `reflectance`,
+    `texture_deg`; `start`, the car's x, y, heading in m, m, rad.
+
+    ## Version History
+
+    - v0: the first.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 - as Gymnasium
@@ -126,6 +150,11 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     def street(self) -> Street:
         """The street of this episode."""
         return self.world.street
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes of readings, by number: those of the scene, then the model's own faults."""
+        return self.fleet.causes
 
     @property
     def mounts(self) -> tuple[Mount, ...]:

@@ -13,7 +13,7 @@ from sonar_gym.mounts import in_world, mount_arrays
 from sonar_gym.painting import Brush, Camera, Place
 
 if TYPE_CHECKING:
-    from sonar_gym.fleet import World
+    from sonar_gym.world import World
 
 WIDTH, HEIGHT = 1000, 660  # px
 HEAD, FOOT = 54, 176  # px above and below the view
@@ -23,6 +23,7 @@ DETAIL = 2  # drawn twice as large and reduced, which smooths edges
 WHEEL = (0.075, 0.032)  # m
 SILENT_CONE = 0.35  # m; how far an empty cone is drawn
 BAR_SPAN = 1.5  # m at the end of a bar in the panel
+UNTOLD = ("target", "empty", "no answer")  # causes that go without saying
 
 
 class Renderer:
@@ -221,6 +222,15 @@ def _readings(brush: Brush, camera: Camera, env: World) -> None:
         if echo:
             brush.ring(said, 7.5, paint.INK, 3.5)
             brush.ring(said, 7.0, colour, 2.5)
+        if echo and not seen:
+            _cross(brush, said, colour)
+
+
+def _cross(brush: Brush, place: Place, colour: paint.Colour) -> None:
+    """Strike out a ghost: a reading of what is not there."""
+    for ink, width in ((paint.INK, 3.5), (colour, 2.5)):
+        for turn in (1, -1):
+            brush.line([(place[0] - 5, place[1] - 5 * turn), (place[0] + 5, place[1] + 5 * turn)], ink, width)
 
 
 # ---- words and numbers -----------------------------------------------------------------------------------------------
@@ -282,7 +292,7 @@ def _bars(brush: Brush, env: World, top: float) -> None:
 
 
 def _bar(brush: Brush, env: World, i: int, name: str, x: float, y: float) -> None:
-    heard, hits, start, span = env.heard, env.hits, x + 88, 150.0
+    heard, hits, start, span = env.heard, env.hits, x + 88, 120.0
     brush.text(name, (x, y), 14)
     brush.panel(start, y - 5, span, 10, paint.HAIRLINE, 5)
     if heard.reading.echo[i]:
@@ -295,6 +305,8 @@ def _bar(brush: Brush, env: World, i: int, name: str, x: float, y: float) -> Non
     if hits.seen[i]:
         at = start + min(hits.distance[i] / BAR_SPAN, 1.0) * span
         brush.line([(at, y - 8), (at, y + 8)], paint.INK, 2)
+    if env.causes[i] not in UNTOLD:
+        brush.text(env.causes[i], (start + span + 68, y), 14, paint.BAD)
 
 
 def _legend(brush: Brush, top: float) -> None:
@@ -304,13 +316,16 @@ def _legend(brush: Brush, top: float) -> None:
         brush.panel(x + 1.6 * k, top + 20, 2.0, 10, paint.credence_colour(k / 99))
     for share in (0.0, 0.5, 1.0):
         brush.text(f"{share:g}", (x + 160 * share, top + 40), 13, paint.FAINT, at="c")
-    brush.ring((x + 8, top + 64), 7.0, paint.CREDENCE[2], 2.5)
-    brush.text("reading (bar below, ring above)", (x + 24, top + 64), 14)
-    brush.disc((x + 8, top + 86), 4.0, paint.INK)
-    brush.disc((x + 8, top + 86), 2.8, paint.TRUTH)
-    brush.text("truth (tick below, dot above)", (x + 24, top + 86), 14)
+    brush.ring((x + 8, top + 56), 7.0, paint.CREDENCE[2], 2.5)
+    brush.text("reading (bar below, ring above)", (x + 24, top + 56), 14)
+    brush.disc((x + 8, top + 73), 4.0, paint.INK)
+    brush.disc((x + 8, top + 73), 2.8, paint.TRUTH)
+    brush.text("truth (tick below, dot above)", (x + 24, top + 73), 14)
+    brush.ring((x + 8, top + 90), 7.0, paint.CREDENCE[0], 2.5)
+    _cross(brush, (x + 8, top + 90), paint.CREDENCE[0])
+    brush.text("ghost: nothing is there", (x + 24, top + 90), 14)
+    brush.polygon([(x + 190, top + 97), (x + 184, top + 84), (x + 196, top + 84)], paint.FAINT)
+    brush.text("no echo", (x + 204, top + 90), 14)
     brush.panel(x, top + 100, 8, 14, paint.DARK_BOX)
     brush.panel(x + 8, top + 100, 8, 14, paint.LIGHT_BOX)
     brush.text("boxes by reflectance", (x + 24, top + 107), 14)
-    brush.polygon([(x + 182, top + 114), (x + 176, top + 101), (x + 188, top + 101)], paint.FAINT)
-    brush.text("no echo", (x + 196, top + 107), 14)

@@ -1,15 +1,20 @@
 """What the driver makes of its sonars on the way: how the lane lies, where the boxes end, where the kerb is.
 
-Everything is told in odometry's frame: metres along and left of the first heading, at the rear axle.
+`Survey` takes readings as they are, and odometry for the truth; `sonar_gym.fusion` does better. Both tell of the lane's
+frame: metres along the lane and left of it, from where the rear axle stood first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
+
+from sonar_gym.mounts import Mount, in_world, mount_arrays
 
 Floats = NDArray[np.float64]
 JUMP = 0.12  # m; a space is where a side sonar reads this much more than beside the boxes
@@ -17,6 +22,8 @@ WINDOW = 5  # readings; the running median that takes single wrong readings out
 LEAST_RUN = 3  # readings; a shorter run of near or far is taken for a fault
 HEADING_SPREAD = 0.03  # rad; how far off the lane the car may have been set down
 READING_SPREAD = 0.02  # m; of a wall's distance, roughly
+LEAST_CREDENCE = 0.2  # a reading less credible is treated as none
+DEPTH = 0.35  # m from the boxes' faces to the kerb, where the kerb gave no echo
 
 
 @dataclass(frozen=True)
@@ -34,6 +41,135 @@ class Space:
     def length(self) -> float:
         """How long it is, m."""
         return self.end - self.begin
+
+
+class Perception(Protocol):
+    """What a driver knows of the street.
+
+    Attributes:
+        pose: of the rear axle in the lane's frame: m, m, rad, (3,).
+        space: the one that was chosen, as it is known by now.
+        kerb: where it lies beside that space, y in m.
+    """
+
+    @property
+    def pose(self) -> Floats:
+        """Where the car is."""
+        ...
+
+    @property
+    def space(self) -> Space | None:
+        """The space that was chosen."""
+        ...
+
+    @property
+    def kerb(self) -> float:
+        """Where the kerb lies."""
+        ...
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        ...
+
+    def look(self, odometry: Floats, reading: Floats, credence: Floats) -> None:
+        """Take in a step: pose since the start, (3,); readings, m, and their credence, 0 without an echo, (n,)."""
+        ...
+
+    def spaces(self) -> list[Space]:
+        """Return the spaces that were passed so far, the last perhaps without its end."""
+        ...
+
+    def choose(self, space: Space) -> None:
+        """Take a space to park in."""
+        ...
+
+    def room(self, name: str) -> float:
+        """Return how far a sonar sees, m."""
+        ...
+
+
+class Survey:
+    """Odometry for the truth, and a running median against wrong readings.
+
+    Args:
+        mounts: the sonars, in the order of the observation.
+        max_range: what stands for silence, m.
+    """
+
+    def __init__(self, mounts: Sequence[Mount], max_range: float) -> None:
+        self.index = {mount.name: i for i, mount in enumerate(mounts)}
+        self.max_range = max_range
+        self._poses, self._half = mount_arrays(mounts)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.lane = 0.0  # heading of the lane in odometry's frame, rad
+        self.space: Space | None = None
+        self.kerb = -np.inf
+        self._odometry = np.zeros(3)
+        self._track: list[Floats] = []
+        self._heard: list[Floats] = []
+
+    @property
+    def pose(self) -> Floats:
+        """Where the car is in the lane's frame."""
+        return self._in_lane(self._odometry)
+
+    def look(self, odometry: Floats, reading: Floats, credence: Floats) -> None:
+        """Keep where every sonar was and what it read, and fit the lane to the wall on the left."""
+        self._odometry = odometry
+        self._now = np.where(credence >= LEAST_CREDENCE, reading, self.max_range)
+        if self.space is not None:
+            return
+        self._track.append(in_world(self._poses, odometry))
+        self._heard.append(self._now)
+        left = self.index["left"]
+        track, heard = np.array(self._track)[:, left], np.array(self._heard)[:, left]
+        echo = heard < self.max_range
+        self.lane = lane_heading(track[echo, 0], track[echo, 1], heard[echo])
+
+    def _in_lane(self, pose: Floats) -> Floats:
+        """Return poses of odometry's frame in the lane's, (..., 3)."""
+        c, s = np.cos(self.lane), np.sin(self.lane)
+        x, y, heading = pose[..., 0], pose[..., 1], pose[..., 2]
+        return np.stack([c * x + s * y, c * y - s * x, heading - self.lane], axis=-1)
+
+    def _profile(self, name: str) -> tuple[Floats, Floats]:
+        """Return where a sonar was in the lane's frame and what it read: (n, 3), (n,)."""
+        i = self.index[name]
+        return self._in_lane(np.array(self._track)[:, i]), np.array(self._heard)[:, i]
+
+    def _seen_by(self, name: str) -> list[Space]:
+        where, heard = self._profile(name)
+        return spaces(where[:, 0], heard, self._half[self.index[name]])
+
+    def spaces(self) -> list[Space]:
+        """Return what the foremost sonar on the right has passed."""
+        return self._seen_by("right front")
+
+    def choose(self, space: Space) -> None:
+        """Take a space; its beginning is the mean of what both sonars on the right say."""
+        again = self._seen_by("right rear")
+        close = [s.begin for s in again if abs(s.begin - space.begin) < 0.1]
+        self.space = Space(float(np.mean([space.begin, *close])), space.end)
+        self.kerb = self._kerb_y(self.space)
+
+    def _kerb_y(self, space: Space) -> float:
+        """Return where the kerb lies: the sonars on the right read it from the middle of the space."""
+        face, kerb = [], []
+        for name in ("right front", "right rear"):
+            where, heard = self._profile(name)
+            inside = (where[:, 0] > space.begin + 0.3) & (where[:, 0] < space.end - 0.3) & (heard < 1.0)
+            kerb.extend(where[inside, 1] - heard[inside])
+            face.append(float(np.median(where[:, 1])) - clearance(heard))
+        expected = float(np.mean(face)) - DEPTH
+        seen = [y for y in kerb if abs(y - expected) < 0.08]
+        return float(np.median(seen)) if seen else expected
+
+    def room(self, name: str) -> float:
+        """Return what a sonar reads now, m."""
+        return float(self._now[self.index[name]])
 
 
 def lane_heading(x: Floats, y: Floats, wall: Floats) -> float:

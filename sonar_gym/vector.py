@@ -111,6 +111,11 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         """Generator of each environment's streets."""
         return tuple(self._stream(i) for i in range(self.num_envs))
 
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes of readings, by number, as of `SonarParkingEnv`."""
+        return self.fleet.causes
+
     def _stream(self, i: int, seed: int | None = None) -> np.random.Generator:
         """Return an environment's generator, begun anew where a seed is given, and where there is none yet."""
         stream = self._streams[i]

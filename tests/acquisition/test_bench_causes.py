@@ -24,18 +24,7 @@ from acquisition.bench import (
 from acquisition.bench.arrivals import OTHER
 from acquisition.bench.wire import Link
 
-STILL = Setup(
-    gain=31,
-    drift_c=0.0,
-    scintillation_db=0.0,
-    jitter_m=0.0,
-    placement_m=0.0,
-    placement_deg=0.0,
-    tilt_deg=0.0,
-    post=None,
-    output="us",
-    room=Room(None, None, None),
-)
+STILL = Setup.still(gain=31, output="us")
 QUIET = replace(Unit.nominal(), noise=0.0, leak_db=-300.0)
 WALL = replace(STILL, reflector=Wall())
 
@@ -93,12 +82,13 @@ def test_hum_lets_faint_echoes_through_at_its_own_time():
 
 
 def test_sagging_reference_hears_near_things_early():
-    """Near the threshold a lower reference trips earlier, far away no longer: up to some periods, none after 10 tau."""
-    ping = Ping.of([0.5, 1.0, 5.0], time=2.4 * np.arange(3))
+    """Near, a lower reference trips earlier, by some periods; far away, after 10 tau, no longer."""
+    ping = Ping.of([*np.linspace(0.4, 1.2, 20), 5.0], time=2.4 * np.arange(21))
     setup, unit = replace(WALL, gain=11), replace(QUIET, sensitivity_db=2.0)
     plain, sagging = (first(replace(unit, sag=sag, sag_tau_s=3e-3), setup, ping) for sag in (0.0, 0.8))
-    assert sagging[0] <= plain[0] - 22.0
-    assert sagging[2] == plain[2]
+    assert (sagging[:20] <= plain[:20] + 1.0).all()
+    assert np.mean(sagging[:20] <= plain[:20] - 22.0) > 0.2
+    assert sagging[20] == plain[20]
 
 
 def test_spill_hears_what_stands_beside():
@@ -244,6 +234,27 @@ def test_a_flat_post_is_loud_while_it_faces():
     assert min(turned[1:]) > turned[0] + 3.0
     with pytest.raises(SettingError, match=r"Post\.profile must be round, square or flat, got 'oval'"):
         Post(profile="oval")
+
+
+def test_thick_air_takes_the_same_from_every_metre():
+    """1 dB/m more: 4 dB from a wall at 2 m, 8 dB from one at 4 m; and nothing of when it is heard."""
+    thick = replace(WALL, extra_absorption_db=1.0)
+    for distance in (2.0, 4.0):
+        ping = Ping.of(distance)
+        assert needed(thick, ping) - needed(WALL, ping) == pytest.approx(2.0 * distance, abs=0.15)
+    loud = replace(QUIET, sensitivity_db=QUIET.sensitivity_db + 4.0)
+    assert first(loud, thick, Ping.of(2.0)) == pytest.approx(first(QUIET, WALL, Ping.of(2.0)), abs=1.0)
+
+
+def test_rough_face_is_heard_from_all_sides_and_no_mirror_ahead():
+    """At 1 m and a roughness of 3 mm: no mirror echo, and at 30 degrees as loud as ahead but for Lambert's cosines."""
+    smooth, rough = (replace(STILL, reflector=MIRROR, roughness_m=r) for r in (0.0, 3e-3))
+    ahead, aside = Ping.of(1.0, 0.0, 0.0), Ping.of(1.0, 0.0, np.deg2rad(30.0))
+    assert needed(smooth, aside) - needed(smooth, ahead) > 30.0
+    assert needed(rough, aside) - needed(rough, ahead) < 8.0
+    assert needed(rough, ahead) - needed(smooth, ahead) > 6.0
+    barely = replace(smooth, roughness_m=0.1e-3)
+    assert needed(barely, ahead) - needed(smooth, ahead) == pytest.approx(0.1, abs=0.25)
 
 
 def test_humidity_wanders_with_the_air():

@@ -10,7 +10,7 @@ from sonar_gym.driver import ParkingDriver, Plan, run_episode
 from sonar_gym.mounts import LAYOUTS
 from sonar_gym.parking import MAX_RANGE
 from sonar_gym.scene import Box, Scene
-from sonar_gym.survey import clearance, lane_heading, runs, spaces
+from sonar_gym.survey import Survey, clearance, lane_heading, runs, spaces
 from sonar_gym.vehicle import CarSettings
 
 HALF = np.radians(27.5)
@@ -162,3 +162,10 @@ def test_driver_of_another_car_plans_wider_arcs():
     env = gymnasium.make("SonarParking-v0", car={"max_steering": wide.max_steering}, street={"gap": [1.2, 1.3]})
     parked = [run_episode(env, ParkingDriver(car=wide), seed).success for seed in range(5)]
     assert np.mean(parked) >= 0.8
+
+
+def test_perception_by_name_and_one_s_own():
+    with pytest.raises(SettingError, match="perception 'radar': no such kind; expected survey, fusion"):
+        ParkingDriver(perception="radar")
+    own = Survey(LAYOUTS["eight"], MAX_RANGE)
+    assert ParkingDriver(perception=own).perception is own

@@ -4,8 +4,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-from noise import GaussianModel
+from acquisition import Reading
+from noise import GaussianModel, IdealModel
 from sonar_gym import painting as paint
+from sonar_gym import rendering
 from sonar_gym.painting import Camera, credence_colour
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -63,3 +65,24 @@ def test_human_mode_shows_a_window_and_returns_nothing(monkeypatch):
     env.step(np.zeros(2, dtype=np.float32))
     assert env.unwrapped.render() is None
     env.close()
+
+
+class Haunted(IdealModel):
+    """Reads half a metre whatever is there."""
+
+    def law(self, ping, past=None):
+        law = super().law(ping, past)
+        law.sample = lambda rng: Reading.of(np.full(len(ping), 0.5))
+        return law
+
+
+def test_ghosts_are_struck_out_and_named(monkeypatch):
+    nose = {"name": "nose", "x": 0.36, "y": 0.0, "heading_deg": 0.0, "cone_deg": 10.0}
+    side = {"name": "side", "x": 0.0, "y": -0.1, "heading_deg": -90.0}
+    env = gymnasium.make("SonarParking-v0", render_mode="rgb_array", sonar=Haunted(), sonar_layout=[nose, side])
+    env.reset(options={"boxes": [{"begin": 3.0, "length": 0.3}, {"begin": 4.2, "length": 0.3}]})
+    assert env.unwrapped.world.causes == ("ghost", "target")  # the street's end is beyond the nose's reach
+    crosses, draw = [], rendering._cross
+    monkeypatch.setattr(rendering, "_cross", lambda *given: crosses.append(given) or draw(*given))
+    env.render()
+    assert len(crosses) == 2  # the nose's, and that of the legend

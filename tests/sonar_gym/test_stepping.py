@@ -48,6 +48,7 @@ def test_off_the_lane_the_cost_is_that_of_the_refracted_way():
     assert cost - on_it == pytest.approx(0.1 * math.sqrt(3.0**2 - 1.0), abs=1e-12)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.1, 1.0), st.floats(0.0, 0.5))
 def test_every_ping_of_a_period_is_fired_once_and_in_time(period, phase):
     fired = []
@@ -83,6 +84,7 @@ def test_each_reading_has_its_cause(status, said, true, fault, cause):
     assert stepping.cause_of(fault, status, thing, said, distance) == cause
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.0, 4.0))
 def test_credence_is_looked_up_in_the_bin_that_a_search_finds(said):
     edges = np.linspace(0.0, 3.3, 101)
