@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from acquisition.drivers.devantech import COMMAND, ECHOES, GAIN, METRES, RANGE, STEP, Devantech, Output, check
+from acquisition.drivers.devantech import COMMAND, ECHOES, GAIN, METRES, RANGE, STEP, Devantech, Output, check, command
 
 LIGHT = 1
 ANN: dict[Output, int] = {"inch": 0x53, "cm": 0x54, "us": 0x55}
@@ -83,8 +83,7 @@ class Srf08(Adjustable):
             NoAnswerError: as `ping`.
         """
         self.write(RANGE, 255)
-        self.write(COMMAND, ANN[self.output])
-        self.expect_busy()
+        command([self], lambda: self.write(COMMAND, ANN[self.output]))
         self.sleep(256 * STEP)
         self.await_end()
         first = self.counts()[0]
