@@ -24,18 +24,7 @@ from acquisition.bench import (
 from acquisition.bench.arrivals import OTHER
 from acquisition.bench.wire import Link
 
-STILL = Setup(
-    gain=31,
-    drift_c=0.0,
-    scintillation_db=0.0,
-    jitter_m=0.0,
-    placement_m=0.0,
-    placement_deg=0.0,
-    tilt_deg=0.0,
-    post=None,
-    output="us",
-    room=Room(None, None, None),
-)
+STILL = Setup.still(gain=31, output="us")
 QUIET = replace(Unit.nominal(), noise=0.0, leak_db=-300.0)
 WALL = replace(STILL, reflector=Wall())
 

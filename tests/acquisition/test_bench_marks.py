@@ -6,22 +6,10 @@ import numpy as np
 import pytest
 
 from acquisition import EchoStatus, Ping
-from acquisition.bench import MIRROR, Bus, Rig, Room, Setup, Unit, Wall
+from acquisition.bench import MIRROR, Bus, Rig, Setup, Unit, Wall
 from acquisition.bench.air import sound_speed
 
-STILL = Setup(
-    gain=31,
-    drift_c=0.0,
-    scintillation_db=0.0,
-    jitter_m=0.0,
-    placement_m=0.0,
-    placement_deg=0.0,
-    tilt_deg=0.0,
-    post=None,
-    output="us",
-    range_register=255,
-    room=Room(None, None, None),
-)
+STILL = Setup.still(gain=31, output="us", range_register=255)
 WALL = replace(STILL, reflector=Wall())
 QUIET = replace(Unit.nominal(), noise=0.0, leak_db=-300.0, sensitivity_db=20.0)
 US_PER_M = 2e6 / float(sound_speed(19.0, 50.0))

@@ -9,7 +9,6 @@ from acquisition.bench import (
     MIRROR,
     RUBBER,
     Disc,
-    Room,
     Setup,
     Unit,
     Wall,
@@ -38,7 +37,7 @@ WAVELENGTH = SPEED / 40e3
 BARE = replace(
     Unit.nominal(), radius=1e-6, baseline=0.0, noise=0.0, hysteresis=0.0, rail=1e9, leak_db=-300.0, sensitivity_db=0.0
 )
-EMPTY = Setup(post=None, room=Room(None, None, None))
+EMPTY = Setup.still()
 AIR = Air(np.array([19.0]), np.array([SPEED]), np.array([0.0]))
 
 

@@ -80,6 +80,7 @@ def test_wild_steps_of_many_are_clipped_or_refused(mode):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
 @pytest.mark.parametrize("layout", ["eight", "eight in turn"])
 def test_100000_wild_steps_are_clipped_or_refused(sonar, layout):
@@ -88,6 +89,7 @@ def test_100000_wild_steps_are_clipped_or_refused(sonar, layout):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("sonar", ["ideal", "srf08-mlp"])
 def test_100000_wild_steps_of_many_are_clipped_or_refused(sonar):
     assert torment_many(gymnasium.make_vec(sonar_gym.ENV_ID, num_envs=64, sonar=sonar), 1600) > 50
@@ -140,6 +142,7 @@ def test_many_with_a_sonar_that_can_only_be_drawn_from_say_what_each_says_alone(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_the_rig_is_driven_by():
     env = gymnasium.make(sonar_gym.ENV_ID, sonar="rig")
     torment(env, 300)
