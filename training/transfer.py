@@ -49,9 +49,9 @@ class Args:
     """Folder of recordings, diagnosis, agents and scores; what is in it already is not done again."""
     seeds: int = 3
     """Agents trained with each sonar."""
-    episodes: int = 50
+    episodes: int = 30
     """Streets that each agent drives in each world; the same for all."""
-    lessons: int = 600
+    lessons: int = 500
     """Rounds of imitation of each agent."""
     steps: int = 0
     """Steps of trial of each agent, after imitation."""
