@@ -7,6 +7,7 @@ processor, so that waiting for others does not count; OMP_NUM_THREADS=1 keeps th
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
 import tracemalloc
@@ -33,7 +34,8 @@ LIDAR = {"observation": {"type": "LidarObservation", "cells": 8, "maximum_range"
 def commit() -> None:
     gymnasium.register_envs(highway_env)
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    print(f"\ncommit {done.stdout.strip()}, command `make benchmarks`, {cores()} processors\n")
+    load = os.getloadavg()[1] if hasattr(os, "getloadavg") else float("nan")
+    print(f"\ncommit {done.stdout.strip()}, {cores()} processors, load {load:.1f}; `make benchmarks`\n")
 
 
 def seconds(env: gymnasium.Env, steps: int) -> float:

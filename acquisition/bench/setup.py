@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from acquisition.bench.air import Gradient
-from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour
+from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour, Reverberation
 from acquisition.bench.shapes import Shape
 from acquisition.errors import SettingError
 
@@ -108,6 +108,9 @@ class Bus:
                 raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability a ping")
 
 
+SCATTER = ("drift_c", "scintillation_db", "jitter_m", "placement_m", "placement_deg", "tilt_deg")
+
+
 @dataclass(frozen=True)
 class Setup:
     """Everything about a recording that is not the unit; the defaults are the laboratory of Esmi (2016).
@@ -141,6 +144,7 @@ class Setup:
         movers: what moves or is moved: people, furniture.
         neighbour: another sonar at work, several, or none.
         ambient: noise that comes and goes, or none.
+        reverberation: what the room keeps of this burst and those before, or none.
         hum: the mains in the sensor's supply, or none.
         bus: how the wire fails.
     """
@@ -174,6 +178,7 @@ class Setup:
     movers: tuple[Mover, ...] = ()
     neighbour: Neighbour | tuple[Neighbour, ...] | None = None
     ambient: Ambient | None = None
+    reverberation: Reverberation | None = None
     hum: Hum | None = None
     bus: Bus = field(default_factory=Bus)
 
@@ -205,6 +210,12 @@ class Setup:
             "humidity_drift_pct": uniform(0.0, 5.0),
         }
         return cls(**{**drawn, **fixed})
+
+    @classmethod
+    def still(cls, **fixed: Any) -> Setup:
+        """Return a laboratory that holds a sensor and a reflector, and where nothing wanders, flutters or scatters."""
+        nothing = dict.fromkeys(SCATTER, 0.0)
+        return cls(**{**nothing, "post": None, "room": Room(None, None, None), **fixed})
 
     def after_reset(self) -> Setup:
         """Return the settings of a sensor whose supply broke down: full gain and range."""

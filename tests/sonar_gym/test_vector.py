@@ -1,5 +1,6 @@
 """The vector environment: step by step what single environments say, in Gymnasium's own vector of them."""
 
+import inspect
 import subprocess
 import sys
 import warnings
@@ -7,8 +8,11 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.passive_env_checker import check_action_space, check_obs, check_observation_space
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
 import sonar_gym
 from acquisition import Ping, SettingError
@@ -18,6 +22,8 @@ from noise.inputs import Inputs
 from noise.mixture import Head
 from noise.networks import MlpModel
 from noise.recurrent import ANCHORS, LINKS, Cell, LstmModel
+from sonar_gym.parking import SonarParkingEnv
+from sonar_gym.sb3 import one_of
 from sonar_gym.vector import SonarParkingVectorEnv
 
 MODES = list(AutoresetMode)
@@ -186,6 +192,52 @@ def test_it_is_a_vector_environment_without_a_warning():
         envs.close()
 
 
+class First(gymnasium.Env):
+    """A vector environment of one, seen as a single environment."""
+
+    metadata = SonarParkingVectorEnv.metadata
+
+    def __init__(self, sonar):
+        self.envs = native(1, AutoresetMode.DISABLED, sonar=sonar)
+        self.observation_space, self.action_space = self.envs.single_observation_space, self.envs.single_action_space
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        observation, info = self.envs.reset(seed=seed, options=options)
+        return {key: value[0] for key, value in observation.items()}, one_of(info, 0)
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.envs.step(action[None])
+        first = {key: value[0] for key, value in observation.items()}
+        return first, float(reward[0]), bool(terminated[0]), bool(truncated[0]), one_of(info, 0)
+
+    def close(self):
+        self.envs.close()
+
+
+@pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
+def test_checkers_have_no_complaint_of_one_among_the_vector(sonar):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(First(sonar), skip_render_check=True)
+        check_for_sb3(First(sonar))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_gymnasium_s_checks_of_spaces_and_observations_hold_for_all(mode):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        envs = native(5, mode, sonar="gaussian", difficulty="hard")
+        check_observation_space(envs.observation_space)
+        check_action_space(envs.action_space)
+        check_obs(envs.reset(seed=0)[0], envs.observation_space, "reset")
+        for actions in wild(5, 60):
+            observation, _, terminated, truncated, _ = envs.step(actions)
+            check_obs(observation, envs.observation_space, "step")
+            if mode is AutoresetMode.DISABLED and np.any(terminated | truncated):
+                envs.reset(options={"reset_mask": terminated | truncated})
+
+
 def test_seeds_are_seed_plus_i_or_those_given():
     envs = native(3, sonar="gaussian")
     envs.reset(seed=4)
@@ -292,3 +344,21 @@ def test_learned_sonar_is_drawn_for_all_at_once():
     envs = native(4, sonar="srf08-mlp")
     assert isinstance(envs.unwrapped.fleet.sonar.model, MlpModel)
     assert envs.unwrapped.fleet.sonar.at_once
+
+
+def test_a_window_shows_one_of_them(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    envs = native(2, render_mode="human", pictured=[1])
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"render\(\) before the first reset"):
+        envs.render()
+    envs.reset(seed=0)
+    assert envs.render() is None
+    assert list(envs.unwrapped._renderers) == [1]
+    envs.close()
+    assert not envs.unwrapped._renderers
+
+
+def test_whatever_the_single_environment_takes_the_vector_takes():
+    single, many = (inspect.signature(cls).parameters for cls in (SonarParkingEnv, SonarParkingVectorEnv))
+    assert set(single) <= set(many)
+    assert all(single[name].default == many[name].default for name in single)
