@@ -2,8 +2,9 @@
 
 A scan of regions says whether something is left and where; its statistics say little of how much, since no block counts
 for more than one. Here boosted trees try to tell the residuals of cells that they have not seen from what is known
-before a ping: from conditions (what a law of the place has wrong) and from the readings before it (what a law of memory
-has wrong). What they gain over the residuals' own distribution can be held against what the explanation gained.
+before a ping: from conditions (what a law of the place has wrong) and from the reading before the target was moved
+(what a law of memory has wrong). What they gain over the residuals' own distribution can be held against what the
+explanation gained.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ FOLDS = 5
 LEAST_BLOCKS = 20
 LEAST_CHANCE = 0.02
 SURE_T = 2.5  # standard errors beyond which a gain is more than chance; ours
+ELSEWHERE_M = 0.05  # between two cells, for the last reading of one to tell of a memory in the other; ours
 REACH_M = 0.5  # beyond which it no longer matters how far off the last reading was; ours
 
 
@@ -75,9 +77,10 @@ def remainder(stack: Stack, batch: Batch, rng: np.random.Generator) -> Remainder
     place = np.stack(list(features(batch).values()), axis=1) if features(batch) else np.zeros((len(batch), 1))
     # all pings of a cell share its offset: of its place, they are one witness
     once = 1.0 / np.bincount(batch.block)[batch.block]
+    before, elsewhere = _memory(batch, law.quantile(0.5))
     both = (
         _gained(place, alone, once, batch, "conditions"),
-        _gained(_memory(batch, law.quantile(0.5), own), own, np.ones(len(batch)), batch, "memory"),
+        _gained(before, np.where(elsewhere, own, np.nan), np.ones(len(batch)), batch, "memory"),
     )
     return max(both, key=lambda each: each.nats)
 
@@ -89,11 +92,15 @@ def _given_earlier(stack: Stack, batch: Batch, rng: np.random.Generator) -> Floa
     return mixed(sequential(whole, cells, batch), bank_weights(whole, cells, batch), batch.reading, rng)
 
 
-def _memory(batch: Batch, middle: Floats, own: Floats) -> Floats:
-    """Return what was known before each ping: how far the last reading was off, the last residual, how many before."""
-    off = np.where(batch.past.echo, np.clip(batch.past.range - middle, -REACH_M, REACH_M), np.nan)
-    last = np.where(batch.count > 0, np.r_[np.nan, own[:-1]], np.nan)
-    return np.stack([off, last, np.minimum(batch.count, 5), batch.past.echo, batch.ping.distance], axis=1)
+def _memory(batch: Batch, middle: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return what a cell could remember of the one before, (n, 3), and where that was another place, (n,).
+
+    How readings of one cell hang together is no business of this: air flutters, and does so otherwise every day.
+    """
+    first = batch.first
+    off = np.clip(batch.past.range[first] - middle[first], -REACH_M, REACH_M)
+    elsewhere = batch.past.echo[first] & (np.abs(off) > ELSEWHERE_M)
+    return np.stack([off, np.minimum(batch.count, 8), batch.ping.distance], axis=1), elsewhere
 
 
 def _gained(x: Floats, u: Floats, weight: Floats, batch: Batch, of: str) -> Remainder:
@@ -101,6 +108,8 @@ def _gained(x: Floats, u: Floats, weight: Floats, batch: Batch, of: str) -> Rema
     rows = np.flatnonzero(~np.isnan(u))
     x, weight, block = x[rows], weight[rows], batch.block[rows]
     label = np.minimum((u[rows] * CLASSES).astype(np.int64), CLASSES - 1)
+    if len(np.unique(block)) < LEAST_BLOCKS:
+        return Remainder(0.0, 0.0, of, batch.blocks)
     gain = np.zeros(len(rows))
     with threadpool_limits(1):  # threads of so small a task wait for each other, for minutes where a machine is busy
         for train, test in GroupKFold(FOLDS, shuffle=True, random_state=0).split(x, label, block):
