@@ -227,11 +227,11 @@ def _draw(axes: Axes, found: pd.DataFrame, world: str) -> None:
             )  # fmt: skip
             each = 100 * one.groupby("seed")[name].mean().to_numpy()
             axes.plot(np.full(len(each), x + 2 * shift), each, ".", color=colour, alpha=0.5, markersize=4)
-    axes.set_xticks(range(len(ARMS)), ARMS)
-    axes.set_ylim(-3, 103)
+    axes.set_xticks(range(len(ARMS)), ARMS, rotation=25, ha="right", rotation_mode="anchor")
+    axes.set_ylim(-3, 118)
     axes.set_title(WORLDS[world])
     axes.set_ylabel("of episodes, %", color=INK)
-    axes.legend(loc="center left")
+    axes.legend(loc="upper left", ncols=2)
 
 
 def main(args: Args) -> None:

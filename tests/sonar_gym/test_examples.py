@@ -25,3 +25,10 @@ def test_gif_is_written_whole(tmp_path, monkeypatch, capsys):
     assert "parked: True" in capsys.readouterr().out
     assert iio.imread(path).shape[1:3] == (660, 1000)
     assert [p.name for p in tmp_path.iterdir()] == ["parking.gif"]
+
+
+@pytest.mark.slow
+def test_an_agent_learns_on_highway_env_with_sonars():
+    before, after = runpy.run_path(str(EXAMPLES / "train_highway.py"))["main"](3000)
+    won = after - before
+    assert won.mean() > 2.0 * won.std(ddof=1) / len(won) ** 0.5
