@@ -36,6 +36,7 @@ LIMITS = {
     "reading_mm": (0.0, 1_700_000.0),  # whatever 16 bits can say, in inches too: a wire may set any of them
 }
 MM, DEG = 1e-3, np.pi / 180.0
+ENOUGH_VALUES = 12  # different readings that keep to an unusual step before it is believed; ours
 
 
 @dataclass(frozen=True)
@@ -252,19 +253,52 @@ class Recording:
 
     @cached_property
     def resolution(self) -> float:
-        """Grid on which readings lie, m: the coarsest of the usual steps that divides them all, else 1 mm.
+        """Grid on which readings lie, m: the coarsest step that divides them all, else 1 mm.
 
-        Checked steps: 10 mm (cm output), 25.4 mm (inch output), 1 mm. A finer output is treated in 1 mm bins.
+        The usual steps are 10 mm (cm output) and 25.4 mm (inch output); any other is found where many different
+        readings keep to it. A finer output is treated in 1 mm bins.
         """
-        echo_mm = self.reading.range[self.reading.echo] / MM
+        echo_mm = np.unique(self.reading.range[self.reading.echo] / MM)
         for step in (25.4, 10.0):
-            if len(echo_mm) and np.all(np.abs(echo_mm / step - np.rint(echo_mm / step)) * step < 0.051):
+            if len(echo_mm) and on_grid(echo_mm, step, 0.051):
                 return step * MM
-        return MM
+        return (unusual_step(echo_mm) or 1.0) * MM
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as CSV, atomically: the file is there whole or not at all."""
         return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
+
+
+def on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
+    """Tell whether values are multiples of a step, within a tolerance."""
+    return bool(np.all(np.abs(value - np.rint(value / step) * step) < tolerance))
+
+
+def unusual_step(value: NDArray[np.float64]) -> float | None:
+    """Return the step of which all of many sorted different values, mm, are multiples; None where there is none.
+
+    Whole millimetres may have been rounded to after the step was taken: a little more than half of one is allowed then.
+    """
+    if len(value) < ENOUGH_VALUES:
+        return None
+    rounded = on_grid(value, 1.0, 1e-6)
+    least, tolerance = (10.0, 0.6) if rounded else (2.0, 0.051)
+    gaps = np.diff(value)
+    gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # of neighbours on the grid; rounding errors cancel
+    for step in (_refined(value, gap / share) for share in (1, 2, 3) if gap / share >= least - tolerance):
+        if step >= least and on_grid(value, step, tolerance):
+            return step
+    return None
+
+
+def _refined(value: NDArray[np.float64], step: float) -> float:
+    """Return a step that fits ever greater multiples of it, each of them near enough to count from the one before."""
+    product = square = 0.0
+    for each in value:
+        count = np.rint(each / step)
+        product, square = product + count * each, square + count**2
+        step = product / square if square > 0 else step
+    return float(step)
 
 
 def _is_complete_number(column: pd.Series) -> bool:

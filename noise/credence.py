@@ -17,7 +17,7 @@ from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel
 
 DEG = np.pi / 180.0
-REPEATS = 4  # draws of each ping of a prior where a law knows no probabilities
+DRAWS = 3000  # of a prior's pings, at least one of each, where a law knows no probabilities
 
 
 @dataclass(frozen=True)
@@ -105,18 +105,18 @@ class CredenceTable:
 
     @classmethod
     def counted(cls, law: EchoLaw, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
-        """Tabulate the credence of a law that can only be drawn from, by counting `REPEATS` draws of each ping.
+        """Tabulate the credence of a law that can only be drawn from, by counting some `DRAWS` draws of its pings.
 
         Always the same draws; with c of them in a bin, a credence p is off by about sqrt(p (1 - p)/c).
         """
         right, total = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
-        rng = np.random.default_rng(REPEATS)
-        for _ in range(REPEATS):
+        rng, repeats = np.random.default_rng(DRAWS), max(1, DRAWS // len(law))
+        for _ in range(repeats):
             reading = law.sample(rng)
             within = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance * (1 + 1e-9))
             total += np.histogram(reading.range[reading.echo], edges)[0]
             right += np.histogram(reading.range[within], edges)[0]
-        return cls(edges, _ratio(right, total), total / (REPEATS * len(law)))
+        return cls(edges, _ratio(right, total), total / (repeats * len(law)))
 
     def mixed(self, other: CredenceTable, weight: float) -> CredenceTable:
         """Return the table under a mixture of two priors, the other's weighing `weight`; the bins must be the same."""

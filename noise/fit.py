@@ -22,11 +22,15 @@ from noise.physical import PhysicalModel
 from noise.stack import CELLS, JITTER, LINK, NUISANCES, SPREAD, Key, Stack
 from noise.starts import nuisance_start
 
-TOLERANCE = 1e-7  # of the log likelihood, relative: about 0.002 nats in 20,000
+TOLERANCE = 1e-7  # of the log likelihood, relative, where rounding ends: about 0.002 nats in 20,000
+STEP_SHARE = 0.02  # of what a climb must gain: a step that gains less ends it
+ROUGHEST = 0.05  # nats; no climb ends at a step that gains more
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
 MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
+
+Scales = dict[Key, float]
 
 
 def log_likelihood(stack: Stack, batch: Batch) -> Floats:
@@ -87,13 +91,19 @@ class _Objective:
         """Return the log likelihood of each block at x, nats."""
         return self.batch.per_block(log_likelihood(self.stack.put(self.free, x), self.batch))
 
-    def scale(self, x: Floats) -> Floats:
-        """Return the step in each parameter that costs about half a nat, from finite differences of the gradient."""
+    def scale(self, x: Floats, known: Scales | None = None) -> Floats:
+        """Return the step in each parameter that costs about half a nat, from finite differences of the gradient.
+
+        Args:
+            x: where.
+            known: scales of parameters that need not be measured again.
+        """
         low, high = self.bounds()
         width = high - low
-        base = self(x)[1]
-        out = np.empty(len(x))
-        for j in range(len(x)):
+        out = np.array([(known or {}).get(key, np.nan) for key in self.free])
+        unknown = np.flatnonzero(np.isnan(out))
+        base = self(x)[1] if len(unknown) else out
+        for j in unknown:
             step = 1e-4 * width[j] if x[j] < low[j] + 0.5 * width[j] else -1e-4 * width[j]
             moved = x.copy()
             moved[j] += step
@@ -103,7 +113,14 @@ class _Objective:
         return out
 
 
-def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 60, enough: float = ENOUGH) -> Fit:
+def maximise(
+    stack: Stack,
+    free: Sequence[Key],
+    batch: Batch,
+    iterations: int = 60,
+    enough: float = ENOUGH,
+    scales: Scales | None = None,
+) -> Fit:
     """Climb from where the stack is; never returns less than it started from.
 
     Args:
@@ -112,6 +129,7 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
         batch: readings.
         iterations: of L-BFGS-B, shared by its restarts.
         enough: nats that a climb must gain for another to follow it.
+        scales: of nuisances, as an earlier fit to the same readings measured them; what is measured here is added.
     """
     free = [key for key in free if key != LINK or batch.twin is not None]
     objective = _Objective(stack, free, batch)
@@ -119,8 +137,11 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
     best = objective(x)[0]
     left = iterations
     # curvatures change by orders of magnitude on the way up, so the scale is measured again after every climb
-    for _ in range(RESTARTS):
-        result_x, result, used = _climb(objective, x, max(left, 1))
+    for attempt in range(RESTARTS):
+        scale = objective.scale(x, scales if attempt == 0 else None)
+        if scales is not None:
+            scales.update({key: value for key, value in zip(free, scale, strict=True) if key in NUISANCES})
+        result_x, result, used = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST))
         gain, left = best - result, left - used
         if gain > 0:
             x, best = result_x, result
@@ -129,9 +150,11 @@ def maximise(stack: Stack, free: Sequence[Key], batch: Batch, iterations: int = 
     return Fit(stack.put(free, x), tuple(free), -best)
 
 
-def _climb(objective: _Objective, x0: Floats, iterations: int) -> tuple[Floats, float, int]:
-    """Return the end of one climb, minus the log likelihood there, and the iterations that it took."""
-    scale = objective.scale(x0)
+def _climb(
+    objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float
+) -> tuple[Floats, float, int]:
+    """Return a climb's end, minus the log likelihood there, and the iterations; a step of `least` nats ends it."""
+    start = objective(x0)[0]
     low, high = objective.bounds()
 
     def scaled(y: Floats) -> tuple[float, Floats]:
@@ -144,7 +167,12 @@ def _climb(objective: _Objective, x0: Floats, iterations: int) -> tuple[Floats, 
         jac=True,
         method="L-BFGS-B",
         bounds=list(zip((low - x0) / scale, (high - x0) / scale, strict=True)),
-        options={"maxiter": iterations, "ftol": TOLERANCE, "gtol": 1e-2, "maxcor": 12},
+        options={
+            "maxiter": iterations,
+            "ftol": max(TOLERANCE, least / max(abs(start), 1.0)),
+            "gtol": 1e-2,
+            "maxcor": 12,
+        },
     )
     return np.clip(x0 + result.x * scale, low, high), float(result.fun), int(result.nit)
 
@@ -168,7 +196,9 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
     spread = 0.7 * max(joint.stack.get((JITTER, "sigma_m")), joint.stack.get((CELLS, "placement_m")))
     # from no scatter of cells at all no climb leads away: its slope is zero there
     loose = alone.put([(JITTER, "sigma_m"), (CELLS, "placement_m")], [spread, spread])
-    return best_of([alone, loose], (*keys, *SPREAD), batch, 80)
+    # with a spread that does not fit, the first step of a climb may throw a share to zero, from where none leads back
+    fitting = [maximise(stack, SPREAD, batch, 40).stack for stack in (alone, loose)]
+    return best_of(fitting, (*keys, *SPREAD), batch, 80)
 
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:

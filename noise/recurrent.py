@@ -237,7 +237,9 @@ class LstmModel:
         if seats is None or self._state is None:
             self._state = None
             return
-        rows = np.arange(len(self._state))[np.asarray(seats)]
+        given = np.asarray(seats)
+        rows = np.flatnonzero(given) if given.dtype == np.bool_ else given
+        rows = rows[rows < len(self._state)]  # of the others nothing is remembered yet
         self._state.put(rows, State.empty(len(rows), self.cell.hidden))
 
     def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> MixtureLaw:

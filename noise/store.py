@@ -14,13 +14,18 @@ from pathlib import Path
 from typing import Any
 
 from acquisition import ModelError, UnknownModelError
-from noise.model import GaussianModel, IdealModel, SonarModel
-from noise.rig import RigModel
+from noise.model import SonarModel
 
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
-BUILT_IN: dict[str, Any] = {"ideal": IdealModel, "gaussian": GaussianModel, "rig": RigModel}
-KINDS = {  # kind in model.json -> module and class; imported when asked for, since some need torch
+# module and class by name, and by the kind in model.json; imported when asked for: some need torch, and the rig must
+# not come along with the laws that are held against it
+BUILT_IN = {
+    "ideal": ("noise.model", "IdealModel"),
+    "gaussian": ("noise.model", "GaussianModel"),
+    "rig": ("noise.rig", "RigModel"),
+}
+KINDS = {
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.empirical", "EmpiricalModel"),
     "beam": ("noise.beam", "BeamModel"),
@@ -46,7 +51,8 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
         ModelError: the folder does not hold a model that this version can read.
     """
     if str(name) in BUILT_IN:
-        return BUILT_IN[str(name)]()
+        module, attribute = BUILT_IN[str(name)]
+        return getattr(importlib.import_module(module), attribute)()
     shipped = WEIGHTS / str(name)
     folder = shipped if (shipped / "model.json").is_file() else Path(name)
     if not folder.is_dir():

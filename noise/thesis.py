@@ -90,16 +90,16 @@ class ThesisNetwork:
         label = self.output(inputs.reshape(-1, 4)).reshape(inputs.shape[:-1])
         return NEAREST + (FARTHEST - NEAREST) * label
 
-    def output(self, inputs: Floats) -> Floats:
+    def output(self, inputs: NDArray[np.floating]) -> Floats:
         """Return the label that the network gives to scaled inputs (n, 4), (n,)."""
         return self._mlp(inputs) if self.kind == "mlp" else self._lstm(inputs)
 
-    def _mlp(self, inputs: Floats) -> Floats:
+    def _mlp(self, inputs: NDArray[np.floating]) -> Floats:
         w = self.weights
         hidden = _sigmoid(inputs @ w["dense_1_W"] + w["dense_1_b"])
         return _sigmoid(hidden @ w["dense_2_W"] + w["dense_2_b"])[:, 0]
 
-    def _lstm(self, inputs: Floats) -> Floats:
+    def _lstm(self, inputs: NDArray[np.floating]) -> Floats:
         w = self.weights
         cell = hidden = np.zeros((len(inputs), len(w["lstm_1_b_i"])))
         for x in inputs.T[:, :, None]:

@@ -126,12 +126,15 @@ def draws_alike(model: SonarModel) -> bool:
     ping = Ping.of(distance=[0.2, 1.0, EMPTY_M, 0.7, 2.5, 0.4], run=np.arange(6))
     alone = [np.random.default_rng(k) for k in range(2)]
     try:
-        both = model.law(ping, None).sample(
-            cast(np.random.Generator, Streams([np.random.default_rng(k) for k in range(2)], [3, 3]))
+        both = (
+            listener(model)
+            .law(ping, None)
+            .sample(cast(np.random.Generator, Streams([np.random.default_rng(k) for k in range(2)], [3, 3])))
         )
     except (AttributeError, TypeError, NotAlike):
         return False
-    apart = [model.law(ping[rows], None).sample(rng) for rows, rng in zip(([0, 1, 2], [3, 4, 5]), alone, strict=True)]
+    halves = zip(([0, 1, 2], [3, 4, 5]), alone, strict=True)
+    apart = [listener(model).law(ping[rows], None).sample(rng) for rows, rng in halves]
     said = np.concatenate([reading.range for reading in apart])
     return bool(np.array_equal(both.range, said))
 
@@ -175,6 +178,7 @@ class Sonar:
         self.tag = tag
         shared = resolve(model)
         self.model = listener(shared)
+        self._recalls = isinstance(self.model, Remembering)  # asked once: a protocol takes its time to answer
         self.count, self.copies = count, copies
         self.max_range = max_range
         tables = [broad_table(shared, max_range)] * count if tables is None else tables
@@ -200,8 +204,8 @@ class Sonar:
         """Clear the memory of previous readings: a new episode begins, for all copies or for some."""
         which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
-        if isinstance(self.model, Remembering):
-            self.model.reset(None if copies is None else self._seats.reshape(shape)[which].ravel())
+        if self._recalls:
+            cast(Remembering, self.model).reset(None if copies is None else self._seats.reshape(shape)[which].ravel())
 
     def listen(self, ping: Ping, seen: NDArray[np.bool_]) -> Heard:
         """Draw what every sonar of every copy says.
@@ -239,8 +243,8 @@ class Sonar:
         return cast(np.random.Generator, Streams([self.rngs[copy] for copy in copies], each))
 
     def _draw(self, ping: Ping, past: Reading | None, seats: NDArray[np.int64], rng: np.random.Generator) -> Draw:
-        model = self.model
-        law: Any = model.law(ping, past, seats) if isinstance(model, Remembering) else model.law(ping, past)
+        model: Any = self.model
+        law: Any = model.law(ping, past, seats) if self._recalls else model.law(ping, past)
         reading, fault = law.draw(rng) if self.causes else (law.sample(rng), None)
         return Draw(self._gate(reading), self._given(law), fault)
 
@@ -252,7 +256,7 @@ class Sonar:
     def _before(self, place: slice | NDArray[np.int64]) -> Reading | None:
         """Return the readings before, or None where nothing is known of any and no memory says since when."""
         status = self._past[1][place]
-        if isinstance(self.model, Remembering):
+        if self._recalls:
             return Reading(self._past[0][place], status)
         return Reading(self._past[0][place], status) if np.any(status != EchoStatus.NO_ANSWER) else None
 

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonar_gym.kernels import NOTHING, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
-from sonar_gym.odometry import count
+from sonar_gym.odometry import PULL, SCALE, count
 
 Bits = NDArray[np.bool_]
 Singles = NDArray[np.float32]
@@ -215,11 +215,14 @@ def land(flying: Floats, in_flight: Bits, shown: Floats, i: int, s: int, now: fl
 
 
 @njit(cache=True)
-def note_ego(ego: Singles, car: Floats, kept: Floats, i: int, share: Floats, step: int) -> None:
-    """Write what wheels, steering and clock tell."""
-    x, y, turn = kept[i, 0], kept[i, 1], kept[i, 2]
-    speed, steering = car[i, 3] / share[0], car[i, 4] / share[1]
-    told = (speed, steering, math.cos(turn), math.sin(turn), x / share[2], y / share[3], step / share[4])
+def note_ego(ego: Singles, car: Floats, kept: Floats, i: int, share: Floats, wheelbase: float, step: int) -> None:
+    """Write what wheels, steering and clock tell: with the same errors as the way that they are summed up to."""
+    x, y, turn, pull = kept[i, 0], kept[i, 1], kept[i, 2], kept[i, PULL]
+    speed, steering = car[i, 3] * (1.0 + kept[i, SCALE]), car[i, 4]
+    if pull != 0.0:  # the steering's zero is off by so much that a straight way is taken for a bend
+        steering = math.atan(math.tan(steering) + pull * wheelbase)
+    shares = (speed / share[0], steering / share[1])
+    told = (*shares, math.cos(turn), math.sin(turn), x / share[2], y / share[3], step / share[4])
     for k in range(7):
         ego[i, k] = min(max(told[k], -1.0), 1.0)
 
@@ -246,7 +249,7 @@ def begin(rows: Ints, w: Worlds, r: Rules) -> None:
         w.fired[i], w.in_flight[i], w.ended[i] = True, False, False
         pay(w.terms, car, w.task, w.ended, i, r.arc, r.weights)
         w.terms[i] = 0.0
-        note_ego(w.ego, car, w.kept, i, r.share, 0)
+        note_ego(w.ego, car, w.kept, i, r.share, r.measures[0], 0)
 
 
 @njit(cache=True, nogil=True)
@@ -293,7 +296,7 @@ def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
         ended[i, PARKED] = hit == NOTHING and is_parked(state, body, task[i], limits)
         count(kept[i], start, state[:3])
         pay(terms, car, task, ended, i, arc, weights)
-        note_ego(ego, car, kept, i, share, steps[i])
+        note_ego(ego, car, kept, i, share, measures[0], steps[i])
 
 
 @njit(cache=True)

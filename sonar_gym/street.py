@@ -19,7 +19,8 @@ from sonar_gym.scene import Box, Scene, box_faces
 from sonar_gym.vehicle import CarSettings
 
 Floats = NDArray[np.float64]
-REAR_ROOM = 0.12  # m; left behind the car where the reference path ends
+REAR_ROOM = (0.02, 0.12)  # m; least and most left behind the car where the reference path ends
+TURN_ROOM = 0.27  # m; by so much a space must exceed the car to be entered in one move with nothing left behind it
 ARC_MARGIN = 1.1  # arcs of the reference path are this much wider than the tightest turn
 PATH_STEP = 0.01  # m between poses of the reference path
 
@@ -94,7 +95,7 @@ LEVELS: dict[str, StreetSettings] = {
     ),
     "normal": StreetSettings(),
     "hard": StreetSettings(
-        gap=(0.72, 0.85),
+        gap=(0.75, 0.85),
         decoy=(0.25, 0.60),
         decoys=(1, 3),
         recess=(0.0, 0.05),
@@ -109,7 +110,7 @@ def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] |
     """Return the settings of a level, with some fields replaced, or those given whole.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap
-    (0.72, 0.85)
+    (0.75, 0.85)
     """
     if difficulty not in LEVELS:
         raise SettingError(f"difficulty {difficulty!r}: no such level; expected {', '.join(LEVELS)}")
@@ -239,8 +240,9 @@ class Goal:
 
     @classmethod
     def of(cls, street: Street, car: CarSettings) -> Goal:
-        """Return the middle of the strip, `REAR_ROOM` before the gap's first box."""
-        x = street.gap[0] + car.rear_overhang + REAR_ROOM
+        """Return the middle of the strip, as far from the gap's first box as a single move allows."""
+        spare = street.gap[1] - street.gap[0] - car.length - TURN_ROOM
+        x = street.gap[0] + car.rear_overhang + min(max(spare, REAR_ROOM[0]), REAR_ROOM[1])
         y, radius = 0.5 * (street.line + street.kerb), arc_radius(car)
         turn = float(np.arccos(min(max(1.0 + y / (2.0 * radius), -1.0), 1.0)))
         return cls(x, y, turn, float(x + 2.0 * radius * np.sin(turn)))

@@ -1,9 +1,12 @@
 """What all tests share: where real recordings lie, and quiet libraries."""
 
+import contextlib
 import os
 from pathlib import Path
 
 import pytest
+
+from acquisition import DeviceError
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -22,6 +25,19 @@ def real_recordings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings at {folder}: set SONAR_GYM_SHARED to the folder that holds them")
     return folder
+
+
+@pytest.fixture(scope="session")
+def patiently():
+    """Run what goes by the host's own clock up to four times: a busy machine is late now and then, as drivers tell."""
+
+    def run(attempt):
+        for _ in range(3):
+            with contextlib.suppress(DeviceError, AssertionError, SystemExit):
+                return attempt()
+        return attempt()
+
+    return run
 
 
 @pytest.fixture(scope="session")

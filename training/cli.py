@@ -25,8 +25,10 @@ COMMANDS = {
     "noise-report": ("training.noise_report", "write the page that puts all noise models side by side"),
     "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
     "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
+    "compare-thesis": ("training.compare_thesis", "hold the rig against the networks of the thesis's own sonar"),
     "compare-drivers": ("training.compare_drivers", "park with ideal and real sonars, with and without credence"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
+    "prove": ("training.prove", "blind trials of the diagnosis on concealed effects: sealed, scored, published"),
     "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,6 +131,10 @@ class Air:
     def __getitem__(self, pick: NDArray[np.generic]) -> Air:
         """Return some of the visits."""
         return Air(self.temperature_c[pick], self.speed[pick], self.absorption_db[pick])
+
+    def thicker(self, extra_db: float) -> Air:
+        """Return air that takes away more, by so many dB/m."""
+        return replace(self, absorption_db=self.absorption_db + extra_db) if extra_db else self
 
     def loss(self, row: NDArray[np.int64], path: Floats) -> Floats:
         """Return what is left of the pressure after a way of `path` m there and as much back, in visit `row`."""

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.bench.air import Floats
-from acquisition.bench.arrivals import CEILING, CLUTTER, FLOOR, POST, SIDES, WALL, Arrivals, Integers
+from acquisition.bench.arrivals import CEILING, CLUTTER, FACE, FLOOR, POST, SIDES, WALL, Arrivals, Integers
 from acquisition.bench.scene import Scene, strip
 from acquisition.bench.setup import Post, Room, Scatterer
 from acquisition.bench.shapes import Disc, Plate, Wall, outline
 
 DETOUR_PIECES = 2  # pieces of outline taken as one where it is met by a detour
 NEAR_EDGE = 2e-3  # m; a mirror echo that passes an outline more narrowly does so at this distance
+SPECKS_PER_M2 = 8000.0  # of a rough face: one a square wavelength or so
 PATCHES_PER_M2, FIELD = 40.0, (6.0, 4.0)  # of a rough floor; m ahead and across
 
 
@@ -46,6 +47,8 @@ def surfaces(room: Room) -> list[Surface]:
 def arrivals(scene: Scene) -> Arrivals:
     """Return every way that is there in n scenes at rest."""
     found = [*scene.near(), *_room(scene), *_detours(scene), *_clutter(scene)]
+    if scene.setup.roughness_m > 0.0:
+        found += _rough_faces(scene)
     if scene.setup.post is not None:
         found.append(post(scene, scene.setup.post))
     return Arrivals.joined(found)
@@ -251,6 +254,30 @@ def _rough_floor(scene: Scene, height: float, scatter_db: float) -> Arrivals:
     strength = np.sqrt(10.0 ** (scatter_db / 10.0) / PATCHES_PER_M2) * height / length
     every = np.broadcast_to(points, (len(scene), *points.shape))
     return Arrivals.of(scene.rows, FLOOR, length[None], phase * strength * scene.beam(every) ** 2 / length**2)
+
+
+def _rough_faces(scene: Scene) -> Iterator[Arrivals]:
+    """Yield what rough reflectors scatter to all sides, patch by patch, by Lambert's law: always the same roughness."""
+    for shape, rows in scene.kinds:
+        if isinstance(shape, Wall):
+            continue
+        side, up, normal = (axis[rows][:, None] for axis in scene.poses.axes)
+        place, phase = _specks(shape)
+        points = scene.poses.centre[rows][:, None] + place[:, :1] * side + place[:, 1:] * up
+        length = np.sqrt((points**2).sum(axis=-1))
+        facing = np.maximum((points * normal).sum(axis=-1), 0.0) / length
+        strength = np.sqrt(scene.scattering[rows, None] * shape.area / len(place) / np.pi) * facing
+        yield Arrivals.of(rows, FACE, length, phase * strength * scene.beam(points, rows) ** 2 / length**2)
+
+
+@lru_cache(maxsize=64)
+def _specks(shape: Disc | Plate) -> tuple[Floats, Floats]:
+    """Return where the patches of a rough face lie about its centre, m, and with what phase they scatter."""
+    rng = np.random.default_rng(0x0F_ACE)
+    half = np.max(shape.half) * 2.0 / np.sqrt(np.pi)  # holds a disc and a plate
+    drawn = rng.uniform(-half, half, (int(SPECKS_PER_M2 * 4.0 * half**2), 2))
+    place = drawn[shape.holds(drawn)]
+    return place, np.exp(2j * np.pi * rng.random(len(place)))
 
 
 @lru_cache(maxsize=1)

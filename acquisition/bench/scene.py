@@ -95,7 +95,7 @@ class Scene:
             setup,
             Poses(placed.distance, placed.angle, placed.incidence, lean, np.broadcast_to(above, lean.shape)),
             placed.reflectance,
-            air,
+            air.thicker(setup.extra_absorption_db),
         )
 
     def __len__(self) -> int:
@@ -125,8 +125,18 @@ class Scene:
 
     @cached_property
     def surface(self) -> Floats:
-        """Amplitude factors of the reflectors, (n,)."""
-        return surfaces_of(self.reflectance)
+        """Amplitude factors of the reflectors for what they mirror, (n,); roughness takes its share (Ament 1953)."""
+        return surfaces_of(self.reflectance) * np.exp(-2.0 * self._unevenness**2)
+
+    @cached_property
+    def scattering(self) -> Floats:
+        """Share of the power that meets the reflectors which their roughness sends to all sides, (n,)."""
+        return surfaces_of(self.reflectance) ** 2 * -np.expm1(-4.0 * self._unevenness**2)
+
+    @cached_property
+    def _unevenness(self) -> Floats:
+        """Root mean square phase by roughness one way, rad, (n,)."""
+        return 2.0 * np.pi / self.wavelength * self.setup.roughness_m * np.cos(self.poses.incidence)
 
     @cached_property
     def kinds(self) -> list[tuple[Shape, Integers]]:

@@ -117,6 +117,7 @@ class Setup:
         range_register: 0..255; echoes are awaited for (r + 1) * 256 us (register 2).
         output: unit of the echo registers.
         temperature_c, humidity_pct: of the air. A `temperature_c` or `humidity_pct` among a ping's covariates wins.
+        extra_absorption_db: what the air takes away beyond what temperature and humidity say, dB/m: fog, dust.
         drift_c, humidity_drift_pct, drift_tau_s: standard deviations of the slow wanders of temperature and humidity,
             and their correlation time.
         scintillation_db: standard deviation of an echo's level for a path of 12 m (6 m there and back), dB.
@@ -133,6 +134,8 @@ class Setup:
         gradient: of the air's temperature.
         supply: voltage of the sensor's supply over 5 V; the burst grows and falls with it.
         reflector: shape in front; None takes the thesis's by the ping's reflectance.
+        roughness_m: root mean square height of the reflector's surface; the mirror echo fades with its square, and what
+            that loses is scattered to all sides. Mirrors and rubber are smooth; 1 mm is rough at 40 kHz.
         post: of the reflector's stand; None takes it away.
         room: around the stands.
         movers: what moves or is moved: people, furniture.
@@ -147,6 +150,7 @@ class Setup:
     output: Output = "cm"
     temperature_c: float = 19.0
     humidity_pct: float = 50.0
+    extra_absorption_db: float = 0.0
     drift_c: float = 0.3
     humidity_drift_pct: float = 0.0
     drift_tau_s: float = 3600.0
@@ -164,6 +168,7 @@ class Setup:
     gradient: Gradient = field(default_factory=Gradient)
     supply: float = 1.0
     reflector: Shape | None = None
+    roughness_m: float = 0.0
     post: Post | None = field(default_factory=Post)
     room: Room = field(default_factory=Room)
     movers: tuple[Mover, ...] = ()

@@ -2,13 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 DEG = np.pi / 180.0
 TICKS = (1e-6, 2e-6, 4e-6, 8e-6, 16e-6, 32e-6, 64e-6)  # s; which one is unknown
+# limits between which each unknown is drawn; units keep their numbers only while these keep their order
+DRAWN_FIRST = {
+    "q_tx": (20.0, 58.0),
+    "q_rx": (20.0, 58.0),
+    "f_tx": (39.5e3, 40.5e3),
+    "f_rx": (39.5e3, 40.5e3),
+    "f_slope": (-60.0, -20.0),
+    "radius": (6.0e-3, 7.0e-3),
+    "sensitivity_db": (-6.0, 12.0),
+    "noise": (1.0 / 6.0, 0.2),
+    "hysteresis": (0.05, 0.10),
+    "recovery": (50e-6, 100e-6),
+    "t_offset": (-120e-6, 0.0),
+}
+DRAWN_LAST = {
+    "blanking": (150e-6, 500e-6),
+    "rearm": (1e-3, 4e-3),
+    "yaw": (-3.0 * DEG, 3.0 * DEG),
+    "pitch": (-3.0 * DEG, 3.0 * DEG),
+    "clock_error": (-0.005, 0.005),
+    "leak_db": (-60.0, -30.0),
+    "leak_delay": (70e-6, 150e-6),
+}
+RANGES: Mapping[str, tuple[float, float]] = {**DRAWN_FIRST, **DRAWN_LAST}
 
 
 @dataclass(frozen=True)
@@ -90,27 +115,8 @@ class Unit:
         """Return the unit of a serial number: the same number is the same unit in every process."""
         rng = np.random.default_rng([serial, 0x5AF08])
         uniform = rng.uniform
-        return cls(
-            serial=serial,
-            q_tx=uniform(20.0, 58.0),
-            q_rx=uniform(20.0, 58.0),
-            f_tx=uniform(39.5e3, 40.5e3),
-            f_rx=uniform(39.5e3, 40.5e3),
-            f_slope=uniform(-60.0, -20.0),
-            radius=uniform(6.0e-3, 7.0e-3),
-            sensitivity_db=uniform(-6.0, 12.0),
-            noise=uniform(1.0 / 6.0, 0.2),
-            hysteresis=uniform(0.05, 0.10),
-            recovery=uniform(50e-6, 100e-6),
-            t_offset=uniform(-120e-6, 0.0),
-            tick=float(rng.choice(TICKS)),
-            rounding="nearest" if rng.random() < 0.5 else "down",
-            blanking=uniform(150e-6, 500e-6),
-            rearm=uniform(1e-3, 4e-3),
-            yaw=uniform(-3.0, 3.0) * DEG,
-            pitch=uniform(-3.0, 3.0) * DEG,
-            clock_error=uniform(-0.005, 0.005),
-            leak_db=uniform(-60.0, -30.0),
-            leak_delay=uniform(70e-6, 150e-6),
-            light=int(rng.integers(1, 249)),
-        )
+        drawn: dict[str, Any] = {name: uniform(*limits) for name, limits in DRAWN_FIRST.items()}
+        drawn["tick"] = float(rng.choice(TICKS))
+        drawn["rounding"] = "nearest" if rng.random() < 0.5 else "down"
+        drawn |= {name: uniform(*limits) for name, limits in DRAWN_LAST.items()}
+        return cls(serial=serial, **drawn, light=int(rng.integers(1, 249)))

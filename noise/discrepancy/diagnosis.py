@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from acquisition import Ping, Reading, Recording
+from acquisition import Ping, Reading, Recording, SettingError
 from noise.cells import Batch, law_of, placement_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.locate import Finding, locate
@@ -22,6 +22,7 @@ from noise.discrepancy.search import Crossed, Progress, Search, spread_over_bloc
 from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
 from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
+from noise.effects import CATALOGUE
 from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
 from noise.fit import Fit, best_of, covariance, each_counted, log_likelihood, maximise
@@ -91,6 +92,7 @@ def diagnose(
     simulated: Recording | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    without: Sequence[str] = (),
 ) -> Diagnosis:
     """Say where a recording differs from a model, why, by how much, and correct the model.
 
@@ -104,16 +106,19 @@ def diagnose(
         simulated: readings of a simulator on its own conditions; it then stands in the place of `model`.
         seed: of splits, draws and starting points; the same seed gives the same verdict.
         progress: called with a message and the share done, now and then.
+        without: effects that are known not to be there: they are never named.
 
     Raises:
         RecordingError: the recording holds no answered ping.
+        SettingError: `without` names what is not in the catalogue.
     """
     tell = progress or (lambda message, share: None)
+    _check_known(without)
     tell("learning what the simulation says", 0.02)
     base = baseline_of(model, recording, simulated, seed)
     batch = base.with_twins(Batch.of(recording))
     split = Split.of(batch, np.random.default_rng([seed, 1]))
-    search, fitted = _prepare(base, split, seed, tell)
+    search, fitted = prepared(base, split, seed, tell, tuple(without))
     tell("locating", 0.08)
     misfit = base.misfit(seed)
     where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), known=misfit)
@@ -171,7 +176,7 @@ def _explained(base: Baseline, search: Search) -> Explained:
     """Search, and leave out what only repairs the law that stands for the simulation."""
     chosen, without, cross = search.run()
     chosen, cross = base.without_repairs(search, chosen, cross)
-    return Explained(chosen, without, cross, _final(search, cross, chosen))
+    return Explained(chosen, without, cross, conclude(search, cross, chosen))
 
 
 def _ahead(base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: int) -> tuple[Measurement, ...]:
@@ -187,16 +192,24 @@ def _scatter(base: Baseline, search: Search, why: Explained) -> tuple[Named, Flo
     return changed_scatter(base.stack, search, why.chosen, why.cross, base.check.describes_simulation)
 
 
-def _prepare(base: Baseline, split: Split, seed: int, tell: Progress) -> tuple[Search, Fit]:
+def _check_known(names: Sequence[str]) -> None:
+    unknown = [name for name in names if name not in CATALOGUE]
+    if unknown:
+        raise SettingError(f"{unknown[0]!r} is no effect of the catalogue: there are {', '.join(CATALOGUE)}")
+
+
+def prepared(
+    base: Baseline, split: Split, seed: int, tell: Progress | None = None, never: tuple[str, ...] = ()
+) -> tuple[Search, Fit]:
     """Return the search, its base fitted in nuisances alone."""
     batch = split.discover.thin(4000)
     fitted = best_of(nuisance_starts(base.stack, batch), NUISANCES, batch, 80)
-    return Search(
-        fitted.stack, split.discover, split.confirm, split.both, seed, base.rules(split.both.blocks), tell
-    ), fitted
+    rules = base.rules(split.both.blocks)
+    search = Search(fitted.stack, split.discover, split.confirm, split.both, seed, rules, tell, never=never)
+    return search, fitted
 
 
-def _final(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
+def conclude(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     """Return the explanation fitted on discover and confirm together."""
     keys = search.keys(chosen)
     joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80)
@@ -212,7 +225,7 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
     chosen, final = why.chosen, why.final
     if not chosen:
         return [], []
-    known = _intervals(final, search.both)
+    known = intervals(final, search.both)
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
         gain, _ = search.contribution(chosen, why.cross, name)
@@ -248,7 +261,8 @@ def compared_air(before_c: float, after_c: float) -> str:
     )
 
 
-def _intervals(final: Final, batch: Batch) -> dict[Key, Interval]:
+def intervals(final: Final, batch: Batch) -> dict[Key, Interval]:
+    """Return the 90 % interval of every parameter that was fitted."""
     out = {}
     for fitted in final.fits:
         spread = np.sqrt(np.diag(covariance(fitted, batch)))

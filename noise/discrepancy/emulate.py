@@ -105,7 +105,7 @@ class Baseline:
         null = Search(self.stack, self.own.discover, self.own.confirm, self.own.both, search.seed, search.rules)
         for name in list(chosen):
             gain, without = search.contribution(chosen, cross, name)
-            if self._gain_on_own(null, name, cross) > 0.5 * gain.sum() / len(gain):
+            if self._gain_onfree_of(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
             elif not search.believable(gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
@@ -117,7 +117,7 @@ class Baseline:
             cross = without
         return chosen, cross
 
-    def _gain_on_own(self, null: Search, name: str, cross: Crossed) -> float:
+    def _gain_onfree_of(self, null: Search, name: str, cross: Crossed) -> float:
         """Return the cross-fitted gain of an effect on the simulation's readings, nats a block."""
         own = null.cross(self.stack, [])
         start = self.stack.put(null.keys([name]), [cross.first.stack.get(key) for key in null.keys([name])])
@@ -195,11 +195,11 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     both = split.both.thin(EMULATOR_PINGS)
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
     starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in (PLAIN, {**PLAIN, **WEAKENED})]
-    best = max((maximise(s, (*_own(s), *NUISANCES), both, 40) for s in starts), key=lambda fit: fit.nats)
+    best = max((maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS) for s in starts), key=lambda fit: fit.nats)
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
     fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
     smooth = smooth.put(fine, [0.0] * len(fine))
-    stack = folded(_pruned(maximise(smooth, (*_own(smooth), *NUISANCES), both, 80).stack, both))
+    stack = folded(_pruned(maximise(smooth, (*free_of(smooth), *NUISANCES), both, 80).stack, both))
     p = scan_p(stack, split.vault, np.random.default_rng([seed, 7]))
     good = p >= ALARM
     words = "describes" if good else "does not fully describe"
@@ -228,7 +228,7 @@ def folded(stack: Stack) -> Stack:
     return stack.put(keys, line).without("clock_scale").without("zero_offset")
 
 
-def _own(stack: Stack) -> tuple[Key, ...]:
-    """Return every parameter of a stack but the nuisances'."""
+def free_of(stack: Stack) -> tuple[Key, ...]:
+    """Return every parameter of a stack but the nuisances': what an emulator is fitted in."""
     keys = ((name, p.name) for name in stack.values for p in stack.known[name].parameters)
     return tuple(key for key in keys if key not in NUISANCES)

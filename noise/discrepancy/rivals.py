@@ -17,7 +17,7 @@ import torch
 from acquisition import Ping
 from noise.cells import BANKS, Batch, law_of, prior_offset
 from noise.discrepancy.search import Search
-from noise.fit import Fit, maximise
+from noise.fit import Fit, Scales, maximise
 from noise.law import Floats
 from noise.stack import NUISANCES, SPREAD, Stack
 
@@ -106,13 +106,15 @@ def _compare(
 ) -> tuple[float, float, Stack]:
     """Return observed and expected nats between an explanation and a rival on all open data, and the rival's fit."""
     batch = search.both
-    own = maximise(stack, (*search.keys(chosen), *NUISANCES), batch, 30)
-    other = maximise(rival, (*search.keys(others), *NUISANCES), batch, 30)
+    scales = search.scales(batch)
+    own = maximise(stack, (*search.keys(chosen), *NUISANCES), batch, 30, scales=scales)
+    other = maximise(rival, (*search.keys(others), *NUISANCES), batch, 30, scales=scales)
     if stack.model.remembers or rival.model.remembers:
         return own.nats - other.nats, np.nan, other.stack
     drawn = replica(own.stack, batch, rng)
-    best = maximise(other.stack, (*search.keys(others), *NUISANCES), drawn, 30)
-    same = maximise(own.stack, (*search.keys(chosen), *NUISANCES), drawn, 30)
+    again: Scales = {}
+    same = maximise(own.stack, (*search.keys(chosen), *NUISANCES), drawn, 30, scales=again)
+    best = maximise(other.stack, (*search.keys(others), *NUISANCES), drawn, 30, scales=again)
     return own.nats - other.nats, max(same.nats - best.nats, 0.0), other.stack
 
 

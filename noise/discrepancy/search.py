@@ -16,7 +16,7 @@ import numpy as np
 
 from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
-from noise.fit import Fit, log_likelihood, maximise
+from noise.fit import Fit, Scales, log_likelihood, maximise
 from noise.law import Floats
 from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.starts import starting_points
@@ -103,6 +103,7 @@ class Search:
         seed: of the quasi-random starts.
         rules: see `Rules`.
         progress: called with a message and a share done.
+        never: effects that are not to be named.
     """
 
     base: Stack
@@ -114,7 +115,9 @@ class Search:
     progress: Progress | None = None
     attempts: list[Attempt] = field(default_factory=list)
     fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
+    never: tuple[str, ...] = ()
     _clocked: dict[str, bool] = field(default_factory=dict)
+    _scales: dict[int, Scales] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Cut the batches to size."""
@@ -126,7 +129,8 @@ class Search:
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
-        return [name for name in CATALOGUE if name != JITTER and (self.discover.timed or not self._uses_time(name))]
+        able = [name for name in CATALOGUE if name not in (JITTER, *self.never)]
+        return [name for name in able if self.discover.timed or not self._uses_time(name)]
 
     def _uses_time(self, name: str) -> bool:
         """Tell whether an effect looks at the clock, which says nothing where no time was logged."""
@@ -178,8 +182,12 @@ class Search:
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
         starts = points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]
-        fits = [maximise(stack, free, batch, 25, ROUGH) for _, stack in starts]
+        fits = [maximise(stack, free, batch, 25, ROUGH, self.scales(batch)) for _, stack in starts]
         return max(fits, key=lambda fit: fit.nats)
+
+    def scales(self, batch: Batch) -> Scales:
+        """Return the scales of nuisances that were measured on a batch."""
+        return self._scales.setdefault(id(batch), {})
 
     def present(self, name: str) -> dict[str, float]:
         """Return the values at which an effect does what the given model says of it."""
@@ -200,7 +208,8 @@ class Search:
         """
         keys = self.keys(chosen)
         free = (*keys, *nuisances)
-        first = maximise(stack if near is None else _carried(near.first.stack, stack, keys), free, self.discover)
+        start = stack if near is None else _carried(near.first.stack, stack, keys)
+        first = maximise(start, free, self.discover, scales=self.scales(self.discover))
         start = first.stack if near is None else _carried(near.second.stack, first.stack, (*keys, *NUISANCES))
         # how readings scatter and what cells share is a property of the sonar: the smaller part, a dozen cells at
         # times, would say it all too exactly, and be wrong of a single careless cell by dozens of nats
@@ -305,7 +314,7 @@ class Search:
 
     def needs_a_threshold(self) -> bool:
         """Tell whether echoes are missed although the model hears everything: then no loss of level can show."""
-        return THRESHOLD not in self.base.values and silence(self.discover) > 0.005
+        return THRESHOLD not in (*self.base.values, *self.never) and silence(self.discover) > 0.005
 
     def with_threshold(self, base: Crossed) -> tuple[list[str], Crossed]:
         """Give the receiver a threshold before anything else is weighed, where that is believed.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,6 +14,7 @@ from noise.effects.base import (
     Effect,
     Parameter,
     Path,
+    Seen,
     Stage,
     State,
     new_path,
@@ -20,6 +22,7 @@ from noise.effects.base import (
     wall_level_db,
 )
 
+BEHIND_M = 0.02  # of a gate behind the farthest echo, to begin from; ours
 HALF_WAVE = 4.29e-3  # m; one period of 40 kHz as range, 25 us at 343.4 m/s there and back
 
 # Lag of the threshold crossing behind the start of the echo, as range, by the level of its peak over the threshold:
@@ -318,6 +321,13 @@ class RangeGate(Effect):
     def statement(self) -> str:
         """Return where."""
         return f"The sensor stops listening: echoes from beyond {self.values['listen_m']:.2f} m are not heard."
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Return gates behind the farthest echoes; a stray or two may come from behind."""
+        if len(seen.range) == 0:
+            return []
+        return [{"listen_m": float(np.quantile(seen.range, share)) + BEHIND_M} for share in (1.0, 0.98)]
 
 
 class WarmUp(Effect):

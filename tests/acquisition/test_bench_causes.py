@@ -246,6 +246,27 @@ def test_a_flat_post_is_loud_while_it_faces():
         Post(profile="oval")
 
 
+def test_thick_air_takes_the_same_from_every_metre():
+    """1 dB/m more: 4 dB from a wall at 2 m, 8 dB from one at 4 m; and nothing of when it is heard."""
+    thick = replace(WALL, extra_absorption_db=1.0)
+    for distance in (2.0, 4.0):
+        ping = Ping.of(distance)
+        assert needed(thick, ping) - needed(WALL, ping) == pytest.approx(2.0 * distance, abs=0.15)
+    loud = replace(QUIET, sensitivity_db=QUIET.sensitivity_db + 4.0)
+    assert first(loud, thick, Ping.of(2.0)) == pytest.approx(first(QUIET, WALL, Ping.of(2.0)), abs=1.0)
+
+
+def test_rough_face_is_heard_from_all_sides_and_no_mirror_ahead():
+    """At 1 m and a roughness of 3 mm: no mirror echo, and at 30 degrees as loud as ahead but for Lambert's cosines."""
+    smooth, rough = (replace(STILL, reflector=MIRROR, roughness_m=r) for r in (0.0, 3e-3))
+    ahead, aside = Ping.of(1.0, 0.0, 0.0), Ping.of(1.0, 0.0, np.deg2rad(30.0))
+    assert needed(smooth, aside) - needed(smooth, ahead) > 30.0
+    assert needed(rough, aside) - needed(rough, ahead) < 8.0
+    assert needed(rough, ahead) - needed(smooth, ahead) > 6.0
+    barely = replace(smooth, roughness_m=0.1e-3)
+    assert needed(barely, ahead) - needed(smooth, ahead) == pytest.approx(0.1, abs=0.25)
+
+
 def test_humidity_wanders_with_the_air():
     setup = replace(WALL, humidity_drift_pct=10.0, drift_tau_s=100.0)
     registers = fire(QUIET, setup, series(2.0, 2000, 1.0))

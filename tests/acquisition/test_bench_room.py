@@ -177,6 +177,19 @@ def test_rough_floor_is_heard_from_where_the_beam_meets_it():
     assert level[edges[:-1] < 2.5].max() < level.max() - 7.0
 
 
+def test_what_roughness_scatters_is_what_the_mirror_loses():
+    """Mirror: exp(-2 k^2 s^2). Power of the patches: (1 - exp(-4 k^2 s^2)) area cos^2 / (pi d^4), Lambert's law."""
+    for roughness, turn in ((0.5e-3, 0.0), (3e-3, 0.0), (3e-3, 40.0)):
+        way = arrivals(scene(2.0, turn, setup=replace(EMPTY, roughness_m=roughness))).only(FACE)
+        smooth = arrivals(scene(2.0, turn)).only(FACE)
+        cosine = np.cos(np.deg2rad(turn))
+        unevenness = 2.0 * np.pi / WAVELENGTH * roughness * cosine
+        np.testing.assert_allclose(way.amplitude[: len(smooth)], smooth.amplitude * np.exp(-2.0 * unevenness**2))
+        power = (np.abs(way.amplitude[len(smooth) :]) ** 2).sum()
+        expected = -np.expm1(-4.0 * unevenness**2) * np.pi * 0.1**2 * cosine**2 / np.pi / 2.0**4
+        assert power == pytest.approx(expected, rel=0.1)
+
+
 def test_no_reflectance_no_face():
     assert not len(arrivals(scene(1.0, reflectance=0.0)).only(FACE))
 

@@ -12,6 +12,7 @@ import pytest
 from acquisition import NoAnswerError
 from acquisition.drivers import ArduinoBus, Bridge, HcSr04, Srf08
 from acquisition.drivers.arduino import parse
+from acquisition.drivers.serial_twins import PseudoTerminal
 
 FIRMWARE = Path(__file__).parents[2] / "acquisition" / "firmware"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino")
@@ -99,6 +100,20 @@ class Mega:
         pass
 
 
+class OnCable:
+    """The chip as the far end of a serial line, running on while nobody writes."""
+
+    def __init__(self, mega):
+        self.mega = mega
+
+    def feed(self, data):
+        self.mega.write(data)
+        self.mega.run(20_000)
+        due = bytes(self.mega.said)
+        self.mega.said.clear()
+        return due
+
+
 @pytest.fixture(scope="module")
 def mega(elf):
     library = ctypes.util.find_library("simavr") or "libsimavr.so.2"
@@ -180,3 +195,17 @@ def test_checksums_of_sketch_and_host_are_one(mega):
     mega.run(100_000)
     assert parse(bytes(mega.said).rstrip(b"\n")) == ("C3", "K", "SONARBRIDGE 01")
     mega.said.clear()
+
+
+def test_pyserial_speaks_with_the_compiled_sketch_over_a_pseudo_terminal(bridge, mega, patiently):
+    def attempt():
+        with PseudoTerminal(OnCable(mega)) as far:
+            there = Bridge.open(far.path)
+            there.patience = 10.0  # the simulated chip is slower than a real one
+            assert there.ask("V") == "SONARBRIDGE 01"
+            assert there.ask("S") == ""
+            with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
+                HcSr04(there).ping()
+            there.close()
+
+    patiently(attempt)

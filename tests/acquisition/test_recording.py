@@ -92,12 +92,31 @@ def test_sessions_make_runs_and_conditions_make_cells(tmp_path):
     assert recording.cell.tolist() == [0, 0, 1, 0]
 
 
-@pytest.mark.parametrize(("step", "expected"), [(10.0, 0.01), (25.4, 0.0254), (1.0, 0.001), (0.17, 0.001)])
+@pytest.mark.parametrize(
+    ("step", "expected"), [(10.0, 0.01), (25.4, 0.0254), (1.0, 0.001), (0.17, 0.001), (24.287, 0.024287), (3.3, 0.0033)]
+)
 def test_the_grid_of_the_readings_is_found(step, expected):
     rng = np.random.default_rng(0)
     reading = np.rint(rng.uniform(300, 5000, 200) / step) * step
     recording = Recording.of(Ping.of(np.full(200, 1.0)), Reading.of(reading / 1000))
     assert recording.resolution == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("step", [12.7, 17.24, 24.287, 43.0])
+def test_an_unusual_grid_is_found_although_the_log_rounds_to_millimetres(step):
+    rng = np.random.default_rng(1)
+    reading = np.rint(np.rint(rng.uniform(300, 5000, 300) / step) * step)
+    recording = Recording.of(Ping.of(np.full(300, 1.0)), Reading.of(reading / 1000))
+    assert recording.resolution == pytest.approx(step / 1000, rel=2e-3)
+
+
+@pytest.mark.parametrize("values", [2, 5, 11, 40, 200])
+def test_readings_without_a_grid_are_told_none(values):
+    rng = np.random.default_rng(values)
+    for _ in range(50):
+        reading = np.rint(rng.choice(rng.uniform(300, 5000, values), 300))
+        recording = Recording.of(Ping.of(np.full(300, 1.0)), Reading.of(reading / 1000))
+        assert recording.resolution in (0.001, 0.01, 0.0254)
 
 
 @settings(max_examples=40)

@@ -178,31 +178,40 @@ def test_maxbotix_of_another_model_is_told():
 class TestPseudoTerminal:
     """The same with pyserial, at the host's own time."""
 
-    def test_srf08_and_hcsr04(self):
-        twin = ArduinoTwin(ear(Srf08Twin, HostClock()), ear(HcSr04Twin, HostClock()))
-        with PseudoTerminal(twin) as far:
-            sonar = Srf08.open(far.path, gain=20, range_register=140)
-            assert sonar.revision() == 10
-            assert sonar.ping().ranges[0] == pytest.approx(1.01, abs=0.03)
-            twin.bus.wire = BadWire(nack=1.0)
-            with pytest.raises(NoAnswerError, match="no acknowledge"):
-                sonar.ping()
-            sonar.bus.close()
+    def test_srf08_and_hcsr04(self, patiently):
+        def attempt():
+            twin = ArduinoTwin(ear(Srf08Twin, HostClock()), ear(HcSr04Twin, HostClock()))
+            with PseudoTerminal(twin) as far:
+                sonar = Srf08.open(far.path, gain=20, range_register=140)
+                assert sonar.revision() == 10
+                assert sonar.ping().ranges[0] == pytest.approx(1.01, abs=0.03)
+                twin.bus.wire = BadWire(nack=1.0)
+                with pytest.raises(NoAnswerError, match="no acknowledge"):
+                    sonar.ping()
+                sonar.bus.close()
 
-    def test_unplugged(self):
-        with PseudoTerminal(ArduinoTwin(None, ear(HcSr04Twin, HostClock()))) as far:
-            sonar = HcSr04.open(far.path)
-            assert sonar.ping().ranges
-            far.unplug()
-            with pytest.raises(UnpluggedError, match="the port is gone"):
-                sonar.ping()
-            sonar.bridge.close()
+        patiently(attempt)
 
-    def test_maxbotix(self):
-        with PseudoTerminal(ear(MaxBotixTwin, HostClock(), model="lv")) as far:
-            sonar = MaxBotix.open(far.path, model="lv")
-            assert sonar.ping().ranges == pytest.approx((1.01,), abs=0.03)
-            sonar.port.close()
+    def test_unplugged(self, patiently):
+        def attempt():
+            with PseudoTerminal(ArduinoTwin(None, ear(HcSr04Twin, HostClock()))) as far:
+                sonar = HcSr04.open(far.path)
+                assert sonar.ping().ranges
+                far.unplug()
+                with pytest.raises(UnpluggedError, match="the port is gone"):
+                    sonar.ping()
+                sonar.bridge.close()
+
+        patiently(attempt)
+
+    def test_maxbotix(self, patiently):
+        def attempt():
+            with PseudoTerminal(ear(MaxBotixTwin, HostClock(), model="lv")) as far:
+                sonar = MaxBotix.open(far.path, model="lv")
+                assert sonar.ping().ranges == pytest.approx((1.01,), abs=0.03)
+                sonar.port.close()
+
+        patiently(attempt)
 
     def test_no_such_port_is_told_with_those_there_are(self):
         with pytest.raises(DeviceError, match=r"/dev/ttyNONE: .*serial ports found: .*; check the USB cable"):

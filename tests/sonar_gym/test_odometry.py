@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from sonar_gym import kernels
 from sonar_gym.odometry import ODOMETRIES, Odometer, OdometrySettings, odometry, reckoned
+from sonar_gym.parking import ODOMETRY_SPAN, STEP_S, SonarParkingEnv
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)).map(np.array)
 
@@ -82,6 +83,21 @@ def test_world_and_readings_are_the_same_whatever_the_odometry():
         assert np.array_equal(a[4]["distance"], b[4]["distance"])
         assert np.array_equal(a[0]["ranges"], b[0]["ranges"])
         assert not np.array_equal(a[0]["ego"], b[0]["ego"])
+
+
+def test_speed_and_steering_are_told_with_the_errors_of_the_way():
+    at_once = {"acceleration": 1e9, "speed_lag": 0.0}
+    env = SonarParkingEnv(car=at_once, odometry={"scale": 0.1, "pull": 0.1}, street={"start_heading_deg": 0.0})
+    car, told = env.fleet.car_settings, [env.reset(seed=2)[0]["ego"].astype(np.float64)]
+    told += [env.step(np.array([0.0, 0.6]))[0]["ego"].astype(np.float64) for _ in range(30)]
+    speed = np.array([ego[0] for ego in told[1:]]) * car.max_speed
+    curvature = np.tan([ego[1] * car.max_steering for ego in told[1:]]) / car.wheelbase
+    assert abs(speed[0] / (0.6 * car.max_speed) - 1.0) > 0.005  # else this says nothing
+    assert abs(curvature[0]) > 0.005
+    heading = np.arctan2(told[-1][3], told[-1][2])
+    assert np.sum(speed * curvature) * STEP_S == pytest.approx(heading, abs=1e-5)
+    gone = np.hypot(told[-1][4] * ODOMETRY_SPAN[0], told[-1][5] * ODOMETRY_SPAN[1])
+    assert np.sum(speed) * STEP_S == pytest.approx(gone, rel=2e-3)  # an arc, and its chord
 
 
 def test_kinds_by_name_mapping_and_error():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor
 
 import sonar_gym
 from acquisition import SettingError
@@ -60,6 +60,14 @@ def test_monitor_counts_episodes():
     assert len(told) == 6
     assert {episode["l"] for episode in told} == {10}
     assert not any(episode["is_success"] for episode in told)
+
+
+def test_stable_baselines_finds_nothing_that_is_no_number():
+    envs = VecCheckNan(SonarVecEnv(16, sonar="srf08-mlp", odometry="worn", difficulty="hard"), raise_exception=True)
+    envs.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        envs.step(rng.uniform(-1.0, 1.0, (16, 2)).astype(np.float32))
 
 
 def test_ppo_learns_on_it_without_a_warning():

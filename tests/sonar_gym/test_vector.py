@@ -7,14 +7,21 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.passive_env_checker import check_action_space, check_obs, check_observation_space
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
 import sonar_gym
-from acquisition import SettingError
+from acquisition import Ping, SettingError
 from noise import GaussianModel
 from noise.faults import Constant, Faulty, Short
+from noise.inputs import Inputs
+from noise.mixture import Head
 from noise.networks import MlpModel
+from noise.recurrent import ANCHORS, LINKS, Cell, LstmModel
+from sonar_gym.sb3 import one_of
 from sonar_gym.vector import SonarParkingVectorEnv
 
 MODES = list(AutoresetMode)
@@ -38,6 +45,17 @@ class Stubborn(GaussianModel):
 
         law.sample = stubborn
         return law
+
+
+def lstm(state=6):
+    """Return a model that keeps a memory, of random weights."""
+    rng, ping = np.random.default_rng(0), Ping.of([0.1, 3.0], [0.0, 0.5], [0.0, 0.6], [0.1, 0.9])
+    inputs = Inputs.of(ping, ("distance", "angle", "incidence", "reflectance"))
+    head = Head(near=2, fixed=1, resolution=0.01, max_range=6.0, anchored=ANCHORS, fails=True)
+    told = inputs.width + LINKS
+    shapes = ((4 * state, told), (4 * state, state), (4 * state,))
+    layers = [(rng.normal(size=(head.width, told + state)), rng.normal(size=head.width))]
+    return LstmModel(inputs, head, Cell(*(rng.normal(size=shape) for shape in shapes)), layers)
 
 
 def native(n, mode=AutoresetMode.NEXT_STEP, **settings):
@@ -105,6 +123,8 @@ def test_every_autoreset_mode_is_gymnasium_s_own(mode):
     "settings",
     [
         {"sonar": Stubborn(sigma=0.05)},
+        {"sonar": lstm()},
+        {"sonar": lstm(), "sonar_layout": "eight in turn"},
         {"sonar": Faulty(GaussianModel(), [Constant(rate=0.2, value=0.5), Short(rate=0.1, span=3.0)])},
         {"sonar": "gaussian", "sonar_layout": "eight in turn"},
         {"sonar": "ideal", "odometry": "worn"},
@@ -114,16 +134,17 @@ def test_every_autoreset_mode_is_gymnasium_s_own(mode):
         },
         {"sonar": "gaussian", "difficulty": "hard", "street": {"decoys": [3, 4]}},
     ],
-    ids=["memory", "faults", "in turn", "odometry", "slow", "hard"],
+    ids=["past", "memory", "memory in turn", "faults", "in turn", "odometry", "slow", "hard"],
 )
 def test_whatever_the_settings_it_says_what_single_environments_say(settings):
     assert compare(120, 4, AutoresetMode.NEXT_STEP, **settings) > 0
 
 
-def test_threads_change_nothing():
+@pytest.mark.parametrize("sonar", ["gaussian", lstm()], ids=["gaussian", "memory"])
+def test_threads_change_nothing(sonar):
     runs = []
     for threads in (1, 3):
-        envs, out = native(200, sonar="gaussian", threads=threads), []
+        envs, out = native(200, sonar=sonar, threads=threads), []
         out.append(envs.reset(seed=3)[0])
         out += [envs.step(actions)[0] for actions in wild(200, 60)]
         envs.close()
@@ -169,6 +190,52 @@ def test_it_is_a_vector_environment_without_a_warning():
         envs.close()
 
 
+class First(gymnasium.Env):
+    """A vector environment of one, seen as a single environment."""
+
+    metadata = SonarParkingVectorEnv.metadata
+
+    def __init__(self, sonar):
+        self.envs = native(1, AutoresetMode.DISABLED, sonar=sonar)
+        self.observation_space, self.action_space = self.envs.single_observation_space, self.envs.single_action_space
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        observation, info = self.envs.reset(seed=seed, options=options)
+        return {key: value[0] for key, value in observation.items()}, one_of(info, 0)
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.envs.step(action[None])
+        first = {key: value[0] for key, value in observation.items()}
+        return first, float(reward[0]), bool(terminated[0]), bool(truncated[0]), one_of(info, 0)
+
+    def close(self):
+        self.envs.close()
+
+
+@pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
+def test_checkers_have_no_complaint_of_one_among_the_vector(sonar):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(First(sonar), skip_render_check=True)
+        check_for_sb3(First(sonar))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_gymnasium_s_checks_of_spaces_and_observations_hold_for_all(mode):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        envs = native(5, mode, sonar="gaussian", difficulty="hard")
+        check_observation_space(envs.observation_space)
+        check_action_space(envs.action_space)
+        check_obs(envs.reset(seed=0)[0], envs.observation_space, "reset")
+        for actions in wild(5, 60):
+            observation, _, terminated, truncated, _ = envs.step(actions)
+            check_obs(observation, envs.observation_space, "step")
+            if mode is AutoresetMode.DISABLED and np.any(terminated | truncated):
+                envs.reset(options={"reset_mask": terminated | truncated})
+
+
 def test_seeds_are_seed_plus_i_or_those_given():
     envs = native(3, sonar="gaussian")
     envs.reset(seed=4)
@@ -206,6 +273,14 @@ def test_gymnasium_s_episode_statistics_count_episodes(mode):
             lengths.extend(info["episode"]["l"][info["_episode"]])
     assert len(lengths) == 8
     assert set(lengths) == {20}
+
+
+def test_a_memory_grows_with_the_environments_that_are_reset():
+    envs = native(3, AutoresetMode.DISABLED, sonar=lstm())
+    for i in range(3):
+        envs.reset(seed=i, options={"reset_mask": np.arange(3) == i})
+    said, _, _, _, _ = envs.step(np.zeros((3, 2)))
+    assert said in envs.observation_space
 
 
 def test_environments_that_have_ended_must_be_reset_where_autoreset_is_off():

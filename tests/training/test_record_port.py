@@ -30,16 +30,21 @@ DEVICES = {
 
 
 @pytest.mark.parametrize("driver", DEVICES)
-def test_records_from_a_port(tmp_path, driver):
+def test_records_from_a_port(tmp_path, driver, patiently):
     plan, path = tmp_path / "p.toml", tmp_path / "r.csv"
     plan.write_text(PLAN, encoding="utf-8")
     gain = ["--gain", "16"] if driver == "srf10" else []
-    with PseudoTerminal(DEVICES[driver]()) as far:
-        options = ["--driver", driver, "--port", far.path, "--plan", str(plan), "--operator", "none", *gain]
-        main(["record", "--out", str(path), *options])
-    recording = Recording.load(path)
-    assert recording.reading.range == pytest.approx(np.full(3, 1.0), abs=0.04)
-    assert ("gain" in recording.ping.covariates) == (driver in ("srf08", "srf10"))
+
+    def attempt():
+        path.unlink(missing_ok=True)
+        with PseudoTerminal(DEVICES[driver]()) as far:
+            options = ["--driver", driver, "--port", far.path, "--plan", str(plan), "--operator", "none", *gain]
+            main(["record", "--out", str(path), *options])
+        recording = Recording.load(path)
+        assert recording.reading.range == pytest.approx(np.full(3, 1.0), abs=0.04)
+        assert ("gain" in recording.ping.covariates) == (driver in ("srf08", "srf10"))
+
+    patiently(attempt)
 
 
 def test_a_dead_wire_does_not_pass_for_silence(tmp_path, capsys):

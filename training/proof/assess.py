@@ -1,0 +1,132 @@
+"""After the answer is opened: what somebody who knew it could have gained, and what the named baselines say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquisition import Recording
+from noise import IdealModel
+from noise.cells import Batch
+from noise.discrepancy.diagnosis import conclude, intervals, prepared
+from noise.discrepancy.emulate import Baseline, baseline_of, free_of
+from noise.discrepancy.search import Search
+from noise.discrepancy.splits import Split
+from noise.fit import Fit, log_likelihood, maximise
+from noise.stack import NUISANCES, Stack
+from training.proof.baselines import beam_nats, independent_name, process_nats, two_samples
+from training.proof.desk import serve
+from training.proof.examine import RECORDED, SIMULATED
+
+SEED = 0  # that the diagnosis runs with, so that both share their splits
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A trial laid open.
+
+    Attributes:
+        simulated, recorded: the two recordings.
+        base: the law that stands for the simulation; `before` with nuisances fitted.
+        split, search: as the diagnosis had them.
+    """
+
+    simulated: Recording
+    recorded: Recording
+    base: Baseline
+    before: Fit
+    split: Split
+    search: Search
+
+    @classmethod
+    def of(cls, folder: Path) -> Opened:
+        """Load a trial."""
+        simulated, recorded = (Recording.load(folder / name) for name in (SIMULATED, RECORDED))
+        base = baseline_of(IdealModel(), recorded, simulated, SEED)
+        split = Split.of(base.with_twins(Batch.of(recorded)), np.random.default_rng([SEED, 1]))
+        search, before = prepared(base, split, SEED)
+        return cls(simulated, recorded, base, before, split, search)
+
+    def on_vault(self, stack: Stack) -> float:
+        """Return the log likelihood a ping on cells that nothing was fitted to, nats."""
+        return float(log_likelihood(stack, self.split.vault).mean())
+
+
+@dataclass(frozen=True)
+class Best:
+    """What somebody reaches who knows what to fit.
+
+    Attributes:
+        nats: gained across unseen open cells.
+        vault: log likelihood a ping on the vault, nats.
+        widths: of 90 % intervals by effect and parameter.
+    """
+
+    nats: float
+    vault: float
+    widths: dict[str, float]
+
+
+def oracle(opened: Opened, truth: Sequence[str]) -> Best:
+    """Return what fitting the true effects alone reaches."""
+    search = opened.search
+    names = list(dict.fromkeys(truth))
+    crossed = search.cross(search.base, [])
+    stack, chosen = crossed.first.stack, list[str]()
+    for name in names:
+        stack, chosen = search.tried(stack, chosen, name).stack, [*chosen, name]
+    told = search.cross(stack, chosen, near=crossed)
+    final = conclude(search, told, chosen)
+    known = intervals(final, search.both)
+    widths = {f"{key[0]}.{key[1]}": i.high - i.low for key, i in known.items() if key[0] in names}
+    return Best(float((told.nats - crossed.nats).sum()), opened.on_vault(final.stack), widths)
+
+
+def flexible(opened: Opened) -> Best:
+    """Return what a fit without causes reaches; its nats are the vault's, scaled to the open cells."""
+    stack, both = opened.before.stack, opened.search.both
+    free = (*free_of(stack), *NUISANCES)
+    after = opened.on_vault(maximise(stack, tuple(dict.fromkeys(free)), both, 60).stack)
+    return Best((after - opened.on_vault(stack)) * len(opened.split.both), after, {})
+
+
+def assessed(question: dict[str, Any]) -> dict[str, Any]:
+    """Return the scores of an opened trial.
+
+    Args:
+        question: `folder`, `answer`, `verdict`; `quick` leaves the baselines out.
+    """
+    answer, opened = question["answer"], Opened.of(Path(question["folder"]))
+    truth = [cause["name"] for cause in answer["causes"]] if answer["kind"] != "stranger" else []
+    before = opened.on_vault(opened.before.stack)
+    apart = two_samples(opened.simulated, opened.recorded, np.random.default_rng([SEED, 20]))
+    best = Best(0.0, before, {})
+    if answer["kind"] != "null":
+        best = oracle(opened, truth) if truth else flexible(opened)
+    separation = max(best.nats, apart["classifier_nats"]) if answer["kind"] == "stranger" else best.nats
+    scores: dict[str, Any] = {
+        "separation_nats": separation,
+        "vault_before": before,
+        "vault_oracle": best.vault,
+        **apart,
+    }
+    scores["oracle_widths"] = best.widths
+    return scores if question.get("quick") else {**scores, **_baselines(opened)}
+
+
+def _baselines(opened: Opened) -> dict[str, Any]:
+    name, nats = independent_name(opened.search)
+    return {
+        "independent_name": name,
+        "independent_nats": nats,
+        "vault_process": process_nats(opened.before.stack, opened.search.both, opened.split.vault),
+        "vault_beam": beam_nats(opened.recorded, opened.split),
+    }
+
+
+if __name__ == "__main__":
+    serve(assessed)

@@ -1,0 +1,102 @@
+"""The diagnosing process: it is handed a folder with two recordings and returns a verdict. It can open nothing else.
+
+An audit hook, which no code can take off again, refuses every file of the proof but those two, every other process,
+the network, the environment's usual holes (/proc), and the modules that know what is concealed. That keeps an honest
+program honest; it is no wall against one that was written to break out of it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from acquisition import Recording
+from noise import IdealModel
+from noise.discrepancy import diagnose
+from training.proof.desk import ROOT, serve
+
+SIMULATED, RECORDED = "simulated.csv", "recorded.csv"
+MAKERS = ("generate", "mix", "causes", "strangers", "family", "world", "surveys", "assess")
+FORBIDDEN_MODULES = ("acquisition.bench", *(f"training.proof.{name}" for name in MAKERS))
+FORBIDDEN_EVENTS = (
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "os.fork",
+    "os.posix_spawn",
+    "socket.connect",
+    "ctypes.dlopen",
+)
+
+
+class SealError(RuntimeError):
+    """The diagnosing process reached for what it must not see."""
+
+
+class Guard:
+    """What the audit hook allows; the folder changes with the trial."""
+
+    def __init__(self) -> None:
+        """Allow no folder yet."""
+        self.folder: Path | None = None
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """Refuse an event that could tell the answer."""
+        if self.folder is None:
+            return
+        if event == "import" and str(arguments[0]).startswith(FORBIDDEN_MODULES):
+            raise SealError(f"the diagnosing process may not import {arguments[0]}")
+        if event in FORBIDDEN_EVENTS:
+            raise SealError(f"the diagnosing process may not {event}")
+        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes | Path):
+            self.see(arguments[0])
+
+    def see(self, name: str | bytes | Path) -> None:
+        """Refuse a path that belongs to the proof and is not one of the two recordings, or that tells of processes."""
+        assert self.folder is not None
+        path = Path(os.path.realpath(os.fsdecode(name)))
+        run = self.folder.parent.parent
+        own = path in (self.folder / SIMULATED, self.folder / RECORDED)
+        library = path.is_relative_to(ROOT) or path.is_relative_to(sys.prefix)
+        of_the_run = path.is_relative_to(run) and not own and not library
+        if of_the_run or is_maker(path) or path.is_relative_to("/proc"):
+            raise SealError(f"the diagnosing process may not look at {path}")
+
+
+def is_maker(path: Path) -> bool:
+    """Tell whether a file is source or byte code of what makes trials; not every import announces itself."""
+    name, proof = path.name.split(".")[0], ROOT / "training" / "proof"
+    return path.is_relative_to(ROOT / "acquisition" / "bench") or (path.is_relative_to(proof) and name in MAKERS)
+
+
+def examined(folder: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Diagnose the two recordings of a folder.
+
+    Args:
+        folder: holds them.
+        without: effects to take out of the catalogue first.
+    """
+    simulated, recorded = (Recording.load(folder / name) for name in (SIMULATED, RECORDED))
+    begun = time.perf_counter()
+    found = diagnose(IdealModel(), recorded, simulated=simulated, seed=0, without=without)
+    return {"verdict": found.to_verdict(), "seconds": round(time.perf_counter() - begun, 2)}
+
+
+def guarded() -> tuple[Guard, Callable[[dict[str, Any]], dict[str, Any]]]:
+    """Return the guard, its hook installed, and the answer to a question."""
+    guard = Guard()
+    sys.addaudithook(guard)
+
+    def answer(question: dict[str, Any]) -> dict[str, Any]:
+        guard.folder = Path(question["folder"]).resolve()
+        return examined(guard.folder, tuple(question.get("without", ())))
+
+    return guard, answer
+
+
+if __name__ == "__main__":
+    serve(guarded()[1])
