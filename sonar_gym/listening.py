@@ -88,7 +88,7 @@ class Listener:
         self._flying = np.zeros((n, s, self._depth, COLUMNS))
         self._slot = np.zeros((n, s), dtype=np.int64)
         self._before = np.zeros((MET, n, s))
-        self._steps = np.zeros(n, dtype=np.int64)
+        self._steps, self._sonars = np.zeros(n, dtype=np.int64), np.arange(s)
         self.shown = np.zeros((n, s, COLUMNS))
 
     def begin(self, rows: Ints, met: Met) -> None:
@@ -98,7 +98,7 @@ class Listener:
         self._flying[rows, :, :, SENT] = np.inf
         now: Floats = np.stack(met)
         self._before[:, rows] = now
-        self.shown[rows] = self._pinged(rows, now, np.zeros(now.shape[1:]), np.ones(now.shape[1:], dtype=bool))
+        self.shown[rows] = self._pinged(rows, now, 0.0)
 
     def step(self, rows: Ints, met: Met) -> None:
         """Go on by one observation with some cars."""
@@ -106,8 +106,7 @@ class Listener:
         world: Floats = np.stack(met)
         now: Floats = np.asarray(self._steps[rows, None] * self.step_s, dtype=np.float64)
         if self._always:
-            everywhere = np.broadcast_to(now, world.shape[1:])
-            self.shown[rows] = self._pinged(rows, world, everywhere, np.ones(world.shape[1:], dtype=bool))
+            self.shown[rows] = self._pinged(rows, world, now)
             return
         sent, fired = self._firing(now)
         faced = np.where(sent < now - NOW, self._before[:, rows], world)
@@ -124,19 +123,23 @@ class Listener:
         begun = (self._period == 0.0) | (last >= self._phase - NOW)
         return last, begun & (last > now - self.step_s + NOW)
 
-    def _pinged(self, rows: Ints, met: Floats, sent: Floats, fired: Bits) -> Floats:
-        """Draw the readings of pings; return all that is known of them, (r, s, COLUMNS), 0 where none was fired."""
-        out = np.zeros((*fired.shape, COLUMNS))
-        out[..., :MET], out[..., SENT] = np.moveaxis(met, 0, -1), sent
-        pings = out[fired]
-        seen, place = pings[:, SEEN] > 0.0, (rows[:, None] * self.sonar.count + np.arange(self.sonar.count))[fired]
-        distance = np.where(seen, pings[:, DISTANCE], EMPTY_M)
-        ping = Ping(distance, pings[:, BEARING], pings[:, INCIDENCE], pings[:, REFLECTANCE], pings[:, SENT], place)
-        drawn = self.sonar.draw(ping, rows, fired.sum(axis=1).tolist(), place)
+    def _pinged(self, rows: Ints, met: Floats, sent: ArrayLike, fired: Bits | None = None) -> Floats:
+        """Draw the readings of pings; return all that is known of them, (r, s, COLUMNS); None: all have fired."""
+        count = self.sonar.count
+        out = np.empty((len(rows), count, COLUMNS))
+        out[..., :MET], out[..., SENT], out[..., GIVEN_CONDITION] = np.moveaxis(met, 0, -1), np.asarray(sent), 0.0
+        pings, place = out.reshape(-1, COLUMNS), (rows[:, None] * count + self._sonars).ravel()
+        each = [count] * len(rows)
+        if fired is not None:
+            pings, place, each = out[fired], place[fired.ravel()], fired.sum(axis=1).tolist()
+        distance, bearing, incidence, reflectance, seen, moment = pings[:, : SENT + 1].T
+        ping = Ping(np.where(seen > 0.0, distance, EMPTY_M), bearing, incidence, reflectance, moment, place)
+        drawn = self.sonar.draw(ping, rows, each, place)
         pings[:, RANGE], pings[:, STATUS] = drawn.reading.range, drawn.reading.status
         if drawn.credence_given_condition is not None:
-            pings[:, GIVEN_CONDITION] = np.where(seen, drawn.credence_given_condition, 0.0)
-        out[fired] = pings
+            pings[:, GIVEN_CONDITION] = np.where(seen > 0.0, drawn.credence_given_condition, 0.0)
+        if fired is not None:
+            out[fired] = pings
         return out
 
     def _send(self, rows: Ints, fired: Bits, pings: Floats) -> None:
