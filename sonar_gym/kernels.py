@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sonar_gym.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -17,7 +18,7 @@ NOTHING = -1  # index of the hit where a cone is empty
 TIE = 1e-9  # m; two faces that meet in a corner are equally near up to rounding
 
 
-@njit(cache=True)
+@compiled
 def clip_half_plane(f0: float, f1: float, low: float, high: float) -> tuple[float, float]:
     """Narrow [low, high] to where f0 + t (f1 - f0) >= 0; an empty interval has low > high."""
     slope = f1 - f0
@@ -27,7 +28,7 @@ def clip_half_plane(f0: float, f1: float, low: float, high: float) -> tuple[floa
     return (max(low, t), high) if slope > 0.0 else (low, min(high, t))
 
 
-@njit(cache=True)
+@compiled
 def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
     """Return a point of the world in the frame of a pose."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -35,7 +36,7 @@ def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
     return c * dx + s * dy, c * dy - s * dx
 
 
-@njit(cache=True)
+@compiled
 def nearest_in_wedge(
     x1: float, y1: float, x2: float, y2: float, cosine: float, sine: float
 ) -> tuple[float, float, bool]:
@@ -59,21 +60,21 @@ def nearest_in_wedge(
     return x1 + t * dx, y1 + t * dy, True
 
 
-@njit(cache=True)
+@compiled
 def squareness(x: float, y: float, dx: float, dy: float) -> float:
     """Return the cosine of the angle between the ray to (x, y) and the normal of a face along (dx, dy), 0 to 1."""
     scale = math.sqrt((x * x + y * y) * (dx * dx + dy * dy))
     return min(1.0, abs(x * dy - y * dx) / scale) if scale > 0.0 else 1.0
 
 
-@njit(cache=True)
+@compiled
 def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
     """Return a point in the frame of a pose in the world."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + c * x - s * y, pose[1] + s * x + c * y
 
 
-@njit(cache=True)
+@compiled
 def cast_cone(
     x: float, y: float, heading: float, half: float, segments: Floats, limit: float
 ) -> tuple[float, float, float, int, float, float]:
@@ -99,7 +100,7 @@ def cast_cone(
     return best, bearing, math.acos(square), index, x + c * at_x - s * at_y, y + s * at_x + c * at_y
 
 
-@njit(cache=True)
+@compiled
 def cast_cones(
     poses: Floats, half: Floats, segments: Floats, limit: float
 ) -> tuple[Floats, Floats, Floats, Ints, Floats]:
@@ -130,7 +131,7 @@ def cast_cones(
     return distance, bearing, incidence, index, point
 
 
-@njit(cache=True)
+@compiled
 def mounted(mounts: Floats, car: Floats) -> Floats:
     """Return poses of the car's frame in the world, (s, 3)."""
     out = np.empty_like(mounts)
@@ -140,7 +141,7 @@ def mounted(mounts: Floats, car: Floats) -> Floats:
     return out
 
 
-@njit(cache=True)
+@compiled
 def touches(pose: Floats, body: Floats, segments: Floats) -> int:
     """Return the first segment that meets a rectangle, or -1.
 
@@ -170,14 +171,14 @@ def touches(pose: Floats, body: Floats, segments: Floats) -> int:
     return NOTHING
 
 
-@njit(cache=True)
+@compiled
 def approach(value: float, target: float, rate: float, lag: float, dt: float) -> float:
     """Return a first-order follower's value after dt s: time constant `lag` s, slope at most `rate` a second."""
     change = (target - value) * (1.0 - math.exp(-dt / lag)) if lag > 0.0 else target - value
     return value + min(max(change, -rate * dt), rate * dt)
 
 
-@njit(cache=True)
+@compiled
 def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, float]:
     """Return a pose after `travel` m of the rear axle along an arc of `curvature` 1/m: exact.
 
@@ -191,7 +192,7 @@ def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, f
     return pose[0] + chord * math.cos(along), pose[1] + chord * math.sin(along), heading
 
 
-@njit(cache=True)
+@compiled
 def drive_part(
     state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, h: float
 ) -> tuple[int, float]:
@@ -207,7 +208,7 @@ def drive_part(
     return touches(state[:3], body, segments), curvature
 
 
-@njit(cache=True)
+@compiled
 def drive(
     state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, dt: float, parts: int
 ) -> tuple[Floats, int]:

@@ -14,10 +14,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquisition import SettingError
+from sonar_gym.compiled import compiled
 
 Floats = NDArray[np.float64]
 ODOMETRY_TAG = 0x57E9  # another stream than those of the world and of the sonars
@@ -78,7 +78,7 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
 X, Y, HEADING, SCALE, PULL, SLIP, WANDER = range(7)  # columns of what an odometer keeps
 
 
-@njit(cache=True)
+@compiled
 def reckoned(
     estimate: Floats, before: Floats, after: Floats, stretch: float, pull: float, wander: float
 ) -> tuple[float, float, float]:
@@ -101,7 +101,7 @@ def reckoned(
     return estimate[0] + c * along - s * across, estimate[1] + s * along + c * across, heading
 
 
-@njit(cache=True)
+@compiled
 def count(kept: Floats, before: Floats, after: Floats) -> None:
     """Count a step between two poses of the world.
 

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
-from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model
+from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.model import Remembering
 from sonar_gym.scene import EMPTY_M
 
@@ -62,11 +62,19 @@ def sonar_spaces(count: int) -> dict[str, spaces.Space[Any]]:
 
 def resolve(sonar: SonarChoice) -> SonarModel:
     """Return a model by name, by the path of its folder, or as it is."""
+    if isinstance(sonar, str) and sonar in model_names():
+        return _named(sonar)
     if isinstance(sonar, (str, os.PathLike)):
         return load_model(sonar)
     if isinstance(sonar, SonarModel):
         return sonar
     raise SettingError(f"sonar is a {type(sonar).__name__}, expected a name, the path of a model, or a SonarModel")
+
+
+@lru_cache
+def _named(name: str) -> SonarModel:
+    """Return a model by name, one for all: so credence is tabulated once. What lies in a folder may be trained anew."""
+    return load_model(name)
 
 
 def bin_edges(max_range: float) -> Floats:

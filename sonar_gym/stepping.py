@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sonar_gym.compiled import compiled
 from sonar_gym.kernels import NOTHING, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
 from sonar_gym.odometry import PULL, SCALE, count
 
@@ -112,7 +112,7 @@ class Rules(NamedTuple):
     far: float
 
 
-@njit(cache=True)
+@compiled
 def firing(begin: float, dt: float, period: float, phase: float) -> float:
     """Return how long after `begin` a sonar fires last within dt s, (0, dt]; -1 where it does not.
 
@@ -128,7 +128,7 @@ def firing(begin: float, dt: float, period: float, phase: float) -> float:
     return min(last - begin, dt) if last > begin + NOW and last >= phase - NOW else -1.0
 
 
-@njit(cache=True)
+@compiled
 def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_radian: float) -> float:
     """Return the least, over the poses of the reference path, of what is left from there plus the price of being off.
 
@@ -164,7 +164,7 @@ def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_ra
     return best
 
 
-@njit(cache=True)
+@compiled
 def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool:
     """Return whether a car stands in its gap: slow, straight, and with no corner out of it."""
     if abs(state[3]) > limits[0] or abs(state[2]) > limits[1]:
@@ -179,7 +179,7 @@ def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool
 # Below, bundles are taken apart once a call: to reach into one counts references, which costs more than the work.
 
 
-@njit(cache=True)
+@compiled
 def ping(
     flying: Floats,
     i: int,
@@ -205,7 +205,7 @@ def ping(
         flying[i, s, REFLECTANCE], flying[i, s, THING] = surface[i, face, 0], owner[i, face]
 
 
-@njit(cache=True)
+@compiled
 def land(flying: Floats, in_flight: Bits, shown: Floats, i: int, s: int, now: float, latency: float) -> None:
     """Show the reading of a sonar's ping if it has come in by now; what is known when an episode begins is known."""
     if in_flight[i, s] and (now == 0.0 or now + NOW >= flying[i, s, SENT] + latency):
@@ -214,7 +214,7 @@ def land(flying: Floats, in_flight: Bits, shown: Floats, i: int, s: int, now: fl
             shown[i, s, k] = flying[i, s, k]
 
 
-@njit(cache=True)
+@compiled
 def note_ego(ego: Singles, car: Floats, kept: Floats, i: int, share: Floats, wheelbase: float, step: int) -> None:
     """Write what wheels, steering and clock tell: with the same errors as the way that they are summed up to."""
     x, y, turn, pull = kept[i, 0], kept[i, 1], kept[i, 2], kept[i, PULL]
@@ -227,7 +227,7 @@ def note_ego(ego: Singles, car: Floats, kept: Floats, i: int, share: Floats, whe
         ego[i, k] = min(max(told[k], -1.0), 1.0)
 
 
-@njit(cache=True)
+@compiled
 def pay(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
     """Write the terms of the reward and the cost to go from here."""
     cost = cost_to_go(car[i, :3], task[i], arc, weights[4], weights[5])
@@ -237,7 +237,7 @@ def pay(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floa
     task[i, COST] = cost
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def begin(rows: Ints, w: Worlds, r: Rules) -> None:
     """Begin episodes in some worlds, whose cars stand and streets lie: all sonars look, everything else is nothing."""
     flying, car, surface, owner, mounts, half = w.flying, w.car, w.surface, w.owner, r.mounts, r.half
@@ -252,7 +252,7 @@ def begin(rows: Ints, w: Worlds, r: Rules) -> None:
         note_ego(w.ego, car, w.kept, i, r.share, r.measures[0], 0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
     """Drive the cars of some worlds for a step, each sonar looking from where the car is when it fires.
 
@@ -299,7 +299,7 @@ def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
         note_ego(ego, car, kept, i, share, measures[0], steps[i])
 
 
-@njit(cache=True)
+@compiled
 def bin_of(range_: float, edges: Floats) -> int:
     """Return the bin that a range in m falls into; the bins are equally wide, and what lies beyond is in the last."""
     last = edges.shape[0] - 2
@@ -309,7 +309,7 @@ def bin_of(range_: float, edges: Floats) -> int:
     return place + 1 if place < last and range_ >= edges[place + 1] else place
 
 
-@njit(cache=True)
+@compiled
 def cause_of(fault: float, status: float, thing: float, said: float, true: float) -> int:
     """Return why a reading is what it is; right is within 10 % of the truth, as for credence (Esmi 2016).
 
@@ -333,7 +333,7 @@ def cause_of(fault: float, status: float, thing: float, said: float, true: float
     return EARLY if said < true else LATE
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tell(rows: Ints, w: Worlds, r: Rules) -> None:
     """Show the readings of some worlds that have come in by now.
 

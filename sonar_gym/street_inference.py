@@ -6,10 +6,10 @@ A state holds the car's pose, the pull of its steering and the street's lines; `
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sonar_gym import kernels
+from sonar_gym.compiled import compiled
 
 Floats = NDArray[np.float64]
 X, Y, HEADING, PULL, WALL, FACE, KERB, EDGES = range(8)  # places in the state; edges of boxes are the rest
@@ -19,7 +19,7 @@ SQUARE, SILENT = np.radians(25.0), 0.1  # met at less than this, a face is rarel
 ASKEW = np.radians(15.0)  # off the beam, or off a face's normal: here the spread is twice that met squarely; ours
 
 
-@njit(cache=True)
+@compiled
 def faces_of(state: Floats) -> Floats:
     """Return the street as segments, m, (2 + edges + boxes, 4): wall, kerb, the boxes' ends and their faces.
 
@@ -38,13 +38,13 @@ def faces_of(state: Floats) -> Floats:
     return out
 
 
-@njit(cache=True)
+@compiled
 def expected(state: Floats, mounts: Floats, half: Floats, limit: float) -> Floats:
     """Return what the sonars would read in a street without noise, m, (n,); `limit` where their cones are empty."""
     return kernels.cast_cones(kernels.mounted(mounts, state[:3]), half, faces_of(state), limit)[0]
 
 
-@njit(cache=True)
+@compiled
 def linearised(state: Floats, mounts: Floats, half: Floats, limit: float, step: float) -> tuple[Floats, Floats]:
     """Return what is expected, m, (n,), and its slopes in every number of the state by differences, (n, states)."""
     at, slopes = expected(state, mounts, half, limit), np.zeros((len(half), len(state)))
@@ -56,7 +56,7 @@ def linearised(state: Floats, mounts: Floats, half: Floats, limit: float, step: 
     return at, slopes
 
 
-@njit(cache=True)
+@compiled
 def associated(
     state: Floats, spread: Floats, at: Floats, slope: Floats, reading: float, credence: float, sigma: float, span: float
 ) -> tuple[Floats, Floats]:
@@ -83,7 +83,7 @@ def associated(
     return state + weight * off * gain, spread - narrower * np.outer(gain, across)
 
 
-@njit(cache=True)
+@compiled
 def edge_log_likelihood(
     state: Floats,
     k: int,
@@ -126,7 +126,7 @@ def edge_log_likelihood(
     return out
 
 
-@njit(cache=True)
+@compiled
 def heard_all(
     state: Floats,
     spread: Floats,
@@ -184,7 +184,7 @@ def opened(far: NDArray[np.bool_], credence: Floats, step: Floats, span: float, 
     return _both_ways(likely, change)
 
 
-@njit(cache=True)
+@compiled
 def _both_ways(likely: Floats, change: Floats) -> Floats:
     n = len(change)
     forward, backward = np.empty((n, 2)), np.ones((n, 2))
@@ -200,6 +200,6 @@ def _both_ways(likely: Floats, change: Floats) -> Floats:
     return both[:, 1] / both.sum(axis=1)
 
 
-@njit(cache=True)
+@compiled
 def _stepped(share: Floats, change: float) -> Floats:
     return np.array([share[0] + change * (share[1] - share[0]), share[1] + change * (share[0] - share[1])])

@@ -22,7 +22,7 @@ from training.thesis_page import commit
 from training.thesis_rig import Settings, compared, published
 from training.thesis_rig_page import FIGURE, figure, page
 
-TABLES = "rig-versus-thesis.md"
+TABLES = "tables.md"
 
 
 @dataclass(frozen=True)

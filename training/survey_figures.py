@@ -161,7 +161,7 @@ def credence_plane(recording: Recording) -> bytes:
 
 
 def _credence_bar() -> tuple[str, float, float]:
-    return (f"credence: share of readings within {100 * TOLERANCE:.0f} % of the truth", 0.0, 1.0)
+    return (f"credence: readings within {100 * TOLERANCE:.0f} %\nof the truth", 0.0, 1.0)
 
 
 def detection(recording: Recording) -> bytes:

@@ -131,7 +131,7 @@ def _number(value: float) -> str:
 
 
 def _millimetres(value: float) -> str:
-    return f"{1e3 * value:.0f}" if np.isfinite(value) else "–"
+    return f"{round(1e3 * value)}" if np.isfinite(value) else "–"
 
 
 def figure(study: Study) -> bytes:

@@ -203,8 +203,8 @@ def _live(bound: Floats) -> slice:
 def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], Floats]:
     """Return ping numbers and times of all upward crossings of the threshold, in order, (k,) each.
 
-    Between two samples the level is linear and the phase turns once; a positive peak at or over the threshold is
-    preceded by a crossing, a quarter period or less before it.
+    Between two samples the level's root is linear, as at the onset of a burst through two resonators, and the phase
+    turns once; a positive peak at or over the threshold is preceded by a crossing, a quarter period or less before it.
     """
     trip = 1.0 + 0.5 * unit.hysteresis
     if not z.size:
@@ -219,7 +219,7 @@ def crossings(z: NDArray[np.complex64], unit: Unit) -> tuple[NDArray[np.int64], 
     turn = 2.0 * np.pi + np.angle(there * here.conj())
     first = np.mod(0.5 * np.pi - np.angle(here), 2.0 * np.pi) / turn
     part = np.stack([first, first + 2.0 * np.pi / turn], axis=1)
-    level = np.abs(here)[:, None] * (1.0 - part) + np.abs(there)[:, None] * part
+    level = (np.sqrt(np.abs(here))[:, None] * (1.0 - part) + np.sqrt(np.abs(there))[:, None] * part) ** 2
     row, column = np.nonzero((part < 1.0) & (level >= trip))
     early = np.arccos(trip / level[row, column]) / turn[row]
     ping, sample = np.divmod(flat[row], z.shape[1])

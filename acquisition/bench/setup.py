@@ -108,6 +108,9 @@ class Bus:
                 raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability a ping")
 
 
+SCATTER = ("drift_c", "scintillation_db", "jitter_m", "placement_m", "placement_deg", "tilt_deg")
+
+
 @dataclass(frozen=True)
 class Setup:
     """Everything about a recording that is not the unit; the defaults are the laboratory of Esmi (2016).
@@ -205,6 +208,12 @@ class Setup:
             "humidity_drift_pct": uniform(0.0, 5.0),
         }
         return cls(**{**drawn, **fixed})
+
+    @classmethod
+    def still(cls, **fixed: Any) -> Setup:
+        """Return a laboratory that holds a sensor and a reflector, and where nothing wanders, flutters or scatters."""
+        nothing = dict.fromkeys(SCATTER, 0.0)
+        return cls(**{**nothing, "post": None, "room": Room(None, None, None), **fixed})
 
     def after_reset(self) -> Setup:
         """Return the settings of a sensor whose supply broke down: full gain and range."""

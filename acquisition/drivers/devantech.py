@@ -31,6 +31,7 @@ NOT_ACKNOWLEDGED = (121, 6, 5, 110)
 RETRIES = 3
 POLL = 1e-3  # s
 TELLING = 0.02  # s of listening from which a look over a slow serial port still meets a busy sensor
+SPACING = 0.065  # s between two pings, so that the second does not hear the first's far echoes (SRF08 manual)
 REACH, SPARE_M = 1.05, 0.1  # share and m by which clocks and zeros of real units may differ
 PATIENCE = 0.1  # s beyond listening before the sensor counts as dead
 
@@ -105,25 +106,27 @@ class Devantech:
             StaleError: it acknowledged and did not go busy: the command was lost, and its echoes are old ones.
         """
         self.prepare()
-        self.write(COMMAND, RANGING[self.output])
-        self.expect_busy()
+        command([self], lambda: self.write(COMMAND, RANGING[self.output]))
 
     def prepare(self) -> None:
         """Write the settings, each on its own."""
         for register, value in self.settings():
             self.write(register, value)
 
-    def expect_busy(self) -> None:
-        """Make sure that a ranging command arrived.
+    def went_busy(self, began: float) -> bool:
+        """Tell whether a ranging command arrived that was given at `began`; False where it is too late to tell.
 
         Raises:
             StaleError: the sensor answers, as it does not while it listens.
         """
-        if self.listening >= TELLING and self._idle():
-            raise StaleError(
-                f"{self}: answers at once after a ranging command, expected {self.listening * 1e3:.0f} ms of silence: "
-                "the command was lost, and its echoes are those of the ping before; check SDA, SCL and their pull-ups"
-            )
+        if self.listening < TELLING or not self._idle():
+            return True
+        if self.clock() - began >= self.listening:
+            return False
+        raise StaleError(
+            f"{self}: answers at once after a ranging command, expected {self.listening * 1e3:.0f} ms of silence: "
+            "the command was lost, and its echoes are those of the ping before; check SDA, SCL and their pull-ups"
+        )
 
     def fetch(self) -> Echoes:
         """Await the end of listening and return the echoes, m; after `fire` or `fire_all`.
@@ -279,9 +282,29 @@ def fire_all(sonars: Sequence[Devantech]) -> None:
     for sonar in sonars:
         sonar.prepare()
     first = sonars[0]
-    first.retry(lambda: first.bus.write_byte_data(GENERAL_CALL, COMMAND, RANGING[first.output]))
-    for sonar in sonars:
-        sonar.expect_busy()
+    command(
+        sonars, lambda: first.retry(lambda: first.bus.write_byte_data(GENERAL_CALL, COMMAND, RANGING[first.output]))
+    )
+
+
+def command(sonars: Sequence[Devantech], give: Callable[[], object]) -> None:
+    """Give a ranging command and make sure that the sonars took it; again where this host was too slow to see that.
+
+    Raises:
+        StaleError: one of them did not take it.
+        NoAnswerError: the host was too slow each time.
+    """
+    clock = sonars[0].clock
+    for _ in range(RETRIES):
+        began = clock()
+        give()
+        if all(sonar.went_busy(began) for sonar in sonars):
+            return
+        sonars[0].sleep(SPACING)
+    raise NoAnswerError(
+        f"{sonars[0]}: this computer was {RETRIES} times too slow to see whether it took a ranging command, which "
+        f"shows for {sonars[0].listening * 1e3:.0f} ms only; lessen its load or raise the range register"
+    )
 
 
 def check_address(address: int, name: str) -> None:

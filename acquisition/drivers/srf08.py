@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from acquisition.drivers.devantech import COMMAND, ECHOES, GAIN, METRES, RANGE, STEP, Devantech, Output, check
+from acquisition.drivers.devantech import COMMAND, ECHOES, GAIN, METRES, RANGE, STEP, Devantech, Output, check, command
 
 LIGHT = 1
 ANN: dict[Output, int] = {"inch": 0x53, "cm": 0x54, "us": 0x55}
@@ -31,25 +31,25 @@ class Gates:
 
 
 @dataclass
-class Srf08(Devantech):
-    """One SRF08.
+class Adjustable(Devantech):
+    """What has registers of gain and range.
 
     Attributes:
-        gain: code 0..31 of the amplifier's cap.
+        gain: code 0..`greatest_gain` of the amplifier's cap.
         range_register: 0..255; echoes are awaited for (r + 1) * 256 us.
     """
 
-    gain: int = 31
+    gain: int = 16
     range_register: int = 255
 
-    name: ClassVar[str] = "SRF08"
-    count: ClassVar[int] = 17
+    greatest_gain: ClassVar[int]
 
     def __post_init__(self) -> None:
         """Refuse settings that the sensor cannot hold."""
         super().__post_init__()
-        check("SRF08 gain", self.gain, 31, "code; the manual's table ends at 31")
-        check("SRF08 range register", self.range_register, 255, "steps of 43 mm")
+        ends = f"code; the manual's table ends at {self.greatest_gain}"
+        check(f"{self.name} gain", self.gain, self.greatest_gain, ends)
+        check(f"{self.name} range register", self.range_register, 255, "steps of 43 mm")
 
     @property
     def listening(self) -> float:
@@ -60,6 +60,17 @@ class Srf08(Devantech):
         """Return gain and range."""
         yield GAIN, self.gain
         yield RANGE, self.range_register
+
+
+@dataclass
+class Srf08(Adjustable):
+    """One SRF08: 17 echoes, 32 gains, a light sensor."""
+
+    gain: int = 31
+
+    name: ClassVar[str] = "SRF08"
+    count: ClassVar[int] = 17
+    greatest_gain: ClassVar[int] = 31
 
     def light(self) -> int:
         """Return the light sensor's value, taken just before the last burst, 0..255."""
@@ -72,8 +83,7 @@ class Srf08(Devantech):
             NoAnswerError: as `ping`.
         """
         self.write(RANGE, 255)
-        self.write(COMMAND, ANN[self.output])
-        self.expect_busy()
+        command([self], lambda: self.write(COMMAND, ANN[self.output]))
         self.sleep(256 * STEP)
         self.await_end()
         first = self.counts()[0]
@@ -82,34 +92,11 @@ class Srf08(Devantech):
 
 
 @dataclass
-class Srf10(Devantech):
-    """One SRF10: one echo, 17 gains, no light.
-
-    Attributes:
-        gain: code 0..16 of the amplifier's cap.
-        range_register: 0..255; echoes are awaited for (r + 1) * 256 us.
-    """
-
-    gain: int = 16
-    range_register: int = 255
+class Srf10(Adjustable):
+    """One SRF10: one echo, 17 gains, no light."""
 
     name: ClassVar[str] = "SRF10"
-
-    def __post_init__(self) -> None:
-        """Refuse settings that the sensor cannot hold."""
-        super().__post_init__()
-        check("SRF10 gain", self.gain, 16, "code; the manual's table ends at 16")
-        check("SRF10 range register", self.range_register, 255, "steps of 43 mm")
-
-    @property
-    def listening(self) -> float:
-        """How long the sensor listens after a burst, s."""
-        return (self.range_register + 1) * STEP
-
-    def settings(self) -> Iterator[tuple[int, int]]:
-        """Return gain and range."""
-        yield GAIN, self.gain
-        yield RANGE, self.range_register
+    greatest_gain: ClassVar[int] = 16
 
 
 @dataclass

@@ -10,18 +10,7 @@ from acquisition.bench import MIRROR, RUBBER, Post, Rig, Room, Setup, Unit, Wall
 from acquisition.bench.arrivals import FACE, GROUPS, LEAK, POST
 from acquisition.bench.wire import Link
 
-STILL = Setup(
-    drift_c=0.0,
-    scintillation_db=0.0,
-    jitter_m=0.0,
-    placement_m=0.0,
-    placement_deg=0.0,
-    tilt_deg=0.0,
-    post=None,
-    output="us",
-    range_register=255,
-    room=Room(None, None, None),
-)
+STILL = Setup.still(output="us", range_register=255)
 # full gain just sees a wall at 6 m; a bare comparator without the firmware's own offset
 BARE = replace(Unit.nominal(), sensitivity_db=0.0, hysteresis=0.0, t_offset=0.0, leak_db=-300.0, noise=0.0)
 

@@ -16,17 +16,7 @@ from acquisition.bench.scene import REFERENCE
 from acquisition.bench.transducer import Piston, reference_peak
 
 STEP = 0.5e-6
-ALONE = Setup(
-    drift_c=0.0,
-    scintillation_db=0.0,
-    jitter_m=0.0,
-    placement_m=0.0,
-    placement_deg=0.0,
-    tilt_deg=0.0,
-    post=None,
-    room=Room(None, None, None),
-    output="us",
-)
+ALONE = Setup.still(output="us")
 QUIET = replace(Unit.nominal(), noise=0.0, leak_db=-300.0, t_offset=0.0)
 
 

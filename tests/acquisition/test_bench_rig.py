@@ -11,9 +11,7 @@ from acquisition.bench import Ambient, Bus, Neighbour, Post, Rig, Room, Setup, U
 from acquisition.bench.air import sound_speed
 from acquisition.bench.wire import Link
 
-STILL = Setup(
-    drift_c=0.0, scintillation_db=0.0, jitter_m=0.0, placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, post=None
-)
+STILL = Setup.still(room=Room())
 HALL = replace(STILL, reflector=Wall(), gain=31, output="us", room=Room(None, None, None), range_register=255)
 
 

@@ -14,7 +14,7 @@ from acquisition.bench.scene import Poses, Scene
 SPEED = float(sound_speed(19.0, 50.0))
 WAVELENGTH = SPEED / 40e3
 BARE = replace(Unit.nominal(), radius=1e-6, leak_db=-300.0, sensitivity_db=60.0)  # hears all sides alike
-EMPTY = Setup(post=None, room=Room(None, None, None))
+EMPTY = Setup.still()
 
 
 def scene(distance, incidence_deg=0.0, bearing_deg=0.0, setup=EMPTY, unit=BARE, reflectance=1.0, shape=MIRROR):

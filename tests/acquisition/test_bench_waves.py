@@ -9,7 +9,6 @@ from acquisition.bench import (
     MIRROR,
     RUBBER,
     Disc,
-    Room,
     Setup,
     Unit,
     Wall,
@@ -38,7 +37,7 @@ WAVELENGTH = SPEED / 40e3
 BARE = replace(
     Unit.nominal(), radius=1e-6, baseline=0.0, noise=0.0, hysteresis=0.0, rail=1e9, leak_db=-300.0, sensitivity_db=0.0
 )
-EMPTY = Setup(post=None, room=Room(None, None, None))
+EMPTY = Setup.still()
 AIR = Air(np.array([19.0]), np.array([SPEED]), np.array([0.0]))
 
 
@@ -116,6 +115,21 @@ def test_time_walk_of_the_first_crossing(over_db, microseconds):
     pulse = pulse_phases(Unit.nominal(), 20.0)[0] * 10.0 ** (over_db / 20.0)
     _, time = crossings(pulse[None].astype(np.complex64), BARE)
     assert time[0] * 1e6 == pytest.approx(microseconds, abs=1.6)
+
+
+@pytest.mark.parametrize("over_db", [12, 20, 30, 40, 45])
+def test_first_crossing_does_not_depend_on_where_the_samples_fall(over_db):
+    """Echoes at any delay, by the grid of arrivals and one sample a period: within 1.5 us of the exact crossing."""
+    pulse = pulse_at(Unit.nominal(), 20.0, 1e-7) / np.abs(pulse_at(Unit.nominal(), 20.0, 1e-7)).max()
+    t = np.arange(len(pulse)) * 1e-7
+    voltage = (pulse * np.exp(2j * np.pi * 40e3 * t)).imag
+    exact = t[np.argmax(voltage >= 10.0 ** (-over_db / 20.0))]
+    delay = np.random.default_rng(0).uniform(5e-3, 6e-3, 100)
+    weight = np.full(100, 10.0 ** (over_db / 20.0), dtype=complex)
+    wave = waveforms(BARE, np.full(100, 20.0), Pulses(np.arange(100), delay, weight), 600)
+    ping, time = crossings(wave.astype(np.complex64), BARE)
+    late = time[np.searchsorted(ping, np.arange(100))] - delay - exact
+    assert np.abs(late).max() < 1.5e-6
 
 
 def test_time_walk_in_millimetres_and_its_comb():

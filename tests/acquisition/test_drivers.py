@@ -332,3 +332,39 @@ def test_a_lost_ann_command_is_told():
     twin.wire.lost_write = 1.0
     with pytest.raises(StaleError, match="the command was lost"):
         sonar.gates()
+
+
+class Dawdling:
+    """A bus on a host that is busy with other things: the first looks at a sensor come late."""
+
+    def __init__(self, twin, late):
+        self.twin, self.late = twin, late
+
+    def read_byte_data(self, i2c_addr, register):
+        if register == 0 and self.late:
+            self.late -= 1
+            self.twin.clock.sleep(0.05)
+        return self.twin.read_byte_data(i2c_addr, register)
+
+    def __getattr__(self, name):
+        return getattr(self.twin, name)
+
+
+def test_a_host_that_looks_too_late_fires_again_rather_than_call_a_good_echo_old():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    sonar.bus = Dawdling(twin, 2)
+    assert sonar.ping().ranges
+    assert twin.clock() > 2 * 0.065
+    sonar.bus = Dawdling(twin, 1000)
+    with pytest.raises(NoAnswerError, match=r"3 times too slow to see whether it took a ranging command.* 36 ms only"):
+        sonar.ping()
+
+
+def test_a_slow_host_takes_no_lost_command_for_an_echo():
+    twin, sonar = pair()
+    sonar.ping()
+    twin.wire.lost_write = 1.0
+    sonar.bus = Dawdling(twin, 2)
+    with pytest.raises(StaleError, match="the command was lost"):
+        sonar.ping()

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading
-from noise import CredenceTable, GaussianModel, IdealModel
+from noise import CredenceTable, GaussianModel, IdealModel, save_model
 from sonar_gym.driver import ParkingDriver, run_episode
 from sonar_gym.mounts import LAYOUTS
 from sonar_gym.parking import MAX_RANGE
 from sonar_gym.prior import street_credence, street_pings
 from sonar_gym.scene import EMPTY_M
-from sonar_gym.sonar import BINS, Sonar, bin_edges, broad_table
+from sonar_gym.sonar import BINS, Sonar, bin_edges, broad_table, resolve
 from sonar_gym.street import StreetSettings
 from sonar_gym.vehicle import CarSettings
 
@@ -73,3 +73,12 @@ def test_readings_beyond_the_range_are_silence():
     heard = sonar.listen(Ping.of([0.5, 2.0]), np.array([True, True]))
     assert list(heard.reading.echo) == [True, False]
     assert list(heard.observation(1.0)["ranges"]) == [0.5, 1.0]
+
+
+def test_a_model_that_is_named_is_loaded_once_and_one_in_a_folder_each_time(tmp_path):
+    assert resolve("srf08-mlp") is resolve("srf08-mlp")
+    folder = tmp_path / "mine"
+    save_model(GaussianModel(sigma=0.01), folder)
+    first = resolve(folder)
+    save_model(GaussianModel(sigma=0.02), folder)
+    assert (first, resolve(folder)) == (GaussianModel(sigma=0.01), GaussianModel(sigma=0.02))

@@ -113,7 +113,7 @@ def test_the_command_writes_tables_and_a_figure(tmp_path, monkeypatch, capsys):
     author = {"MLP": random_network("mlp", rng), "LSTM": random_network("lstm", rng)}
     monkeypatch.setattr("training.compare_thesis.published", lambda folder: author)
     main(Args(tmp_path / "networks", tmp_path / "out", trials=0, pings=4, seeds=1, epochs=1))
-    text = (tmp_path / "out" / "rig-versus-thesis.md").read_text()
+    text = (tmp_path / "out" / "tables.md").read_text()
     assert text.strip() in capsys.readouterr().out
     assert "nan" not in text
     assert "compare-thesis --networks networks --out out --trials 0 --pings 4 --seeds 1 --epochs 1" in text
