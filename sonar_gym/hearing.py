@@ -37,6 +37,8 @@ class Hearing:
     Attributes:
         key: of the ranges in a `Dict`.
         indices: of the ranges in the flattened array; all of it by default.
+        empty: what the observation puts where nothing is in reach, -1 for MuJoCo's rangefinders; a number at or beyond
+            the maximum range, and infinity, are that anyway.
         metres_per_unit: m of the sonar for 1 in the observation, or for 1 m of a road.
         max_range: the sonars' greatest range, m; what lies there or beyond is an empty cone. None: 3.01 m in the
             parking street, 6 m elsewhere.
@@ -55,6 +57,7 @@ class Hearing:
 
     key: str | None = None
     indices: Sequence[int] | None = None
+    empty: float | None = None
     metres_per_unit: float = 1.0
     max_range: float | None = None
     incidence: Condition = (0.0, 0.4)

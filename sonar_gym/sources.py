@@ -126,9 +126,8 @@ class RangesSource:
 
     def meet(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
         """Take the ranges out of the observation, and the other conditions from where they come."""
-        distance = (
-            self._flat(observation)[..., self._mask].reshape(len(rows), self.count) * self.hearing.metres_per_unit
-        )
+        told = self._flat(observation)[..., self._mask].reshape(len(rows), self.count)
+        distance = np.where(told == self.hearing.empty, np.inf, told * self.hearing.metres_per_unit)
         if np.any(np.isnan(distance)) or np.any(distance < 0.0):
             raise SettingError("SonarObservation met a range that is negative or NaN: check key, indices and unit")
         seen = distance < self.max_range * (1.0 - 1e-6)  # float32 rounds a maximum range to either side

@@ -165,7 +165,8 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         inner = getattr(base, "envs", [base])[0].unwrapped
         if is_road(inner):
             raise SettingError("SonarVectorObservation hears no roads: wrap each, with make_vec(..., wrappers=[...])")
-        self.source = source_of(base, env.single_observation_space, hearing, env.num_envs)
+        world = base if isinstance(base, SonarParkingVectorEnv) else inner
+        self.source = source_of(world, env.single_observation_space, hearing, env.num_envs)
         self.listener = listener_of(self.source, sonar, env.num_envs)
         self.single_observation_space = space_of(self.source)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
