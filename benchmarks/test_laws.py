@@ -1,4 +1,4 @@
-"""Laws are drawn fast enough for stepping, and no other path that agrees with the law is faster for a car's sonars.
+"""Laws are drawn fast enough for stepping, and no other way that agrees with them does better for few and many pings.
 
 Run by `make benchmarks` with one thread a library; prints the tables of docs/noise-models.md.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from noise import load_model
-from training.draw_speed import FEW, LIMITS, Speed, of_models, of_paths, rows
+from training.draw_speed import LIMITS, Speed, of_models, of_paths, rows
 
 SHIPPED = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
 AGREES = 0.01  # in total variation, beyond chance
@@ -26,12 +26,10 @@ def test_draws_are_fast_enough_for_stepping() -> None:
 
 
 @pytest.mark.timeout(900)
-def test_the_path_that_is_kept_is_the_fastest_for_few_pings_that_agrees_with_the_law(
+def test_the_path_that_is_kept_comes_nearest_to_both_limits_of_all_that_agree_with_the_law(
     paths: dict[str, Speed],
 ) -> None:
     print(f"\n{rows(paths)}")
-    agreeing = {
-        name: speed.seconds[FEW] for name, speed in paths.items() if speed.off is not None and speed.off < AGREES
-    }
+    agreeing = {name: speed for name, speed in paths.items() if (speed.off or 0.0) < AGREES}
     assert set(paths) - set(agreeing) == {"table"}
-    assert agreeing["numpy"] <= 1.1 * min(agreeing.values())
+    assert min(agreeing, key=lambda name: max(agreeing[name].seconds[n] / LIMITS[n] for n in LIMITS)) == "numpy"

@@ -14,7 +14,7 @@ from acquisition import Ping, Reading, SettingError
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel, follow
 
-LEVELS = 200  # of the quantile form of CRPS
+LEVELS = 50  # of the quantile form of CRPS: within 0.2 % of 800 for learned laws
 AT_ONCE = 400_000  # quantiles taken at once; bounds the memory
 
 

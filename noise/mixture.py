@@ -6,6 +6,7 @@ A `Head` reads it from a network's last numbers, so architectures differ only in
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,20 +78,22 @@ class MixtureLaw(EchoLaw):
 
     def sample(self, rng: np.random.Generator) -> Reading:
         """Draw a reading for each ping: one number picks the outcome, one the place within it."""
-        which, where = rng.random((2, len(self)))
+        n, c = len(self), len(self.centre)
+        which, where = rng.random((2, n))
         edges = self.answer_rate * self.share.cumsum(axis=0)
         edges[-1] = self.answer_rate  # whatever the shares' sum is rounded to
-        outcome = (which >= edges).sum(axis=0)  # C: the uniform, C + 1: silence, C + 2: no answer
-        peak, column = np.minimum(outcome, len(self.centre) - 1), np.arange(len(self))
-        from_peak = self.centre[peak, column] + self.scale[peak, column] * logit(where)
-        place = np.where(outcome < len(self.centre), from_peak, where * self.max_range)
+        outcome = (which >= edges).sum(axis=0)  # c: the uniform, c + 1: silence, c + 2: no answer
+        peak = np.minimum(outcome, c - 1) * n + np.arange(n)
+        from_peak = self.centre.ravel()[peak] + self.scale.ravel()[peak] * logit(where)
+        place = np.where(outcome < c, from_peak, where * self.max_range)
         step = within(np.rint(place / self.resolution), 1, self.last_step)
-        return Reading(np.where(outcome <= len(self.centre), step * self.resolution, 0.0), self._status[outcome])
+        return Reading(np.where(outcome <= c, step * self.resolution, 0.0), _statuses(c)[outcome])
 
-    @property
-    def _status(self) -> NDArray[np.uint8]:
-        """Status of each outcome, (C + 3,)."""
-        return np.array([_ECHO] * (len(self.centre) + 1) + [_NO_ECHO, _NO_ANSWER], dtype=np.uint8)
+
+@lru_cache
+def _statuses(components: int) -> NDArray[np.uint8]:
+    """Return the status of each outcome of a mixture, (components + 3,)."""
+    return np.array([_ECHO] * (components + 1) + [_NO_ECHO, _NO_ANSWER], dtype=np.uint8)
 
 
 def within(x: Floats, low: Floats | float, high: Floats | float) -> Floats:
@@ -160,12 +163,13 @@ class Head:
         grown = np.exp(logit - logit.max(axis=0))  # scipy's softmax takes longer than all the rest for a few pings
         share = FLOOR + (1.0 - FLOOR * len(logit)) * grown / grown.sum(axis=0)
         scale = 0.1 * self.resolution + UNIT_M * np.exp(within(width, -8.0, 6.0))
-        ignorance = asked.excess / (asked.excess + HALF_IGNORANT)
-        share = (1.0 - ignorance) * share
-        share[-2:] += 0.5 * ignorance
+        if asked.excess.any():
+            ignorance = asked.excess / (asked.excess + HALF_IGNORANT)
+            share *= 1.0 - ignorance
+            share[-2:] += 0.5 * ignorance
+            scale *= 1.0 + WIDENING * asked.excess
         rate = expit(-numbers.T[c + 2]) if self.fails else 1.0 - self.no_answer
-        centre = self._centres(place, asked.distance, anchors)
-        return MixtureLaw(asked, share, centre, scale * (1.0 + WIDENING * asked.excess), self, rate)
+        return MixtureLaw(asked, share, self._centres(place, asked.distance, anchors), scale, self, rate)
 
     def _centres(self, place: Floats, distance: Floats, anchors: Floats | None) -> Floats:
         near = distance + UNIT_M * np.sinh(within(place[: self.near], -7.0, 7.0))

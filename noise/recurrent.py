@@ -237,9 +237,8 @@ class LstmModel:
         if seats is None or self._state is None:
             self._state = None
             return
-        given = np.asarray(seats)
-        rows = np.flatnonzero(given) if given.dtype == np.bool_ else given
-        rows = rows[rows < len(self._state)]  # of the others nothing is remembered yet
+        rows = np.flatnonzero(seats) if np.asarray(seats).dtype == bool else np.asarray(seats)
+        rows = rows[rows < len(self._state)]  # who has not pinged yet has nothing to forget
         self._state.put(rows, State.empty(len(rows), self.cell.hidden))
 
     def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> MixtureLaw:

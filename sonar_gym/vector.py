@@ -169,7 +169,11 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         self._over[rows] = False
 
     def step(self, actions: ArrayLike) -> Outcome:
-        """Drive all cars for 0.1 s; what becomes of episodes that end is up to `autoreset_mode`."""
+        """Drive all cars for 0.1 s; what becomes of episodes that end is up to `autoreset_mode`.
+
+        Actions beyond -1..1 are clipped; NaN and infinity are refused with a `SettingError`, and nothing is stepped.
+        The action of an environment that begins anew is not looked at.
+        """
         if np.any(self.fleet.worlds.steps < 0):
             raise gymnasium.error.ResetNeeded("SonarParking-v0: step() before the first reset(); call reset() first")
         again, going = self._rows[self._over], self._rows[~self._over]

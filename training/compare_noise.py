@@ -1,7 +1,7 @@
 """Compare noise models on recordings they have not seen, such as those of other sensors, between two known ends.
 
-The lower end is a normal scatter fitted as simulators have it; the upper is what the sensor repeats of itself: half of
-each condition's pings predicted from the other half, which knows where each target truly stood, as no model can.
+The lower end is a normal scatter fitted as simulators have it; the upper is what the sensor repeats of itself: each
+ping predicted from all others of its condition, which know where the target truly stood, as no model can.
 Every model is given 3 arbitrary readings in 10,000, so that no single reading decides.
 """
 
@@ -76,16 +76,15 @@ def halves(cell: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def repeatability(recording: Recording, fresh: NDArray[np.bool_], base: SonarModel) -> Floats:
-    """Return the log probability of fresh pings under their conditions' other pings, (fresh,).
+    """Return the log probability of fresh pings, each under all of its condition's other pings, (fresh,).
 
-    It is the predictive probability of a Dirichlet process about `base`, worth `PRIOR_PINGS` pings: shares of what was
-    read before, and a remainder for what never was.
+    It is the predictive probability of a Dirichlet process about `base`, worth `PRIOR_PINGS` pings: shares of what else
+    was read, and a remainder for what never was.
     """
     reading, cell = recording.reading, place(recording)
     said = np.rint(reading.range / recording.resolution).astype(np.int64)
     _, name = np.unique(np.stack([cell, reading.status, said]), axis=1, return_inverse=True)
-    alike = np.bincount(name[~fresh], minlength=name.max() + 1)[name[fresh]]
-    known = np.bincount(cell[~fresh], minlength=cell.max() + 1)[cell[fresh]]
+    alike, known = np.bincount(name)[name[fresh]] - 1, np.bincount(cell)[cell[fresh]] - 1
     prior = np.exp(base.law(recording.ping[fresh]).log_prob(reading[fresh]))
     return np.log((alike + PRIOR_PINGS * prior) / (known + PRIOR_PINGS))
 

@@ -199,31 +199,32 @@ def thinned(recording: Recording, most: int) -> NDArray[np.bool_]:
 
 
 QUICK = PLANS["quick"]
+THIRD = QUICK.distances_mm[::3]
 BETWEEN = replace(  # conditions between those of the quick plan
-    QUICK, angles_deg=(1.0, 4.0, 10.0, 20.0), distances_mm=tuple(float(d) for d in range(300, 3001, 200))
+    QUICK, angles_deg=(1.0, 4.0, 10.0, 20.0), distances_mm=tuple(float(d) for d in range(300, 3001, 600)), pings=24
 )
-LEARNED, CHOOSING = tuple(range(1001, 1161)), tuple(range(1201, 1217))  # serial numbers
-HELD_OUT, KNOWN = (7, 8, 201, 202, 203, 204, 205, 206), LEARNED[:8]
-# what is recorded, by name: sessions to learn from, and surveys of a plan with some sensors each, with their seeds
+LEARNED, CHOOSING = tuple(range(1001, 1161)), tuple(range(1201, 1249))  # serial numbers
+KNOWN, HELD_OUT = LEARNED[:80], tuple(range(201, 281))  # sensors differ so much that a few tell little of the others
+# what is recorded, by name: sessions to learn from, and surveys of half a plan with some sensors each, with their seeds
 RECORDINGS: dict[str, Sessions | tuple[Plan, tuple[int, ...], int]] = {
     "train": Sessions(LEARNED, surveys=8, drives=2),
     "validation": Sessions(CHOOSING, surveys=4, drives=1),
     "faulty": Sessions(LEARNED, surveys=2, drives=0, faulty=True),
     "faulty-validation": Sessions(CHOOSING, surveys=1, drives=0, faulty=True),
-    "known": (QUICK, KNOWN, 1),
+    "known": (replace(QUICK, pings=6), KNOWN, 1),
     "cells": (BETWEEN, KNOWN, 2),
-    "units": (QUICK, HELD_OUT, 3),
-    "fresh-cells": Sessions(KNOWN, surveys=6, drives=2, seed=4),
-    "fresh-units": Sessions(HELD_OUT, surveys=6, drives=2, seed=4),
+    "units": (replace(QUICK, distances_mm=THIRD, pings=24), HELD_OUT, 3),
+    "fresh-cells": Sessions(KNOWN, surveys=1, drives=1, seed=4),
+    "fresh-units": Sessions(HELD_OUT, surveys=1, drives=1, seed=4),
 }
 
 
 def by_plan(plan: Plan, units: tuple[int, ...], seed: int) -> Recording:
-    """Record a plan with each of some sensors."""
+    """Record every second condition of a plan with each of some sensors, the others with the next sensor."""
     tables = []
     for serial in units:
         rng = np.random.default_rng([seed, serial])
-        cells = [replace(plan, seed=seed + serial).ping(k) for k in range(len(plan))]
+        cells = [replace(plan, seed=seed + serial).ping(k) for k in range(serial % 2, len(plan), 2)]
         names = ("distance", "angle", "incidence", "reflectance", "time")
         ping = Ping.of(**{name: np.concatenate([getattr(cell, name) for cell in cells]) for name in names})
         table = Rig(Unit.draw(serial), SCENES[STAND]).record(ping, rng).table

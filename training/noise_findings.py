@@ -10,8 +10,10 @@ import numpy as np
 from acquisition import Recording
 from noise import SonarModel, follow
 from noise.credence import wilson
-from noise.metrics import credence_reliability
-from training.compare_noise import GAUSSIAN, Compared, place
+from noise.faults import Faulty
+from noise.metrics import Score, credence_reliability
+from noise.model import steps
+from training.compare_noise import ARBITRARY, GAUSSIAN, Compared, place
 from training.draw_speed import FEW, LIMITS, MANY, Speed
 from training.memory_gain import CORRELATED, UNCORRELATED, Gain
 from training.recent_credence import CredenceScore, right
@@ -49,6 +51,19 @@ class Told:
         )
 
 
+NTH = {"first": (0, 0), "second": (1, 1), "third to sixth": (2, 5), "later": (6, 10_000)}
+
+
+def by_nth(model: SonarModel, test: Recording) -> dict[str, Score]:
+    """Return the log-likelihood of pings, nats, by how many of the same condition were heard before (`NTH`)."""
+    cell, nth = place(test), np.empty(len(test), dtype=np.int64)
+    for k, which in enumerate(steps(cell)):
+        nth[which] = k
+    value = follow(Faulty(model, [ARBITRARY]), test.ping, test.reading).log_prob(test.reading)
+    rows = {name: (nth >= low) & (nth <= high) & test.reading.answered for name, (low, high) in NTH.items()}
+    return {name: Score.of(value[which], cell[which]) for name, which in rows.items()}
+
+
 @dataclass(frozen=True)
 class Findings:
     """All that the page tells.
@@ -58,6 +73,7 @@ class Findings:
         told: credence given the condition, by where and model.
         given: credence given the readings, by where and kind.
         gains: of memory, by world.
+        heard: log-likelihood by model and by how many pings of a condition were heard before.
         speeds, paths: of models, and of ways to draw from one.
         shipped: names of the models under test.
     """
@@ -66,6 +82,7 @@ class Findings:
     told: Mapping[str, Mapping[str, Told]]
     given: Mapping[str, Mapping[str, CredenceScore]]
     gains: Mapping[str, Gain]
+    heard: Mapping[str, Mapping[str, Score]]
     speeds: Mapping[str, Speed]
     paths: Mapping[str, Speed]
     shipped: tuple[str, ...]

@@ -26,7 +26,7 @@ from training.draw_paths import PATHS
 from training.draw_speed import of_models, of_paths
 from training.draw_speed import rows as speed_rows
 from training.memory_gain import WORLDS, Plan, measure
-from training.noise_findings import ALONE, BAYES, RECENT, WHERE, Findings, Told, aims
+from training.noise_findings import ALONE, BAYES, RECENT, WHERE, Findings, Told, aims, by_nth
 from training.progress import bar
 from training.recent_credence import CredenceScore, learn_credence, right
 from training.recent_credence import Plan as CredencePlan
@@ -91,13 +91,14 @@ def find(
         tick()
     told = {where: {name: Told.by(model, recordings[where]) for name, model in models.items()} for where in WHERE}
     tick()
+    heard = {name: by_nth(model, recordings["units"]) for name, model in models.items()}
     given = trust(first, recordings)
     tick()
     speeds = of_models(models)
     tick()
     paths = of_paths(first, PATHS)
     tick()
-    return Findings(compared, told, given, gains, speeds, paths, tuple(models))
+    return Findings(compared, told, given, gains, heard, speeds, paths, tuple(models))
 
 
 def trust(model: SonarModel, recordings: Mapping[str, Recording]) -> dict[str, dict[str, CredenceScore]]:
@@ -125,6 +126,7 @@ def page(found: Findings) -> str:
         aims="\n".join(aim.row for aim in aims(found)),
         condition="\n".join(_condition_rows(found)),
         gains="\n".join(f"| {name} | {g.without} | {g.gain} |" for name, g in found.gains.items()),
+        heard="\n".join(f"| {name} | {' | '.join(map(str, one.values()))} |" for name, one in found.heard.items()),
         given="\n".join(_given_rows(found)),
         speeds=speed_rows(found.speeds),
         paths=speed_rows(found.paths),

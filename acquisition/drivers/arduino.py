@@ -30,6 +30,7 @@ NOBODY = "--"  # sequence of lines that answer no request
 PATIENCE = 0.5  # s for an answer; the sketch's own limits are 25 ms on I2C and given with each pulse
 START = 5.0  # s for the boot loader, which runs whenever the port is opened
 ASK_AGAIN = 0.3  # s
+LATE_LINES = 8  # looked at after patience has ended, where this computer was busy elsewhere when they came
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 NOT_ACKNOWLEDGED = {2, 3, 4, 6}
 WIRE_TIMEOUT = 5
@@ -159,7 +160,9 @@ class Bridge:
     def _answer(self, sequence: str, patience: float) -> str:
         deadline = self.clock() + patience
         others: list[str] = []
-        while (line := self._lines.next(deadline)) is not None and self.clock() <= deadline + SLICE:
+        late = 0
+        while late < LATE_LINES and (line := self._lines.next(deadline)) is not None:
+            late += self.clock() > deadline + SLICE
             said, kind, content = self._parsed(line)
             if said == NOBODY:
                 self._notice_reset(line)

@@ -110,6 +110,30 @@ def test_a_late_answer_is_never_taken_for_the_next():
     assert bridge.ask("V") == "SONARBRIDGE 01"
 
 
+class BusyHost(TwinPort):
+    """A port on a computer that looks for an answer once, then sleeps over its patience."""
+
+    naps = 0
+
+    @property
+    def in_waiting(self):
+        if self.naps:
+            self.naps -= 1
+            there = TwinPort.in_waiting.fget(self) if not self.naps else 0
+            self.clock.sleep(2.0)
+            return there
+        return TwinPort.in_waiting.fget(self)
+
+
+def test_an_answer_that_came_in_time_counts_however_late_it_is_looked_at():
+    twin, _, clock = board()
+    port = BusyHost(twin, clock)
+    bridge = Bridge(port, clock=clock)
+    bridge.greet()
+    port.naps = 2  # one look before asking, one after
+    assert bridge.ask("V") == "SONARBRIDGE 01"
+
+
 def test_another_version_is_refused():
     twin, bridge, _ = board()
     twin._version = lambda: (0, "SONARBRIDGE 02")

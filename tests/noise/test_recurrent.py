@@ -127,6 +127,14 @@ def test_some_sensors_can_be_made_to_forget(model):
     np.testing.assert_allclose(mixed, [kept[0], began[1], kept[2]], atol=1e-12)
 
 
+def test_who_has_not_pinged_yet_has_nothing_to_forget(model):
+    ping, reading = course(n=3, runs=1)
+    own = model.fresh()
+    began = own.law(ping).credence()
+    own.reset(np.arange(16))
+    np.testing.assert_allclose(own.law(ping, reading).credence(), began)
+
+
 def test_sensors_that_fire_in_turn_keep_their_seats(model):
     ping, reading = course(n=30, runs=1)
     turns, alone = model.fresh(), [model.fresh() for _ in range(3)]

@@ -1,5 +1,6 @@
 """The vector environment: step by step what single environments say, in Gymnasium's own vector of them."""
 
+import inspect
 import subprocess
 import sys
 import warnings
@@ -21,6 +22,7 @@ from noise.inputs import Inputs
 from noise.mixture import Head
 from noise.networks import MlpModel
 from noise.recurrent import ANCHORS, LINKS, Cell, LstmModel
+from sonar_gym.parking import SonarParkingEnv
 from sonar_gym.sb3 import one_of
 from sonar_gym.vector import SonarParkingVectorEnv
 
@@ -342,3 +344,21 @@ def test_learned_sonar_is_drawn_for_all_at_once():
     envs = native(4, sonar="srf08-mlp")
     assert isinstance(envs.unwrapped.fleet.sonar.model, MlpModel)
     assert envs.unwrapped.fleet.sonar.at_once
+
+
+def test_a_window_shows_one_of_them(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    envs = native(2, render_mode="human", pictured=[1])
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"render\(\) before the first reset"):
+        envs.render()
+    envs.reset(seed=0)
+    assert envs.render() is None
+    assert list(envs.unwrapped._renderers) == [1]
+    envs.close()
+    assert not envs.unwrapped._renderers
+
+
+def test_whatever_the_single_environment_takes_the_vector_takes():
+    single, many = (inspect.signature(cls).parameters for cls in (SonarParkingEnv, SonarParkingVectorEnv))
+    assert set(single) <= set(many)
+    assert all(single[name].default == many[name].default for name in single)

@@ -51,7 +51,7 @@ def test_a_sensor_that_always_repeats_itself_is_worth_nearly_everything():
     test = recorded(2, model=certain, pings=20)
     fresh = halves(test.cell)
     value = repeatability(test, fresh, TRUTH)
-    assert np.all(value >= np.log(10 / 11)), "ten pings alike, and a prior worth one"
+    assert np.all(value >= np.log(19 / 20)), "19 other pings alike, and a prior worth one"
     assert np.all(value < 0)
 
 

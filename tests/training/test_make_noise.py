@@ -13,7 +13,7 @@ from training.cli import main
 from training.corpus import NOTHING, STAND, WALL, Sessions, drive, record, record_unit, survey, thinned
 
 SMALL = Sessions((5, 6), surveys=2, drives=1, visits=8, pings=10)
-QUICK = replace(corpus.QUICK, angles_deg=(0.0,), distances_mm=(400.0, 900.0, 1500.0), pings=6)
+QUICK = replace(corpus.QUICK, angles_deg=(0.0,), distances_mm=(400.0, 900.0, 1500.0), pings=8)
 TINY = {
     "train": SMALL,
     "validation": replace(SMALL, units=(9,)),
