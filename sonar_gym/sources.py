@@ -127,13 +127,15 @@ class RangesSource:
     def meet(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
         """Take the ranges out of the observation, and the other conditions from where they come."""
         told = self._flat(observation)[..., self._mask].reshape(len(rows), self.count)
-        distance = np.where(told == self.hearing.empty, np.inf, told * self.hearing.metres_per_unit)
+        distance = told * self.hearing.metres_per_unit
+        if self.hearing.empty is not None:
+            distance[told == self.hearing.empty] = np.inf
         if np.any(np.isnan(distance)) or np.any(distance < 0.0):
             raise SettingError("SonarObservation met a range that is negative or NaN: check key, indices and unit")
         seen = distance < self.max_range * (1.0 - 1e-6)  # float32 rounds a maximum range to either side
-        told = isinstance(self.conditions["reflectance"], str)
+        anew = isinstance(self.conditions["reflectance"], str)
         bearing, incidence = (self._drawn(name, rows, observation, info, rngs) for name in ("bearing", "incidence"))
-        reflectance = self._drawn("reflectance", rows, observation, info, rngs) if told else self._reflectance[rows]
+        reflectance = self._drawn("reflectance", rows, observation, info, rngs) if anew else self._reflectance[rows]
         return Met(distance, bearing, incidence, reflectance, seen)
 
     def rest(self, observation: Any) -> dict[str, Any]:

@@ -275,6 +275,18 @@ def test_infinity_is_an_empty_cone_and_nan_is_refused():
         step(env)
 
 
+def test_a_number_may_stand_for_nothing_in_reach():
+    """MuJoCo's rangefinders say -1."""
+    env = rays(empty=-1.0)
+    env.unwrapped.values = np.float32([100.0, -1.0, 250.0])
+    observation, info = env.reset(seed=0)
+    assert list(observation["echo"]) == [1.0, 0.0, 1.0]
+    assert list(info["sonar"]["in_cone"]) == [True, False, True]
+    env.unwrapped.values = np.float32([100.0, -2.0, 250.0])
+    with pytest.raises(SettingError, match="range that is negative or NaN"):
+        step(env)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
