@@ -14,6 +14,7 @@ from acquisition.plan import Plan
 from acquisition.session import Session
 from acquisition.sources import RigSource
 from noise.discrepancy import Diagnosis
+from sonar_gym.agent import load_agent
 from training import diagnose
 from training.demo_page import Shown, gif, render
 from training.drive import Drive, drive
@@ -28,6 +29,7 @@ PLAN = Plan(
 )
 HIDDEN = ["temperature_c", "humidity_pct"]  # what would give the answer away
 SONARS = ("ideal", "srf08-mlp")
+AGENT = "srf08-mlp, trained agent"
 
 
 @dataclass(frozen=True)
@@ -79,13 +81,14 @@ def record(setup: Setup, path: Path, seed: int, stream: int) -> Recording:
 
 
 def park(args: Args) -> dict[str, Drive]:
-    """Park with ideal, learned and corrected sonar on the same street."""
+    """Park with ideal, learned and corrected sonar on the same street; the shipped agent with the learned one."""
     sonars = {name: name for name in SONARS} | {"corrected": str(args.out / "diagnosis" / "corrected")}
-    with bar("parking", len(sonars)) as tell:
+    with bar("parking", len(sonars) + 1) as tell:
         drives = {}
         for k, (name, sonar) in enumerate(sonars.items()):
             drives[name] = drive(sonar, args.seed)
-            tell(k + 1, len(sonars))
+            tell(k + 1, len(sonars) + 1)
+        drives[AGENT] = drive(SONARS[-1], args.seed, load_agent())
     return drives
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sonar_gym
-from sonar_gym.driver import Episode, ParkingDriver, run_episode
+from sonar_gym.driver import Driver, Episode, ParkingDriver, run_episode
 
 EVERY = 4  # steps from picture to picture
 
@@ -53,10 +53,10 @@ class Drive:
         )
 
 
-def drive(sonar: str, seed: int) -> Drive:
-    """Park once on the street of a seed, by the scripted driver."""
+def drive(sonar: str, seed: int, driver: Driver | None = None) -> Drive:
+    """Park once on the street of a seed, by the scripted driver where no other is given."""
     env = gymnasium.make(sonar_gym.ENV_ID, sonar=sonar, render_mode="rgb_array")
     try:
-        return Drive.of(run_episode(env, ParkingDriver(), seed, every=EVERY))
+        return Drive.of(run_episode(env, driver or ParkingDriver(), seed, every=EVERY))
     finally:
         env.close()

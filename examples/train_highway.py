@@ -1,0 +1,56 @@
+"""Train on highway-env's parking lot with real sonars around the car: SAC of Stable-Baselines3, before and after."""
+
+import sys
+
+import gymnasium
+import highway_env  # noqa: F401 - registers parking-v0
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from sonar_gym import HighwaySonar
+
+SECONDS = 15  # of an episode, at five decisions a second
+EPISODES = 20  # that are driven before and after
+
+
+def make(seed: int) -> gymnasium.Env:
+    """The parking lot; beside its own observation the readings of eight sonars, their credence and silence."""
+    env = HighwaySonar(gymnasium.make("parking-v0", config={"duration": SECONDS}), "gaussian")
+    env.reset(seed=seed)
+    return env
+
+
+def score(model: BaseAlgorithm, env: gymnasium.Env) -> np.ndarray:
+    """Mean reward a decision on each of some lots, the same every time; 0 is parked, less is farther from it."""
+    means = []
+    for seed in range(1000, 1000 + EPISODES):
+        observation, _ = env.reset(seed=seed)
+        rewards, over = [], False
+        while not over:
+            observation, reward, terminated, truncated, _ = env.step(model.predict(observation, deterministic=True)[0])
+            rewards.append(float(reward))
+            over = terminated or truncated
+        means.append(np.mean(rewards))
+    return np.array(means)
+
+
+def main(steps: int = 6000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    torch.set_num_threads(1)
+    env = make(seed)
+    settings = {"learning_rate": 1e-3, "gamma": 0.95, "learning_starts": 500, "policy_kwargs": {"net_arch": [64, 64]}}
+    model = SAC("MultiInputPolicy", env, seed=seed, device="cpu", **settings)
+    before = score(model, env)
+    model.learn(steps, progress_bar=sys.stderr.isatty())
+    after = score(model, env)
+    won = after - before
+    error = won.std(ddof=1) / np.sqrt(len(won))
+    print(f"reward a decision on {EPISODES} unseen lots: {before.mean():.3f} before, {after.mean():.3f} after")
+    print(f"gained {won.mean():.3f} +- {error:.3f} (standard error, paired) in {steps} decisions")
+    env.close()
+    return before, after
+
+
+if __name__ == "__main__":
+    main()

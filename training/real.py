@@ -1,0 +1,64 @@
+"""Sonars that are not what the driver takes them for: readings from one model, their credence by another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition import Ping, Reading
+from noise import EchoLaw, SonarModel
+from noise.law import Floats
+
+WORDS = 8  # numbers of a stream from which the generator of a batch is made
+
+
+class RealLaw(EchoLaw):
+    """What is heard of n pings, drawn from one law; what is believed of them, from another.
+
+    Args:
+        heard: is drawn from, for all pings at once and from one generator: a rig draws in ways of its own.
+        believed: tells probabilities.
+    """
+
+    def __init__(self, heard: EchoLaw, believed: EchoLaw) -> None:
+        super().__init__(believed.distance, believed.resolution, believed.max_range)
+        self.heard, self.believed = heard, believed
+        self.tells = believed.tells
+
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z), as it is believed."""
+        return self.believed.arrival(z)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer), as it is believed, (n,)."""
+        return self.believed.no_answer
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Draw what is heard."""
+        words = rng.random(len(self))[:WORDS].view(np.uint64)
+        return self.heard.sample(np.random.default_rng(words))
+
+
+@dataclass(frozen=True)
+class RealModel:
+    """A sonar that a driver mistakes for another.
+
+    Attributes:
+        heard: where readings come from.
+        believed: what their credence is reckoned by: the model with which the driver was trained.
+    """
+
+    heard: SonarModel
+    believed: SonarModel
+    remembers: bool = False
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register that is heard, m."""
+        return self.heard.resolution
+
+    def law(self, ping: Ping, past: Reading | None = None) -> RealLaw:
+        """Return the law of n pings."""
+        return RealLaw(self.heard.law(ping), self.believed.law(ping))
