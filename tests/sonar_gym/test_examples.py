@@ -44,7 +44,7 @@ def test_layout_of_the_example_pings_in_turn(capsys):
 
 
 def test_every_example_runs_as_a_test():
-    tested = {*SAID, "own_materials.py", "record_gif.py"}
+    tested = {*SAID, "own_materials.py", "record_gif.py", "train_highway.py"}
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested
 
 
@@ -55,3 +55,11 @@ def test_gif_is_written_whole(tmp_path, monkeypatch, capsys):
     assert "parked: True" in capsys.readouterr().out
     assert iio.imread(path).shape[1:3] == (660, 1000)
     assert [p.name for p in tmp_path.iterdir()] == ["parking.gif"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_an_agent_learns_to_park_in_highway_env():
+    before, after = runpy.run_path(str(EXAMPLES / "train_highway.py"))["main"](steps=3000)
+    won = after - before
+    assert won.mean() > 2.0 * won.std(ddof=1) / len(won) ** 0.5
