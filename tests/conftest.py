@@ -5,11 +5,15 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from acquisition import DeviceError
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MPLBACKEND", "Agg")
+# a busy machine is slow now and then, which is no fault of what is tested
+settings.register_profile("patient", settings.default, deadline=None)
+settings.load_profile("patient")
 SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "shared"))
 
 

@@ -1,7 +1,7 @@
 """The waveform-level rig: recordings from geometry and electronics, sharing nothing with the laws it puts to test."""
 
 from acquisition.bench.air import Gradient
-from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour
+from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour, Reverberation
 from acquisition.bench.registers import Registers, Truth
 from acquisition.bench.rig import Rig
 from acquisition.bench.setup import Bus, Post, Room, Scatterer, Setup
@@ -21,6 +21,7 @@ __all__ = [
     "Plate",
     "Post",
     "Registers",
+    "Reverberation",
     "Rig",
     "Room",
     "Scatterer",

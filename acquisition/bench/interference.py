@@ -100,6 +100,26 @@ class Ambient:
 
 
 @dataclass(frozen=True)
+class Reverberation:
+    """What is left of a burst when the room has mixed it: noise in the sonar's own band that dies away.
+
+    Attributes:
+        level_db: its rms pressure when it is mixed, against that at 1 m on the axis, dB.
+        decay_db_s: how fast it dies away; air of 1.29 dB/m alone takes 442 dB/s, walls take more.
+        mixed_s: after the burst, when single ways can no longer be told apart.
+    """
+
+    level_db: float = -60.0
+    decay_db_s: float = 500.0
+    mixed_s: float = 0.010
+
+    def power(self, since: Floats) -> Floats:
+        """Return its mean square pressure at times since a burst, s, in their shape."""
+        level = 10.0 ** ((self.level_db - self.decay_db_s * (since - self.mixed_s)) / 10.0)
+        return np.where(since >= self.mixed_s, level, 0.0)
+
+
+@dataclass(frozen=True)
 class Hum:
     """A ripple of the mains on the comparator's reference: thresholds rise and fall by the clock on the wall.
 

@@ -7,38 +7,59 @@ import numpy as np
 from acquisition.bench.air import Floats
 from acquisition.bench.arrivals import BOUNCE, LEAK, OTHER, Arrivals, Complexes, Integers
 from acquisition.bench.hearing import Hearing
-from acquisition.bench.interference import Mover, Neighbour
+from acquisition.bench.interference import Mover, Neighbour, Reverberation
 from acquisition.bench.receiver import Pulses
 from acquisition.bench.room import arrivals
 from acquisition.bench.scene import loudness
-from acquisition.bench.transducer import LENGTH, PERIOD
+from acquisition.bench.transducer import LENGTH, PERIOD, REFERENCE_C, pulse_phases
 from acquisition.bench.unit import DEG
 
 LONG_S = 0.15  # after which a neighbour's burst has died away
 
 
-def others(batch: Hearing) -> list[Pulses]:
+def others(batch: Hearing, rng: np.random.Generator) -> list[Pulses]:
     """Return everything that the pings of a batch hear besides themselves; row is the ping in the batch."""
     found = [*_ghosts(batch), *(_moving(batch, thing) for thing in batch.setup.movers)]
     for other in batch.setup.neighbours:
         found += _neighbour(batch, other)
+    if batch.setup.reverberation is not None:
+        found.append(_reverberating(batch, batch.setup.reverberation, rng))
     return [part for part in found if len(part.row)]
 
 
 def _ghosts(batch: Hearing) -> list[Pulses]:
     """Return what is left of the pings before, of what those faced."""
-    later, sooner, lag = batch.all.echo
-    if not len(later):
+    row, sooner, lag = _before(batch)
+    if not len(row):
         return []
-    place = np.full(len(batch.all.ping), -1)
-    place[batch.rows] = np.arange(len(batch.rows))
-    mine = np.flatnonzero(place[later] >= 0)
-    takes, source = np.unique(batch.all.visits.take[sooner[mine]], return_inverse=True)
+    takes, source = np.unique(batch.all.visits.take[sooner], return_inverse=True)
     scene = batch.scene_of(takes)
     way = _heard_by_others(arrivals(scene))
     pair, index = _pairs(source, way.row, len(takes))
     pulses = batch.pulses_of(way, scene.air)
-    return [_kept(batch, place[later[mine]][pair], pulses.delay[index] - lag[mine][pair], pulses.weight[index])]
+    return [_kept(batch, row[pair], pulses.delay[index] - lag[pair], pulses.weight[index])]
+
+
+def _before(batch: Hearing) -> tuple[Integers, Integers, Floats]:
+    """Return which pings of a batch still hear which pings before them, and how many seconds lie between."""
+    later, sooner, lag = batch.all.echo
+    place = np.full(len(batch.all.ping), -1)
+    place[batch.rows] = np.arange(len(batch.rows))
+    mine = np.flatnonzero(place[later] >= 0)
+    return place[later[mine]], sooner[mine], lag[mine]
+
+
+def _reverberating(batch: Hearing, of: Reverberation, rng: np.random.Generator) -> Pulses:
+    """Return the mixed sound of these pings and of those before, a pulse of chance a period."""
+    since = np.arange(batch.samples, dtype=np.float64) * PERIOD
+    power = np.repeat(of.power(since)[None], len(batch.rows), axis=0)
+    row, _, lag = _before(batch)
+    np.add.at(power, row, of.power(since + lag[:, None]))
+    white = rng.standard_normal((*power.shape, 2)).view(np.complex128)[..., 0] / np.sqrt(2.0)
+    ringing = np.sqrt((np.abs(pulse_phases(batch.unit, REFERENCE_C)[0]) ** 2).sum())
+    weight = loudness(batch.unit, batch.setup.supply) * np.sqrt(power) / ringing * white
+    rows, at = np.nonzero(power)
+    return Pulses(rows, since[at], weight[rows, at])
 
 
 def _moving(batch: Hearing, thing: Mover) -> Pulses:

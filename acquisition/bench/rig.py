@@ -108,7 +108,7 @@ class Rig:
         for which, setup in ((~lost, self.setup), (lost, self.setup.after_reset())):
             for rows, takes in all_.visits.batches(which):
                 batch = Hearing(self.unit, setup, all_, rows, takes)
-                heard, happened = batch.hear(others(batch), rng, truth)
+                heard, happened = batch.hear(others(batch, rng), rng, truth)
                 order, times = [*order, rows], [*times, heard]
                 told += [] if happened is None else [happened]
                 if progress is not None:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from acquisition.bench.air import Gradient
-from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour
+from acquisition.bench.interference import Ambient, Hum, Mover, Neighbour, Reverberation
 from acquisition.bench.shapes import Shape
 from acquisition.errors import SettingError
 
@@ -144,6 +144,7 @@ class Setup:
         movers: what moves or is moved: people, furniture.
         neighbour: another sonar at work, several, or none.
         ambient: noise that comes and goes, or none.
+        reverberation: what the room keeps of this burst and those before, or none.
         hum: the mains in the sensor's supply, or none.
         bus: how the wire fails.
     """
@@ -177,6 +178,7 @@ class Setup:
     movers: tuple[Mover, ...] = ()
     neighbour: Neighbour | tuple[Neighbour, ...] | None = None
     ambient: Ambient | None = None
+    reverberation: Reverberation | None = None
     hum: Hum | None = None
     bus: Bus = field(default_factory=Bus)
 

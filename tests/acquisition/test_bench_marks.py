@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acquisition import EchoStatus, Ping
-from acquisition.bench import MIRROR, Bus, Rig, Setup, Unit, Wall
+from acquisition.bench import MIRROR, Bus, Reverberation, Rig, Setup, Unit, Wall
 from acquisition.bench.air import sound_speed
 
 STILL = Setup.still(gain=31, output="us", range_register=255)
@@ -135,3 +135,36 @@ def test_transducers_that_drift_with_temperature_are_heard_worse_away_from_their
     ping = Ping.of(2.0)
     tuned, off = (needed(replace(QUIET, f_slope=slope), setup, ping) for slope in (0.0, -60.0))
     assert 0.5 < off - tuned < 4.0
+
+
+def test_reverberation_raises_false_alarms_where_pings_follow_fast():
+    """Mixed after 10 ms: before that only the pings before are heard, 442 dB/s fainter than they were."""
+    setup = replace(STILL, reverberation=Reverberation(-34.0, 442.0), range_register=140)
+    unit = replace(QUIET, rearm=0.2e-3)
+
+    def early(interval):
+        ping = Ping.of(np.full(200, 3.0), reflectance=0.0, time=interval * np.arange(200))
+        code = Rig(unit, setup).ping(ping, np.random.default_rng(0)).code
+        return np.mean(((code > 0) & (code < 9000)).any(axis=1))
+
+    rates = [early(interval) for interval in (0.040, 0.070, 0.140)]
+    assert rates[0] > 0.9
+    assert 0.2 < rates[1] < 0.7
+    assert rates[2] == 0.0
+
+
+def test_reverberation_is_as_loud_as_it_says_and_dies_as_fast():
+    """Level of the waveform, 442 dB/s: mean square over many pings, against the pressure at 1 m."""
+    setup = replace(STILL, reverberation=Reverberation(-30.0, 442.0))
+    ping = Ping.of(np.full(120, 3.0), reflectance=0.0, time=2.4 * np.arange(120))
+    for late_ms, db in ((15.0, -30.0 - 442.0 * 0.005), (35.0, -30.0 - 442.0 * 0.025)):
+        near = replace(QUIET, blanking=late_ms * 1e-3, sensitivity_db=0.0)
+        reach = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)  # of a pressure of 1 over the threshold at full gain
+        share = []
+        for over_db in (-3.0, 3.0):  # of the threshold over the rms
+            unit = replace(near, sensitivity_db=-20.0 * np.log10(reach) - db - over_db)
+            code = first(unit, setup, ping)
+            share.append(np.mean((code > late_ms * 1e3 - 100) & (code < late_ms * 1e3 + 300)))
+        assert share[0] > 0.75
+        assert share[1] < 0.75
+        assert share[0] > share[1] + 0.2

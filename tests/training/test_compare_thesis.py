@@ -141,15 +141,21 @@ def test_author_s_networks_know_where_his_sonar_was_silent(thesis_files):
 
 
 @pytest.mark.slow
-def test_full_gain_is_where_his_sonar_heard(thesis_files):
-    """At the gain that the thesis states silent pings lie a metre too near; at full gain they agree to 0.6 m."""
+def test_where_his_sonar_heard_tells_of_full_gain_and_of_reflectors_that_faced_it(thesis_files):
+    """At the gain that the thesis states silent pings lie a metre too near; at full gain they agree to 0.6 m.
+
+    With reflectors parallel to the sensor's face they do not, however sensitive the unit.
+    """
     target = middle([Silence.of_network(network.output) for network in published(thesis_files).values()])
-    apart = [
-        Silence.of_samples(Samples.of(survey(Rig(Unit.nominal(), Setup(gain=gain)), COARSE, 1))).apart(target)
-        for gain in (14, 31)
-    ]
-    assert apart[0] > 0.9
-    assert apart[1] < 0.6
+
+    def apart(gain, facing=True, sensitivity_db=3.0):
+        rig = Rig(replace(Unit.nominal(), sensitivity_db=sensitivity_db), Setup(gain=gain))
+        return Silence.of_samples(Samples.of(survey(rig, replace(COARSE, facing=facing), 1))).apart(target)
+
+    assert apart(14) > 0.9
+    assert apart(31) < 0.6
+    assert apart(31, facing=False) > 1.1
+    assert apart(31, facing=False, sensitivity_db=12.0) > 0.8
 
 
 def test_printed_condition_is_found_among_samples():
