@@ -9,7 +9,7 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from sonar_gym import HighwaySonar
+from sonar_gym import SonarObservation
 
 SECONDS = 15  # of an episode, at five decisions a second
 EPISODES = 20  # that are driven before and after
@@ -17,7 +17,7 @@ EPISODES = 20  # that are driven before and after
 
 def make(seed: int) -> gymnasium.Env:
     """The parking lot; beside its own observation the readings of eight sonars, their credence and silence."""
-    env = HighwaySonar(gymnasium.make("parking-v0", config={"duration": SECONDS}), "gaussian")
+    env = SonarObservation(gymnasium.make("parking-v0", config={"duration": SECONDS}), "gaussian")
     env.reset(seed=seed)
     return env
 

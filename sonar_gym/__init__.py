@@ -17,18 +17,18 @@ _LAZY = {
     "SonarParkingEnv": "sonar_gym.parking",
     "SonarParkingVectorEnv": "sonar_gym.vector",
     "SonarObservation": "sonar_gym.wrappers",
-    "HighwaySonar": "sonar_gym.highway",
+    "SonarVectorObservation": "sonar_gym.wrappers",
     "ParkingDriver": "sonar_gym.driver",
     "run_episode": "sonar_gym.driver",
 }
 
 __all__ = [
     "ENV_ID",
-    "HighwaySonar",
     "ParkingDriver",
     "SonarObservation",
     "SonarParkingEnv",
     "SonarParkingVectorEnv",
+    "SonarVectorObservation",
     "run_episode",
 ]
 

@@ -6,24 +6,27 @@ Its own `LidarObservation` skips things whose centre is far away, however long t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
 from acquisition import SettingError
-from sonar_gym.mounts import Layout, Mount, in_world, layout, mount_arrays
-from sonar_gym.scene import Box, Hits, Scene
-from sonar_gym.sonar import Sonar, SonarChoice, sonar_spaces
-from sonar_gym.wrappers import WRAPPER_TAG, plain
+from noise import CredenceTable, SonarModel
+from sonar_gym import kernels
+from sonar_gym.hearing import USUAL_RANGE, Hearing
+from sonar_gym.listening import Met, Times
+from sonar_gym.mounts import Mount, in_world, layout, mount_arrays
+from sonar_gym.scene import box_faces
+from sonar_gym.sonar import broad_table
+from sonar_gym.sources import Generators, Ints
 
 Floats = NDArray[np.float64]
 BASE = "base"  # where the environment's own observation goes, when it is no Dict
-ROAD_MAX_RANGE = 6.0  # m; what an SRF08 is good for
+ROWS = ("Kinematics", "ExitObservation")  # observations whose first row is the vehicle's own
+ALONE = ("KinematicsGoal", "AttributesObservation")  # those that tell of the vehicle alone
 REFLECTANCE = (0.1, 0.9)  # of a thing, drawn once an episode; the range of Esmi (2016)
 
 # Around a car 5 m long and 2 m wide, about its centre, as ultrasonic parking aids sit: four to a bumper.
@@ -44,110 +47,107 @@ def upright(thing: Any) -> Floats:
     return np.array([thing.position[0], -thing.position[1], -thing.heading], dtype=np.float64)
 
 
+def is_road(base: Any) -> bool:
+    """Return whether an environment is one of highway-env's."""
+    return hasattr(base, "road") and hasattr(base, "vehicle")
+
+
 def solid_things(road: Any, own: Any) -> list[Any]:
     """Return what can be run into on a road, the own vehicle left out."""
     return [thing for thing in [*road.vehicles, *road.objects] if thing.solid and thing is not own]
 
 
-def box_of(thing: Any, reflectance: float) -> Box:
-    """Return a thing of highway-env as a box."""
-    x, y, heading = upright(thing)
-    return Box(float(x), float(y), float(thing.LENGTH), float(thing.WIDTH), float(heading), reflectance)
+def places(things: Sequence[Any]) -> Floats:
+    """Return things of highway-env as `box_faces` wants them: centre x and y, length, width, heading, (b, 5)."""
+    rows = [(t.position[0], -t.position[1], t.LENGTH, t.WIDTH, -t.heading) for t in things]
+    return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
 
-class HighwaySonar(gymnasium.Wrapper, RecordConstructorArgs):
-    """Adds sonars to an environment of highway-env.
-
-    The new observation is a `Dict`: `ranges`, `credence`, `echo` as of `SonarObservation`, and the environment's own
-    observation: its keys where it is a `Dict`, else under `base`. `info["sonar"]` holds the truth of each cone.
+class RoadSource:
+    """What can be run into on a road of highway-env.
 
     Args:
-        env: of highway-env.
-        sonar: name, path or model.
-        sonar_layout: mounts about the vehicle's centre, or mappings of their fields.
-        max_range: the sonars' greatest range, m.
-
-    >>> import gymnasium, highway_env
-    >>> env = HighwaySonar(gymnasium.make("parking-v0"), "gaussian")
-    >>> env.reset(seed=0)[0]["ranges"].shape
-    (8,)
+        base: the environment.
+        space: its observation space, as far as wrappers inside have left it.
+        hearing: layout, scale, range and times of the sonars, and what is kept of the observation.
     """
 
-    def __init__(
-        self,
-        env: gymnasium.Env,
-        sonar: SonarChoice = "ideal",
-        *,
-        sonar_layout: Layout = ROAD_LAYOUT,
-        max_range: float = ROAD_MAX_RANGE,
-    ) -> None:
-        mounts = layout(sonar_layout)
-        RecordConstructorArgs.__init__(
-            self,
-            _disable_deepcopy=True,
-            sonar=plain(sonar),
-            sonar_layout=[vars(mount) for mount in mounts],
-            max_range=max_range,
-        )
-        gymnasium.Wrapper.__init__(self, env)
-        base: Any = env.unwrapped
-        if not hasattr(base, "road") or not hasattr(base, "vehicle"):
-            raise SettingError(f"HighwaySonar needs an environment of highway-env, got {type(base).__name__}")
-        if not max_range > 0.0:
-            raise SettingError(f"HighwaySonar.max_range must be > 0 m, got {max_range:g} m")
-        self.mounts, self.max_range = mounts, max_range
-        self._poses, self._half = mount_arrays(mounts)
-        self.sonar = Sonar(sonar, len(mounts), max_range, WRAPPER_TAG)
-        inner = env.observation_space
-        own = dict(inner.spaces) if isinstance(inner, spaces.Dict) else {BASE: inner}
-        self.observation_space = spaces.Dict({**own, **sonar_spaces(len(mounts))})
+    def __init__(self, base: Any, space: spaces.Space[Any], hearing: Hearing) -> None:
+        if isinstance(space, spaces.Tuple):
+            raise SettingError("SonarObservation listens for one vehicle, and this environment observes several")
+        self.base, self.scale = base, hearing.metres_per_unit
+        self.max_range = hearing.max_range or USUAL_RANGE
+        self.mounts = layout(ROAD_LAYOUT if hearing.sonar_layout is None else hearing.sonar_layout)
+        self.count, self.step_s = len(self.mounts), hearing.step_s or 1.0 / base.config["policy_frequency"]
+        period, phase, latency = np.array([[m.period_s, m.phase_s, m.latency_s] for m in self.mounts]).T
+        timed = bool(period.any() or latency.any())
+        self.times: Times = (period, phase, latency) if timed else hearing.times
+        self._poses, self._half = mount_arrays(self.mounts)
         self._reflectance: dict[int, tuple[Any, float]] = {}  # by id; the thing is kept, so no other can take its id
-        self._steps = 0
+        self._kept = Kept(base, space, hearing.keep)
+        self.kept = self._kept.spaces
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Forget previous readings and materials, reset the environment, and listen."""
-        self.sonar.forget()
-        if seed is not None:
-            self.sonar.seed(seed)
+    def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
+        """Return the credence given a reading, where anything may be anywhere in a cone."""
+        return [broad_table(model, self.max_range)] * self.count
+
+    def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
+        """Begin an episode: things are of another material."""
         self._reflectance.clear()
-        self._steps = 0
-        return self._with_sonar(*self.env.reset(seed=seed, options=options))
 
-    def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
-        """Step the environment, then listen."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self._steps += 1
-        observation, info = self._with_sonar(observation, info)
-        return observation, reward, terminated, truncated, info
-
-    def look(self) -> Hits:
+    def meet(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
         """Cast the cones on the road as it is now."""
-        base: Any = self.env.unwrapped
-        things = solid_things(base.road, base.vehicle)
-        boxes = self._boxes(things)
-        return Scene(boxes).cast(in_world(self._poses, upright(base.vehicle)), self._half, self.max_range)
+        own, limit = upright(self.base.vehicle), self.max_range / self.scale
+        things = solid_things(self.base.road, self.base.vehicle)
+        at = places(things)
+        reach = limit + np.hypot(self._poses[:, 0], self._poses[:, 1]).max() + 0.5 * np.hypot(at[:, 2], at[:, 3])
+        near = np.flatnonzero(np.hypot(at[:, 0] - own[0], at[:, 1] - own[1]) <= reach)
+        cones = in_world(self._poses, own), self._half
+        distance, bearing, incidence, face, _ = kernels.cast_cones(*cones, box_faces(at[near]), limit)
+        material = np.array([*(self._material(things[k], rngs[0]) for k in near), 0.0])
+        reflectance = material[np.where(face >= 0, face // 4, -1)]
+        return Met(distance[None] * self.scale, bearing[None], incidence[None], reflectance[None], (face >= 0)[None])
 
-    def _boxes(self, things: Iterable[Any]) -> list[Box]:
-        """Return things as boxes; each keeps the reflectance that it was met with first in the episode."""
-        out = []
-        for thing in things:
-            if id(thing) not in self._reflectance:
-                self._reflectance[id(thing)] = (thing, float(self.sonar.rng.uniform(*REFLECTANCE)))
-            out.append(box_of(*self._reflectance[id(thing)]))
-        return out
+    def _material(self, thing: Any, rng: np.random.Generator) -> float:
+        """Return a thing's reflectance: that with which it was met first in the episode."""
+        if id(thing) not in self._reflectance:
+            self._reflectance[id(thing)] = (thing, float(rng.uniform(*REFLECTANCE)))
+        return self._reflectance[id(thing)][1]
 
-    def _with_sonar(self, observation: Any, info: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        base: Any = self.env.unwrapped
-        hits = self.look()
-        heard = self.sonar.listen(hits.ping(self._steps / base.config["policy_frequency"]), hits.seen)
-        truth = {
-            "distance": hits.distance,
-            "bearing": hits.bearing,
-            "incidence": hits.incidence,
-            "in_cone": hits.seen,
-            "credence_given_condition": heard.credence_given_condition,
-        }
-        own = dict(observation) if isinstance(observation, dict) else {BASE: observation}
-        return {**own, **heard.observation(self.max_range)}, {**info, "sonar": truth}
+    def rest(self, observation: Any) -> dict[str, Any]:
+        """Return what is kept of the observation."""
+        return self._kept.of(observation)
+
+
+class Kept:
+    """What a vehicle may still know of an observation, once sonars tell it where other things are.
+
+    Of `Kinematics` and what is built on it the first row, the vehicle's own, as a vector; of `KinematicsGoal` and
+    `AttributesObservation`, which tell of the vehicle alone, all; of anything else, as `LidarObservation`, nothing.
+
+    Args:
+        base: the environment.
+        space: of what is observed.
+        keep: "own", "all" or "nothing".
+    """
+
+    def __init__(self, base: Any, space: spaces.Space[Any], keep: str) -> None:
+        kind = base.config["observation"]["type"]
+        self._row = keep == "own" and kind in ROWS
+        self._all = keep == "all" or (keep == "own" and kind in ALONE)
+        self.spaces = self._spaces(space)
+
+    def _spaces(self, space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
+        if self._row and isinstance(space, spaces.Box):
+            return {BASE: spaces.Box(space.low[0], space.high[0], dtype=space.dtype.type)}
+        if not self._all:
+            return {}
+        return dict(space.spaces) if isinstance(space, spaces.Dict) else {BASE: space}
+
+    def of(self, observation: Any) -> dict[str, Any]:
+        """Return what is kept."""
+        if self._row:
+            return {BASE: observation[0]}
+        if not self._all:
+            return {}
+        return dict(observation) if isinstance(observation, dict) else {BASE: observation}

@@ -213,7 +213,7 @@ class Sonar:
         which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
         if self._recalls:
-            cast(Remembering, self.model).reset(self._seats.reshape(shape)[which].ravel())
+            cast(Remembering, self.model).reset(None if copies is None else self._seats.reshape(shape)[which].ravel())
 
     def listen(self, ping: Ping, seen: NDArray[np.bool_]) -> Heard:
         """Draw what every sonar of every copy says.

@@ -1,179 +1,122 @@
-"""SonarObservation: any environment with ideal ranges gets the readings of a real sonar instead."""
+"""SonarObservation: environments with ideal ranges, one or many, get the readings of real sonars instead."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, is_dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from numpy.typing import ArrayLike, NDArray
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
-from acquisition import Ping, SettingError
-from noise import CredenceTable
-from sonar_gym.scene import EMPTY_M
-from sonar_gym.sonar import BEARINGS_DEG, BINS, Heard, Sonar, SonarChoice, bin_edges, resolve, sonar_spaces
+from acquisition import SettingError
+from sonar_gym.hearing import Hearing
+from sonar_gym.highway import RoadSource, is_road
+from sonar_gym.listening import Listener, timing
+from sonar_gym.parking import SonarParkingEnv
+from sonar_gym.sonar import Sonar, SonarChoice, resolve, sonar_spaces
+from sonar_gym.sources import RangesSource, Source, StreetSource
+from sonar_gym.vector import MASK, SonarParkingVectorEnv, masked
 
-Floats = NDArray[np.float64]
-Condition = float | tuple[float, float] | str  # the same for all, the limits of a uniform prior, or a key
+Bits = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 WRAPPER_TAG = 0x5EA2  # another stream than that of sonars inside the environment
-PRIOR_ROUNDS = 15  # samples of the other conditions for each distance of the prior
-REST = "rest"  # where the numbers beside the ranges go, when the observation was one vector
+GOAL_REWARD = "compute_reward"
+ONE = np.zeros(1, dtype=np.int64)  # the row of a single environment
 
 
-def plain(sonar: SonarChoice) -> Any:
-    """Return a sonar as it goes to JSON: paths as text."""
-    return os.fspath(sonar) if isinstance(sonar, os.PathLike) else sonar
+def plain(value: Any) -> Any:
+    """Return a setting as it goes to JSON: paths as text, mounts as mappings, arrays as lists."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value) if type(value).__module__.startswith("sonar_gym") else value
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [plain(item) for item in value] if isinstance(value, (list, tuple, range)) else value
 
 
-def check_condition(name: str, given: Any) -> Condition:
-    """Return a number, a pair of limits or a key, or say what is wrong."""
-    if isinstance(given, str):
-        return given
-    pair = tuple(float(x) for x in given) if isinstance(given, Sequence) else (float(given), float(given))
-    if len(pair) != 2 or not pair[0] <= pair[1] or not np.all(np.isfinite(pair)):
-        raise SettingError(f"SonarObservation.{name} must be a number, two limits low <= high, or a key, got {given!r}")
-    return pair if isinstance(given, Sequence) else pair[0]
+def source_of(base: Any, space: spaces.Space[Any], hearing: Hearing, copies: int) -> Source:
+    """Return where the conditions of pings come from: ranges where the settings say which, else what the world is."""
+    told = hearing.key is not None or hearing.indices is not None
+    if not told and isinstance(base, (SonarParkingEnv, SonarParkingVectorEnv)):
+        return StreetSource(base.fleet, hearing)
+    if not told and is_road(base):
+        return RoadSource(base, space, hearing)
+    return RangesSource(space, hearing, base, copies)
 
 
-def prior_ping(conditions: Mapping[str, Condition], max_range: float) -> Ping:
-    """Return a sample of what the sonars may face: what the wrapper is told of it, and broad where it is not.
-
-    Distances are equally likely up to `max_range` m. A condition that comes from a key is taken to be one of those a
-    cone of 55 deg; bearing and incidence alike, as of faces parallel to the sensor's.
-    """
-    rng, distance = np.random.default_rng(0), np.tile(np.linspace(0.01, max_range, 2 * BINS), PRIOR_ROUNDS)
-    n = len(distance)
-    angle = np.radians(rng.choice(BEARINGS_DEG, n))
-    broad = {"incidence": angle, "bearing": angle, "reflectance": rng.uniform(0.1, 0.9, n)}
-    told = {
-        name: broad[name] if isinstance(c, str) else rng.uniform(*c, n) if isinstance(c, tuple) else np.full(n, c)
-        for name, c in conditions.items()
-    }
-    return Ping.of(distance, told["bearing"], told["incidence"], told["reflectance"])
+def listener_of(source: Source, sonar: SonarChoice, copies: int) -> Listener:
+    """Return sonars that hear what a source meets."""
+    model = resolve(sonar)
+    sonars = Sonar(model, source.count, source.max_range, WRAPPER_TAG, source.tables(model), copies)
+    return Listener(sonars, timing(source.count, source.step_s, source.times), source.step_s)
 
 
-class SonarObservation(gymnasium.ObservationWrapper, RecordConstructorArgs):
+def space_of(source: Source) -> spaces.Dict:
+    """Return the observation space of one environment with sonars."""
+    age = spaces.Box(0.0, 1.0, (source.count,), np.float32)
+    return spaces.Dict({**source.kept, **sonar_spaces(source.count), "age": age})
+
+
+class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
     """Replaces ideal ranges by readings drawn from a sonar's law, with the credence of each.
 
-    The new observation is a `Dict`: `ranges` (shares of `max_range`, 1 without an echo), `credence` (given the
-    reading), `echo` (1 echo, 0 silence, -1 no answer), and whatever else the old one held: the other keys of a `Dict`
-    as they were; the numbers beside the ranges of a vector under `rest`, or under their own key of a `Dict`.
-    `info["sonar"]` holds the true `distance` (m) and `credence_given_condition`.
+    It knows three kinds of world. In `SonarParking-v0` it takes the truth, whatever the sonar inside. In highway-env it
+    casts cones of its own on `road.vehicles` and `road.objects`. Anywhere else the observation holds the ranges: a
+    `Box`, or a `Box` at `key` of a `Dict`; the other conditions come from the environment where it offers them, else
+    from a stated prior.
 
-    Credence given a reading is taken over a prior: distances equally likely, the other conditions as told below. Where
-    the scene is known better than that, a table of its own is better (`sonar_gym.prior` is that of the parking task).
+    The new observation is a `Dict`: `ranges` (shares of the maximum range, 1 without an echo), `credence` (given the
+    reading), `echo` (1 echo, 0 silence, -1 no answer), `age` (s since the ping, at most 1), and whatever else the old
+    one held: the other keys of a `Dict`; the numbers beside the ranges under `rest`, or under their key; on a road,
+    what tells of the own vehicle, under `base` where it was no `Dict`. `info["sonar"]` holds the truth of the pings
+    whose readings are shown.
 
-    The wrapper draws from a stream of its own: the same seed gives the same world with and without it. Model by name
-    or path goes through the environment's spec and JSON.
+    Credence given a reading is taken over a prior: the task's own streets for `SonarParking-v0`; elsewhere distances
+    equally likely and the other conditions as told.
+
+    Sonars may ping each at its own period and phase, and be heard after a latency, all in seconds; until the next
+    reading the last one stays. Models that remember do so from ping to ping, and forget at each reset. The wrapper
+    draws from a stream of its own: the same seed gives the same world with and without it. All settings of `Hearing`,
+    and models given by name or path, go through the environment's spec and JSON.
 
     Args:
-        env: whose observation is a `Box`, or a `Dict` with a `Box` at `key`.
+        env: to listen to.
         sonar: name, path or model.
-        key: of the ranges in a `Dict`.
-        indices: of the ranges in the flattened array; all of it by default.
-        metres_per_unit: what 1 in the observation stands for, m.
-        max_range: the sonar's greatest range, m; what the observation puts there or beyond it is an empty cone.
-        incidence: between beam and surface normal, rad: a number, a pair (uniform, drawn anew every step), or a key of
-            the observation or of `info`.
-        bearing: of the reflector off the beam axis, rad; likewise.
-        reflectance: of the reflector; likewise, but a pair is drawn once an episode for each sonar.
-        step_s: time between steps, s.
+        settings: fields of `sonar_gym.hearing.Hearing`.
 
     >>> import gymnasium, sonar_gym
-    >>> env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", key="ranges", metres_per_unit=3.01,
-    ...     max_range=3.01, incidence="incidence", bearing="bearing", reflectance="reflectance")
+    >>> env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", latency_s=0.05)
     >>> sorted(env.reset(seed=0)[0])
     ['age', 'credence', 'echo', 'ego', 'ranges']
     """
 
-    def __init__(
-        self,
-        env: gymnasium.Env,
-        sonar: SonarChoice = "ideal",
-        *,
-        key: str | None = None,
-        indices: Sequence[int] | None = None,
-        metres_per_unit: float = 1.0,
-        max_range: float = 6.0,
-        incidence: Condition = (0.0, 0.4),
-        bearing: Condition = 0.0,
-        reflectance: Condition = (0.1, 0.9),
-        step_s: float = 0.1,
-    ) -> None:
-        indices = None if indices is None else [int(i) for i in indices]
-        given = {"incidence": incidence, "bearing": bearing, "reflectance": reflectance}
-        self.conditions = {name: check_condition(name, value) for name, value in given.items()}
-        RecordConstructorArgs.__init__(
-            self,
-            _disable_deepcopy=True,
-            sonar=plain(sonar),
-            key=key,
-            indices=indices,
-            metres_per_unit=metres_per_unit,
-            max_range=max_range,
-            step_s=step_s,
-            **self.conditions,
-        )
-        gymnasium.ObservationWrapper.__init__(self, env)
-        for name, value in (("metres_per_unit", metres_per_unit), ("max_range", max_range)):
-            if not value > 0.0:
-                raise SettingError(f"SonarObservation.{name} must be > 0 m, got {value:g} m")
-        self.key, self.metres_per_unit, self.max_range, self.step_s = key, metres_per_unit, max_range, step_s
-        box = self._ranges_box()
-        self._mask = self._range_mask(box, indices)
-        model, count = resolve(sonar), int(self._mask.sum())
-        table = CredenceTable.over(model, prior_ping(self.conditions, max_range), bin_edges(max_range))
-        self.sonar = Sonar(model, count, max_range, WRAPPER_TAG, [table] * count)
-        self.observation_space = spaces.Dict({**self._rest_spaces(box), **sonar_spaces(self.sonar.count)})
-        self._steps = 0
-        self._info: dict[str, Any] = {}
-        self._reflectance: ArrayLike = 1.0
-
-    # ---- spaces ------------------------------------------------------------------------------------------------------
-
-    def _ranges_box(self) -> spaces.Box:
-        space = self.env.observation_space
-        if isinstance(space, spaces.Dict):
-            if self.key not in space.spaces:
-                raise SettingError(
-                    f"SonarObservation.key {self.key!r}: the observation holds {', '.join(space.spaces)}"
-                )
-            space = space.spaces[self.key]
-        elif self.key is not None:
-            raise SettingError(f"SonarObservation.key {self.key!r}: the observation is no Dict; leave the key out")
-        if not isinstance(space, spaces.Box):
-            raise SettingError(f"SonarObservation needs ranges in a Box, got {space}: give the key of one")
-        return space
-
-    def _range_mask(self, box: spaces.Box, indices: Sequence[int] | None) -> NDArray[np.bool_]:
-        size = int(np.prod(box.shape))
-        mask = np.full(size, indices is None)
-        for index in indices or ():
-            if not 0 <= index < size:
-                raise SettingError(f"SonarObservation.indices must lie in [0, {size - 1}], got {index}")
-            mask[index] = True
-        if not mask.any():
-            raise SettingError("SonarObservation.indices holds 0 indices, expected 1 or more")
-        return mask
-
-    def _rest_spaces(self, box: spaces.Box) -> dict[str, spaces.Space[Any]]:
-        space = self.env.observation_space
-        parts = space.spaces if isinstance(space, spaces.Dict) else {}
-        rest: dict[str, spaces.Space[Any]] = {name: part for name, part in parts.items() if name != self.key}
-        if not self._mask.all():
-            low, high = box.low.ravel()[~self._mask], box.high.ravel()[~self._mask]
-            rest[self.key or REST] = spaces.Box(low, high, dtype=box.dtype.type)
-        return rest
+    def __init__(self, env: gymnasium.Env, sonar: SonarChoice = "ideal", **settings: Any) -> None:
+        hearing = Hearing(**settings)
+        recorded = {name: plain(value) for name, value in settings.items()}
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=plain(sonar), **recorded)
+        gymnasium.Wrapper.__init__(self, env)
+        self.source = source_of(env.unwrapped, env.observation_space, hearing, copies=1)
+        self.listener = listener_of(self.source, sonar, copies=1)
+        self.observation_space = space_of(self.source)
 
     @property
-    def _is_dict(self) -> bool:
-        return isinstance(self.env.observation_space, spaces.Dict)
+    def sonar(self) -> Sonar:
+        """What draws the readings."""
+        return self.listener.sonar
 
-    # ---- what happens ------------------------------------------------------------------------------------------------
+    def __getattr__(self, name: str) -> Any:
+        """Where there are goals, their reward is the environment's own: hindsight replay asks the wrapper for it."""
+        if name == GOAL_REWARD and self.env.has_wrapper_attr(name):
+            return self.env.get_wrapper_attr(name)
+        raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -182,67 +125,129 @@ class SonarObservation(gymnasium.ObservationWrapper, RecordConstructorArgs):
         self.sonar.forget()
         if seed is not None:
             self.sonar.seed(seed)
-        self._steps = 0
         observation, info = self.env.reset(seed=seed, options=options)
-        self._reflectance = self._draw("reflectance", observation, info)
-        return self._listen(observation, info)
+        self.source.begin(ONE, observation, info, self.sonar.rngs)
+        self.listener.begin(ONE, self.source.meet(ONE, observation, info, self.sonar.rngs))
+        return self._told(observation, info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment, then listen."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._steps += 1
-        observation, info = self._listen(observation, info)
+        self.listener.step(ONE, self.source.meet(ONE, observation, info, self.sonar.rngs))
+        observation, info = self._told(observation, info)
         return observation, reward, terminated, truncated, info
 
-    def _listen(self, observation: Any, info: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        self._info = info
-        distance, heard, out = self._hear(observation)
-        truth = {"distance": distance, "credence_given_condition": heard.credence_given_condition}
-        return out, {**info, "sonar": truth}
+    def _told(self, observation: Any, info: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        heard = {name: value[0] for name, value in self.listener.observation().items()}
+        truth = {name: value[0] for name, value in self.listener.truth().items()}
+        return {**self.source.rest(observation), **heard}, {**info, "sonar": truth}
 
-    def observation(self, observation: Any) -> dict[str, Any]:
-        """Return the observation with readings in place of ideal ranges; each call is one ping."""
-        return self._hear(observation)[2]
 
-    def _hear(self, observation: Any) -> tuple[Floats, Heard, dict[str, Any]]:
-        whole = np.asarray(observation[self.key] if self._is_dict else observation)
-        flat = whole.ravel()
-        distance = flat[self._mask].astype(np.float64) * self.metres_per_unit
-        if np.any(np.isnan(distance)) or np.any(distance < 0.0):
-            raise SettingError("SonarObservation met a range that is negative or NaN: check key, indices and unit")
-        seen = distance < self.max_range * (1.0 - 1e-6)  # float32 rounds a maximum range to either side
-        heard = self.sonar.listen(self._ping(np.where(seen, distance, EMPTY_M), observation), seen)
-        rest = {name: value for name, value in observation.items() if name != self.key} if self._is_dict else {}
-        if not self._mask.all():
-            rest[self.key or REST] = flat[~self._mask]
-        return distance, heard, {**rest, **heard.observation(self.max_range)}
+class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
+    """What `SonarObservation` is, for many environments at once: environment i hears what it would hear alone.
 
-    def _ping(self, distance: Floats, observation: Any) -> Ping:
-        reflectance = self._reflectance
-        if isinstance(self.conditions["reflectance"], str):
-            reflectance = self._draw("reflectance", observation, self._info)
-        return Ping.of(
-            distance=distance,
-            angle=self._draw("bearing", observation, self._info),
-            incidence=self._draw("incidence", observation, self._info),
-            reflectance=reflectance,
-            time=self._steps * self.step_s,
-            run=np.arange(self.sonar.count),
-        )
+    Environment i's stream is seeded with `seed + i`, or with item i of a list of seeds. Memory is cleared where an
+    episode begins, in all three autoreset modes. On roads each environment is to be wrapped instead:
+    `gymnasium.make_vec(..., wrappers=[SonarObservation])`.
 
-    def _draw(self, name: str, observation: Any, info: Mapping[str, Any]) -> Floats:
-        """Return a condition of every sonar, (n,)."""
-        source, n = self.conditions[name], self.sonar.count
-        if isinstance(source, tuple):
-            return self.sonar.rng.uniform(*source, size=n)
-        if isinstance(source, str):
-            inside = self._is_dict and source in observation
-            if not inside and source not in info:
-                raise SettingError(
-                    f"SonarObservation.{name} {source!r}: neither the observation nor info holds that key"
-                )
-            value = np.asarray(observation[source] if inside else info[source], dtype=np.float64)
-            if value.shape != (n,):
-                raise SettingError(f"SonarObservation.{name} {source!r} has shape {value.shape}, expected ({n},)")
-            return value
-        return np.full(n, source)
+    Args:
+        env: a vector environment.
+        sonar: name, path or model, shared by all.
+        settings: fields of `sonar_gym.hearing.Hearing`.
+    """
+
+    def __init__(self, env: VectorEnv, sonar: SonarChoice = "ideal", **settings: Any) -> None:
+        hearing = Hearing(**settings)
+        recorded = {name: plain(value) for name, value in settings.items()}
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=plain(sonar), **recorded)
+        VectorWrapper.__init__(self, env)
+        base = env.unwrapped
+        inner = getattr(base, "envs", [base])[0].unwrapped
+        if is_road(inner):
+            raise SettingError("SonarVectorObservation hears no roads: wrap each, with make_vec(..., wrappers=[...])")
+        world = base if isinstance(base, SonarParkingVectorEnv) else inner
+        self.source = source_of(world, env.single_observation_space, hearing, env.num_envs)
+        self.listener = listener_of(self.source, sonar, env.num_envs)
+        self.single_observation_space = space_of(self.source)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self.autoreset_mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
+        self._rows = np.arange(env.num_envs)
+        self._over = np.zeros(env.num_envs, dtype=np.bool_)
+
+    @property
+    def sonar(self) -> Sonar:
+        """What draws the readings."""
+        return self.listener.sonar
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Reset the environments, or those of `options["reset_mask"]`; forget what was read in them, and listen."""
+        mask = np.array((options or {}).get(MASK, np.ones(self.num_envs)), dtype=np.bool_)
+        for i, one in self._seeds(seed, mask):
+            self.sonar.seed(one, i)
+        observation, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._over[mask] = False
+        self._begin(self._rows[mask], observation, info)
+        return self._told(observation, info, mask)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None, mask: Bits) -> Iterator[tuple[int, int]]:
+        """Return number and seed of the environments that are given one."""
+        each = [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
+        for i, one in enumerate(each or ()):
+            if one is not None and mask[i]:
+                yield i, int(one)
+
+    def step(self, actions: Any) -> tuple[dict[str, Any], Any, Bits, Bits, dict[str, Any]]:
+        """Step the environments, then listen; what begins anew has forgotten what was read before."""
+        observation, rewards, terminated, truncated, info = self.env.step(actions)
+        over, mode = terminated | truncated, self.autoreset_mode
+        if mode is AutoresetMode.SAME_STEP and over.any():
+            info = {**info, **self._finals(self._rows[over], info)}
+        begun = {AutoresetMode.NEXT_STEP: self._over, AutoresetMode.SAME_STEP: over}.get(mode, np.zeros_like(over))
+        self._step(self._rows[~begun], observation, info)
+        self._begin(self._rows[begun], observation, info)
+        self._over = over
+        observation, info = self._told(observation, info, np.ones(self.num_envs, dtype=np.bool_))
+        return observation, rewards, terminated, truncated, info
+
+    def _begin(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
+        if len(rows):
+            part = rows_of(observation, rows), rows_of(info, rows), self.sonar.rngs
+            self.source.begin(rows, *part)
+            self.listener.begin(rows, self.source.meet(rows, *part))
+
+    def _step(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
+        if len(rows):
+            self._heard(rows, rows_of(observation, rows), rows_of(info, rows))
+
+    def _heard(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
+        self.listener.step(rows, self.source.meet(rows, observation, info, self.sonar.rngs))
+
+    def _finals(self, rows: Ints, info: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the last observations and infos of the episodes that are over, as their sonars heard them."""
+        last, finals = [info["final_obs"][i] for i in rows], np.full(self.num_envs, None, dtype=object)
+        self._heard(rows, stacked(last), rows_of(info["final_info"], rows))
+        heard = self.listener.observation()
+        for i, one in zip(rows, last, strict=True):
+            finals[i] = {**self.source.rest(one), **{name: value[i].copy() for name, value in heard.items()}}
+        truth = masked({"sonar": self.listener.truth()}, np.isin(self._rows, rows))
+        return {"final_obs": finals, "final_info": {**info["final_info"], **truth}}
+
+    def _told(self, observation: Any, info: dict[str, Any], mask: Bits) -> tuple[dict[str, Any], dict[str, Any]]:
+        told = {**self.source.rest(observation), **self.listener.observation()}
+        return told, {**info, **masked({"sonar": self.listener.truth()}, mask)}
+
+
+def stacked(observations: Sequence[Any]) -> Any:
+    """Return observations of single environments as one of many."""
+    if not isinstance(observations[0], Mapping):
+        return np.stack(observations)
+    return {name: np.stack([one[name] for one in observations]) for name in observations[0]}
+
+
+def rows_of(values: Any, rows: Ints) -> Any:
+    """Return some rows of arrays, also of those in mappings; what has no rows is left out."""
+    if not isinstance(values, Mapping):
+        return np.asarray(values)[rows]
+    return {name: rows_of(value, rows) for name, value in values.items() if isinstance(value, (np.ndarray, Mapping))}

@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 
 from acquisition import Ping, Reading
-from noise import GaussianModel, IdealModel, SonarModel, listener
+from noise import CredenceTable, GaussianModel, IdealModel, SonarModel, listener
 from noise.faults import Faulty, Noise, Short
 from noise.networks import MlpModel
+from noise.recent import Recent, RecentCredence
 from training.draw_paths import PATHS, Draw, disagreement
 from training.threads import one_thread
 
@@ -71,6 +72,24 @@ def of_models(models: Mapping[str, SonarModel]) -> dict[str, Speed]:
     every: dict[str, SonarModel] = {"ideal": IdealModel(), "Gaussian": GaussianModel(), **models, **faulty}
     with one_thread():
         return {k: Speed({n: seconds(stepper(m, pings(n)), n) for n in LIMITS}) for k, m in every.items()}
+
+
+def of_credence(tables: CredenceTable, learned: RecentCredence) -> dict[str, Speed]:
+    """Return how fast credence given the readings is told: looked up, and learned from the last few of each sensor."""
+    return {
+        "credence given a reading, looked up": Speed({n: seconds(partial(tables.given, _said(n)), n) for n in LIMITS}),
+        "credence given the last readings": Speed({n: seconds(_listening(learned, n), n) for n in LIMITS}),
+    }
+
+
+def _said(n: int) -> Reading:
+    return GaussianModel().law(pings(n)).sample(np.random.default_rng(0))
+
+
+def _listening(learned: RecentCredence, n: int) -> Callable[[], object]:
+    """Return a function that takes one reading more of every sensor in and tells its credence."""
+    recent, reading, time_s = Recent.nothing(learned.depth, n), _said(n), np.zeros(n)
+    return lambda: learned.given(recent.then(reading, time_s))
 
 
 def of_paths(model: MlpModel, paths: Mapping[str, Callable[[MlpModel], Draw]] = PATHS) -> dict[str, Speed]:

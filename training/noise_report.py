@@ -23,7 +23,7 @@ from training.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 from training.compare_noise import HEADINGS, Compared, baselines, compare, place, rows
 from training.corpus import RECORDINGS, written
 from training.draw_paths import PATHS
-from training.draw_speed import of_models, of_paths
+from training.draw_speed import of_credence, of_models, of_paths
 from training.draw_speed import rows as speed_rows
 from training.memory_gain import WORLDS, Plan, measure
 from training.noise_findings import ALONE, BAYES, RECENT, WHERE, Findings, Told, aims, by_nth
@@ -92,25 +92,28 @@ def find(
     told = {where: {name: Told.by(model, recordings[where]) for name, model in models.items()} for where in WHERE}
     tick()
     heard = {name: by_nth(model, recordings["units"]) for name, model in models.items()}
-    given = trust(first, recordings)
+    by_bayes, learned = credences(first, recordings)
+    given = {where: trust(by_bayes, learned, recordings[f"fresh-{where}"]) for where in WHERE}
     tick()
-    speeds = of_models(models)
+    speeds = of_models(models) | of_credence(by_bayes, learned[RECENT])
     tick()
     paths = of_paths(first, PATHS)
     tick()
     return Findings(compared, told, given, gains, heard, speeds, paths, tuple(models))
 
 
-def trust(model: SonarModel, recordings: Mapping[str, Recording]) -> dict[str, dict[str, CredenceScore]]:
-    """Return how good credence given the readings is, on fresh sessions of known and of other sensors."""
+def credences(
+    model: SonarModel, recordings: Mapping[str, Recording]
+) -> tuple[CredenceTable, dict[str, RecentCredence]]:
+    """Return credence given one reading, by Bayes, and what is learned of one and of the last few."""
     train, choose = recordings["train"], recordings["validation"]
     some = np.random.default_rng(0).permutation(len(train))[:PRIOR_PINGS]
-    by_bayes = CredenceTable.over(model, train.ping[some], EDGES)
     learned = {label: learn_credence(train, choose, CredencePlan(depth)) for label, depth in DEPTHS.items()}
-    return {where: _trust(by_bayes, learned, recordings[f"fresh-{where}"]) for where in WHERE}
+    return CredenceTable.over(model, train.ping[some], EDGES), learned
 
 
-def _trust(by_bayes: CredenceTable, learned: Mapping[str, RecentCredence], test: Recording) -> dict[str, CredenceScore]:
+def trust(by_bayes: CredenceTable, learned: Mapping[str, RecentCredence], test: Recording) -> dict[str, CredenceScore]:
+    """Return how good credence given the readings is, on fresh sessions."""
     ping, reading = test.ping, test.reading
     echo, visit = reading.echo, np.unique(np.stack([test.run, test.cell]), axis=1, return_inverse=True)[1].ravel()
     said: dict[str, Floats] = {BAYES: by_bayes.given(reading)}

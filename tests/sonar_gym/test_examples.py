@@ -10,12 +10,42 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.mark.parametrize("name", ["make_and_step.py", "wrap_your_own.py"])
-def test_example_prints_what_was_said_and_what_is_true(name, capsys):
+SAID = {
+    "make_and_step.py": 5,
+    "wrap_your_own.py": 5,
+    "wrap_range_array.py": 5,
+    "wrap_highway.py": 8,
+    "own_layout.py": 5,
+}
+
+
+def printed(name, capsys):
     runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-    lines = [line for line in capsys.readouterr().out.splitlines() if "said" in line]
-    assert len(lines) == 5
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize(("name", "count"), SAID.items())
+def test_example_prints_what_was_said_and_what_is_true(name, count, capsys):
+    lines = [line for line in printed(name, capsys) if "said" in line]
+    assert len(lines) == count
     assert all("true" in line for line in lines)
+
+
+def test_foam_is_heard_less_than_steel(capsys):
+    heard = {line.split(":")[0]: int(line.split(":")[1].split("%")[0]) for line in printed("own_materials.py", capsys)}
+    assert heard["foam"] < heard["cardboard"] <= heard["ribbed steel"]
+
+
+def test_layout_of_the_example_pings_in_turn(capsys):
+    lines = printed("own_layout.py", capsys)
+    ages = [[int(part.split(" ms")[0].split()[-1]) for part in line.split(";")[:3]] for line in lines]
+    # the first step still shows the pings of the start; later ones come in 25 ms after every second observation
+    assert ages == [[0, 100, 100], [0, 200, 100], [0, 100, 200], [0, 200, 100], [0, 100, 200]]
+
+
+def test_every_example_runs_as_a_test():
+    tested = {*SAID, "own_materials.py", "record_gif.py", "train_highway.py"}
+    assert {path.name for path in EXAMPLES.glob("*.py")} == tested
 
 
 def test_gif_is_written_whole(tmp_path, monkeypatch, capsys):
@@ -25,3 +55,11 @@ def test_gif_is_written_whole(tmp_path, monkeypatch, capsys):
     assert "parked: True" in capsys.readouterr().out
     assert iio.imread(path).shape[1:3] == (660, 1000)
     assert [p.name for p in tmp_path.iterdir()] == ["parking.gif"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_an_agent_learns_to_park_in_highway_env():
+    before, after = runpy.run_path(str(EXAMPLES / "train_highway.py"))["main"](steps=3000)
+    won = after - before
+    assert won.mean() > 2.0 * won.std(ddof=1) / len(won) ** 0.5

@@ -1,5 +1,8 @@
 """SonarObservation: what it replaces, what it leaves alone, and whose chance it uses."""
 
+import subprocess
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -10,6 +13,8 @@ from acquisition import SettingError
 from noise import CATALOGUE, GaussianModel, IdealModel, PhysicalModel, save_model
 from sonar_gym import SonarObservation
 from sonar_gym.parking import MAX_RANGE
+
+pytest.importorskip("highway_env")
 
 PARKING = {
     "key": "ranges",
@@ -93,18 +98,111 @@ def test_all_of_a_box_may_be_ranges():
     )
     observation, _ = env.reset(seed=0)
     assert set(observation) == {"ranges", "credence", "echo", "age", "ego"}
+    assert observation in env.observation_space
 
 
-@pytest.mark.parametrize("sonar", ["ideal", "gaussian"])
-def test_checkers_have_no_complaint(sonar):
-    env = SonarObservation(gymnasium.make("SonarParking-v0"), sonar, **PARKING)
-    check_for_sb3(env)
-    check_for_sb3(rays(sonar))
+TIMED = {"period_s": 0.2, "phase_s": 0.05, "latency_s": 0.03}
+FORMS = {
+    "street": lambda **how: SonarObservation(gymnasium.make("SonarParking-v0"), **how),
+    "street as ranges": lambda **how: SonarObservation(gymnasium.make("SonarParking-v0"), **PARKING, **how),
+    "car park": lambda **how: SonarObservation(gymnasium.make("parking-v0"), **how),
+    "road": lambda **how: SonarObservation(gymnasium.make("highway-v0", config={"vehicles_count": 5}), **how),
+    "vector of numbers": lambda **how: rays(**how),
+    "dictionary": lambda **how: rays(dictionary=True, **how),
+}
 
 
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
-def test_gymnasium_s_checker_has_no_other_complaint():
-    check_env(SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", **PARKING), skip_render_check=True)
+@pytest.mark.parametrize("times", [{}, TIMED], ids=["at once", "timed"])
+@pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_sb3_s_checker_has_no_complaint(form, sonar, times):
+    if form is FORMS["car park"] or form is FORMS["road"]:
+        times = {name: 5.0 * value for name, value in times.items()}  # a step of the policy takes longer there
+    check_for_sb3(form(sonar=sonar, **times))
+
+
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # said of any wrapper
+@pytest.mark.parametrize("times", [{}, TIMED], ids=["at once", "timed"])
+@pytest.mark.parametrize("form", ["street", "street as ranges", "vector of numbers", "dictionary"])
+def test_gymnasium_s_checker_has_no_other_complaint(form, times):
+    check_env(FORMS[form](sonar="gaussian", **times), skip_render_check=True)
+
+
+def test_truth_of_the_street_is_taken_whatever_the_sonar_inside():
+    """A sonar inside that hears nothing leaves the wrapper's alone."""
+    deaf = gymnasium.make("SonarParking-v0", sonar=GaussianModel(miss=1.0))
+    outer, alone = SonarObservation(deaf, "ideal"), gymnasium.make("SonarParking-v0")
+    first, second = outer.reset(seed=1)[0], alone.reset(seed=1)[0]
+    for _ in range(10):
+        for name, value in second.items():
+            assert first[name] == pytest.approx(value, abs=1e-12), name
+        first, second = (env.step(np.float32([0.1, 0.7]))[0] for env in (outer, alone))
+
+
+def test_credence_of_the_street_is_that_of_the_task_s_own_prior():
+    inner, outer = (gymnasium.make("SonarParking-v0", sonar="srf08-mlp") for _ in range(2))
+    outer = SonarObservation(outer, "srf08-mlp")
+    assert np.array_equal(outer.sonar.tables, inner.unwrapped.fleet.sonar.tables)
+
+
+def test_time_between_steps_is_the_environment_s_own():
+    class Timed(Rays):
+        dt = 0.04
+
+    assert SonarObservation(Timed(), indices=[0]).source.step_s == 0.04
+    assert SonarObservation(Timed(), indices=[0], step_s=0.02).source.step_s == 0.02
+    assert rays().source.step_s == 0.1
+
+
+def test_every_setting_goes_through_json():
+    how = {**PARKING, **TIMED, "period_s": np.full(8, 0.2), "incidence": (0.0, 0.3), "step_s": 0.1, "indices": range(8)}
+    env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", **how)
+    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    for one in (env, again):
+        one.reset(seed=6)
+    for _ in range(6):
+        first, second = (one.step(np.float32([0.0, 0.5]))[0] for one in (env, again))
+        assert all(np.array_equal(first[name], second[name]) for name in first)
+    assert first["age"].max() > 0.0
+
+
+def course():
+    """Return what a wrapped street says along a way, as one number for each step."""
+    env = SonarObservation(gymnasium.make("SonarParking-v0"), "srf08-mlp", **TIMED)
+    env.reset(seed=11)
+    steps = [env.step(np.float32([0.1 * (k % 3 - 1), 0.6]))[0] for k in range(12)]
+    return [float(np.concatenate(list(said.values())).astype(np.float64).sum()) for said in steps]
+
+
+def test_same_seed_same_readings_in_another_process():
+    code = f"import runpy; print(runpy.run_path({__file__!r})['course']())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(course())
+
+
+def test_wild_actions_leave_no_nan_in_what_is_heard():
+    env = SonarObservation(gymnasium.make("SonarParking-v0"), "srf08-mlp", **TIMED)
+    rng, refused = np.random.default_rng(0), 0
+    env.reset(seed=0)
+    for _ in range(400):
+        action = rng.uniform(-4.0, 4.0, 2).astype(np.float32)
+        if rng.random() < 0.05:
+            action[rng.integers(2)] = rng.choice([np.nan, np.inf, -np.inf])
+        if not np.all(np.isfinite(action)):
+            with pytest.raises(SettingError, match="action must be finite"):
+                env.step(action)
+            refused += 1
+            continue
+        observation, _, terminated, truncated, _ = env.step(action)
+        assert observation in env.observation_space
+        if terminated or truncated:
+            env.reset()
+    assert refused > 5
+
+
+def test_unknown_setting_is_a_type_error():
+    with pytest.raises(TypeError, match="wavelength"):
+        rays(wavelength=0.0086)
 
 
 def test_world_is_the_same_with_and_without():
@@ -210,6 +308,18 @@ def test_infinity_is_an_empty_cone_and_nan_is_refused():
     assert list(observation["echo"]) == [1.0, 0.0, 0.0]
     assert np.all(observation["ranges"][1:] == 1.0)
     env.unwrapped.values = np.float32([100.0, np.nan, 600.0])
+    with pytest.raises(SettingError, match="range that is negative or NaN"):
+        step(env)
+
+
+def test_a_number_may_stand_for_nothing_in_reach():
+    """MuJoCo's rangefinders say -1."""
+    env = rays(empty=-1.0)
+    env.unwrapped.values = np.float32([100.0, -1.0, 250.0])
+    observation, info = env.reset(seed=0)
+    assert list(observation["echo"]) == [1.0, 0.0, 1.0]
+    assert list(info["sonar"]["in_cone"]) == [True, False, True]
+    env.unwrapped.values = np.float32([100.0, -2.0, 250.0])
     with pytest.raises(SettingError, match="range that is negative or NaN"):
         step(env)
 
