@@ -34,6 +34,7 @@ COMMANDS = {
     "compare-drivers": ("training.compare_drivers", "park with ideal and real sonars, with and without credence"),
     "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
     "prove": ("training.prove", "blind trials of the diagnosis on concealed effects: sealed, scored, published"),
+    "prove-real": ("training.prove_real", "diagnose real recordings with a column of theirs hidden"),
     "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130
