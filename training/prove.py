@@ -15,11 +15,13 @@ from threading import Lock
 from typing import Any, Literal
 
 from acquisition import SettingError
-from acquisition.files import write_text
+from acquisition.files import write_bytes, write_text
 from training.progress import bar
 from training.proof.crew import ENGINES, Bench, Crew
 from training.proof.desk import ROOT
-from training.proof.page import page
+from training.proof.figure import accuracy
+from training.proof.page import FAMILY, PICTURE, page
+from training.proof.score import trials_of
 from training.proof.seal import OPENED, PROTOCOL, SEALED, VERDICT, Ledger, LedgerError, check, hash_of, salt_of, seed_of
 
 
@@ -72,9 +74,16 @@ def main(args: Args) -> None:
         run(args, ledger)
     finally:
         check(ledger.lines)
-        write_text(args.out / "proof.md", page(ledger.lines))
+        publish(args.out, ledger)
         ledger.close()
     print(f"{len(ledger.of(OPENED))} trials in {ledger.path}; the tables are in {args.out / 'proof.md'}")
+
+
+def publish(out: Path, ledger: Ledger) -> None:
+    """Write the page and its picture."""
+    rig = [trial for trial in trials_of(ledger.lines) if trial.kind != FAMILY]
+    write_bytes(out / PICTURE, accuracy(rig))
+    write_text(out / "proof.md", page(ledger.lines))
 
 
 def settings_of(args: Args) -> dict[str, Any]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from training.proof.score import Line, Opened, baselines, by_separation, confusion, table, trials_of
 
-RIG, FAMILY = "rig", "family"
+FAMILY = "family"
+PICTURE = "proof.png"
 
 
 def page(lines: Sequence[dict[str, Any]]) -> str:
@@ -20,7 +21,7 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
     own = [t for t in trials if t.kind == FAMILY]
     parts = [_head(settings, trials), _short(table(rig))]
     parts += ["## Targets, on the waveform rig", _targets(table(rig))]
-    parts += ["## Accuracy against separation", _separation(rig)]
+    parts += ["## Accuracy against separation", f"![Accuracy against separation]({PICTURE})", _separation(rig)]
     parts += ["## Beside others", _baselines(rig)]
     parts += ["## What was said of what", _confusion(rig)]
     if own:

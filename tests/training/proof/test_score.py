@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from training.proof.figure import accuracy
 from training.proof.page import page
 from training.proof.score import Opened, by_separation, confusion, covered, overlap, table, trials_of
 
@@ -137,3 +138,9 @@ def test_the_page_says_first_what_falls_short():
     text = page(lines)
     assert text.index("What falls short") < text.index("## Targets")
     assert "null: an effect named: 100 %" in text
+
+
+def test_the_picture_is_drawn_of_many_trials_and_of_none():
+    trials = [trial("effect", "named", nats=n, effects=[effect("clock_scale")]) for n in (1.0, 3.0, 20.0, 200.0)]
+    for each in (trials, []):
+        assert accuracy(each).startswith(b"\x89PNG")
