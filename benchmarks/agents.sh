@@ -6,9 +6,9 @@ cd "$(dirname "$0")/.."
 out=runs/agents
 run="${PYTHON:-.venv/bin/python} -m training.cli"
 if [ "${1:-}" = quick ]; then
-    out=runs/agents-quick lessons=60 steps=1 episodes=20 few=2 seeds=1
+    out=runs/agents-quick lessons=60 steps=1 episodes=20 ablation=20 few=2 seeds=1
 else
-    lessons=2000 steps=3000000 episodes=500 few=30 seeds=3
+    lessons=2000 steps=3000000 episodes=500 ablation=300 few=12 seeds=3
 fi
 
 # the shipped agent, and its scores
@@ -16,13 +16,17 @@ $run train-agent --out $out/parking --odometry exact wheels --difficulty normal 
 $run ship-agent $out/parking/agent --out $out/shipped --episodes $episodes
 $run evaluate-agent --agent $out/shipped scripted --episodes $episodes --out $out/scores.json
 
-# what credence is worth to an agent: alike but for that
+# what credence is worth to an agent: alike but for that, with a sonar that is often wrong
+${PYTHON:-.venv/bin/python} -c "
+from noise import load_model, save_model
+from noise.faults import Faulty, Noise, Short
+save_model(Faulty(load_model('srf08-mlp'), [Short(0.15), Noise(0.15, 0.1)]), '$out/faulty')"
 for seed in $(seq 0 $((seeds - 1))); do
     for told in credence no-credence; do
-        $run train-agent --out $out/$told-$seed --$told --sonars srf08-mlp --lessons $((lessons / 4)) --steps 0 \
-            --hidden 128 64 --num-envs 128 --difficulty hard --odometry wheels --seed "$seed"
-        $run evaluate-agent --agent $out/$told-$seed/agent --sonars srf08-mlp --difficulty hard --odometry wheels \
-            --episodes $episodes --out $out/$told-$seed.json
+        $run train-agent --out $out/$told-$seed --$told --sonars $out/faulty --odometry wheels --seed "$seed" \
+            --lessons $((lessons * 3 / 10)) --steps 0 --hidden 128 64 --num-envs 128
+        $run evaluate-agent --agent $out/$told-$seed/agent --sonars $out/faulty --odometry wheels --episodes $ablation \
+            --out $out/$told-$seed.json
     done
 done
 

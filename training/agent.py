@@ -156,6 +156,7 @@ class Training:
         tell: of progress.
         trials: how it learns by trial.
         lessons: how it is taught; `args.lessons` rounds of it.
+        worlds: settings of `SonarParkingVectorEnv`, in the place of those that `args` names.
     """
 
     def __init__(
@@ -164,12 +165,13 @@ class Training:
         tell: Tell = lambda what, done, of: None,
         trials: Trials | None = None,
         lessons: Lessons | None = None,
+        worlds: Sequence[World] | None = None,
     ) -> None:
         self.args, self.trials, self._tell = args, trials or Trials(), tell
         self.lessons = Lessons(**{**asdict(lessons or Lessons()), "rounds": args.lessons})
         self.memory = MemorySettings(credence=args.credence)
         set_random_seed(_seeds(args.seed, 0)[1])
-        self.envs = AgentVecEnv(args.num_envs, args.worlds, self.memory, args.repeat)
+        self.envs = AgentVecEnv(args.num_envs, worlds or args.worlds, self.memory, args.repeat)
         self.model = make_model(args, self.envs, self.trials)
         self.history: list[dict[str, Any]] = []
         self.leg = 0 if args.lessons else 1
@@ -307,10 +309,10 @@ def layers(policy: ActorCriticPolicy) -> Sequence[Layer]:
     return [(m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy()) for m in linear]
 
 
-def train(args: Args, tell: Tell = lambda what, done, of: None) -> Training:
-    """Train an agent, or go on with it."""
+def train(args: Args, tell: Tell = lambda what, done, of: None, worlds: Sequence[World] | None = None) -> Training:
+    """Train an agent, or go on with it; in other worlds than `args` names, where some are given."""
     with one_thread():
-        training = Training(args, tell)
+        training = Training(args, tell, worlds=worlds)
         training.resume()
         training.run()
     training.envs.close()

@@ -1,8 +1,8 @@
-"""Sonars that are not what the driver takes them for: readings from one model, their credence by another."""
+"""Sonars that are not what the driver takes them for, and sonars corrected by what a diagnosis found."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,3 +62,56 @@ class RealModel:
     def law(self, ping: Ping, past: Reading | None = None) -> RealLaw:
         """Return the law of n pings."""
         return RealLaw(self.heard.law(ping), self.believed.law(ping))
+
+
+class MovedLaw(EchoLaw):
+    """The law of pings whose sensor stands behind the place that distances are counted from.
+
+    Args:
+        law: of the distances as the sensor has them.
+        distance: as they are counted, m, (n,).
+    """
+
+    def __init__(self, law: EchoLaw, distance: Floats) -> None:
+        super().__init__(distance, law.resolution, law.max_range)
+        self.law = law
+
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z)."""
+        return self.law.arrival(z)
+
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range in (low, high])."""
+        return self.law.between(low, high)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer), (n,)."""
+        return self.law.no_answer
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Draw what is heard."""
+        return self.law.sample(rng)
+
+
+@dataclass(frozen=True)
+class MovedModel:
+    """A sonar corrected by a diagnosis that found its zero elsewhere.
+
+    Attributes:
+        model: that knows nothing of it.
+        metres: how far the sensor stands behind the place that distances are counted from.
+    """
+
+    model: SonarModel
+    metres: float
+    remembers: bool = False
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.model.resolution
+
+    def law(self, ping: Ping, past: Reading | None = None) -> MovedLaw:
+        """Return the law of n pings."""
+        return MovedLaw(self.model.law(replace(ping, distance=ping.distance + self.metres)), ping.distance)

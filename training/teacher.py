@@ -6,6 +6,8 @@ cheating"): the teacher's actions depend on the truth, the agent's on its memory
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,24 @@ LAST, STRAIGHT = 0.15, 0.15  # m; so near to the end the car must be straighter 
 END = 0.01  # m of the arcs left where the car stops
 AHEAD = 0.05  # m; the wheels are turned this much before the arcs change sides
 POINTS = 120  # of the arcs, among which the nearest is looked for
+
+
+class Nearest(NamedTuple):
+    """Where cars are beside the two arcs into their spaces, each (n,).
+
+    Attributes:
+        ahead: the arcs' beginning, along the lane, m.
+        gone, left: along the arcs to the point nearest, and from it, m.
+        off, turned: how far left of it the car is, m, and how far turned to the left of its heading, rad.
+        bend: of the path there, 1/m.
+    """
+
+    ahead: Floats
+    gone: Floats
+    left: Floats
+    off: Floats
+    turned: Floats
+    bend: Floats
 
 
 class Teacher:
@@ -47,30 +67,22 @@ class Teacher:
         Args:
             way: gone since the car turned back last, as `Memory.way` has it, m, (n,).
         """
-        car, worlds = self.fleet.car_settings, self.fleet.worlds
-        pose, task = worlds.car[:, :3], worlds.task
-        ready, gone, reference, bend = self._nearest(pose, task)
-        off, turned = _across(pose, reference), pose[:, 2] - reference[:, 2]
-        left = 2.0 * self.radius * task[:, TURN] - gone
-        lost = (np.abs(off) > LOST) | (np.abs(turned) > np.where(left < LAST, STRAIGHT, TURNED))
-        square = (np.abs(pose[:, 1]) < SQUARE) & (np.abs(pose[:, 2]) < 2.0 * SQUARE)
-        arrived = (ready - pose[:, 0] < READY) & square | (ready - pose[:, 0] < -BEYOND)
-        backing = arrived | (way < 0.0) & ~(lost & (gone > 0.0))
+        car, pose = self.fleet.car_settings, self.fleet.worlds.car[:, :3]
+        at = self._nearest(pose, self.fleet.worlds.task)
+        backing = _backing(pose, at, way)
         lane = -STIFFNESS * pose[:, 1] - DAMPING * pose[:, 2]
-        forth = np.where(np.abs(pose[:, 1]) < LANE, lane, bend - STIFFNESS * off - DAMPING * turned)
-        back = bend - STIFFNESS * off + DAMPING * turned
+        forth = np.where(np.abs(pose[:, 1]) < LANE, lane, at.bend - STIFFNESS * at.off - DAMPING * at.turned)
+        back = at.bend - STIFFNESS * at.off + DAMPING * at.turned
         steering = np.arctan(car.wheelbase * np.where(backing, back, forth))
         fastest = np.where(np.abs(pose[:, 2]) < 2.0 * SQUARE, CRUISE, APPROACH)
-        speed = np.where(
-            backing,
-            np.where(left < END, 0.0, -np.minimum(BACKING, CREEP + left)),
-            np.clip(SLOWING * (ready - pose[:, 0]), APPROACH, fastest),
-        )
+        forwards = np.clip(SLOWING * at.ahead, APPROACH, fastest)
+        backwards = np.where(at.left < END, 0.0, -np.minimum(BACKING, CREEP + at.left))
+        speed = np.where(backing, backwards, forwards)
         wanted = np.column_stack([steering / car.max_steering, speed / car.max_speed])
         return np.clip(wanted, -1.0, 1.0)
 
-    def _nearest(self, pose: Floats, task: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return x of the arcs' beginning; way gone along them to the point nearest, m; it, (n, 3); its bend, 1/m."""
+    def _nearest(self, pose: Floats, task: Floats) -> Nearest:
+        """Return where on the arcs cars are nearest to them."""
         r, turn, ready = self.radius, task[:, TURN, None], task[:, READY_X]
         gone = np.linspace(0.0, 1.0, POINTS) * 2.0 * r * turn
         first = gone < r * turn
@@ -80,9 +92,18 @@ class Teacher:
         y = np.where(first, -across, task[:, GOAL_Y, None] + across)
         away = np.hypot(x - pose[:, :1], y - pose[:, 1:2]) + 0.1 * np.abs(angle - pose[:, 2:])
         k, row = np.argmin(away, axis=1), np.arange(len(pose))
-        reference = np.column_stack([x[row, k], y[row, k], angle[row, k]])
-        bend = np.where(gone[row, k] + AHEAD < r * turn[:, 0], -1.0, 1.0) / r
-        return ready, gone[row, k], reference, np.where(pose[:, 0] > ready, 0.0, bend)
+        reference, way = np.column_stack([x[row, k], y[row, k], angle[row, k]]), gone[row, k]
+        bend = np.where(pose[:, 0] > ready, 0.0, np.where(way + AHEAD < r * turn[:, 0], -1.0, 1.0) / r)
+        off, turned = _across(pose, reference), pose[:, 2] - reference[:, 2]
+        return Nearest(ready - pose[:, 0], way, 2.0 * r * turn[:, 0] - way, off, turned, bend)
+
+
+def _backing(pose: Floats, at: Nearest, way: Floats) -> NDArray[np.bool_]:
+    """Return which cars back: those that have come to the arcs, or back already and are not off them."""
+    lost = (np.abs(at.off) > LOST) | (np.abs(at.turned) > np.where(at.left < LAST, STRAIGHT, TURNED))
+    square = (np.abs(pose[:, 1]) < SQUARE) & (np.abs(pose[:, 2]) < 2.0 * SQUARE)
+    arrived = (at.ahead < READY) & square | (at.ahead < -BEYOND)
+    return arrived | (way < 0.0) & ~(lost & (at.gone > 0.0))
 
 
 def _across(pose: Floats, reference: Floats) -> Floats:

@@ -32,11 +32,12 @@ from training.evaluate import Rate, crew_of, evaluate
 from training.noise_model import fit_gaussian
 from training.paired import Paired
 from training.progress import bar
-from training.real import RealModel
+from training.real import MovedModel, RealModel
 from training.threads import one_thread
 
 LEARNED = "srf08-mlp"
-ARMS = ("ideal", "gaussian", "beam", "learned", "corrected")
+FOUND = "learned+found"
+ARMS = ("ideal", "gaussian", "beam", "learned", "corrected", FOUND)
 WORLDS = {"rig": "the rig", "moved": "the rig, sensors moved back"}
 GAIN = 31  # of the SRF08 as in the learned model's survey
 
@@ -97,10 +98,22 @@ def baselines(recording: Recording) -> dict[str, SonarModel]:
     return {"gaussian": fit_gaussian(ping, reading, step, reach), "beam": fit_beam(ping, reading, step, reach)[0]}
 
 
-def sonar_of(arm: str, out: Path) -> str:
+def name_of(arm: str, out: Path) -> str:
     """Return the name or folder of the sonar that an arm trains with."""
-    places = {"ideal": "ideal", "learned": LEARNED, "corrected": str(out / "diagnosis" / "corrected")}
+    places = {"ideal": "ideal", "learned": LEARNED, FOUND: FOUND, "corrected": str(out / "diagnosis" / "corrected")}
     return places.get(arm, str(out / "models" / arm))
+
+
+def sonar_of(arm: str, out: Path) -> SonarModel:
+    """Return the sonar that an arm trains with.
+
+    "corrected" is the diagnosis's own model, an emulator of the survey with what was found in it; "learned+found" is
+    the learned law with the zero that the diagnosis found.
+    """
+    if arm != FOUND:
+        return load_model(name_of(arm, out))
+    effects = load_model(out / "diagnosis" / "corrected").to_dict()["effects"]  # type: ignore[attr-defined]
+    return MovedModel(load_model(LEARNED), float(effects.get("zero_offset", {}).get("offset_m", 0.0)))
 
 
 def rig_of(world: str, args: Args) -> RigModel:
@@ -122,13 +135,14 @@ def train(args: Args, arm: str, seed: int) -> str:
     agent.train(
         agent.Args(
             place(args, arm, seed),
-            sonars=(sonar_of(arm, args.out),),
+            sonars=(name_of(arm, args.out),),
             lessons=args.lessons,
             steps=args.steps,
             num_envs=args.num_envs,
             hidden=(128, 64),
             seed=1000 * args.seed + seed,
-        )
+        ),
+        worlds=[{"sonar": sonar_of(arm, args.out)}],
     )
     return f"{arm}-{seed}"
 
@@ -138,7 +152,7 @@ def test(args: Args, arm: str, seed: int, world: str) -> str:
     path = args.out / "scores" / f"{world}-{arm}-{seed}.csv"
     if not path.exists():
         policy = load_policy(place(args, arm, seed) / agent.AGENT)
-        sonar = RealModel(rig_of(world, args), load_model(sonar_of(arm, args.out)))
+        sonar = RealModel(rig_of(world, args), sonar_of(arm, args.out))
         seeds = range(args.episodes)
         with one_thread():
             one = evaluate(crew_of(policy), {"sonar": sonar, "threads": 1}, seeds, pooled=True)
@@ -213,11 +227,11 @@ def _draw(axes: Axes, found: pd.DataFrame, world: str) -> None:
             )  # fmt: skip
             each = 100 * one.groupby("seed")[name].mean().to_numpy()
             axes.plot(np.full(len(each), x + 2 * shift), each, ".", color=colour, alpha=0.5, markersize=4)
-    axes.set_xticks(range(len(ARMS)), ARMS)
-    axes.set_ylim(-3, 103)
+    axes.set_xticks(range(len(ARMS)), ARMS, rotation=25, ha="right", rotation_mode="anchor")
+    axes.set_ylim(-3, 118)
     axes.set_title(WORLDS[world])
     axes.set_ylabel("of episodes, %", color=INK)
-    axes.legend(loc="center left")
+    axes.legend(loc="upper left", ncols=2)
 
 
 def main(args: Args) -> None:

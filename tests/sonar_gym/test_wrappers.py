@@ -1,5 +1,8 @@
 """SonarObservation: what it replaces, what it leaves alone, and whose chance it uses."""
 
+import subprocess
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -161,6 +164,40 @@ def test_every_setting_goes_through_json():
         first, second = (one.step(np.float32([0.0, 0.5]))[0] for one in (env, again))
         assert all(np.array_equal(first[name], second[name]) for name in first)
     assert first["age"].max() > 0.0
+
+
+def course():
+    """Return what a wrapped street says along a way, as one number for each step."""
+    env = SonarObservation(gymnasium.make("SonarParking-v0"), "srf08-mlp", **TIMED)
+    env.reset(seed=11)
+    steps = [env.step(np.float32([0.1 * (k % 3 - 1), 0.6]))[0] for k in range(12)]
+    return [float(np.concatenate(list(said.values())).astype(np.float64).sum()) for said in steps]
+
+
+def test_same_seed_same_readings_in_another_process():
+    code = f"import runpy; print(runpy.run_path({__file__!r})['course']())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(course())
+
+
+def test_wild_actions_leave_no_nan_in_what_is_heard():
+    env = SonarObservation(gymnasium.make("SonarParking-v0"), "srf08-mlp", **TIMED)
+    rng, refused = np.random.default_rng(0), 0
+    env.reset(seed=0)
+    for _ in range(400):
+        action = rng.uniform(-4.0, 4.0, 2).astype(np.float32)
+        if rng.random() < 0.05:
+            action[rng.integers(2)] = rng.choice([np.nan, np.inf, -np.inf])
+        if not np.all(np.isfinite(action)):
+            with pytest.raises(SettingError, match="action must be finite"):
+                env.step(action)
+            refused += 1
+            continue
+        observation, _, terminated, truncated, _ = env.step(action)
+        assert observation in env.observation_space
+        if terminated or truncated:
+            env.reset()
+    assert refused > 5
 
 
 def test_unknown_setting_is_a_type_error():

@@ -152,3 +152,15 @@ def test_what_cannot_be_evaluated_is_refused(tmp_path, capsys):
         main(["evaluate-agent", "--agent", "nobody", "--episodes", "1"])
     assert stop.value.code == 2
     assert "agent 'nobody': no such name or folder" in capsys.readouterr().err
+
+
+def test_an_agent_is_written_out_with_its_course_and_scores(tmp_path, whole, capsys):
+    kinds = ["--sonars", "ideal", "--odometry", "exact", "--difficulty", "easy", "normal", "--episodes", "2"]
+    main(["ship-agent", str(whole[0] / "agent"), "--out", str(tmp_path / "small"), *kinds])
+    shipped = load_policy(tmp_path / "small")
+    assert all(np.array_equal(a[0], b[0]) for a, b in zip(shipped.layers, whole[1].policy().layers, strict=True))
+    assert "sonar-gym train-agent --out run --sonars ideal" in shipped.card
+    assert "--seed 0 --steps 768" in shipped.card
+    assert shipped.card.count("| ideal | exact |") == 2
+    assert "learned by trial for 768 steps of 0.1 s (PPO)" in shipped.card
+    assert "small: saved" in capsys.readouterr().out

@@ -9,7 +9,7 @@ from noise import GaussianModel, IdealModel
 from noise.rig import RigModel
 from sonar_gym.vector import SonarParkingVectorEnv
 from training import transfer
-from training.real import RealModel
+from training.real import MovedModel, RealModel
 
 PING = Ping.of(distance=[0.3, 1.0, 2.0, 2.5], reflectance=0.9)
 
@@ -35,6 +35,16 @@ def test_a_moved_rig_reads_that_much_more():
         transfer.rig_of(world, args).law(PING).sample(np.random.default_rng(0)) for world in transfer.WORLDS
     )
     assert moved.range - there.range == pytest.approx(np.full(4, 0.08), abs=0.012)
+
+
+def test_what_was_found_is_in_the_law():
+    """Readings are longer by how far the zero was moved, and credence counts from the true place."""
+    plain, moved = IdealModel(), MovedModel(IdealModel(), 0.05)
+    law = moved.law(PING)
+    assert law.sample(np.random.default_rng(0)).range == pytest.approx(PING.distance + 0.05, abs=1e-3)
+    assert np.array_equal(law.distance, PING.distance)
+    assert law.credence().tolist() == [0.0, 1.0, 1.0, 1.0]  # 50 mm are more than a tenth of 0.3 m
+    assert plain.law(PING).credence().tolist() == [1.0] * 4
 
 
 def test_credence_in_the_street_is_that_of_the_model_believed_in():
