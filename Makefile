@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+NONCE ?= public
 
 .PHONY: help demo test check install benchmarks proof firmware clean
 .DEFAULT_GOAL := help
@@ -33,8 +34,10 @@ check: $(STAMP)  ## lint, types and import contracts only
 benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
 	$(BIN)/python -m pytest benchmarks -m '' -q -s
 
-proof: $(STAMP)  ## the slow tests
+proof: $(STAMP)  ## the slow tests, then 300 blind trials (hours; stop at any time, the same command goes on)
 	$(BIN)/python -m pytest -m slow -q
+	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --nonce $(NONCE) --workers 2
+	$(BIN)/sonar-gym prove --out runs/proof-left-out --trials 30 --nonce $(NONCE) --deck effects --leave-out --quick --workers 2
 
 firmware:  ## compile the Arduino sketch; needs apt install gcc-avr avr-libc arduino-core-avr
 	@command -v avr-g++ >/dev/null || { echo 'no avr-g++: apt install gcc-avr avr-libc arduino-core-avr'; exit 1; }

@@ -64,15 +64,15 @@ class Job:
 
 
 def main(args: Args) -> None:
-    """Run what the ledger lacks, then publish."""
+    """Run what the ledger lacks, then publish; of a run that is stopped, what it has."""
     if args.trials < 1 or args.workers < 1:
         raise SettingError(f"--trials and --workers must be at least 1, got {args.trials} and {args.workers}")
     ledger = Ledger.open(args.out / "ledger.jsonl", settings_of(args))
     try:
         run(args, ledger)
+    finally:
         check(ledger.lines)
         write_text(args.out / "proof.md", page(ledger.lines))
-    finally:
         ledger.close()
     print(f"{len(ledger.of(OPENED))} trials in {ledger.path}; the tables are in {args.out / 'proof.md'}")
 

@@ -126,11 +126,13 @@ def diagnose(
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
     scatter = _scatter(base, search, why)
-    steps = coarser_steps(base.own.whole.resolution, search.both) if base.own is not None else None
+    steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack) if base.own is not None else None
     beside = [found for found in (scatter, steps) if found is not None]
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
-    rest = check_rest(search, why.chosen, why.cross, np.random.default_rng([seed, 4]), split.both, misfit)
+    rest = check_rest(
+        search, why.chosen, why.cross, np.random.default_rng([seed, 4]), split.both, misfit, base.remainder(seed)
+    )
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
@@ -302,9 +304,12 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
     A large gain is never enough to name: what is left over must not weigh as much as what was explained, and an
     effect that can pass for anything (a replaced reading) is not believed while structure remains.
     """
+    learned = rest.learned_nats
     if not named:
-        return "unknown" if p_scan < ALARM and rest.present else "none"
+        return "unknown" if rest.present and (p_scan < ALARM or learned > 0.0) else "none"
     if rest.present and all(n.effect == JITTER for n in named):
+        return "unknown"
+    if learned > LEARNED_SHARE[rest.learned_of] * gain:
         return "unknown"
     left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
     if rest.present and left > SMALL_SHARE * gain:
@@ -317,6 +322,8 @@ SURE = 30.0  # nats, beyond which an effect is believed although cells that both
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
+# the same for what a learner makes of it: memory is not the shape of a law
+LEARNED_SHARE = {"conditions": 0.5, "memory": 0.15}
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 
 

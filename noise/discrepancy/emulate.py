@@ -19,6 +19,7 @@ from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
 from noise.discrepancy.locate import scan
 from noise.discrepancy.matched import NEAR, NEAR_M, conditions_of
+from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import scan_p
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
@@ -97,6 +98,12 @@ class Baseline:
         rng = np.random.default_rng([seed, 8])
         batch = self.own.whole.thin(EMULATOR_PINGS)
         return scan(residuals(self.stack, batch, rng), batch, rng).by_aspect
+
+    def remainder(self, seed: int) -> Remainder | None:
+        """Return what a learner makes of the law's misfit to the simulation itself; None for a model used as it is."""
+        if self.own is None:
+            return None
+        return remainder(self.stack, self.own.whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
 
     def without_repairs(self, search: Search, chosen: list[str], cross: Crossed) -> tuple[list[str], Crossed]:
         """Drop effects that gain on held-out simulated readings about as much as on the recording."""

@@ -52,9 +52,12 @@ def pit(law: EchoLaw, reading: Reading, within: Floats) -> Floats:
     return np.where(reading.echo & (echo > 1e-12), np.clip(u, 0.0, 1.0), np.nan)
 
 
-def _mixed(laws: Sequence[PhysicalLaw], weights: Floats, reading: Reading, within: Floats) -> Floats:
+def mixed(laws: Sequence[PhysicalLaw], weights: Floats, reading: Reading, rng: np.random.Generator) -> Floats:
     """Return PIT values under a mixture of laws that hear equally often; weights (laws, n) or (laws, 1)."""
-    return sum((w * pit(law, reading, within) for w, law in zip(weights, laws, strict=True)), np.zeros(len(reading)))
+    within = rng.random(len(reading))
+    with torch.no_grad():
+        parts = [w * pit(law, reading, within) for w, law in zip(weights, laws, strict=True)]
+    return sum(parts, np.zeros(len(reading)))
 
 
 def seen_alone(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Floats, PhysicalLaw]:
@@ -63,7 +66,7 @@ def seen_alone(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Fl
         model, cells = stack.build()
         laws = marginal(law_of(model, batch), cells, batch)
     shares = np.array([[share] for _, share in BANKS])
-    return _mixed(laws, shares, batch.reading, rng.random(len(batch))), laws[0]
+    return mixed(laws, shares, batch.reading, rng), laws[0]
 
 
 def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals:
@@ -73,7 +76,7 @@ def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals
         model, cells = stack.build()
         whole = law_of(model, batch)
         given, weights = sequential(whole, cells, batch), bank_weights(whole, cells, batch)
-    after = _mixed(given, weights, batch.reading, rng.random(len(batch)))
+    after = mixed(given, weights, batch.reading, rng)
     x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, after))
     heard = (~np.isnan(u)).astype(np.float64)
     stretch = (batch.ping.distance - batch.ping.distance.mean()) / max(float(np.std(batch.ping.distance)), 1e-9)

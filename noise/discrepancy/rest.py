@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from noise.cells import Batch
 from noise.discrepancy.describe import formula
 from noise.discrepancy.locate import Finding, locate, scan
+from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.search import Crossed, Search
@@ -18,6 +20,11 @@ from noise.law import Floats
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
+CLEAR = 15.0  # nats that a learner must gain to count; ours
+LEARNED = {
+    "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
+    "memory": "readings follow what was read before them, by {nats:.0f} nats that no effect explains",
+}
 _WORDS = {
     "bias": "readings are off by {mm:+.0f} mm",
     "scale": "readings stray by {percent:+.2f} % of distance",
@@ -37,8 +44,11 @@ def check_rest(
     rng: np.random.Generator,
     whole: Batch,
     known: Floats | None = None,
+    usual: Remainder | None = None,
 ) -> Rest:
     """Scan the residuals of cells that were not fitted, both ways, and listen for a beat; the least p-value counts.
+
+    Beside it, a learner without physics says how much it still makes of them.
 
     Args:
         search: holds the parts.
@@ -47,24 +57,40 @@ def check_rest(
         rng: for randomised PIT values and flips.
         whole: both parts with every ping of a block, in which a beat shows best; nothing fitted can hold one.
         known: misfit by aspect that the simulation itself shows.
+        usual: what the learner makes of the simulation itself.
     """
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, known) for stack, batch in pairs]
     beat = rhythm(pairs[0][0], whole, rng)
     p_beat = 1.0 if beat is None else beat.p_value
+    learned = beyond(remainder(pairs[0][0], search.both, rng), usual)
+    clear = learned.sure and learned.nats > CLEAR
     p = min(1.0, 3.0 * min(*p_values, p_beat))
-    if p >= LEVEL:
+    if p >= LEVEL and not clear:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
     findings = tuple(locate(stack, batch, rng, most=3, known=known)) if 3.0 * min(p_values) < LEVEL else ()
     if beat is not None and 3.0 * p_beat < LEVEL:
         findings = (beat.finding, *findings)
-    words = "; ".join(in_words(finding) for finding in findings) or "small misfits that stand out at no single place"
-    told = formula(stack, search.both, rng)
-    if told is not None:
-        words = f"{words}; {told}"
-    return Rest(True, p, f"{words} (a description, not a cause)", findings)
+    parts = [in_words(finding) for finding in findings]
+    parts += [LEARNED[learned.of].format(nats=learned.nats)] if clear else []
+    words = "; ".join(parts) or "small misfits that stand out at no single place"
+    short = formula(stack, search.both, rng)
+    if short is not None:
+        words = f"{words}; {short}"
+    told = f"{words} (a description, not a cause)"
+    return Rest(
+        True, min(p, learned.p_value) if clear else p, told, findings, learned.nats if clear else 0.0, learned.of
+    )
+
+
+def beyond(found: Remainder, usual: Remainder | None) -> Remainder:
+    """Return a remainder less what the same learner gains on as many blocks of the simulation itself."""
+    if usual is None or usual.nats <= 0.0 or usual.blocks == 0:
+        return found
+    own = usual.nats * found.blocks / usual.blocks
+    return replace(found, nats=found.nats - own, error=float(np.hypot(found.error, usual.error)))
 
 
 def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> Stack:

@@ -1,32 +1,51 @@
-"""Whether the recording's register counts in coarser steps than the simulation's."""
+"""Whether the recording's register counts in coarser steps than the simulation's, rounded or cut down to them."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from noise.cells import Batch
+from noise.discrepancy.rivals import SAME
 from noise.discrepancy.search import spread_over_blocks
 from noise.discrepancy.verdict import Interval, Named
+from noise.fit import maximise
 from noise.law import Floats
+from noise.stack import SPREAD, Stack
 
 COARSER = 1.5  # times the simulation's step; ours
+CUT = ("truncation", "step_m")
 
 
-def coarser_steps(simulated_step: float, recorded: Batch) -> tuple[Named, Floats] | None:
-    """Return the rounding as a named effect with its gain by block, or None where the steps are the simulation's.
+def coarser_steps(simulated_step: float, recorded: Batch, stack: Stack) -> tuple[Named, Floats] | None:
+    """Return the steps as a named effect with its gain by block, or None where they are the simulation's.
 
     A law that knows of the steps gives each of them the probability of all the finer ones that it stands for: every
-    echo is worth the logarithm of their number. Nothing else than coarse steps keeps every reading on a grid.
+    echo is worth the logarithm of their number. Nothing else than coarse steps keeps every reading on a grid; whether
+    readings were rounded or cut down to it shows in half a step of offset, or not at all.
 
     Args:
         simulated_step: of the simulation's register, m.
         recorded: readings.
+        stack: the explanation of everything else.
     """
     ratio = recorded.resolution / simulated_step
     if ratio < COARSER or not recorded.reading.echo.any():
         return None
     gain = np.log(ratio) * recorded.per_block(recorded.reading.echo.astype(np.float64))
     step, total = recorded.resolution, float(gain.sum())
+    names = _names(stack, recorded)
     told = f"Readings come in steps of {1000 * step:.3g} mm; the simulation's in {1000 * simulated_step:.2g} mm."
+    if names[0] == CUT[0]:
+        told = f"{told} They are cut down to them, and run short by {500 * step:.3g} mm on average."
     parameters = {"step_m": Interval(step, step, step, "m")}
-    return Named("quantisation", (), 1.0, parameters, total, spread_over_blocks(gain), told), gain
+    return Named(names[0], names[1:], 1.0, parameters, total, spread_over_blocks(gain), told), gain
+
+
+def _names(stack: Stack, batch: Batch) -> tuple[str, ...]:
+    """Return what the steps may be, the likelier first: rounding, and cutting down unless the search has found that."""
+    if CUT[0] in stack.values and stack.get(CUT) > 0:
+        return ("quantisation",)
+    cut = stack.put([CUT], [batch.resolution])
+    rounded_nats, cut_nats = (maximise(each, SPREAD, batch, 30).nats for each in (stack, cut))
+    order = ("truncation", "quantisation") if cut_nats > rounded_nats else ("quantisation", "truncation")
+    return order if abs(cut_nats - rounded_nats) < SAME else order[:1]

@@ -56,12 +56,16 @@ class Rest:
         p_value: of the residual scan.
         description: what it looks like; a description, not a cause.
         findings: where.
+        learned_nats: what a learner without physics gains on it, beyond chance and beyond what it gains on the
+            simulation itself, nats; `learned_of` from "conditions" or from "memory".
     """
 
     present: bool
     p_value: float
     description: str | None
     findings: tuple[Finding, ...] = ()
+    learned_nats: float = 0.0
+    learned_of: str = "conditions"
 
 
 @dataclass(frozen=True)

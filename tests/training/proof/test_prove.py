@@ -89,6 +89,7 @@ def test_a_run_that_was_stopped_goes_on_and_asks_no_verdict_twice(tmp_path, told
     with pytest.raises(DeskError, match="assess died"):
         main(Args(tmp_path, trials=1, workers=1))
     assert [each["event"] for each in lines(tmp_path)[1:]] == [SEALED, VERDICT]
+    assert "0 blind trials" in (tmp_path / "proof.md").read_text()
     told.asked.clear()
     main(Args(tmp_path, trials=2, workers=1))
     assert [m for m, q in told.asked] == ["generate", "assess", "generate", "examine", "assess"]
