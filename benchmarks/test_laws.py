@@ -26,6 +26,7 @@ def test_draws_are_fast_enough_for_stepping() -> None:
 
 
 @pytest.mark.timeout(900)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # torch's compiler, of torch
 def test_the_path_that_is_kept_comes_nearest_to_both_limits_of_all_that_agree_with_the_law(
     paths: dict[str, Speed],
 ) -> None:

@@ -40,19 +40,6 @@ class Heard:
     credence: Floats
     credence_given_condition: Floats
 
-    def observation(self, max_range: float) -> dict[str, NDArray[np.float32]]:
-        """Return what an agent gets, each (s,), inside `sonar_spaces`.
-
-        `ranges`: shares of `max_range` m, 1 where there is no echo; `credence`: given the reading; `echo`: 1 for an
-        echo, 0 for silence, -1 for no answer.
-        """
-        ranges = np.where(self.reading.echo, self.reading.range / max_range, 1.0)
-        return {
-            "ranges": np.minimum(ranges, 1.0).astype(np.float32),
-            "credence": self.credence.astype(np.float32),
-            "echo": ECHO_CODE[self.reading.status],
-        }
-
 
 def sonar_spaces(count: int) -> dict[str, spaces.Space[Any]]:
     """Return the spaces of what `count` sonars say: 1-D, float32, bounded."""
@@ -214,18 +201,6 @@ class Sonar:
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
         if self._recalls:
             cast(Remembering, self.model).reset(None if copies is None else self._seats.reshape(shape)[which].ravel())
-
-    def listen(self, ping: Ping, seen: NDArray[np.bool_]) -> Heard:
-        """Draw what every sonar of every copy says.
-
-        Args:
-            ping: the conditions, one a sonar, copy after copy.
-            seen: whether there is anything in the cone, (copies * count,).
-        """
-        drawn = self.draw(ping, range(self.copies), [self.count] * self.copies, slice(None))
-        given = drawn.credence_given_condition
-        unknown = np.zeros(len(ping)) if given is None else np.where(seen, given, 0.0)
-        return Heard(drawn.reading, self.credence(drawn.reading), unknown)
 
     def draw(self, ping: Ping, copies: Copies, each: Sequence[int], place: slice | NDArray[np.int64]) -> Draw:
         """Draw what some sonars of some copies say.

@@ -70,9 +70,9 @@ def test_each_sonar_has_its_own_table():
 
 def test_readings_beyond_the_range_are_silence():
     sonar = Sonar(IdealModel(), 2, 1.0)
-    heard = sonar.listen(Ping.of([0.5, 2.0]), np.array([True, True]))
-    assert list(heard.reading.echo) == [True, False]
-    assert list(heard.observation(1.0)["ranges"]) == [0.5, 1.0]
+    reading = sonar.draw(Ping.of([0.5, 2.0]), [0], [2], slice(None)).reading
+    assert list(reading.echo) == [True, False]
+    assert list(reading.range) == [0.5, 0.0]
 
 
 def test_a_model_that_is_named_is_loaded_once_and_one_in_a_folder_each_time(tmp_path):

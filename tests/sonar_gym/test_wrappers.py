@@ -102,10 +102,23 @@ def test_all_of_a_box_may_be_ranges():
 
 
 TIMED = {"period_s": 0.2, "phase_s": 0.05, "latency_s": 0.03}
+
+
+class Rounded(gymnasium.Wrapper):
+    """highway-env's rewards for one goal and for several may differ in their last bit, which the checker forbids."""
+
+    def compute_reward(self, *goals):
+        return np.round(self.unwrapped.compute_reward(*goals), 9)
+
+    def step(self, action):
+        observation, reward, *rest = self.env.step(action)
+        return observation, float(np.round(reward, 9)), *rest
+
+
 FORMS = {
     "street": lambda **how: SonarObservation(gymnasium.make("SonarParking-v0"), **how),
     "street as ranges": lambda **how: SonarObservation(gymnasium.make("SonarParking-v0"), **PARKING, **how),
-    "car park": lambda **how: SonarObservation(gymnasium.make("parking-v0"), **how),
+    "car park": lambda **how: SonarObservation(Rounded(gymnasium.make("parking-v0")), **how),
     "road": lambda **how: SonarObservation(gymnasium.make("highway-v0", config={"vehicles_count": 5}), **how),
     "vector of numbers": lambda **how: rays(**how),
     "dictionary": lambda **how: rays(dictionary=True, **how),

@@ -30,6 +30,7 @@ def test_what_is_told_as_disagreement_is_disagreement(model):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # torch's compiler, of torch
 @pytest.mark.parametrize("name", ["torch, eager", "torch, compiled", "numba"])
 def test_paths_that_compute_the_law_draw_from_it(model, name):
     draw, rng = PATHS[name](model), np.random.default_rng(1)
