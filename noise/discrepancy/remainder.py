@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.model_selection import GroupKFold
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from noise.cells import Batch, bank_weights, law_of, sequential
 from noise.discrepancy.locate import features
@@ -25,6 +25,7 @@ from noise.discrepancy.search import spread_over_blocks
 from noise.law import Floats
 from noise.stack import Stack
 
+THREADS = ThreadpoolController()  # looks for libraries once, now: a process may be forbidden to later
 CLASSES = 4  # of residuals: far below, below, above, far above
 FOLDS = 5
 LEAST_BLOCKS = 20
@@ -111,7 +112,7 @@ def _gained(x: Floats, u: Floats, weight: Floats, batch: Batch, of: str) -> Rema
     if len(np.unique(block)) < LEAST_BLOCKS:
         return Remainder(0.0, 0.0, of, batch.blocks)
     gain = np.zeros(len(rows))
-    with threadpool_limits(1):  # threads of so small a task wait for each other, for minutes where a machine is busy
+    with THREADS.limit(limits=1):  # threads of so small a task wait for each other, for minutes where a machine is busy
         for train, test in GroupKFold(FOLDS, shuffle=True, random_state=0).split(x, label, block):
             if len(np.unique(label[train])) == CLASSES:
                 gain[test] = _nats(x, label, weight, train, test)
