@@ -323,7 +323,7 @@ CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_a
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law
-LEARNED_SHARE = {"conditions": 0.5, "memory": 0.15}
+LEARNED_SHARE = {"conditions": 0.5, "memory": 0.02}
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 
 
