@@ -67,7 +67,7 @@ def _number(line: Line) -> str:
 def _targets(lines: Sequence[Line]) -> str:
     rows = ["| metric | target | measured (95 % limits) | trials | met |", "|---|---|---|---|---|"]
     for line in lines:
-        met = {True: "yes", False: "no", None: "not measured"}[line.met]
+        met = {True: "yes", False: "no", None: "too few trials"}[line.met]
         rows.append(f"| {line.metric} | {line.target} | {_number(line)} | {line.trials} | {met} |")
     return "\n".join(rows)
 

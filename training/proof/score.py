@@ -13,6 +13,7 @@ from scipy.stats import binomtest, kstwo
 from training.proof.seal import OPENED, VERDICT
 
 CLEAR, FAINT = 15.0, 2.0  # nats
+ENOUGH_TRIALS = 20  # for a target to be met; fewer may still miss it; ours
 CLAIMS = ("named", "confounded", "named_with_rest")
 LEAST_NATS_A_PING = 0.002  # an oracle that gains less on the vault leaves no gap to close
 BINS = (-np.inf, 2.0, 5.0, 15.0, 50.0, 150.0, np.inf)
@@ -145,7 +146,11 @@ def at_most(limit: float) -> Callable[[float], bool]:
 
 
 def table(trials: Sequence[Opened]) -> list[Line]:
-    """Return the design's table of targets."""
+    """Return the design's table of targets; one counts as met by enough trials only."""
+    return [replace(line, met=None) if line.met and line.trials < ENOUGH_TRIALS else line for line in _lines(trials)]
+
+
+def _lines(trials: Sequence[Opened]) -> list[Line]:
     null = [t for t in trials if t.kind == "null"]
     single = [t for t in trials if t.kind in ("effect", "matched", "confounded", "family")]
     clear = [t for t in single if t.nats >= CLEAR]

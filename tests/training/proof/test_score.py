@@ -53,6 +53,13 @@ def test_false_alarms_are_counted_with_wilson_limits():
     assert (told.value, told.low, told.high, told.trials, told.met) == (0.04, limits.low, limits.high, 50, False)
 
 
+def test_a_few_trials_may_miss_a_target_but_never_meet_one():
+    good, bad = trial("null"), trial("null", "named", effects=[effect("spike")])
+    assert line([good] * 5, "null: an effect named").met is None
+    assert line([good] * 5 + [bad], "null: an effect named").met is False
+    assert line([good] * 60, "null: an effect named").met is True
+
+
 def test_a_name_is_right_also_within_a_confounded_set():
     named = trial("effect", "named", effects=[effect("clock_scale")])
     confounded = trial("effect", "confounded", effects=[effect("sound_speed", ("clock_scale",))])
