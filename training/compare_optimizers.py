@@ -16,12 +16,13 @@ import tyro
 from acquisition import Recording, SettingError
 from acquisition.files import write_bytes, write_text
 from training import record
+from training.commit import commit
 from training.progress import bars
 from training.thesis_data import Samples
 from training.thesis_figures import all_figures
 from training.thesis_findings import Findings
 from training.thesis_fit import Fitted, Recipe, device_of
-from training.thesis_page import commit, page
+from training.thesis_page import page
 from training.thesis_runs import Comparison, Job, train_all
 
 
@@ -71,13 +72,13 @@ def main(args: Args) -> None:
     device_of(args.device)
     if not args.recording.exists():
         record.main(record.Args(args.recording, driver="rig", plan="thesis", seed=args.rig_seed))
-    samples = Samples.of(Recording.load(args.recording))
+    made, samples = about(args), Samples.of(Recording.load(args.recording))
     findings = Findings(comparison, trained(comparison.jobs, samples, args.out / "networks"), samples)
     folder = args.page or args.out
     figures = all_figures(findings)
     for name, image in figures.items():
         write_bytes(folder / f"{name}.png", image)
-    text = page(findings, about(args), figures)
+    text = page(findings, made, figures)
     write_text(folder / "tables.md", text)
     print(text)
 

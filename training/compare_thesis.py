@@ -17,8 +17,8 @@ from rich.progress import TaskID
 
 from acquisition import SettingError
 from acquisition.files import write_bytes, write_text
+from training.commit import commit
 from training.progress import bars
-from training.thesis_page import commit
 from training.thesis_rig import Settings, compared, published
 from training.thesis_rig_page import FIGURE, figure, page
 

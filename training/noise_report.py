@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +19,7 @@ from noise.metrics import Reliability, credence_reliability
 from noise.networks import MlpModel
 from noise.recent import RecentCredence
 from training.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
+from training.commit import commit
 from training.compare_noise import HEADINGS, Compared, baselines, compare, place, rows
 from training.corpus import RECORDINGS, written
 from training.draw_paths import PATHS
@@ -59,6 +59,7 @@ def main(args: Args) -> None:
     Raises:
         SettingError: the first model is no perceptron.
     """
+    made_by = commit()
     models = {name.split("/")[-1]: load_model(name) for name in args.models}
     total = len(RECORDINGS) + len(WORLDS) + STEPS
     with bar("scoring", total) as progress:
@@ -70,7 +71,7 @@ def main(args: Args) -> None:
             tick()
         found = find(models, recordings, Plan(sessions=args.sessions), tick)
     write_bytes(args.docs / "images" / "noise-credence.png", figure(models, recordings, found.given))
-    write_text(args.docs / "noise-models.md", page(found))
+    write_text(args.docs / "noise-models.md", page(found, made_by))
     print(f"{args.docs / 'noise-models.md'}: written")
 
 
@@ -122,10 +123,10 @@ def trust(by_bayes: CredenceTable, learned: Mapping[str, RecentCredence], test: 
     return {label: CredenceScore.of(value[echo], true[echo], visit[echo]) for label, value in said.items()}
 
 
-def page(found: Findings) -> str:
-    """Return the page in Markdown."""
+def page(found: Findings, made_by: str) -> str:
+    """Return the page in Markdown, with the commit that made it."""
     return Template(PAGE.read_text(encoding="utf-8")).substitute(
-        commit=_commit(),
+        commit=made_by,
         aims="\n".join(aim.row for aim in aims(found)),
         condition="\n".join(_condition_rows(found)),
         gains="\n".join(f"| {name} | {g.without} | {g.gain} |" for name, g in found.gains.items()),
@@ -158,18 +159,6 @@ def _given_rows(found: Findings) -> list[str]:
         for where, scores in found.given.items()
         for label, s in scores.items()
     ]
-
-
-def _commit() -> str:
-    """Return the commit of the working tree that this file is in, or that it is unknown."""
-    told = subprocess.run(
-        ["git", "describe", "--always", "--dirty"],
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return told.stdout.strip() or "unknown"
 
 
 def figure(

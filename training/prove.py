@@ -7,7 +7,6 @@ command.
 
 from __future__ import annotations
 
-import subprocess
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,9 @@ from typing import Any, Literal
 
 from acquisition import SettingError
 from acquisition.files import write_bytes, write_text
+from training.commit import commit
 from training.progress import bar
 from training.proof.crew import ENGINES, Bench, Crew
-from training.proof.desk import ROOT
 from training.proof.figure import accuracy
 from training.proof.page import FAMILY, PICTURE, page
 from training.proof.score import trials_of
@@ -90,23 +89,6 @@ def settings_of(args: Args) -> dict[str, Any]:
     """Return what makes a run: two runs of the same settings are the same run."""
     settings = {"commit": commit(), "protocol": PROTOCOL, "seed": args.seed, "nonce": args.nonce}
     return {**settings, "deck": args.deck, "leave_out": args.leave_out, "quick": args.quick}
-
-
-def commit() -> str:
-    """Return the commit of the program, "+" where files differ from it; the version where there is no repository."""
-    try:
-        told = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        from importlib.metadata import version
-
-        return f"version {version('sonar-gym')}"
-    return told.stdout.strip()
 
 
 def run(args: Args, ledger: Ledger) -> None:

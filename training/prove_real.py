@@ -15,9 +15,9 @@ from acquisition import SettingError
 from acquisition.files import write_text
 from noise import IdealModel
 from noise.discrepancy import diagnose
+from training.commit import commit
 from training.progress import bar
 from training.proof.real import CASES, Case
-from training.prove import commit
 from training.threads import one_thread
 
 

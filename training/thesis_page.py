@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -144,13 +142,3 @@ def _share(values: Floats) -> str:
 def claims(findings: Findings) -> str:
     """Return each claim of the thesis with what was found."""
     return markdown(("the thesis", "here", ""), [(c.thesis, c.here, c.verdict) for c in findings.claims()])
-
-
-def commit() -> str:
-    """Return the commit that this code is of, `unknown` outside a clone; marked where files were changed since."""
-    words = ["git", "describe", "--always", "--dirty", "--exclude=*"]
-    try:
-        done = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
-    except FileNotFoundError:
-        return "unknown"
-    return done.stdout.strip() or "unknown"
