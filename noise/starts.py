@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from scipy.stats import qmc
 
 from noise.cells import Batch
 from noise.effects import Parameter, Seen
 from noise.law import Floats
-from noise.stack import CELLS, JITTER, LINK, Stack
+from noise.stack import CELLS, JITTER, LINK, Key, Stack
+
+NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
+LEAST_MOVE_M = 1e-3  # that a parameter must move the target's echo between its bounds to be put by its readings; ours
 
 
 def extra_modes(batch: Batch, most: int = 3) -> list[float]:
@@ -35,8 +39,8 @@ def starting_points(
 ) -> list[Stack]:
     """Return stacks with an effect switched on in different ways.
 
-    Starts of the catalogue, lengths where the data show extra modes, and a Sobol design over the bounds; the effect's
-    present values are among them.
+    Starts of the catalogue, lengths where the data show extra modes, values that move the target's echo to where it was
+    read, and a Sobol design over the bounds; the effect's present values are among them.
 
     Args:
         stack: to begin from; holds the effect at its present values or not at all.
@@ -55,10 +59,47 @@ def starting_points(
     points = [[stack.get(key) for key in keys], first]
     for j, column in enumerate(columns):
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
+    points += [row for row in (points[0], first) for row in _on_slopes(stack.put(keys, row), keys, whole or batch)]
     points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(_seen(whole or batch))]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
     points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
     return [stack.put(keys, point) for point in points]
+
+
+def _on_slopes(stack: Stack, keys: Sequence[Key], batch: Batch) -> list[list[float]]:
+    """Return values of the parameters with one of them moved to where the target's echo was read, each in turn."""
+    here = [stack.get(key) for key in keys]
+    moved = [(j, fitting_value(stack, key, batch)) for j, key in enumerate(keys)]
+    return [[*here[:j], value, *here[j + 1 :]] for j, value in moved if value is not None]
+
+
+def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
+    """Return the value of a parameter at which the target's echo comes nearest to its readings, seen from here.
+
+    Exact where the expected reading is linear in the parameter: the least sum of absolute errors, which a few strays do
+    not turn, is at the median of error over slope, weighted by slope. None where the parameter moves no reading.
+    """
+    p, here = stack.parameter(key), stack.get(key)
+    step = 1e-3 * (p.high - p.low) * (1.0 if here < 0.5 * (p.low + p.high) else -1.0)
+    expected = _expected(stack, batch)
+    slope = (_expected(stack.put([key], [here + step]), batch) - expected) / step
+    error = batch.reading.range - expected
+    near = batch.reading.echo & (np.abs(error) < NEAR * batch.ping.distance + NEAR_M)
+    moves = near & (np.abs(slope) * (p.high - p.low) > LEAST_MOVE_M)
+    if not moves.any():
+        return None
+    ratio, weight = error[moves] / slope[moves], np.abs(slope[moves])
+    order = np.argsort(ratio)
+    middle = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
+    return float(here + ratio[order][middle])
+
+
+def _expected(stack: Stack, batch: Batch) -> Floats:
+    """Return where the register puts the target's own echo, m, (n,)."""
+    with torch.no_grad():
+        state = stack.model.state(batch.conditions)
+        place = state.scale * (state.direct.length + state.direct.lag) + state.offset
+    return np.asarray(torch.atleast_2d(place).mean(0).expand(len(batch)).numpy())
 
 
 def _seen(batch: Batch) -> Seen:

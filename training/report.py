@@ -11,8 +11,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoes
 from markupsafe import Markup
 
 from noise.discrepancy import Diagnosis
+from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rest import in_words
-from noise.discrepancy.verdict import Interval, Named
+from noise.discrepancy.verdict import Named
 from noise.effects import CATALOGUE
 from training.figures import all_figures
 
@@ -108,7 +109,7 @@ def matched(diagnosis: Diagnosis) -> str:
     if found is None:
         return ""
     differ = (
-        f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.agrees else "do not differ beyond chance"
+        f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.differs else "do not differ beyond chance"
     )
     return f"Compared directly, without any model, the {found.cells} positions that both files share {differ}."
 

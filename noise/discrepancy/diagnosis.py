@@ -12,26 +12,26 @@ import torch
 from acquisition import Ping, Reading, Recording, SettingError
 from noise.cells import Batch, law_of, placement_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
+from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.rest import check_rest
 from noise.discrepancy.rivals import Rival, posterior, rivals
 from noise.discrepancy.scatter import SCATTER, changed_scatter
-from noise.discrepancy.search import Crossed, Progress, Search, spread_over_blocks
+from noise.discrepancy.search import Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
-from noise.discrepancy.verdict import HeldOut, Interval, Named, Rest, Score, Verdict
+from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
 from noise.effects import CATALOGUE
 from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
-from noise.fit import Fit, best_of, covariance, each_counted, log_likelihood, maximise
+from noise.fit import Fit, best_of, log_likelihood
 from noise.law import Floats
 from noise.model import SonarModel
-from noise.stack import CELLS, JITTER, NUISANCES, Key, Stack
+from noise.stack import CELLS, JITTER, NUISANCES, Stack
 from noise.starts import nuisance_starts
 
-Z90 = 1.6449  # two-sided 90 % of a normal
 LEAST_P = 1e-12  # no p-value of a model of the world means more
 ALARM = 0.01  # p-value of a scan below which something is there
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
@@ -67,22 +67,6 @@ class Diagnosis:
     def to_verdict(self) -> dict[str, Any]:
         """Return the content of verdict.json."""
         return self.verdict.to_dict()
-
-
-@dataclass(frozen=True)
-class Final:
-    """The explanation: its stack with nuisances for scoring, and the fits that its parameters and errors come from.
-
-    The last fit that moved a parameter is the one that counts; its stack is the law of single readings.
-    """
-
-    stack: Stack
-    fits: tuple[Fit, ...]
-
-    @property
-    def single(self) -> Stack:
-        """The law of single readings."""
-        return self.fits[-1].stack
 
 
 def diagnose(
@@ -126,7 +110,7 @@ def diagnose(
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
     scatter = _scatter(base, search, why)
-    steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack) if base.own is not None else None
+    steps = _steps(base, search, why)
     beside = [found for found in (scatter, steps) if found is not None]
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
@@ -153,27 +137,6 @@ def diagnose(
     )
 
 
-@dataclass(frozen=True)
-class Explained:
-    """What the search came to.
-
-    Attributes:
-        chosen: effects.
-        base: the law without them, cross-fitted; `cross` with them.
-        final: the explanation on all open data.
-    """
-
-    chosen: list[str]
-    base: Crossed
-    cross: Crossed
-    final: Final
-
-    @property
-    def gain(self) -> float:
-        """What all effects together gain on cells that they were not fitted to, nats."""
-        return float((self.cross.nats - self.base.nats).sum())
-
-
 def _explained(base: Baseline, search: Search) -> Explained:
     """Search, and leave out what only repairs the law that stands for the simulation."""
     chosen, without, cross = search.run()
@@ -189,9 +152,16 @@ def _ahead(base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: in
 
 def _scatter(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:
     """Return a change of scatter, of which only a simulation known by its readings states anything."""
-    if base.own is None:
+    if base.own is None or JITTER in search.never:
         return None
     return changed_scatter(base.stack, search, why.chosen, why.cross, base.check.describes_simulation)
+
+
+def _steps(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:
+    """Return coarser steps, of which only a simulation known by its readings has any."""
+    if base.own is None:
+        return None
+    return coarser_steps(base.own.whole.resolution, search.both, why.final.stack, search.never)
 
 
 def _check_known(names: Sequence[str]) -> None:
@@ -211,17 +181,6 @@ def prepared(
     return search, fitted
 
 
-def conclude(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
-    """Return the explanation fitted on discover and confirm together."""
-    keys = search.keys(chosen)
-    joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80)
-    each = each_counted(joint, keys, search.both)
-    if each is joint:
-        return Final(joint.stack, (joint,))
-    cells = {**each.stack.values, CELLS: joint.stack.values[CELLS]}
-    return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, (joint, each))
-
-
 def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[list[Named], list[Rival]]:
     """Return every chosen effect with intervals, gain and rivals."""
     chosen, final = why.chosen, why.final
@@ -231,7 +190,7 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
         gain, _ = search.contribution(chosen, why.cross, name)
-        own = rivals(search, final.stack, chosen, name, np.random.default_rng([seed, 3, k]))
+        own = rivals(search, why, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
         told = _told(base, final.single, name)
@@ -263,18 +222,6 @@ def compared_air(before_c: float, after_c: float) -> str:
     )
 
 
-def intervals(final: Final, batch: Batch) -> dict[Key, Interval]:
-    """Return the 90 % interval of every parameter that was fitted."""
-    out = {}
-    for fitted in final.fits:
-        spread = np.sqrt(np.diag(covariance(fitted, batch)))
-        for key, sd in zip(fitted.free, spread, strict=True):
-            p, value = fitted.stack.parameter(key), fitted.stack.get(key)
-            low, high = max(value - Z90 * sd, min(p.low, p.null)), min(value + Z90 * sd, max(p.high, p.null))
-            out[key] = Interval(value, float(low), float(high), p.unit)
-    return out
-
-
 def _verdict(
     base: Baseline,
     where: Sequence[Finding],
@@ -285,7 +232,7 @@ def _verdict(
     matched: Matched | None,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
-    if matched is not None and not matched.agrees and gain < SURE and not rest.present:
+    if matched is not None and not matched.differs and gain < SURE and not rest.present:
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
     p_scan = min((finding.p_value for finding in where), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0

@@ -37,7 +37,7 @@ class Matched:
     shift_m: float
 
     @property
-    def agrees(self) -> bool:
+    def differs(self) -> bool:
         """Whether the two files differ beyond chance."""
         return self.p_value < 0.05
 

@@ -18,9 +18,9 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.model_selection import GroupKFold
 from threadpoolctl import ThreadpoolController
 
-from noise.cells import Batch, bank_weights, law_of, sequential
+from noise.cells import Batch
 from noise.discrepancy.locate import features
-from noise.discrepancy.residuals import mixed, seen_alone
+from noise.discrepancy.residuals import seen_alone, seen_in_cell
 from noise.discrepancy.search import spread_over_blocks
 from noise.law import Floats
 from noise.stack import Stack
@@ -62,6 +62,9 @@ class Remainder:
         return self.nats > SURE_T * self.error
 
 
+NOTHING = Remainder(0.0, 0.0, "conditions")
+
+
 def remainder(stack: Stack, batch: Batch, rng: np.random.Generator) -> Remainder:
     """Return the greater of what conditions and what memory still tell of residuals.
 
@@ -70,12 +73,11 @@ def remainder(stack: Stack, batch: Batch, rng: np.random.Generator) -> Remainder
         batch: readings.
         rng: for randomised PIT values.
     """
-    nothing = Remainder(0.0, 0.0, "conditions")
     if batch.blocks < LEAST_BLOCKS or batch.reading.echo.sum() < 4 * LEAST_BLOCKS:
-        return nothing
+        return NOTHING
     alone, law = seen_alone(stack, batch, rng)
-    own = _given_earlier(stack, batch, rng)
-    place = np.stack(list(features(batch).values()), axis=1) if features(batch) else np.zeros((len(batch), 1))
+    own, _ = seen_in_cell(stack, batch, rng)
+    place = np.stack([np.zeros(len(batch)), *features(batch).values()], axis=1)
     # all pings of a cell share its offset: of its place, they are one witness
     once = 1.0 / np.bincount(batch.block)[batch.block]
     before, elsewhere = _memory(batch, law.quantile(0.5))
@@ -84,13 +86,6 @@ def remainder(stack: Stack, batch: Batch, rng: np.random.Generator) -> Remainder
         _gained(before, np.where(elsewhere, own, np.nan), np.ones(len(batch)), batch, "memory"),
     )
     return max(both, key=lambda each: each.nats)
-
-
-def _given_earlier(stack: Stack, batch: Batch, rng: np.random.Generator) -> Floats:
-    """Return PIT values of readings given those before in their cell, nan where there was no echo, (n,)."""
-    model, cells = stack.build()
-    whole = law_of(model, batch)
-    return mixed(sequential(whole, cells, batch), bank_weights(whole, cells, batch), batch.reading, rng)
 
 
 def _memory(batch: Batch, middle: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -69,19 +69,24 @@ def seen_alone(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Fl
     return mixed(laws, shares, batch.reading, rng), laws[0]
 
 
-def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals:
-    """Return scores of every aspect for every reading of a batch."""
-    u, law = seen_alone(stack, batch, rng)
+def seen_in_cell(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Floats, PhysicalLaw]:
+    """Return PIT values of readings given those before in their cell, and the law of each under a careful placement."""
     with torch.no_grad():
         model, cells = stack.build()
         whole = law_of(model, batch)
         given, weights = sequential(whole, cells, batch), bank_weights(whole, cells, batch)
-    after = mixed(given, weights, batch.reading, rng)
+    return mixed(given, weights, batch.reading, rng), given[0]
+
+
+def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals:
+    """Return scores of every aspect for every reading of a batch."""
+    u, law = seen_alone(stack, batch, rng)
+    after, next_law = seen_in_cell(stack, batch, rng)
     x, own = (np.nan_to_num(2.0 * value - 1.0) for value in (u, after))
     heard = (~np.isnan(u)).astype(np.float64)
     stretch = (batch.ping.distance - batch.ping.distance.mean()) / max(float(np.std(batch.ping.distance)), 1e-9)
     p, binary = np.clip(law.no_echo, 0.0, 1.0), np.sqrt(EXTRA)
-    repeat, repeat_variance = _repeats(given[0], batch)
+    repeat, repeat_variance = _repeats(next_law, batch)
     pairs = [
         (x, heard / 3.0),
         (x * stretch, heard * stretch**2 / 3.0),

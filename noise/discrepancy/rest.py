@@ -10,7 +10,7 @@ import numpy as np
 from noise.cells import Batch
 from noise.discrepancy.describe import formula
 from noise.discrepancy.locate import Finding, locate, scan
-from noise.discrepancy.remainder import Remainder, remainder
+from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.search import Crossed, Search
@@ -65,24 +65,23 @@ def check_rest(
     beat = rhythm(pairs[0][0], whole, rng)
     p_beat = 1.0 if beat is None else beat.p_value
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual)
-    clear = learned.sure and learned.nats > CLEAR
+    if not learned.sure or learned.nats <= CLEAR:
+        learned = NOTHING
     p = min(1.0, 3.0 * min(*p_values, p_beat))
-    if p >= LEVEL and not clear:
+    if p >= LEVEL and learned is NOTHING:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
     findings = tuple(locate(stack, batch, rng, most=3, known=known)) if 3.0 * min(p_values) < LEVEL else ()
     if beat is not None and 3.0 * p_beat < LEVEL:
         findings = (beat.finding, *findings)
     parts = [in_words(finding) for finding in findings]
-    parts += [LEARNED[learned.of].format(nats=learned.nats)] if clear else []
+    parts += [] if learned is NOTHING else [LEARNED[learned.of].format(nats=learned.nats)]
     words = "; ".join(parts) or "small misfits that stand out at no single place"
     short = formula(stack, search.both, rng)
     if short is not None:
         words = f"{words}; {short}"
     told = f"{words} (a description, not a cause)"
-    return Rest(
-        True, min(p, learned.p_value) if clear else p, told, findings, learned.nats if clear else 0.0, learned.of
-    )
+    return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
 
 
 def beyond(found: Remainder, usual: Remainder | None) -> Remainder:

@@ -10,20 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from acquisition import Ping
 from noise.cells import BANKS, Batch, law_of, prior_offset
+from noise.discrepancy.explanation import Explained
 from noise.discrepancy.search import Search
 from noise.fit import Fit, Scales, maximise
 from noise.law import Floats
-from noise.stack import NUISANCES, SPREAD, Stack
+from noise.stack import NUISANCES, SPREAD, Key, Stack
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %
 NEAR = 20.0  # nats observed, beyond which a rival is lost whatever could be expected
+CLOSE = 3.0  # nats behind the chosen effect on the grid, within which another is fitted too; ours
 TIE = 3.0  # nats observed: less does not exclude anything
 
 
@@ -34,9 +37,10 @@ class Rival:
     Attributes:
         effect: id of the rival.
         replaces: the chosen effect.
-        observed: nats by which the data prefer the chosen effect, parameters counted.
+        observed: nats by which the data prefer the chosen effect, parameters counted, or unseen cells do, if more.
         expected: nats by which they are expected to, on these conditions; nan where the rival is far off.
         stack: the rival explanation, fitted.
+        more: parameters that it has beyond the chosen effect's.
     """
 
     effect: str
@@ -44,12 +48,17 @@ class Rival:
     observed: float
     expected: float
     stack: Stack
+    more: int = 0
+
+    @property
+    def alike(self) -> bool:
+        """Whether these conditions could not tell the two apart."""
+        return not np.isnan(self.expected) and self.expected < SAME and self.observed < SETTLED
 
     @property
     def survives(self) -> bool:
         """Whether the data do not exclude it."""
-        alike = not np.isnan(self.expected) and self.expected < SAME and self.observed < SETTLED
-        return alike or self.observed < TIE
+        return self.alike or self.observed < TIE
 
 
 def replica(stack: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
@@ -66,56 +75,93 @@ def replica(stack: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     return replace(batch, reading=reading)
 
 
-def rivals(search: Search, stack: Stack, chosen: Sequence[str], effect: str, rng: np.random.Generator) -> list[Rival]:
+def rivals(search: Search, why: Explained, effect: str, rng: np.random.Generator) -> list[Rival]:
     """Return the rivals of one chosen effect, nearest first.
 
     Args:
         search: data and catalogue.
-        stack: the explanation, fitted.
-        chosen: its effects.
+        why: the explanation.
         effect: the one to replace.
         rng: for the replicas.
     """
+    chosen, stack = why.chosen, why.final.stack
     others = [name for name in chosen if name != effect]
-    search.reset(stack, effect)
-    fits = search.fits.get(tuple(others)) or _fitted(search, search.reset(stack, effect), others, chosen)
     own = maximise(stack, (*search.keys(chosen), *SPREAD), search.screen, 25)
+    contest = Contest(search, why, rng)
     out = []
-    for name, fitted in fits.items():
-        if name in chosen:
-            continue
+    for name, fitted in _near(search, stack, others, effect).items():
         more = len(search.keys([name])) - len(search.keys([effect]))
         observed = own.nats - fitted.nats + more
-        if observed < NEAR:
-            observed, expected, best = _compare(search, stack, chosen, fitted.stack, [*others, name], rng)
-            out.append(Rival(name, effect, observed + more, expected, best))
-        else:
-            out.append(Rival(name, effect, observed, np.nan, fitted.stack))
+        rival = Rival(name, effect, observed, np.nan, fitted.stack, more)
+        out.append(contest.against(fitted.stack, others, rival) if observed < NEAR else rival)
     return sorted(out, key=lambda rival: rival.observed)
 
 
-def _fitted(search: Search, without: Stack, others: Sequence[str], chosen: Sequence[str]) -> dict[str, Fit]:
-    """Return fits of the effects that come nearest in the place of one."""
-    grids = {name: search.points(without, name) for name in search.candidates() if name not in chosen}
-    near = sorted(grids, key=lambda name: -grids[name][0][0])[: search.rules.rivals]
-    return {name: search.climbed(grids[name], others, name) for name in near}
+def _near(search: Search, stack: Stack, others: Sequence[str], effect: str) -> dict[str, Fit]:
+    """Return fits of what may take an effect's place: fitted there in the search, or starting as near as itself."""
+    without = search.reset(stack, effect)
+    fits = dict(search.fits.get(tuple(others), {}))
+    grids = {name: search.points(without, name) for name in search.candidates() if name not in others}
+    reach = grids[effect][0][0] - CLOSE
+    order = sorted((name for name in grids if name != effect), key=lambda name: -grids[name][0][0])
+    near = [name for k, name in enumerate(order) if grids[name][0][0] > reach or (not fits and k < search.rules.rivals)]
+    fits |= {name: search.climbed(grids[name], others, name) for name in near if name not in fits}
+    return {name: fitted for name, fitted in fits.items() if name not in (*others, effect)}
 
 
-def _compare(
-    search: Search, stack: Stack, chosen: Sequence[str], rival: Stack, others: Sequence[str], rng: np.random.Generator
-) -> tuple[float, float, Stack]:
-    """Return observed and expected nats between an explanation and a rival on all open data, and the rival's fit."""
-    batch = search.both
-    scales = search.scales(batch)
-    own = maximise(stack, (*search.keys(chosen), *NUISANCES), batch, 30, scales=scales)
-    other = maximise(rival, (*search.keys(others), *NUISANCES), batch, 30, scales=scales)
-    if stack.model.remembers or rival.model.remembers:
-        return own.nats - other.nats, np.nan, other.stack
-    drawn = replica(own.stack, batch, rng)
-    again: Scales = {}
-    same = maximise(own.stack, (*search.keys(chosen), *NUISANCES), drawn, 30, scales=again)
-    best = maximise(other.stack, (*search.keys(others), *NUISANCES), drawn, 30, scales=again)
-    return own.nats - other.nats, max(same.nats - best.nats, 0.0), other.stack
+class Contest:
+    """One explanation against others, on all open data and on a replica of them that the explanation itself draws.
+
+    What is the explanation's alone, its fit, the replica and its fit to that, is made once, and every rival meets the
+    same replica.
+    """
+
+    def __init__(self, search: Search, why: Explained, rng: np.random.Generator) -> None:
+        """Put up an explanation; `rng` draws the replica."""
+        self.search, self.why, self.rng = search, why, rng
+        self.scales: Scales = {}
+
+    def against(self, start: Stack, others: Sequence[str], rival: Rival) -> Rival:
+        """Return a rival that was met on all open data: fitted there, and on unseen cells where it is no twin.
+
+        Args:
+            start: where its fit begins.
+            others: the effects that it shares with the explanation.
+            rival: as it looked from afar.
+        """
+        effects = [*others, rival.effect]
+        batch, free = self.search.both, (*self.search.keys(effects), *NUISANCES)
+        other = maximise(start, free, batch, 30, scales=self.search.scales(batch))
+        expected = np.nan
+        if not (self.own.stack.model.remembers or start.model.remembers):
+            best = maximise(other.stack, free, self.replica, 30, scales=self.scales)
+            expected = max(self.own_on_replica.nats - best.nats, 0.0)
+        met = replace(rival, observed=self.own.nats - other.nats + rival.more, expected=expected, stack=other.stack)
+        if met.alike or met.observed >= TIE:
+            return met
+        # what fits as well where it was fitted may only be the more pliant: unseen cells tell
+        crossed = self.search.cross(other.stack, effects, near=self.why.cross)
+        return replace(met, observed=max(met.observed, float((self.why.cross.nats - crossed.nats).sum())))
+
+    @cached_property
+    def own(self) -> Fit:
+        """The explanation, fitted."""
+        batch = self.search.both
+        return maximise(self.why.final.stack, self._free, batch, 30, scales=self.search.scales(batch))
+
+    @cached_property
+    def replica(self) -> Batch:
+        """Readings that it draws."""
+        return replica(self.own.stack, self.search.both, self.rng)
+
+    @cached_property
+    def own_on_replica(self) -> Fit:
+        """The explanation, fitted to what it draws."""
+        return maximise(self.own.stack, self._free, self.replica, 30, scales=self.scales)
+
+    @property
+    def _free(self) -> tuple[Key, ...]:
+        return (*self.search.keys(self.why.chosen), *NUISANCES)
 
 
 def posterior(own: Sequence[Rival]) -> float:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from noise.cells import Batch
+from noise.discrepancy.explanation import Interval
 from noise.discrepancy.search import Crossed, Search, spread_over_blocks
-from noise.discrepancy.verdict import Interval, Named
+from noise.discrepancy.verdict import Named
 from noise.law import Floats
 from noise.stack import JITTER, NUISANCES, Stack
 

@@ -117,7 +117,7 @@ class Search:
     fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
     never: tuple[str, ...] = ()
     _clocked: dict[str, bool] = field(default_factory=dict)
-    _scales: dict[int, Scales] = field(default_factory=dict)
+    _scales: dict[Batch, Scales] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Cut the batches to size."""
@@ -187,7 +187,7 @@ class Search:
 
     def scales(self, batch: Batch) -> Scales:
         """Return the scales of nuisances that were measured on a batch."""
-        return self._scales.setdefault(id(batch), {})
+        return self._scales.setdefault(batch, {})
 
     def present(self, name: str) -> dict[str, float]:
         """Return the values at which an effect does what the given model says of it."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from noise.cells import Batch
+from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rivals import SAME
 from noise.discrepancy.search import spread_over_blocks
-from noise.discrepancy.verdict import Interval, Named
+from noise.discrepancy.verdict import Named
 from noise.fit import maximise
 from noise.law import Floats
 from noise.stack import SPREAD, Stack
@@ -16,7 +19,9 @@ COARSER = 1.5  # times the simulation's step; ours
 CUT = ("truncation", "step_m")
 
 
-def coarser_steps(simulated_step: float, recorded: Batch, stack: Stack) -> tuple[Named, Floats] | None:
+def coarser_steps(
+    simulated_step: float, recorded: Batch, stack: Stack, never: Collection[str] = ()
+) -> tuple[Named, Floats] | None:
     """Return the steps as a named effect with its gain by block, or None where they are the simulation's.
 
     A law that knows of the steps gives each of them the probability of all the finer ones that it stands for: every
@@ -27,13 +32,16 @@ def coarser_steps(simulated_step: float, recorded: Batch, stack: Stack) -> tuple
         simulated_step: of the simulation's register, m.
         recorded: readings.
         stack: the explanation of everything else.
+        never: effects that are not to be named.
     """
     ratio = recorded.resolution / simulated_step
     if ratio < COARSER or not recorded.reading.echo.any():
         return None
     gain = np.log(ratio) * recorded.per_block(recorded.reading.echo.astype(np.float64))
     step, total = recorded.resolution, float(gain.sum())
-    names = _names(stack, recorded)
+    names = tuple(name for name in _names(stack, recorded) if name not in never)
+    if not names:
+        return None
     told = f"Readings come in steps of {1000 * step:.3g} mm; the simulation's in {1000 * simulated_step:.2g} mm."
     if names[0] == CUT[0]:
         told = f"{told} They are cut down to them, and run short by {500 * step:.3g} mm on average."

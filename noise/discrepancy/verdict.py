@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from noise.discrepancy.explanation import Interval
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.matched import Matched
 from noise.discrepancy.next_measurement import Measurement
@@ -13,16 +14,6 @@ from noise.discrepancy.search import Attempt
 
 VERDICTS = ("none", "named", "confounded", "named_with_rest", "unknown")
 MM_COLUMNS = 1000.0
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A parameter with its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Path, Stage, State
+from noise.effects.base import Effect, Parameter, Path, Seen, Stage, State
+from noise.law import Floats
 
 ASSUMED_SPEED = 344.83  # m/s; 58 us/cm, the constant of the HC-SR04 family and the working assumption for the SRF08
 CELSIUS = 273.15
@@ -26,6 +27,9 @@ ASSUMED_TEMPERATURE_C = CELSIUS * ((ASSUMED_SPEED / SPEED_AT_0C) ** 2 - 1.0)  # 
 
 LOGGED = "temperature_c"  # covariate: a thermometer beside the sensor, degC
 REFERENCE_C = 20.0  # where `temperature_c` holds when a thermometer was logged
+MOST_STRETCH = 0.1  # of distance: what is farther off is no echo of the target; ours
+PERIODS = 48  # at which a swing of the air is looked for; ours
+APART = 0.5  # logarithm of the ratio of two periods, less than which they are one; ours
 LEAST_SWING_K = 3.0  # a log that varies less says nothing that its own error of 0.5 K would not; ours
 
 
@@ -152,8 +156,8 @@ class ThermalDrift(Effect):
         Parameter(
             "rate_k_per_h", "K/h", 0.0, -20.0, 20.0, "rooms: 0.3 to 1.5 K within hours; wider: ours", (0.5, -0.5)
         ),
-        Parameter("sine_k", "K", 0.0, -5.0, 5.0, "heating cycles, 0.3 to 1.5 K; wider: ours", (0.3,)),
-        Parameter("cosine_k", "K", 0.0, -5.0, 5.0, "heating cycles, 0.3 to 1.5 K; wider: ours", (0.0,)),
+        Parameter("sine_k", "K", 0.0, -15.0, 15.0, "heating cycles, 0.3 to 1.5 K; days outdoors: ours", (0.3,)),
+        Parameter("cosine_k", "K", 0.0, -15.0, 15.0, "heating cycles, 0.3 to 1.5 K; days outdoors: ours", (0.0,)),
         Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating cycles to a day: ours", (600.0, 3600.0)),
     )
     rate_k_per_h: Tensor
@@ -167,6 +171,16 @@ class ThermalDrift(Effect):
         ratio = (1.0 + warmer / (CELSIUS + ASSUMED_TEMPERATURE_C)) ** -0.5
         return state.map_paths(lambda path: replace(path, length=path.length * ratio))
 
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Return the slope and swing of least squares at the periods at which a swing explains most."""
+        time, stretch = seen.time, seen.range / np.maximum(seen.distance, 0.01) - 1.0
+        near = np.abs(stretch) < MOST_STRETCH
+        if near.sum() < 8 or not np.ptp(time[near]):
+            return []
+        stretch = np.median(stretch[near]) + _winsorised(stretch[near] - np.median(stretch[near]))
+        return _swings(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * stretch)
+
     def warming(self, time: Tensor) -> Tensor:
         """Return how much warmer than at rest the air is at a time in s, K, bounded to +-50 K."""
         phase = 2.0 * math.pi * time / self.period_s
@@ -179,3 +193,27 @@ class ThermalDrift(Effect):
         swing = math.hypot(v["sine_k"], v["cosine_k"])
         moved = f"{v['rate_k_per_h']:+.2g} K an hour and a swing of {swing:.2g} K every {v['period_s'] / 60:.0f} min"
         return f"The air's temperature moved while recording, by {moved}: ranges are scaled by what changes with time."
+
+
+def _winsorised(error: Floats) -> Floats:
+    """Return errors with what lies beyond three of their usual size pulled in."""
+    limit = 3.0 * 1.4826 * float(np.median(np.abs(error))) + 1e-6
+    return np.clip(error, -limit, limit)
+
+
+def _swings(time: Floats, warmer: Floats) -> list[dict[str, float]]:
+    """Return the best two swings through temperatures at times, their periods no neighbours, and the best slope."""
+    shortest, longest = 60.0, float(np.clip(2.0 * np.ptp(time), 120.0, 86400.0))
+    found = []
+    for period in np.geomspace(shortest, longest, PERIODS):
+        phase = 2.0 * np.pi * time / period
+        columns = np.stack([np.ones_like(time), time / 3600.0, np.sin(phase), np.cos(phase)], axis=1)
+        best, *_ = np.linalg.lstsq(columns, warmer, rcond=None)
+        left = float(np.sum((warmer - columns @ best) ** 2))
+        found.append((left, {"rate_k_per_h": best[1], "sine_k": best[2], "cosine_k": best[3], "period_s": period}))
+    found.sort(key=lambda each: each[0])
+    first = found[0][1]
+    apart = [one for _, one in found if abs(np.log(one["period_s"] / first["period_s"])) > APART]
+    slope = float(np.polyfit(time / 3600.0, warmer, 1)[0])
+    alone = {"rate_k_per_h": slope, "sine_k": 0.0, "cosine_k": 0.0, "period_s": 3600.0}
+    return [{name: float(value) for name, value in one.items()} for one in (first, *apart[:1], alone)]

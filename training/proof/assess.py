@@ -12,8 +12,9 @@ import numpy as np
 from acquisition import Recording
 from noise import IdealModel
 from noise.cells import Batch
-from noise.discrepancy.diagnosis import conclude, intervals, prepared
+from noise.discrepancy.diagnosis import prepared
 from noise.discrepancy.emulate import Baseline, baseline_of, free_of
+from noise.discrepancy.explanation import conclude, intervals
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.fit import Fit, log_likelihood, maximise

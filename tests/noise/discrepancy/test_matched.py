@@ -46,7 +46,7 @@ def test_two_surveys_of_one_sonar_agree_however_cells_hang_together():
 def test_what_differs_shows(change):
     found = p_of(3, **change)
     assert found.cells == 48
-    assert found.agrees
+    assert found.differs
 
 
 def test_the_shift_is_told():
