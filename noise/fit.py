@@ -60,9 +60,16 @@ class _Objective:
 
     def __init__(self, stack: Stack, free: Sequence[Key], batch: Batch) -> None:
         self.stack, self.free, self.batch = stack, tuple(free), batch
+        self._last: tuple[bytes, tuple[float, Floats]] | None = None
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Return value and gradient at physical parameter values x, (p,)."""
+        """Return value and gradient at physical parameter values x, (p,); the last point asked is remembered."""
+        asked = x.tobytes()
+        if self._last is None or self._last[0] != asked:
+            self._last = asked, self._at(x)
+        return self._last[1]
+
+    def _at(self, x: Floats) -> tuple[float, Floats]:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         model, cells = self.stack.build(self.free, numbers)
         total = -log_prob(law_of(model, self.batch), cells, self.batch).sum() + self._prior(numbers)
@@ -80,6 +87,12 @@ class _Objective:
                 p = self.stack.parameter(key)
                 total = total + 0.5 * ((number - p.null) / (PRIOR_SHARE * (p.high - p.low))) ** 2
         return total
+
+    def is_flat(self, x: Floats) -> bool:
+        """Tell whether no parameter has a slope to climb that leads inside its bounds."""
+        low, high = self.bounds()
+        down = -self(x)[1]
+        return not np.any(((down > 0) & (x < high)) | ((down < 0) & (x > low)))
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Return least and greatest values, null included, (p,) each."""
@@ -138,6 +151,8 @@ def maximise(
     left = iterations
     # curvatures change by orders of magnitude on the way up, so the scale is measured again after every climb
     for attempt in range(RESTARTS):
+        if objective.is_flat(x):
+            break
         scale = objective.scale(x, scales if attempt == 0 else None)
         if scales is not None:
             scales.update({key: value for key, value in zip(free, scale, strict=True) if key in NUISANCES})

@@ -1,8 +1,8 @@
 """PhysicalModel: a stack of effects on an ideal sonar. First echo wins.
 
 Paths are independent given the level: no echo comes before exact range z with probability
-S(z) = exp(-clutter z) * prod_k (1 - pi_k F_k(z)), averaged over the latent level; a register's probability is the
-difference of S at its edges, and no echo is S at the end of listening. Replacements (atoms) are mixed in last.
+S(z) = C(z) * prod_k (1 - pi_k F_k(z)), C that of clutter, averaged over the latent level; a register's probability is
+the difference of S at its edges, and no echo is S at the end of listening. Replacements (atoms) are mixed in last.
 Differences are formed path by path, so that a likelihood far out in a tail is exact and has a slope to climb.
 """
 
@@ -72,8 +72,10 @@ class PhysicalLaw(EchoLaw):
 
     def _unhurt(self, z: Tensor) -> Tensor:
         """Return P(no clutter before z)."""
-        begun = 0.0 if self.state.deaf is None else self.state.deaf
-        return torch.exp(-self.state.clutter_per_metre * torch.clamp(z - begun, min=0.0))
+        state = self.state
+        begun = state.clutter_from if state.deaf is None else torch.maximum(state.clutter_from, state.deaf)
+        struck = -torch.expm1(-state.clutter_per_metre * torch.clamp(z - begun, min=0.0))
+        return 1.0 - state.clutter_share * struck
 
     def _average(self, by_level: Tensor) -> Tensor:
         return (torch.softmax(self.state.log_weight, dim=0) * by_level).sum(-2)
@@ -175,6 +177,8 @@ class PhysicalModel:
             log_weight=torch.zeros((1, 1), dtype=torch.float64),
             width_db=number(DETECTION_WIDTH_DB),
             clutter_per_metre=number(0.0),
+            clutter_share=number(1.0),
+            clutter_from=number(0.0),
             scale=number(1.0),
             offset=number(0.0),
             gate=number(self.max_range),

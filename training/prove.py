@@ -93,7 +93,8 @@ def settings_of(args: Args) -> dict[str, Any]:
 
 def run(args: Args, ledger: Ledger) -> None:
     """Run every trial that is not opened yet; one whose worker died is tried once more, then stays open."""
-    left = [k for k in range(args.trials) if k not in ledger.of(OPENED)]
+    done = ledger.of(OPENED)
+    left = [k for k in range(args.trials) if k not in done]
     book = Book(ledger)
     with Crew(ENGINES[args.engine], args.workers) as crew, bar("trials", args.trials) as tell:
         tell(args.trials - len(left), args.trials)

@@ -22,6 +22,7 @@ from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
+from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
 from noise.effects import CATALOGUE
 from noise.effects.medium import CELSIUS
@@ -256,13 +257,20 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
         return "unknown" if rest.present and (p_scan < ALARM or learned > 0.0) else "none"
     if rest.present and all(n.effect == JITTER for n in named):
         return "unknown"
-    if learned > LEARNED_SHARE[rest.learned_of] * gain:
+    if learned > LEARNED_SHARE[rest.learned_of] * gain or _remembers(rest):
         return "unknown"
     left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
+    # scatter explains nothing: it is what is left over by another name
+    gain -= sum(n.gain_nats for n in named if n.effect == JITTER)
     if rest.present and left > SMALL_SHARE * gain:
         catch_all = all(n.effect in CATCH_ALL for n in named)
         return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
     return "confounded" if any(n.indistinguishable_from for n in named) else "named"
+
+
+def _remembers(rest: Rest) -> bool:
+    """Tell whether first readings after a move lean towards the place before, which no law of single readings holds."""
+    return any(finding.aspect == "transient" and finding.p_value < SURE_P for finding in rest.findings)
 
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours

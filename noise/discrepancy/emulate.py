@@ -112,7 +112,7 @@ class Baseline:
         null = Search(self.stack, self.own.discover, self.own.confirm, self.own.both, search.seed, search.rules)
         for name in list(chosen):
             gain, without = search.contribution(chosen, cross, name)
-            if self._gain_onfree_of(null, name, cross) > 0.5 * gain.sum() / len(gain):
+            if self._gain_on_simulation(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
             elif not search.believable(gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
@@ -124,7 +124,7 @@ class Baseline:
             cross = without
         return chosen, cross
 
-    def _gain_onfree_of(self, null: Search, name: str, cross: Crossed) -> float:
+    def _gain_on_simulation(self, null: Search, name: str, cross: Crossed) -> float:
         """Return the cross-fitted gain of an effect on the simulation's readings, nats a block."""
         own = null.cross(self.stack, [])
         start = self.stack.put(null.keys([name]), [cross.first.stack.get(key) for key in null.keys([name])])

@@ -14,6 +14,7 @@ from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.search import Crossed, Search
+from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
 from noise.law import Floats
@@ -33,6 +34,7 @@ _WORDS = {
     "detection": "echoes are {more} often than expected, by {percent:.1f} % of pings",
     "extra_mode": "{percent:.1f} % of readings are far from what is expected{place}",
     "time_correlation": "successive readings hang together (correlation {size:.2f})",
+    "transient": "first readings after a move lean towards the place before, by {mm:.0f} mm",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 
@@ -46,7 +48,9 @@ def check_rest(
     known: Floats | None = None,
     usual: Remainder | None = None,
 ) -> Rest:
-    """Scan the residuals of cells that were not fitted, both ways, and listen for a beat; the least p-value counts.
+    """Scan the residuals of cells that were not fitted, both ways; listen for a beat and for memory of moves.
+
+    The least p-value counts, four looks taken.
 
     Beside it, a learner without physics says how much it still makes of them.
 
@@ -67,13 +71,17 @@ def check_rest(
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
-    p = min(1.0, 3.0 * min(*p_values, p_beat))
+    moved = transient(pairs[0][0], whole)
+    p_moved = 1.0 if moved is None else moved.p_value
+    p = min(1.0, 4.0 * min(*p_values, p_beat, p_moved))
     if p >= LEVEL and learned is NOTHING:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
-    findings = tuple(locate(stack, batch, rng, most=3, known=known)) if 3.0 * min(p_values) < LEVEL else ()
-    if beat is not None and 3.0 * p_beat < LEVEL:
+    findings = tuple(locate(stack, batch, rng, most=3, known=known)) if 4.0 * min(p_values) < LEVEL else ()
+    if beat is not None and 4.0 * p_beat < LEVEL:
         findings = (beat.finding, *findings)
+    if moved is not None and 4.0 * p_moved < LEVEL:
+        findings = (moved.finding, *findings)
     parts = [in_words(finding) for finding in findings]
     parts += [] if learned is NOTHING else [LEARNED[learned.of].format(nats=learned.nats)]
     words = "; ".join(parts) or "small misfits that stand out at no single place"

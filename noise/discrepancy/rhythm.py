@@ -116,8 +116,8 @@ class Beat:
         p = float(-np.expm1(len(height) * np.log1p(-np.exp(-top)))) if top < 700 else 0.0
         near = frequency[open_][np.argsort(-np.where(height > NEARLY * top, power, 0.0))[:CANDIDATES]]
         between = np.array([-0.4, -0.2, 0.0, 0.2, 0.4]) / (size * tick)
-        best, amplitude = self._fitted((near[:, None] + between).ravel())
-        return Rhythm(1.0 / best, amplitude, max(p, 1e-300), top)
+        best, amplitude, worth = self._fitted((near[:, None] + between).ravel())
+        return Rhythm(1.0 / best, amplitude, max(p, 1e-300), max(top, worth))
 
     def _own_power(self, place: NDArray[np.int64], size: int) -> Floats:
         """Return the sum of the blocks' own powers at every frequency: the transform of lags inside blocks."""
@@ -128,8 +128,11 @@ class Beat:
             np.add.at(lagged, lag.ravel(), np.outer(score, score).ravel())
         return np.maximum(rfft(lagged).real, 0.0)
 
-    def _fitted(self, near: Floats) -> tuple[float, float]:
-        """Return which of some frequencies fits the errors best, Hz, and its amplitude, m; strays do not count."""
+    def _fitted(self, near: Floats) -> tuple[float, float, float]:
+        """Return which of some frequencies fits the errors best, Hz, its amplitude, m, and its worth, nats.
+
+        Strays do not count; worth is that of a normal scatter which shrinks by as much as the beat explains.
+        """
         size = 4.0 * float(np.median(np.abs(self.error))) + 1e-9
         error = np.clip(self.error, -size, size)
         count = np.bincount(self.block)[self.block]
@@ -143,7 +146,8 @@ class Beat:
         # aliases that fit as well within chance: the slowest is told
         alike = misfit <= misfit.min() * (1.0 + 2.0 * ALIKE / len(error)) + 1e-15
         best = np.flatnonzero(alike)[np.argmin(np.where(alike, near, np.inf)[alike])]
-        return float(near[best]), float(amplitude[best])
+        worth = 0.5 * len(error) * np.log((error**2).sum() / misfit[best]) if misfit[best] > 0 else 0.0
+        return float(near[best]), float(amplitude[best]), float(worth)
 
 
 def _lattice(place: NDArray[np.int64]) -> int:

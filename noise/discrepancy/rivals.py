@@ -99,9 +99,10 @@ def rivals(search: Search, why: Explained, effect: str, rng: np.random.Generator
 
 def _near(search: Search, stack: Stack, others: Sequence[str], effect: str) -> dict[str, Fit]:
     """Return fits of what may take an effect's place: fitted there in the search, or starting as near as itself."""
-    without = search.reset(stack, effect)
-    fits = dict(search.fits.get(tuple(others), {}))
-    grids = {name: search.points(without, name) for name in search.candidates() if name not in others}
+    without, given = search.reset(stack, effect), tuple(others)
+    fits, grids = dict(search.fits.get(given, {})), search.grids.get(given)
+    if grids is None:
+        grids = {name: search.points(without, name) for name in search.candidates() if name not in others}
     reach = grids[effect][0][0] - CLOSE
     order = sorted((name for name in grids if name != effect), key=lambda name: -grids[name][0][0])
     near = [name for k, name in enumerate(order) if grids[name][0][0] > reach or (not fits and k < search.rules.rivals)]

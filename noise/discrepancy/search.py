@@ -22,6 +22,7 @@ from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.starts import starting_points
 
 Progress = Callable[[str, float], None]
+Points = list[tuple[float, Stack]]  # log likelihood on the grid batch and starting point, best first
 THRESHOLD = "sensitivity"
 STEPS = 5  # of a climb that only ranks candidates
 ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
@@ -34,6 +35,8 @@ class Rules:
     Attributes:
         least_nats: cross-fitted gain below which nothing is added.
         least_t: the same in standard errors over blocks.
+        sweeping_nats, sweeping_t: gain beyond which so many standard errors are enough: what is plain in a few cells
+            and absent from all others is many nats and few standard errors.
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
         bounded_nats: of each block at most, where the standard error is taken a second time: one heavy block
             then neither makes nor breaks a case.
@@ -47,6 +50,8 @@ class Rules:
 
     least_nats: float = 6.0
     least_t: float = 2.0
+    sweeping_nats: float = 60.0
+    sweeping_t: float = 2.0
     keep_nats: float = 2.0
     bounded_nats: float = 2.0
     tie_nats: float = 4.0
@@ -102,6 +107,8 @@ class Search:
         discover, confirm: the two parts; `both` together.
         seed: of the quasi-random starts.
         rules: see `Rules`.
+        attempts: the record, in words.
+        fits, grids: of every round, by the effects that were given: what was fitted, and where everything began.
         progress: called with a message and a share done.
         never: effects that are not to be named.
     """
@@ -115,6 +122,7 @@ class Search:
     progress: Progress | None = None
     attempts: list[Attempt] = field(default_factory=list)
     fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
+    grids: dict[tuple[str, ...], dict[str, Points]] = field(default_factory=dict)
     never: tuple[str, ...] = ()
     _clocked: dict[str, bool] = field(default_factory=dict)
     _scales: dict[Batch, Scales] = field(default_factory=dict)
@@ -164,7 +172,7 @@ class Search:
         """Return the best fit of one more effect on the screening batch, from the best points of its grid."""
         return self.climbed(self.points(stack, name), chosen, name, batch)
 
-    def points(self, stack: Stack, name: str) -> list[tuple[float, Stack]]:
+    def points(self, stack: Stack, name: str) -> Points:
         """Return the starting points of an effect with their log likelihoods on the grid batch, best first."""
         rng = np.random.default_rng([self.seed, zlib.crc32(name.encode())])
         starts = starting_points(stack, name, self.grid, rng, whole=self.discover)
@@ -175,9 +183,7 @@ class Search:
         scored.sort(key=lambda item: (-item[0], item[1]))
         return [(nats, s) for nats, _, s in scored]
 
-    def climbed(
-        self, points: Sequence[tuple[float, Stack]], chosen: Sequence[str], name: str, batch: Batch | None = None
-    ) -> Fit:
+    def climbed(self, points: Points, chosen: Sequence[str], name: str, batch: Batch | None = None) -> Fit:
         """Return the best climb from the two best points; from one, where nothing beat the present values."""
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
@@ -240,7 +246,8 @@ class Search:
         total, enough, most = gain.sum(), self.rules.least_nats, self.rules.bounded_nats
         without_best = total - gain.max(initial=0.0)
         looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
-        sure = any(g.sum() > self.rules.least_t * spread_over_blocks(g) for g in looks)
+        least_t = self.rules.least_t if total < self.rules.sweeping_nats else self.rules.sweeping_t
+        sure = any(g.sum() > least_t * spread_over_blocks(g) for g in looks)
         return bool(total > enough and sure and without_best > 0.3 * enough)
 
     def round(self, chosen: list[str], current: Crossed) -> tuple[str, Crossed] | None:
@@ -252,7 +259,7 @@ class Search:
         order = sorted(open_, key=lambda name: -grids[name][0][0])
         start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH)
         fits = {name: self.climbed(grids[name], chosen, name) for name in order[: self.rules.fitted]}
-        self.fits[tuple(chosen)] = fits
+        self.fits[tuple(chosen)], self.grids[tuple(chosen)] = fits, grids
         screened = {name: fit.nats - start.nats for name, fit in fits.items()}
         best = sorted(screened, key=lambda name: -screened[name])
         crossed: dict[str, Crossed] = {}

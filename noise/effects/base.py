@@ -195,7 +195,8 @@ class State:
         paths: the ways of the sound; the first is the direct one.
         log_weight: log weights of the latent level's nodes, (Q, 1).
         width_db: spread of the level at the threshold, dB.
-        clutter_per_metre: rate of early false detections, 1/m.
+        clutter_per_metre, clutter_share, clutter_from: rate of false detections while there is noise, 1/m, the share of
+            pings in which there is, and the exact range before which none is counted, m.
         scale, offset: register = scale * exact range + offset (1 and m).
         gate: greatest exact range that is listened to, m.
         step: step to which the register rounds beyond its resolution, m; 0 for none.
@@ -208,6 +209,8 @@ class State:
     log_weight: Tensor
     width_db: Tensor
     clutter_per_metre: Tensor
+    clutter_share: Tensor
+    clutter_from: Tensor
     scale: Tensor
     offset: Tensor
     gate: Tensor

@@ -246,23 +246,48 @@ class RearmDeadTime(Effect):
 
 
 class FalseAlarm(Effect):
-    """Noise crosses the threshold at a steady rate while the sensor listens: only ever before the echo."""
+    """Noise crosses the threshold at a steady rate while the sensor listens: only ever before the echo.
+
+    Noise that comes and goes (compressed air, keys) is there in a `share` of the pings, its rate then `per_metre`.
+    """
 
     name = "false_alarm"
     stage = Stage.DETECTOR
     by_ping = True
     summary = "Noise is taken for an echo before the true one comes"
-    parameters = (Parameter("per_metre", "1/m", 0.0, 0.0, 1.0, "1e-5 to 1e-2 a ping; wider: ours", (0.005,)),)
+    parameters = (
+        Parameter("per_metre", "1/m", 0.0, 0.0, 20.0, "1e-5 to 1e-2 a ping; beside a jet of air: ours", (0.005, 1.0)),
+        Parameter("share", "1", 1.0, 0.01, 1.0, "of pings with noise: ours", (1.0, 0.3)),
+        Parameter("from_m", "m", 0.0, 0.0, 1.0, "where the receiver is first sensitive enough: ours", (0.0, 0.3)),
+    )
     per_metre: Tensor
+    share: Tensor
+    from_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Raise the rate of clutter."""
-        return replace(state, clutter_per_metre=state.clutter_per_metre + self.per_metre)
+        """Strew clutter before the echo."""
+        rate = state.clutter_per_metre + self.per_metre
+        return replace(state, clutter_per_metre=rate, clutter_share=self.share, clutter_from=self.from_m)
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Return noise that begins where early readings do and thins out as fast as they do."""
+        early = seen.early.range
+        if len(early) < 4:
+            return []
+        begun = max(float(early.min()) - 0.01, 0.0)
+        rate = float(np.log(2.0) / max(np.median(early) - begun, 0.02))
+        heard = 1.0 - np.exp(-rate * np.maximum(0.9 * seen.distance - 0.05 - begun, 0.0))
+        share = float(np.clip(len(early) / max(heard.sum(), 1.0), 0.01, 1.0))
+        return [{"per_metre": min(rate, 20.0), "share": share, "from_m": min(begun, 1.0)}]
 
     def statement(self) -> str:
         """Return the rate."""
-        rate = 100 * self.values["per_metre"]
-        return f"{self.summary}, in {rate:.2g} % of pings for every metre listened."
+        v = self.values
+        told = f"{self.summary}, in {-100 * np.expm1(-v['per_metre']):.2g} % of pings for every metre listened"
+        return (
+            f"{told}." if v["share"] == 1.0 else f"{told} while there is noise, in {100 * v['share']:.2g} % of pings."
+        )
 
 
 class Quantisation(Effect):

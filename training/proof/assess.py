@@ -72,19 +72,21 @@ class Best:
     widths: dict[str, float]
 
 
-def oracle(opened: Opened, truth: Sequence[str]) -> Best:
-    """Return what fitting the true effects alone reaches."""
+def oracle(opened: Opened, truth: Sequence[Sequence[str]]) -> Best:
+    """Return what fitting the true effects alone reaches; of each, the best of what names it rightly."""
     search = opened.search
-    names = list(dict.fromkeys(truth))
-    crossed = search.cross(search.base, [])
-    stack, chosen = crossed.first.stack, list[str]()
-    for name in names:
-        stack, chosen = search.tried(stack, chosen, name).stack, [*chosen, name]
-    told = search.cross(stack, chosen, near=crossed)
+    without = told = search.cross(search.base, [])
+    stack, chosen = without.first.stack, list[str]()
+    for names in truth:
+        fits = {name: search.tried(stack, chosen, name).stack for name in names if name not in chosen}
+        crossed = {name: search.cross(fit, [*chosen, name], near=told) for name, fit in fits.items()}
+        if crossed:
+            best = max(crossed, key=lambda name: crossed[name].nats.sum())
+            stack, told, chosen = fits[best], crossed[best], [*chosen, best]
     final = conclude(search, told, chosen)
     known = intervals(final, search.both)
-    widths = {f"{key[0]}.{key[1]}": i.high - i.low for key, i in known.items() if key[0] in names}
-    return Best(float((told.nats - crossed.nats).sum()), opened.on_vault(final.stack), widths)
+    widths = {f"{key[0]}.{key[1]}": i.high - i.low for key, i in known.items() if key[0] in chosen}
+    return Best(float((told.nats - without.nats).sum()), opened.on_vault(final.stack), widths)
 
 
 def flexible(opened: Opened) -> Best:
@@ -102,7 +104,7 @@ def assessed(question: dict[str, Any]) -> dict[str, Any]:
         question: `folder`, `answer`, `verdict`; `quick` leaves the baselines out.
     """
     answer, opened = question["answer"], Opened.of(Path(question["folder"]))
-    truth = [cause["name"] for cause in answer["causes"]] if answer["kind"] != "stranger" else []
+    truth = [cause["accepted"] for cause in answer["causes"]] if answer["kind"] != "stranger" else []
     before = opened.on_vault(opened.before.stack)
     apart = two_samples(opened.simulated, opened.recorded, np.random.default_rng([SEED, 20]))
     best = Best(0.0, before, {})

@@ -109,17 +109,11 @@ def stepped(step_m: float, down: bool) -> Callable[[Floats, Ping, Rng], Floats]:
     return lambda value, ping, rng: np.where(value > 0, np.maximum(cut(value / step_m + 1e-9), 1.0) * step_m, 0.0)
 
 
-def beside(world: World, period_s: float, first_s: float, size: float) -> World:
-    """Return a world in which another sonar fires."""
-    return with_setup(world, neighbour=Neighbour(period_s, first_s, 1.5, 10.0, 10.0 * size - 18.0))
-
-
-def second_stage(threshold_db: float) -> Change:
+def less_sensitive(decibels: float) -> Change:
     """Return a change of the receiver's sensitivity, in dB a size."""
-    return lambda w, s, r: with_unit(w, sensitivity_db=w.rig.unit.sensitivity_db - threshold_db * s)
+    return lambda w, s, r: with_unit(w, sensitivity_db=w.rig.unit.sensitivity_db - decibels * s)
 
 
-SCALE = ("sound_speed", "clock_scale")
 SILENT = ("detection",)
 CAUSES = (
     Cause(
@@ -196,11 +190,12 @@ CAUSES = (
         ("fixed_clutter",),
         aspects=("extra_mode", "bias", *SILENT, "skew"),
     ),
-    Cause("sensitivity", second_stage(10.0), aspects=(*SILENT, "bias")),
+    Cause("sensitivity", less_sensitive(10.0), aspects=(*SILENT, "bias")),
     Cause(
         "ring_down",
-        lambda w, s, r: with_unit(w, leak_db=-24.0 + 6.0 * s, blanking=150e-6, q_tx=58.0, q_rx=58.0),
+        lambda w, s, r: with_unit(w, leak_db=-24.0 + 6.0 * s, blanking=150e-6),
         ("fixed_clutter",),
+        before=lambda w, s, r: with_unit(w, q_tx=58.0, q_rx=58.0),
         aspects=("extra_mode", "bias", *SILENT, "scale"),
     ),
     Cause(
@@ -213,7 +208,6 @@ CAUSES = (
         lambda w, s, r: with_host(w, stepped(0.0254 * s, down=False)),
         ("truncation",),
         aspects=("spread", "bias", "time_correlation", "skew"),
-        parameter=("step_m", lambda a, b: 0.0),
     ),
     Cause(
         "truncation",
@@ -279,7 +273,6 @@ CAUSES = (
         "spike",
         lambda w, s, r: with_host(w, spikes(min(0.4, 0.04 * s))),
         aspects=("extra_mode", "skew", "bias"),
-        parameter=("probability", lambda a, b: 0.0),
     ),
     Cause(
         "noise_burst",
@@ -292,5 +285,4 @@ CAUSES = (
         aspects=("extra_mode", "bias", "skew"),
     ),
 )
-UNKNOWN_VALUE = ("quantisation", "spike")  # whose parameter is known but drawn by the host, see `known_value`
 BY_NAME = {cause.name: cause for cause in CAUSES}

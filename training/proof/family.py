@@ -15,7 +15,6 @@ from training.proof.surveys import Design
 from training.proof.world import Rng, visits
 
 RESOLUTION_M = 0.001
-PRESENCE = ("probability", "presence", "share", "strength", "per_metre")
 
 
 def usual(rng: Rng) -> dict[str, dict[str, float]]:

@@ -201,7 +201,7 @@ def _concealed(
 def _told(cause: Cause, size: float, simulator: World, real: World) -> dict[str, Any]:
     out: dict[str, Any] = {"name": cause.name, "size": size, "accepted": [cause.name, *cause.accepted]}
     out["aspects"] = list(cause.aspects)
-    if cause.parameter is not None and cause.name not in causes.UNKNOWN_VALUE:
+    if cause.parameter is not None:
         out["parameter"], out["value"] = cause.parameter[0], float(cause.parameter[1](simulator, real))
     if cause.region is not None:
         column, low, high = cause.region(real)

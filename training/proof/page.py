@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from training.proof.score import Line, Opened, baselines, by_separation, confusion, table, trials_of
+from training.proof.methods import baselines
+from training.proof.score import Line, Scored, by_separation, confusion, table, trials_of
 
 FAMILY = "family"
 PICTURE = "proof.png"
@@ -32,7 +33,7 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _head(settings: dict[str, Any], trials: Sequence[Opened]) -> str:
+def _head(settings: dict[str, Any], trials: Sequence[Scored]) -> str:
     counted = {kind: sum(t.kind == kind for t in trials) for kind in dict.fromkeys(t.kind for t in trials)}
     words = ", ".join(f"{n} {kind}" for kind, n in sorted(counted.items()))
     hours = sum(t.seconds for t in trials) / 3600.0
@@ -72,24 +73,26 @@ def _targets(lines: Sequence[Line]) -> str:
     return "\n".join(rows)
 
 
-def _of_family(trials: Sequence[Opened]) -> list[Line]:
+def _of_family(trials: Sequence[Scored]) -> list[Line]:
     return [line for line in table(trials) if line.trials and not line.metric.startswith("seconds")]
 
 
-def _separation(trials: Sequence[Opened]) -> str:
+def _separation(trials: Sequence[Scored]) -> str:
     rows = ["| nats of the oracle | trials | answered | right | right, of those answered |", "|---|---|---|---|---|"]
-    for words, n, answered, right, good in by_separation(trials):
-        last = f"{100 * good:.0f} %" if np.isfinite(good) else "–"
-        rows.append(f"| {words} | {n} | {100 * answered:.0f} % | {100 * right:.0f} % | {last} |")
+    for band in by_separation(trials):
+        last = f"{100 * band.good:.0f} %" if np.isfinite(band.good) else "–"
+        rows.append(
+            f"| {band.words} | {band.trials} | {100 * band.answered:.0f} % | {100 * band.right:.0f} % | {last} |"
+        )
     return "\n".join(rows)
 
 
-def _baselines(trials: Sequence[Opened]) -> str:
+def _baselines(trials: Sequence[Scored]) -> str:
     head = "| method | alarms on null | noticed, ≥ 15 nats | rightly named | median gap closed |"
     return "\n".join([head, "|---|---|---|---|---|", *(f"| {' | '.join(row)} |" for row in baselines(trials))])
 
 
-def _confusion(trials: Sequence[Opened]) -> str:
+def _confusion(trials: Sequence[Scored]) -> str:
     rows = ["| concealed | said |", "|---|---|"]
     for truth, told in sorted(confusion(trials).items()):
         rows.append(
@@ -98,7 +101,7 @@ def _confusion(trials: Sequence[Opened]) -> str:
     return "\n".join(rows)
 
 
-def _left_out(trials: Sequence[Opened]) -> str:
+def _left_out(trials: Sequence[Scored]) -> str:
     rows = ["| concealed, and left out | nats | said without it | said with it |", "|---|---|---|---|"]
     for t in sorted(trials, key=lambda t: t.answer["causes"][0]["name"]):
         verdict = t.scores["left_out"]

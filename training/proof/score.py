@@ -20,7 +20,7 @@ BINS = (-np.inf, 2.0, 5.0, 15.0, 50.0, 150.0, np.inf)
 
 
 @dataclass(frozen=True)
-class Opened:
+class Scored:
     """A trial with everything known of it.
 
     Attributes:
@@ -76,10 +76,15 @@ class Opened:
     @property
     def closed(self) -> float:
         """The share of the vault's gap between simulation and oracle that is closed; nan where there is none."""
+        return self._share_of_gap(self.verdict["held_out"]["after"]["log_likelihood_per_ping"])
+
+    def closed_by(self, score: str) -> float:
+        """Return the same of another method, by the name of its score."""
+        return self._share_of_gap(self.scores[score])
+
+    def _share_of_gap(self, after: float) -> float:
         gap = self.scores["vault_oracle"] - self.scores["vault_before"]
-        held = self.verdict["held_out"]
-        done = held["after"]["log_likelihood_per_ping"] - self.scores["vault_before"]
-        return float(done / gap) if gap > LEAST_NATS_A_PING else np.nan
+        return float((after - self.scores["vault_before"]) / gap) if gap > LEAST_NATS_A_PING else np.nan
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,7 @@ class Line:
     met: bool | None
 
 
-def trials_of(lines: Iterable[dict[str, Any]]) -> list[Opened]:
+def trials_of(lines: Iterable[dict[str, Any]]) -> list[Scored]:
     """Return the opened trials of a ledger."""
     lines = list(lines)
     verdicts = {line["trial"]: line for line in lines if line["event"] == VERDICT}
@@ -110,7 +115,7 @@ def trials_of(lines: Iterable[dict[str, Any]]) -> list[Opened]:
     for line in lines:
         if line["event"] == OPENED:
             judged = verdicts[line["trial"]]
-            out.append(Opened(line["answer"], judged["verdict"], line["scores"], float(judged["seconds"])))
+            out.append(Scored(line["answer"], judged["verdict"], line["scores"], float(judged["seconds"])))
     return out
 
 
@@ -145,12 +150,12 @@ def at_most(limit: float) -> Callable[[float], bool]:
     return lambda value: value <= limit
 
 
-def table(trials: Sequence[Opened]) -> list[Line]:
+def table(trials: Sequence[Scored]) -> list[Line]:
     """Return the design's table of targets; one counts as met by enough trials only."""
     return [replace(line, met=None) if line.met and line.trials < ENOUGH_TRIALS else line for line in _lines(trials)]
 
 
-def _lines(trials: Sequence[Opened]) -> list[Line]:
+def _lines(trials: Sequence[Scored]) -> list[Line]:
     null = [t for t in trials if t.kind == "null"]
     single = [t for t in trials if t.kind in ("effect", "matched", "confounded", "family")]
     clear = [t for t in single if t.nats >= CLEAR]
@@ -179,12 +184,12 @@ def _lines(trials: Sequence[Opened]) -> list[Line]:
     ]
 
 
-def scan_p(trials: Sequence[Opened]) -> list[float]:
+def scan_p(trials: Sequence[Scored]) -> list[float]:
     """Return the p-values of the scans of null trials that named nothing: the verdict's counts two ways of looking."""
     return [t.verdict["p_value"] / 2.0 for t in trials if t.said not in CLAIMS]
 
 
-def _uniform(null: Sequence[Opened]) -> Line:
+def _uniform(null: Sequence[Scored]) -> Line:
     """Test the scans' p-values for uniformity below one half, where the verdict still tells them apart."""
     p = np.sort(scan_p(null))
     n = len(p)
@@ -197,17 +202,17 @@ def _uniform(null: Sequence[Opened]) -> Line:
     return Line("null: p-values uniform (KS p)", "> 0.01", value, np.nan, np.nan, n, value > 0.01)
 
 
-def _aspects(trial: Opened) -> list[str]:
+def _aspects(trial: Scored) -> list[str]:
     return list(trial.answer["causes"][0].get("aspects", []))
 
 
-def aspect_right(trial: Opened) -> bool:
+def aspect_right(trial: Scored) -> bool:
     """Tell whether the first thing located is of an aspect that the cause has."""
     where = trial.verdict["where"]
     return bool(where) and where[0]["aspect"] in _aspects(trial)
 
 
-def overlap(trial: Opened) -> float:
+def overlap(trial: Scored) -> float:
     """Return the overlap of the first located region with the true one, in the true one's column; nan without one."""
     region = trial.answer["causes"][0].get("region")
     if not region:
@@ -221,12 +226,12 @@ def overlap(trial: Opened) -> float:
     return float(both / (max(b, high) - min(a, low)))
 
 
-def _not_wrong(trial: Opened) -> bool:
+def _not_wrong(trial: Scored) -> bool:
     """Tell whether the truth is among what is not excluded: nothing is, where nothing is claimed."""
     return trial.said not in CLAIMS or trial.right
 
 
-def covered(trials: Sequence[Opened]) -> list[bool]:
+def covered(trials: Sequence[Scored]) -> list[bool]:
     """Return for each known parameter that was estimated whether its interval holds the truth."""
     out = []
     for trial in trials:
@@ -238,7 +243,7 @@ def covered(trials: Sequence[Opened]) -> list[bool]:
     return out
 
 
-def _widths(trials: Sequence[Opened]) -> Line:
+def _widths(trials: Sequence[Scored]) -> Line:
     """Return the median width of intervals against the oracle's."""
     ratio = []
     for trial in trials:
@@ -251,33 +256,51 @@ def _widths(trials: Sequence[Opened]) -> Line:
     return replace(line, met=line.value <= 1.3 if line.trials else None)
 
 
-def _seconds(trials: Sequence[Opened]) -> Line:
+def _seconds(trials: Sequence[Scored]) -> Line:
     line = quantile("seconds a diagnosis, median", "≤ 60", [t.seconds for t in trials], 0.5, 0.0)
     return replace(line, met=line.value <= 60.0 if line.trials else None)
 
 
-def by_separation(trials: Sequence[Opened]) -> list[tuple[str, int, float, float, float]]:
-    """Return by separation: range in words, trials, shares answered, right, and right of those answered."""
+@dataclass(frozen=True)
+class Band:
+    """Trials of about the same separation.
+
+    Attributes:
+        low, high: of the oracle's nats.
+        trials: number.
+        answered, right: shares of them.
+        good: share of those answered that are right; nan where none was.
+    """
+
+    low: float
+    high: float
+    trials: int
+    answered: float
+    right: float
+    good: float
+
+    @property
+    def words(self) -> str:
+        """The range of nats in words."""
+        if np.isfinite(self.low) and np.isfinite(self.high):
+            return f"{self.low:g} to {self.high:g}"
+        return f"< {self.high:g}" if np.isfinite(self.high) else f"≥ {self.low:g}"
+
+
+def by_separation(trials: Sequence[Scored]) -> list[Band]:
+    """Return how trials with a cause of the catalogue came out, by separation."""
     single = [t for t in trials if t.kind in ("effect", "matched", "confounded", "pair", "family")]
-    out = []
-    for low, high in pairwise(BINS):
-        here = [t for t in single if low <= t.nats < high]
-        if here:
-            answered = [t for t in here if t.said in CLAIMS]
-            right = sum(t.right for t in here)
-            good = sum(t.right for t in answered) / len(answered) if answered else np.nan
-            out.append((_range(low, high), len(here), len(answered) / len(here), right / len(here), good))
-    return out
+    bands = ((low, high, [t for t in single if low <= t.nats < high]) for low, high in pairwise(BINS))
+    return [_band(low, high, here) for low, high, here in bands if here]
 
 
-def _range(low: float, high: float) -> str:
-    """Return a range in words."""
-    if np.isfinite(low) and np.isfinite(high):
-        return f"{low:g} to {high:g}"
-    return f"< {high:g}" if np.isfinite(high) else f"≥ {low:g}"
+def _band(low: float, high: float, trials: Sequence[Scored]) -> Band:
+    answered = [t.right for t in trials if t.said in CLAIMS]
+    good = float(np.mean(answered)) if answered else np.nan
+    return Band(low, high, len(trials), len(answered) / len(trials), float(np.mean([t.right for t in trials])), good)
 
 
-def confusion(trials: Sequence[Opened]) -> dict[str, dict[str, int]]:
+def confusion(trials: Sequence[Scored]) -> dict[str, dict[str, int]]:
     """Return by true cause how often what was said: the first effect claimed, or none or unknown."""
     out: dict[str, dict[str, int]] = {}
     for trial in trials:
@@ -286,46 +309,3 @@ def confusion(trials: Sequence[Opened]) -> dict[str, dict[str, int]]:
         row = out.setdefault(truth if trial.kind != "pair" else "a pair", {})
         row[told] = row.get(told, 0) + 1
     return out
-
-
-def baselines(trials: Sequence[Opened]) -> list[tuple[str, str, str, str, str]]:
-    """Return by method: alarms on null, detection and right name at ≥ 15 nats, and the vault's gap closed, in words."""
-    null = [t for t in trials if t.kind == "null"]
-    known = [t for t in trials if t.kind in ("effect", "matched", "confounded") and t.nats >= CLEAR]
-    full = "independent_name" in (trials[0].scores if trials else {})
-
-    def row(name: str, alarm: Callable[[Opened], bool] | None, names: str, gap: str) -> tuple[str, str, str, str, str]:
-        false, seen = (_percent([alarm(t) for t in group]) if alarm else "–" for group in (null, known))
-        return name, false, seen, names, gap
-
-    def gap(key: str) -> str:
-        values = [
-            (t.scores[key] - t.scores["vault_before"]) / (t.scores["vault_oracle"] - t.scores["vault_before"])
-            for t in known
-            if t.scores["vault_oracle"] - t.scores["vault_before"] > LEAST_NATS_A_PING
-        ]
-        return f"{np.median(values):.2f}" if values else "–"
-
-    ours = [t.closed for t in known if np.isfinite(t.closed)]
-    rows = [
-        row(
-            "this package",
-            lambda t: t.said != "none",
-            _percent([t.right for t in known]),
-            f"{np.median(ours):.2f}" if ours else "–",
-        ),
-        row("oracle", None, "100 %", "1.00"),
-        row("chance", None, "3 %", "0.00"),
-        row("classifier two-sample test", lambda t: t.scores["classifier_z"] > 1.645, "–", "–"),
-        row("kernel two-sample test (MMD)", lambda t: t.scores["kernel_p"] <= 0.05, "–", "–"),
-    ]
-    if full:
-        named = _percent([t.scores["independent_name"] in t.answer["causes"][0]["accepted"] for t in known])
-        rows.append(row("independent likelihood ratios", lambda t: bool(t.scores["independent_name"]), named, "–"))
-        rows.append(row("Gaussian-process discrepancy", None, "–", gap("vault_process")))
-        rows.append(row("four-part beam model, EM", None, "–", gap("vault_beam")))
-    return rows
-
-
-def _percent(hits: Sequence[bool]) -> str:
-    return f"{100 * np.mean(hits):.0f} %" if len(hits) else "–"

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from training.proof.figure import accuracy
 from training.proof.page import page
-from training.proof.score import Opened, by_separation, confusion, covered, overlap, table, trials_of
+from training.proof.score import Scored, by_separation, confusion, covered, overlap, table, trials_of
 
 TARGETS = 18
 
@@ -20,7 +20,7 @@ def effect(name: str, alike: tuple[str, ...] = (), **parameters: tuple[float, fl
     return {"effect": name, "indistinguishable_from": list(alike), "probability": 1.0, "parameters": told}
 
 
-def trial(kind: str, said: str = "none", nats: float = 100.0, **given: Any) -> Opened:
+def trial(kind: str, said: str = "none", nats: float = 100.0, **given: Any) -> Scored:
     """Return an opened trial, of a concealed clock error unless told otherwise."""
     truth = [] if kind == "null" else given.get("causes", [{"name": "clock_scale", "accepted": ["clock_scale"]}])
     verdict = {
@@ -32,10 +32,10 @@ def trial(kind: str, said: str = "none", nats: float = 100.0, **given: Any) -> O
     }
     scores = {"separation_nats": nats, "vault_before": 0.0, "vault_oracle": 1.0, "oracle_widths": {}}
     scores |= {"classifier_z": 0.0, "classifier_nats": 0.0, "kernel_p": 1.0} | given.get("scores", {})
-    return Opened({"kind": kind, "causes": truth}, verdict, scores, given.get("seconds", 10.0))
+    return Scored({"kind": kind, "causes": truth}, verdict, scores, given.get("seconds", 10.0))
 
 
-def line(trials: list[Opened], metric: str) -> Any:
+def line(trials: list[Scored], metric: str) -> Any:
     found = [each for each in table(trials) if each.metric.startswith(metric)]
     assert len(found) == 1
     return found[0]
@@ -125,8 +125,8 @@ def test_uniform_p_values_pass_and_small_ones_do_not():
 
 def test_accuracy_is_told_by_separation():
     trials = [trial("effect", nats=1.0), trial("effect", "named", nats=20.0, effects=[effect("clock_scale")])]
-    rows = by_separation(trials)
-    assert [(words, n, right) for words, n, _, right, _ in rows] == [("< 2", 1, 0.0), ("15 to 50", 1, 1.0)]
+    bands = by_separation(trials)
+    assert [(band.words, band.trials, band.right) for band in bands] == [("< 2", 1, 0.0), ("15 to 50", 1, 1.0)]
 
 
 def test_what_was_said_of_what():

@@ -1,0 +1,83 @@
+"""Whether a sonar's first reading after a move still leans towards the place before: memory that no single law holds.
+
+Filters, slew limits and hysteresis show here whatever else they do to the scatter. Inside one stay the target stands
+still, so its first reading is compared with its later ones: how the target was placed, and what the air is like,
+cancel; what is left leans to either side alike unless the sonar remembers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from noise.cells import Batch
+from noise.discrepancy.locate import Finding
+from noise.law import Floats
+from noise.stack import Stack
+
+FEWEST = 12  # moves, below which signs say nothing; ours
+FEWEST_PINGS = 4  # of a stay, for its later half to tell where readings settle; ours
+APART_M = 0.05  # between two places, for the last reading of one to show in the other; ours
+SURE_P = 1e-3  # below which no law of single readings is believed
+
+
+@dataclass(frozen=True)
+class Transient:
+    """How first readings lean towards the place before.
+
+    Attributes:
+        moves: number of moves it rests on.
+        statistic: studentised sum; positive towards the place before.
+        size_m: median lean towards the place before, m.
+    """
+
+    moves: int
+    statistic: float
+    size_m: float
+
+    @property
+    def p_value(self) -> float:
+        """Of a lean this strong towards the place before, by chance."""
+        return float(norm.sf(self.statistic))
+
+    @property
+    def finding(self) -> Finding:
+        """It as a finding everywhere."""
+        nats = 0.5 * max(self.statistic, 0.0) ** 2
+        return Finding("transient", {}, self.size_m, "m", self.p_value, nats)
+
+
+def transient(stack: Stack, batch: Batch) -> Transient | None:
+    """Return how first readings after a move lean; None where there are too few moves to tell.
+
+    Args:
+        stack: the law, for where a reading is expected.
+        batch: readings, whole stays.
+    """
+    middle = stack.model.law(batch.ping, batch.past).quantile(0.5)
+    pairs = [_lean(batch, middle, rows) for rows in np.split(np.arange(len(batch)), np.unique(batch.first)[1:])]
+    known = np.array([pair for pair in pairs if pair is not None])
+    if len(known) < FEWEST:
+        return None
+    lean, towards = known.T
+    lean = lean - np.median(lean)  # of every first reading, wherever it comes from
+    limit = 3.0 * 1.4826 * float(np.median(np.abs(lean))) + batch.resolution
+    leaning = np.clip(lean, -limit, limit) * np.sign(towards)
+    return Transient(len(known), float(leaning.sum() / np.sqrt((leaning**2).sum())), float(np.median(leaning)))
+
+
+def _lean(batch: Batch, middle: Floats, rows: np.ndarray) -> tuple[float, float] | None:
+    """Return first reading less the later ones, and how far off the place before was, m; None where nothing is told.
+
+    A reading that repeats the last one to the digit is a repeat, which the catalogue knows, and no lean.
+    """
+    first, later = rows[0], rows[len(rows) // 2 :]
+    heard = batch.reading.echo[first] and batch.past.echo[first] and batch.reading.echo[later].any()
+    repeated = abs(batch.reading.range[first] - batch.past.range[first]) < 0.5 * batch.resolution
+    towards = batch.past.range[first] - middle[first]
+    if len(rows) < FEWEST_PINGS or not heard or repeated or abs(towards) < APART_M:
+        return None
+    settled = np.median(batch.reading.range[later][batch.reading.echo[later]])
+    return float(batch.reading.range[first] - settled), float(towards)
