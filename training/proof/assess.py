@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ from noise.discrepancy.emulate import Baseline, baseline_of, free_of
 from noise.discrepancy.explanation import conclude, intervals
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
+from noise.discrepancy.steps import coarser_steps
 from noise.fit import Fit, log_likelihood, maximise
 from noise.stack import NUISANCES, Stack
 from training.proof.baselines import beam_nats, independent_name, process_nats, two_samples
 from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED
 
+STEPS = {"quantisation", "truncation"}
 SEED = 0  # that the diagnosis runs with, so that both share their splits
 
 
@@ -65,11 +68,13 @@ class Best:
         nats: gained across unseen open cells.
         vault: log likelihood a ping on the vault, nats.
         widths: of 90 % intervals by effect and parameter.
+        least: of what each cause gains given the others, nats.
     """
 
     nats: float
     vault: float
     widths: dict[str, float]
+    least: float = 0.0
 
 
 def oracle(opened: Opened, truth: Sequence[Sequence[str]]) -> Best:
@@ -86,7 +91,18 @@ def oracle(opened: Opened, truth: Sequence[Sequence[str]]) -> Best:
     final = conclude(search, told, chosen)
     known = intervals(final, search.both)
     widths = {f"{key[0]}.{key[1]}": i.high - i.low for key, i in known.items() if key[0] in chosen}
-    return Best(float((told.nats - without.nats).sum()), opened.on_vault(final.stack), widths)
+    gain = float((told.nats - without.nats).sum())
+    each = [gain] if len(chosen) < 2 else [float(search.contribution(chosen, told, n)[0].sum()) for n in chosen]
+    coarse = [_nats_of_steps(opened, final.stack) if STEPS & set(names) else 0.0 for names in truth]
+    each = [nats + more for nats, more in zip_longest(each, coarse, fillvalue=0.0)]
+    return Best(gain + sum(coarse), opened.on_vault(final.stack), widths, min(each))
+
+
+def _nats_of_steps(opened: Opened, stack: Stack) -> float:
+    """Return what knowing of a coarser register is worth, which no climb finds: a step has no slope."""
+    own = opened.base.own
+    found = None if own is None else coarser_steps(own.whole.resolution, opened.search.both, stack)
+    return 0.0 if found is None else float(found[1].sum())
 
 
 def flexible(opened: Opened) -> Best:
@@ -113,6 +129,7 @@ def assessed(question: dict[str, Any]) -> dict[str, Any]:
     separation = max(best.nats, apart["classifier_nats"]) if answer["kind"] == "stranger" else best.nats
     scores: dict[str, Any] = {
         "separation_nats": separation,
+        "least_nats": best.least,
         "vault_before": before,
         "vault_oracle": best.vault,
         **apart,

@@ -40,7 +40,13 @@ class Told:
         verdict = {"verdict": self.says, "effects": [], "where": [], "p_value": 1.0, "held_out": held}
         if module == "examine":
             return {"verdict": verdict, "seconds": 1.0}
-        scores = {"separation_nats": 0.0, "vault_before": 0.0, "vault_oracle": 0.0, "oracle_widths": {}}
+        scores = {
+            "separation_nats": 0.0,
+            "least_nats": 0.0,
+            "vault_before": 0.0,
+            "vault_oracle": 0.0,
+            "oracle_widths": {},
+        }
         return {**scores, "classifier_nats": 0.0, "classifier_z": 0.0, "kernel_p": 1.0}
 
     def tidy(self, folder: str, keep: bool) -> None:
