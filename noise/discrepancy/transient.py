@@ -65,7 +65,8 @@ def transient(stack: Stack, batch: Batch) -> Transient | None:
     lean = lean - np.median(lean)  # of every first reading, wherever it comes from
     limit = 3.0 * 1.4826 * float(np.median(np.abs(lean))) + batch.resolution
     leaning = np.clip(lean, -limit, limit) * np.sign(towards)
-    return Transient(len(known), float(leaning.sum() / np.sqrt((leaning**2).sum())), float(np.median(leaning)))
+    spread = float(np.sqrt((leaning**2).sum()))
+    return Transient(len(known), float(leaning.sum()) / spread if spread > 0 else 0.0, float(np.median(leaning)))
 
 
 def _lean(batch: Batch, middle: Floats, rows: np.ndarray) -> tuple[float, float] | None:

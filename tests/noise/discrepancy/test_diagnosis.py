@@ -220,3 +220,12 @@ def test_coarser_steps_are_named():
     verdict = diagnose(IdealModel(), Recording.of(coarse.ping, rounded), simulated=fine, seed=1).to_verdict()
     step = next(e for e in verdict["effects"] if e["effect"] == "quantisation")
     assert step["parameters"]["step_m"]["value"] == pytest.approx(0.01)
+
+
+def test_what_is_ruled_out_is_never_named_however_it_is_found():
+    fine, coarse = heard(21), heard(22)
+    rounded = Recording.of(coarse.ping, Reading.of(np.round(coarse.reading.range, 2)))
+    never = ("quantisation", "travel_time_jitter")
+    verdict = diagnose(IdealModel(), rounded, simulated=fine, seed=1, without=never).to_verdict()
+    told = [name for e in verdict["effects"] for name in (e["effect"], *e["indistinguishable_from"])]
+    assert not set(told) & set(never)

@@ -1,0 +1,79 @@
+"""Memory of moves: filters lean towards the place before, honest sonars do not."""
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition import Ping, Reading, Recording
+from noise.cells import Batch
+from noise.discrepancy import diagnose
+from noise.discrepancy.transient import SURE_P, transient
+from noise.effects import CATALOGUE
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import Stack
+
+torch.set_num_threads(1)
+SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0)])
+
+
+def heard(seed, change=lambda x: x):
+    """Return 48 stays of 8 pings, placed to 3 mm; what is read goes through a host in the order of time."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.4, 2.5, 48), 8)
+    placed = distance + np.repeat(rng.normal(0, 0.003, 48), 8)
+    time = np.arange(len(distance)) * 0.1
+    reading = simulate(SONAR, Ping.of(distance=placed, time=time), rng)
+    return Recording.of(Ping.of(distance=distance, time=time), Reading.of(np.round(change(reading.range), 4)))
+
+
+def smoothed(x):
+    """Return a running mean in which each new reading weighs a half."""
+    out = x.copy()
+    for k in range(1, len(x)):
+        out[k] = 0.5 * (out[k - 1] + x[k])
+    return out
+
+
+def slewing(x):
+    """Return readings that move by 0.3 m at most."""
+    out = x.copy()
+    for k in range(1, len(x)):
+        out[k] = out[k - 1] + np.clip(x[k] - out[k - 1], -0.3, 0.3)
+    return out
+
+
+def repeating(x):
+    """Return readings of which every first one of a stay is the last one of the stay before."""
+    out = x.copy()
+    out[8::8] = out[7:-1:8]
+    return out
+
+
+@pytest.mark.parametrize("host", [smoothed, slewing])
+def test_a_host_that_remembers_leans_towards_the_place_before(host):
+    found = transient(Stack.of(SONAR), Batch.of(heard(1, host)))
+    assert found.p_value < SURE_P
+    assert found.size_m > 0.05
+
+
+def test_sonars_without_memory_lean_to_either_side_alike():
+    p = [transient(Stack.of(SONAR), Batch.of(heard(seed))).p_value for seed in range(20, 60)]
+    assert 0.2 < np.mean(p) < 0.8
+    assert min(p) > SURE_P / 10
+
+
+def test_a_repeated_reading_is_no_lean():
+    found = transient(Stack.of(SONAR), Batch.of(heard(2, repeating)))
+    assert found is None or found.p_value > SURE_P
+
+
+def test_too_few_moves_say_nothing():
+    recording = heard(3)
+    assert transient(Stack.of(SONAR), Batch.of(Recording.of(recording.ping[:60], recording.reading[:60]))) is None
+
+
+def test_a_filter_is_no_scatter():
+    verdict = diagnose(SONAR, heard(4, smoothed), seed=1).to_verdict()
+    assert verdict["verdict"] == "unknown"
+    assert "the place before" in verdict["unknown"]["description"]
