@@ -23,6 +23,7 @@ from noise.stack import CELLS, SPREAD, Stack
 Floats = NDArray[np.float64]
 FOLDS, SHUFFLES, MOST = 4, 200, 240
 AKAIKE = 1.0  # nats a parameter
+NEAREST = 8  # effects that likelihood ratios fit
 NEAR_M = 0.3  # an echo this near the target is taken for its own
 
 
@@ -88,13 +89,13 @@ def independent_name(search: Search) -> tuple[str, float]:
     base = search.base.put([(CELLS, name) for name in ("placement_m", "sharing", "carry", "link")], [0.0] * 4)
     free = SPREAD[:2]
     start = maximise(base, free, search.screen, 25)
+    here = float(log_likelihood(start.stack, search.grid).sum()) + AKAIKE
+    grids = {name: search.points(start.stack, name)[0] for name in search.candidates()}
+    near = sorted((name for name in grids if grids[name][0] > here), key=lambda name: -grids[name][0])[:NEAREST]
     best, gain = "", 0.0
-    for name in search.candidates():
-        points = search.points(start.stack, name)
-        if points[0][0] - float(log_likelihood(start.stack, search.grid).sum()) < AKAIKE:
-            continue
+    for name in near:
         keys = search.keys([name])
-        nats = maximise(points[0][1], (*keys, *free), search.screen, 12).nats - start.nats - AKAIKE * len(keys)
+        nats = maximise(grids[name][1], (*keys, *free), search.screen, 12).nats - start.nats - AKAIKE * len(keys)
         if nats > gain:
             best, gain = name, nats
     return best, float(gain)
