@@ -141,7 +141,7 @@ def diagnose(
 def _explained(base: Baseline, search: Search) -> Explained:
     """Search, and leave out what only repairs the law that stands for the simulation."""
     chosen, without, cross = search.run()
-    chosen, cross = base.without_repairs(search, chosen, cross)
+    chosen, cross = base.without_repairs(search, chosen, cross, without)
     return Explained(chosen, without, cross, conclude(search, cross, chosen))
 
 
@@ -235,7 +235,7 @@ def _verdict(
     """Return the verdict, its held-out part still open."""
     if matched is not None and not matched.differs and gain < SURE and not rest.present:
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
-    p_scan = min((finding.p_value for finding in where), default=1.0)
+    p_scan = min((finding.p_value for finding in where if finding.aspect not in CARRIED), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     kind = judge(named, rest, gain, p_scan, base)
     shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
@@ -254,7 +254,9 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: 
     """
     learned = rest.learned_nats
     if not named:
-        return "unknown" if rest.present and (p_scan < ALARM or learned > 0.0) else "none"
+        clear = learned > 0.0 or any(finding.aspect in IN_TIME for finding in rest.findings)
+        seen = p_scan < ALARM and any(finding.aspect not in CARRIED for finding in rest.findings)
+        return "unknown" if rest.present and (seen or clear) else "none"
     if rest.present and all(n.effect == JITTER for n in named):
         return "unknown"
     if learned > LEARNED_SHARE[rest.learned_of] * gain or _remembers(rest):
@@ -275,6 +277,8 @@ def _remembers(rest: Rest) -> bool:
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
+IN_TIME = ("rhythm", "transient")  # found by looks of their own, which no scan of conditions has to bear out
+CARRIED = ("time_correlation",)  # the air of another day hangs together otherwise, and nothing is amiss with that
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

@@ -17,7 +17,7 @@ import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
-from noise.discrepancy.locate import scan
+from noise.discrepancy.locate import Misfit, scan
 from noise.discrepancy.matched import NEAR, NEAR_M, conditions_of
 from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.residuals import residuals
@@ -91,13 +91,14 @@ class Baseline:
         twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
         return batch if np.isnan(twin).all() else replace(batch, twin=twin)
 
-    def misfit(self, seed: int) -> Floats | None:
-        """Return by aspect how far the law is from the simulation itself; None for a model that is used as it is."""
+    def misfit(self, seed: int) -> Misfit | None:
+        """Return how far the law is from the simulation itself; None for a model that is used as it is."""
         if self.own is None:
             return None
         rng = np.random.default_rng([seed, 8])
         batch = self.own.whole.thin(EMULATOR_PINGS)
-        return scan(residuals(self.stack, batch, rng), batch, rng).by_aspect
+        by_aspect = scan(residuals(self.stack, batch, rng), batch, rng).by_aspect
+        return Misfit(by_aspect, max(self.own.both.blocks, 1))
 
     def remainder(self, seed: int) -> Remainder | None:
         """Return what a learner makes of the law's misfit to the simulation itself; None for a model used as it is."""
@@ -105,8 +106,17 @@ class Baseline:
             return None
         return remainder(self.stack, self.own.whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
 
-    def without_repairs(self, search: Search, chosen: list[str], cross: Crossed) -> tuple[list[str], Crossed]:
-        """Drop effects that gain on held-out simulated readings about as much as on the recording."""
+    def without_repairs(
+        self, search: Search, chosen: list[str], cross: Crossed, plain: Crossed
+    ) -> tuple[list[str], Crossed]:
+        """Drop effects that gain on held-out simulated readings about as much as on the recording.
+
+        Args:
+            search: of the recording.
+            chosen: effects of the explanation.
+            cross: the explanation.
+            plain: the law without any of them, from whose nuisances the others are fitted anew where one is dropped.
+        """
         if self.own is None or not chosen:
             return chosen, cross
         null = Search(self.stack, self.own.discover, self.own.confirm, self.own.both, search.seed, search.rules)
@@ -114,6 +124,7 @@ class Baseline:
             gain, without = search.contribution(chosen, cross, name)
             if self._gain_on_simulation(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
+                search.never = (*search.never, name)  # nor is it a rival of anything
             elif not search.believable(gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
             else:
@@ -121,7 +132,8 @@ class Baseline:
             chosen = [other for other in chosen if other != name]
             nats, error = float(gain.sum()), spread_over_blocks(gain)
             search.attempts.append(Attempt(name, tuple(chosen), np.nan, nats, error, told))
-            cross = without
+            afresh = search.cross(cross.first.stack, chosen, near=plain)
+            cross = max(without, afresh, key=lambda each: float(each.nats.sum()))
         return chosen, cross
 
     def _gain_on_simulation(self, null: Search, name: str, cross: Crossed) -> float:

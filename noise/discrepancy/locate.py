@@ -105,6 +105,19 @@ def regions(batch: Batch, most_features: int = 6) -> list[Region]:
 
 
 @dataclass(frozen=True)
+class Misfit:
+    """How far a law is from the simulation that it stands for.
+
+    Attributes:
+        by_aspect: greatest statistic of a scan of the simulation's own readings, (aspects,).
+        blocks: that it was fitted to: it errs as the means of so many do, which no flip of the recording's signs shows.
+    """
+
+    by_aspect: Floats
+    blocks: int
+
+
+@dataclass(frozen=True)
 class Scan:
     """All statistics of one scan.
 
@@ -132,11 +145,12 @@ class Scan:
         """The greatest statistic of each aspect, (aspects,)."""
         return np.abs(self.statistic).max(axis=0, initial=0.0)
 
-    def beyond(self, known: Floats | None) -> Scan:
-        """Return the scan without what is no larger than a simulation's own misfit of the same aspect, (aspects,)."""
+    def beyond(self, known: Misfit | None, blocks: int) -> Scan:
+        """Return the scan of so many blocks less what a law errs that stands for a simulation; itself, if none does."""
         if known is None:
             return self
-        return replace(self, statistic=np.where(np.abs(self.statistic) > MORE * known, self.statistic, 0.0))
+        tempered = self.statistic / np.sqrt(1.0 + blocks / known.blocks)
+        return replace(self, statistic=np.where(np.abs(tempered) > MORE * known.by_aspect, tempered, 0.0))
 
 
 def scan(seen: Residuals, batch: Batch, rng: np.random.Generator) -> Scan:
@@ -186,7 +200,7 @@ def locate(
     rng: np.random.Generator,
     most: int = 5,
     level: float = 0.05,
-    known: Floats | None = None,
+    known: Misfit | None = None,
 ) -> list[Finding]:
     """Return the findings of a scan under a level, strongest first, at most one an aspect.
 
@@ -196,10 +210,10 @@ def locate(
         rng: for randomised PIT values and flips.
         most: number of findings.
         level: greatest p-value.
-        known: misfit by aspect that the law has with the simulation itself; see `Scan.beyond`.
+        known: how far the law is from the simulation itself; see `Scan.beyond`.
     """
     seen = residuals(stack, batch, rng)
-    scanned = scan(seen, batch, rng).beyond(known)
+    scanned = scan(seen, batch, rng).beyond(known, batch.blocks)
     out: list[Finding] = []
     shadow = np.array([aspect in SHADOWS for aspect in ASPECTS])
     for flat in np.argsort(np.where(shadow, LAST, 0.0) - np.abs(scanned.statistic), axis=None, kind="stable"):

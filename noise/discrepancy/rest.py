@@ -9,7 +9,7 @@ import numpy as np
 
 from noise.cells import Batch
 from noise.discrepancy.describe import formula
-from noise.discrepancy.locate import Finding, locate, scan
+from noise.discrepancy.locate import Finding, Misfit, locate, scan
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
@@ -17,7 +17,6 @@ from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
-from noise.law import Floats
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
@@ -45,7 +44,7 @@ def check_rest(
     cross: Crossed,
     rng: np.random.Generator,
     whole: Batch,
-    known: Floats | None = None,
+    known: Misfit | None = None,
     usual: Remainder | None = None,
 ) -> Rest:
     """Scan the residuals of cells that were not fitted, both ways; listen for a beat and for memory of moves.
@@ -60,7 +59,7 @@ def check_rest(
         cross: the explanation, fitted on either part.
         rng: for randomised PIT values and flips.
         whole: both parts with every ping of a block, in which a beat shows best; nothing fitted can hold one.
-        known: misfit by aspect that the simulation itself shows.
+        known: how far the law that stands for a simulation is from it.
         usual: what the learner makes of the simulation itself.
     """
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
@@ -106,9 +105,9 @@ def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> S
     return each.put([(CELLS, "carry")], [fit.stack.get((CELLS, "carry"))])
 
 
-def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, known: Floats | None = None) -> float:
+def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, known: Misfit | None = None) -> float:
     """Return the family-wise p-value of the greatest residual statistic."""
-    scanned = scan(residuals(stack, batch, rng), batch, rng).beyond(known)
+    scanned = scan(residuals(stack, batch, rng), batch, rng).beyond(known, batch.blocks)
     return scanned.p_value(scanned.best)
 
 

@@ -107,7 +107,8 @@ def _near(search: Search, stack: Stack, others: Sequence[str], effect: str) -> d
     order = sorted((name for name in grids if name != effect), key=lambda name: -grids[name][0][0])
     near = [name for k, name in enumerate(order) if grids[name][0][0] > reach or (not fits and k < search.rules.rivals)]
     fits |= {name: search.climbed(grids[name], others, name) for name in near if name not in fits}
-    return {name: fitted for name, fitted in fits.items() if name not in (*others, effect)}
+    able = [name for name in search.candidates() if name not in (*others, effect)]
+    return {name: fits[name] for name in able if name in fits}
 
 
 class Contest:

@@ -13,9 +13,10 @@ from noise.discrepancy.explanation import Interval
 from noise.discrepancy.search import Crossed, Search, spread_over_blocks
 from noise.discrepancy.verdict import Named
 from noise.law import Floats
-from noise.stack import JITTER, NUISANCES, Stack
+from noise.stack import CELLS, JITTER, NUISANCES, Stack
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
+PLACED = (CELLS, "placement_m")
 LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours
 POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours
 
@@ -43,11 +44,22 @@ def changed_scatter(
     gain = cross.nats - search.cross(held, chosen, others).nats
     distance = float(np.median(search.both.ping.distance))
     before = max(scatter_m(simulation, distance), _least(search.both))
-    after = [max(scatter_m(fit.stack, distance), _least(search.both)) for fit in (cross.first, cross.second)]
-    ratios = [max(x / before, before / x) for x in after]
-    if min(ratios) < (LEAST_RATIO if describes else POOR_RATIO) or not search.believable(gain):
+    fits = (cross.first, cross.second)
+    after = [max(scatter_m(fit.stack, distance), _least(search.both)) for fit in fits]
+    least = LEAST_RATIO if describes else POOR_RATIO
+    placed = simulation.get(PLACED)
+    pairs = [(before, placed, x, fit.stack.get(PLACED)) for fit, x in zip(fits, after, strict=True)]
+    if min(_apart(*pair) for pair in pairs) < least or not search.believable(gain):
         return None
     return _named(cross, gain, before, float(np.mean(after)), distance), gain
+
+
+def _apart(before: float, placed_before: float, after: float, placed_after: float) -> float:
+    """Return how many times as much the one scatters as the other, where that is beyond what may be placement in it.
+
+    Slow air moves a whole stay, as placement does, quick air single readings: how much is which differs by the day.
+    """
+    return max(after / np.hypot(before, placed_before), before / np.hypot(after, placed_after))
 
 
 def _least(batch: Batch) -> float:

@@ -50,7 +50,7 @@ class Rules:
 
     least_nats: float = 6.0
     least_t: float = 2.0
-    sweeping_nats: float = 60.0
+    sweeping_nats: float = 30.0
     sweeping_t: float = 2.0
     keep_nats: float = 2.0
     bounded_nats: float = 2.0

@@ -26,6 +26,7 @@ from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED
 
 STEPS = {"quantisation", "truncation"}
+COMPARED = ("null", "effect", "matched", "confounded")  # kinds of trials that others are tried on as well
 SEED = 0  # that the diagnosis runs with, so that both share their splits
 
 
@@ -135,7 +136,8 @@ def assessed(question: dict[str, Any]) -> dict[str, Any]:
         **apart,
     }
     scores["oracle_widths"] = best.widths
-    return scores if question.get("quick") else {**scores, **_baselines(opened)}
+    beside = answer["kind"] in COMPARED and not question.get("quick")
+    return {**scores, **_baselines(opened)} if beside else scores
 
 
 def _baselines(opened: Opened) -> dict[str, Any]:
