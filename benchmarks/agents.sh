@@ -14,6 +14,7 @@ fi
 # the shipped agent, and its scores
 $run train-agent --out $out/parking --odometry exact wheels --difficulty normal hard --lessons $lessons --steps $steps
 $run ship-agent $out/parking/agent --out $out/shipped --episodes $episodes
+[ "$out" = runs/agents ] && cp $out/parking/learning.png docs/images/learning.png
 $run evaluate-agent --agent $out/shipped scripted --episodes $episodes --out $out/scores.json
 
 # what credence is worth to an agent: alike but for that, with a sonar that is often wrong

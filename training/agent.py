@@ -23,15 +23,17 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 from acquisition import SettingError
+from acquisition.files import write_bytes
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.memory import MemorySettings
 from training.agent_envs import AgentVecEnv, Ended, World
 from training.checkpoint import check_same, load_checkpoint, read_state, save_checkpoint
 from training.imitation import Lessons, imitate
+from training.learning_curve import learning_curve
 from training.progress import bars
 from training.threads import one_thread
 
-CHECKPOINT, AGENT, BOARD = "checkpoint.safetensors", "agent", "tensorboard"
+CHECKPOINT, AGENT, BOARD, CURVE = "checkpoint.safetensors", "agent", "tensorboard", "learning.png"
 UNSEEN = 2**31  # training draws its streets from seeds of this and more; those below are for evaluation
 Tell = Callable[[str, int, int], None]  # what is being done, how much of it, and of how much
 
@@ -279,6 +281,7 @@ class Training:
         }
         save_checkpoint(self.path, self.actor_critic, state)
         self.policy().save(self.args.out / AGENT)
+        write_bytes(self.args.out / CURVE, learning_curve(self.history))
 
     def policy(self, card: str = "") -> Policy:
         """Return the agent as it is now, for use without torch."""

@@ -15,6 +15,7 @@ from training.agent import Args, Training, Trials
 from training.checkpoint import read_state
 from training.cli import main
 from training.evaluate import Rate, crew_of, evaluate
+from training.learning_curve import learning_curve
 
 SMALL = {"sonars": ("ideal",), "num_envs": 8, "hidden": (16,), "lessons": 4, "steps": 3 * 2 * 8 * 8 * 2}
 SHORT = Trials(length=8, updates=2, batch=64, epochs=2, watching=1)
@@ -55,6 +56,13 @@ def test_a_killed_training_comes_to_the_same_agent(tmp_path, whole):
     assert first.keys() == again.keys()
     assert all(np.array_equal(first[name], again[name]) for name in first)
     assert [one["steps"] for one in training.history] == [0, 256, 512, 768]
+
+
+def test_the_learning_curve_lies_beside_the_agent(whole):
+    out, training = whole
+    assert (out / "learning.png").read_bytes() == learning_curve(training.history)
+    assert (out / "learning.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert learning_curve(training.history[:2]) != learning_curve(training.history)
 
 
 def test_another_seed_comes_to_another_agent(tmp_path, whole):
