@@ -8,7 +8,6 @@ the law is that over all of its values, and `MixtureLaw.missing` says so.
 from __future__ import annotations
 
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,7 @@ from acquisition import ModelError, Ping, Reading
 from noise.inputs import Inputs
 from noise.law import Floats
 from noise.mixture import Head, MixtureLaw
-from noise.tensors import read_tensors, write_tensors
-
-Layers = list[tuple[np.ndarray, np.ndarray]]
+from noise.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 
 
 def dense(layers: Layers, x: Floats) -> Floats:
@@ -29,23 +26,6 @@ def dense(layers: Layers, x: Floats) -> Floats:
         x = np.tanh(x @ weight.T + bias)
     weight, bias = layers[-1]
     return x @ weight.T + bias
-
-
-def tensors_of(layers: Layers, prefix: str = "") -> dict[str, np.ndarray]:
-    """Return layers under the names that they are kept by."""
-    named = {f"{prefix}{i}.weight": weight for i, (weight, _) in enumerate(layers)}
-    return named | {f"{prefix}{i}.bias": bias for i, (_, bias) in enumerate(layers)}
-
-
-def shapes_of(sizes: list[int], prefix: str = "") -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the tensors of layers of given widths, the input first."""
-    named: dict[str, tuple[int, ...]] = {f"{prefix}{i}.weight": (b, a) for i, (a, b) in enumerate(pairwise(sizes))}
-    return named | {f"{prefix}{i}.bias": (size,) for i, size in enumerate(sizes[1:])}
-
-
-def layers_of(tensors: dict[str, np.ndarray], count: int, prefix: str = "") -> Layers:
-    """Return layers from the tensors that keep them."""
-    return [(tensors[f"{prefix}{i}.weight"], tensors[f"{prefix}{i}.bias"]) for i in range(count)]
 
 
 class MlpModel:

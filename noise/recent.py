@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from acquisition import ModelError, Ping, Reading
 from noise.law import Floats
 from noise.model import steps
-from noise.networks import Layers, dense, layers_of, shapes_of, tensors_of
-from noise.tensors import read_tensors, write_tensors
+from noise.networks import dense
+from noise.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 
 ABOUT_FILE = "credence.json"
 EACH = 7  # numbers a reading is told by

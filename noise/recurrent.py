@@ -24,8 +24,8 @@ from noise.inputs import Asked, Inputs
 from noise.law import Floats
 from noise.mixture import UNIT_M, Head, MixtureLaw
 from noise.model import steps
-from noise.networks import Layers, MlpModel, dense, layers_of, read_shape, shapes_of, tensors_of
-from noise.tensors import read_tensors, write_tensors
+from noise.networks import MlpModel, dense, read_shape
+from noise.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 
 ANCHORS = 2  # the last echo moved along, the last reading
 LINKS = 12  # numbers that tell what came before

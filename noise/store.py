@@ -9,11 +9,11 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from acquisition import ModelError, UnknownModelError
+from acquisition.files import whole_folder
 from noise.model import SonarModel
 
 FORMAT = 1
@@ -95,17 +95,11 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
     """
     folder = Path(folder)
     check_model_folder(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
-        fresh, old = Path(beside) / "fresh", Path(beside) / "old"
-        fresh.mkdir()
+    with whole_folder(folder) as fresh:
         if hasattr(model, "write_weights"):
             model.write_weights(fresh)
         (fresh / "model.json").write_text(text + "\n", encoding="utf-8")
-        if folder.exists():
-            os.replace(folder, old)
-        os.replace(fresh, folder)
     return folder
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
 
 from acquisition import ModelError, UnknownModelError
+from acquisition.files import whole_folder
+from noise.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 from sonar_gym.memory import Memory, MemorySettings
 
 Singles = NDArray[np.float32]
@@ -25,7 +24,7 @@ Observation = Mapping[str, NDArray[Any]]
 FORMAT = 1
 KIND = "parking-agent"
 WEIGHTS = Path(__file__).parent / "weights"
-DESCRIPTION, TENSORS, CARD = "agent.json", "weights.safetensors", "README.md"
+DESCRIPTION = "agent.json"
 ACTIONS = 2
 ONE = np.zeros(1, dtype=np.int64)  # the rows of a memory of one
 
@@ -78,14 +77,8 @@ class Policy:
         folder = Path(folder)
         if folder.exists() and not (folder / DESCRIPTION).is_file() and (folder.is_file() or any(folder.iterdir())):
             raise ModelError(f"{folder}: holds something else than an agent; give the name of a new folder")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
-            fresh, old = Path(beside) / "fresh", Path(beside) / "old"
-            fresh.mkdir()
+        with whole_folder(folder) as fresh:
             self._write(fresh)
-            if folder.exists():
-                os.replace(folder, old)
-            os.replace(fresh, folder)
         return folder
 
     def _write(self, folder: Path) -> None:
@@ -98,11 +91,7 @@ class Policy:
             "about": dict(self.about),
         }
         (folder / DESCRIPTION).write_text(json.dumps(said, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        tensors = {f"{i}.weight": weight for i, (weight, _) in enumerate(self.layers)}
-        save_file(tensors | {f"{i}.bias": bias for i, (_, bias) in enumerate(self.layers)}, folder / TENSORS)
-        (folder / TENSORS).chmod(0o644)
-        if self.card:
-            (folder / CARD).write_text(self.card, encoding="utf-8")
+        write_tensors(folder, tensors_of(self.layers), self.card)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> Policy:
@@ -112,14 +101,13 @@ class Policy:
             ModelError: it is damaged, or something else.
         """
         folder = Path(folder)
-        said, card = _described(folder / DESCRIPTION), folder / CARD
+        said = _described(folder / DESCRIPTION)
         try:
             memory, sizes, repeat = MemorySettings(**said["memory"]), list(map(int, said["sizes"])), int(said["repeat"])
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"{folder / DESCRIPTION}: does not describe an agent ({error}); train it anew") from None
-        layers = _layers(folder / TENSORS, sizes)
-        text = card.read_text(encoding="utf-8") if card.is_file() else ""
-        return cls(layers, memory, repeat, said.get("about", {}), text)
+        tensors, card = read_tensors(folder, shapes_of(sizes))
+        return cls(layers_of(tensors, len(sizes) - 1), memory, repeat, said.get("about", {}), card)
 
 
 def _described(path: Path) -> dict[str, Any]:
@@ -132,23 +120,6 @@ def _described(path: Path) -> dict[str, Any]:
     if not isinstance(said, dict) or said.get("format") != FORMAT or said.get("kind") != KIND:
         raise ModelError(f"{path}: is no agent of format {FORMAT}; it is of something else, or of another version")
     return said
-
-
-def _layers(path: Path, sizes: Sequence[int]) -> list[Layer]:
-    """Read layers of the given sizes, and nothing else."""
-    try:
-        tensors = load_file(path)
-    except FileNotFoundError:
-        raise ModelError(f"{path}: is missing; an agent's folder holds its weights beside {DESCRIPTION}") from None
-    except (SafetensorError, OSError) as error:
-        raise ModelError(f"{path}: cannot be read as safetensors ({error}); it is damaged or foreign") from None
-    shapes: dict[str, tuple[int, ...]] = {f"{i}.weight": (sizes[i + 1], sizes[i]) for i in range(len(sizes) - 1)}
-    shapes |= {f"{i}.bias": (sizes[i + 1],) for i in range(len(sizes) - 1)}
-    if {name: value.shape for name, value in tensors.items()} != shapes:
-        raise ModelError(f"{path}: holds other tensors than {DESCRIPTION} calls for ({', '.join(shapes)})")
-    if not all(value.dtype == np.float32 and np.isfinite(value).all() for value in tensors.values()):
-        raise ModelError(f"{path}: holds numbers that are not finite float32; it is damaged")
-    return [(tensors[f"{i}.weight"], tensors[f"{i}.bias"]) for i in range(len(sizes) - 1)]
 
 
 class Agents:

@@ -17,8 +17,9 @@ from acquisition import EchoStatus, Ping, Reading
 from noise.inputs import Inputs
 from noise.mixture import FLOOR, UNIT_M, Head
 from noise.model import IdealModel, steps
-from noise.networks import Layers, MlpModel
+from noise.networks import MlpModel
 from noise.recurrent import ANCHORS, LINKS, Before, Cell, LstmModel
+from noise.tensors import Layers
 
 LONGEST = 256  # pings of a run that are learned in one go; a longer run is cut
 DROP_COVARIATE = 0.25  # of pings or runs are told without their covariates, so that it is learned what holds then

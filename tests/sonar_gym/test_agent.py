@@ -76,8 +76,10 @@ def damaged(folder, kind):
         tensors.write_bytes(tensors.read_bytes()[:-8])
     elif kind == "not finite":
         save_file({name: np.full_like(value, np.nan) for name, value in load_file(tensors).items()}, tensors)
-    else:
+    elif kind == "other size":
         save_file({"x": np.zeros(1, dtype=np.float32)}, tensors)
+    else:
+        save_file({f"x{name}": value for name, value in load_file(tensors).items()}, tensors)
 
 
 KINDS = {
@@ -89,6 +91,7 @@ KINDS = {
     "no weights": "is missing",
     "cut weights": "damaged or foreign",
     "not finite": "not finite",
+    "other size": "damaged or foreign",
     "other tensors": "other tensors",
 }
 
