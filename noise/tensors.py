@@ -40,9 +40,7 @@ def read_tensors(folder: Path, shapes: Mapping[str, tuple[int, ...]]) -> tuple[d
             raise ModelError(f"{path}: has {size} bytes, expected {needed} and a header; it is damaged or foreign")
         tensors = load_file(path)
     except FileNotFoundError:
-        raise ModelError(
-            f"{path}: is missing; a network's folder holds its weights beside its description"
-        ) from None
+        raise ModelError(f"{path}: is missing; a network's folder holds its weights beside its description") from None
     except (SafetensorError, OSError) as error:
         raise ModelError(f"{path}: cannot be read as safetensors ({error}); it is damaged or foreign") from None
     if {name: value.shape for name, value in tensors.items()} != shapes:

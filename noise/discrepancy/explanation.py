@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from noise.cells import Batch
 from noise.discrepancy.search import Crossed, Search
 from noise.fit import Fit, covariance, each_counted, maximise
-from noise.stack import CELLS, NUISANCES, Key, Stack
+from noise.stack import NUISANCES, Key, Stack
 
 Z90 = 1.6449  # two-sided 90 % of a normal
 
@@ -27,13 +27,18 @@ class Interval:
 
 @dataclass(frozen=True)
 class Final:
-    """The explanation: its stack with nuisances for scoring, and the fits that its parameters and errors come from.
+    """The explanation, fitted to all open data: jointly with what cells share, and with every reading counted.
 
-    The last fit that moved a parameter is the one that counts; its stack is the law of single readings.
+    Where cells repeat themselves the two differ: the second, if there is one, is the law of single readings, and what
+    parameters are told from; the first predicts readings of a cell from those before, and is what scores compare.
     """
 
-    stack: Stack
     fits: tuple[Fit, ...]
+
+    @property
+    def stack(self) -> Stack:
+        """The explanation with its nuisances, for scoring."""
+        return self.fits[0].stack
 
     @property
     def single(self) -> Stack:
@@ -67,10 +72,7 @@ def conclude(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     keys = search.keys(chosen)
     joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80)
     each = each_counted(joint, keys, search.both)
-    if each is joint:
-        return Final(joint.stack, (joint,))
-    cells = {**each.stack.values, CELLS: joint.stack.values[CELLS]}
-    return Final(maximise(replace(each.stack, values=cells), NUISANCES, search.both, 60).stack, (joint, each))
+    return Final((joint,) if each is joint else (joint, each))
 
 
 def intervals(final: Final, batch: Batch) -> dict[Key, Interval]:

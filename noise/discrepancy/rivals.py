@@ -145,11 +145,10 @@ class Contest:
         crossed = self.search.cross(other.stack, effects, near=self.why.cross)
         return replace(met, observed=max(met.observed, float((self.why.cross.nats - crossed.nats).sum())))
 
-    @cached_property
+    @property
     def own(self) -> Fit:
         """The explanation, fitted."""
-        batch = self.search.both
-        return maximise(self.why.final.stack, self._free, batch, 30, scales=self.search.scales(batch))
+        return self.why.final.fits[0]
 
     @cached_property
     def replica(self) -> Batch:

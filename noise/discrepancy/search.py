@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 
 from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
@@ -25,6 +26,7 @@ Progress = Callable[[str, float], None]
 Points = list[tuple[float, Stack]]  # log likelihood on the grid batch and starting point, best first
 THRESHOLD = "sensitivity"
 STEPS = 5  # of a climb that only ranks candidates
+LEAST_SCATTER_M = 5e-4  # that a climb begins with; ours
 ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
 
 
@@ -187,9 +189,21 @@ class Search:
         """Return the best climb from the two best points; from one, where nothing beat the present values."""
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
-        starts = points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]
-        fits = [maximise(stack, free, batch, 25, ROUGH, self.scales(batch)) for _, stack in starts]
+        starts = [stack for _, stack in points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]]
+        if self.base.known[name].by_ping:
+            starts.append(self.tight(points, name))
+        fits = [maximise(stack, free, batch, 25, ROUGH, self.scales(batch)) for stack in starts]
         return max(fits, key=lambda fit: fit.nats)
+
+    def tight(self, points: Points, name: str) -> Stack:
+        """Return the effect as it usually starts, with the scatter that most readings of a cell have.
+
+        Strays that nothing else explains stretch the scatter over all readings, and from there no climb leads back.
+        """
+        stack = points[0][1]
+        usual = [(p.starts or (p.null,))[0] for p in self.base.known[name].parameters]
+        keys = [(name, p.name) for p in self.base.known[name].parameters]
+        return stack.put([*keys, (JITTER, "sigma_m")], [*usual, usual_scatter(self.discover)])
 
     def scales(self, batch: Batch) -> Scales:
         """Return the scales of nuisances that were measured on a batch."""
@@ -223,6 +237,22 @@ class Search:
         on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
         on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
         return Crossed(first, second, np.r_[on_discover, on_confirm])
+
+    def crossed_with(self, stack: Stack, chosen: Sequence[str], name: str, current: Crossed) -> Crossed:
+        """Return one more effect, cross-fitted from where the others ended.
+
+        One that strikes single pings is tried from the scatter of its own climb as well, and taken from there if it
+        still gains as much when the others are given that scatter too: the summit must be the effect's.
+        """
+        crossed = self.cross(stack, [*chosen, name], near=current)
+        if not self.base.known[name].by_ping:
+            return crossed
+        own = self.cross(stack, [*chosen, name])
+        if own.first.nats < crossed.first.nats + ROUGH:
+            return crossed
+        without = self.without([*chosen, name], own, name)
+        more = max(0.0, float((without.nats - current.nats).sum()))
+        return own if float((own.nats - crossed.nats).sum()) > more else crossed
 
     def _as_it_is(self, stack: Stack) -> Fit:
         """Return a hypothesis without anything to fit on the smaller part."""
@@ -265,7 +295,7 @@ class Search:
         crossed: dict[str, Crossed] = {}
         for name in best[: self.rules.crossed]:
             if screened[name] > 1.0:
-                crossed[name] = self.cross(fits[name].stack, [*chosen, name], near=current)
+                crossed[name] = self.crossed_with(fits[name].stack, chosen, name, current)
         winner = self._judge(chosen, current, screened, crossed)
         rest = {name: grids[name][0][0] - here for name in order[self.rules.fitted :]}
         self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
@@ -353,6 +383,15 @@ class Search:
 def _carried(shared: Stack, own: Stack, keys: Sequence[Key]) -> Stack:
     """Return one stack with the values that another has at some keys."""
     return shared.put(keys, [own.get(key) for key in keys])
+
+
+def usual_scatter(batch: Batch) -> float:
+    """Return the scatter of most readings about the middle of their cell, m, at least a fifth of a register's step."""
+    echo, block = batch.reading.echo, batch.block
+    if not echo.any():
+        return batch.resolution
+    middle = pd.Series(batch.error[echo]).groupby(block[echo]).transform("median").to_numpy()
+    return max(1.4826 * float(np.median(np.abs(batch.error[echo] - middle))), 0.2 * batch.resolution, LEAST_SCATTER_M)
 
 
 def spread_over_blocks(gain: Floats) -> float:
