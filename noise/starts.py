@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 import torch
 from scipy.stats import qmc
 
@@ -14,6 +15,7 @@ from noise.law import Floats
 from noise.stack import CELLS, JITTER, LINK, Key, Stack
 
 NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
+LEAST_SCATTER_M = 5e-4  # that a climb begins with; ours
 LEAST_MOVE_M = 1e-3  # that a parameter must move the target's echo between its bounds to be put by its readings; ours
 
 
@@ -146,3 +148,12 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
     tight[(CELLS, "kernel_m")] = max(0.001, batch.resolution / 3.0)
     present = [stack] if CELLS in stack.values else []
     return [loose, loose.put(list(tight), list(tight.values())), *present]
+
+
+def usual_scatter(batch: Batch) -> float:
+    """Return the scatter of most readings about the middle of their cell, m, at least a fifth of a register's step."""
+    echo, block = batch.reading.echo, batch.block
+    if not echo.any():
+        return batch.resolution
+    middle = pd.Series(batch.error[echo]).groupby(block[echo]).transform("median").to_numpy()
+    return max(1.4826 * float(np.median(np.abs(batch.error[echo] - middle))), 0.2 * batch.resolution, LEAST_SCATTER_M)

@@ -30,7 +30,9 @@ CLASSES = 4  # of residuals: far below, below, above, far above
 FOLDS = 5
 LEAST_BLOCKS = 20
 LEAST_CHANCE = 0.02
-SURE_T = 2.5  # standard errors beyond which a gain is more than chance; ours
+# standard errors beyond which a gain is more than chance; pings of a stay hang together by the air of the day, which a
+# law of another day mistakes for memory: ours
+SURE_T = {"conditions": 2.5, "memory": 4.0}
 ELSEWHERE_M = 0.05  # between two cells, for the last reading of one to tell of a memory in the other; ours
 REACH_M = 0.5  # beyond which it no longer matters how far off the last reading was; ours
 
@@ -59,7 +61,7 @@ class Remainder:
     @property
     def sure(self) -> bool:
         """Whether it is more than chance."""
-        return self.nats > SURE_T * self.error
+        return self.nats > SURE_T[self.of] * self.error
 
 
 NOTHING = Remainder(0.0, 0.0, "conditions")
@@ -89,14 +91,14 @@ def remainder(stack: Stack, batch: Batch, rng: np.random.Generator) -> Remainder
 
 
 def _memory(batch: Batch, middle: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return what a cell could remember of the one before, (n, 3), and where that was another place, (n,).
+    """Return what a cell could remember of the one before, (n, 2), and where that was another place, (n,).
 
     How readings of one cell hang together is no business of this: air flutters, and does so otherwise every day.
     """
     first = batch.first
     off = np.clip(batch.past.range[first] - middle[first], -REACH_M, REACH_M)
     elsewhere = batch.past.echo[first] & (np.abs(off) > ELSEWHERE_M)
-    return np.stack([off, np.minimum(batch.count, 8), batch.ping.distance], axis=1), elsewhere
+    return np.stack([off, batch.ping.distance], axis=1), elsewhere
 
 
 def _gained(x: Floats, u: Floats, weight: Floats, batch: Batch, of: str) -> Remainder:

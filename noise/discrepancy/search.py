@@ -13,20 +13,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pandas as pd
 
 from noise.cells import Batch, silence
 from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, log_likelihood, maximise
 from noise.law import Floats
 from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.starts import starting_points
+from noise.starts import starting_points, usual_scatter
 
 Progress = Callable[[str, float], None]
 Points = list[tuple[float, Stack]]  # log likelihood on the grid batch and starting point, best first
 THRESHOLD = "sensitivity"
 STEPS = 5  # of a climb that only ranks candidates
-LEAST_SCATTER_M = 5e-4  # that a climb begins with; ours
+STRETCHED = 2.0  # times the scatter of most readings; ours
 ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
 
 
@@ -136,6 +135,7 @@ class Search:
         self.discover = self.discover.thin(self.rules.full_pings)
         self.confirm = self.confirm.thin(self.rules.full_pings)
         self.both = self.both.thin(self.rules.full_pings)
+        self.usual_m = usual_scatter(self.discover)
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
@@ -190,7 +190,7 @@ class Search:
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
         starts = [stack for _, stack in points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]]
-        if self.base.known[name].by_ping:
+        if self.strays_stretch(points[0][1], name):
             starts.append(self.tight(points, name))
         fits = [maximise(stack, free, batch, 25, ROUGH, self.scales(batch)) for stack in starts]
         return max(fits, key=lambda fit: fit.nats)
@@ -198,12 +198,16 @@ class Search:
     def tight(self, points: Points, name: str) -> Stack:
         """Return the effect as it usually starts, with the scatter that most readings of a cell have.
 
-        Strays that nothing else explains stretch the scatter over all readings, and from there no climb leads back.
+        From a scatter that strays have stretched no climb leads back.
         """
         stack = points[0][1]
         usual = [(p.starts or (p.null,))[0] for p in self.base.known[name].parameters]
         keys = [(name, p.name) for p in self.base.known[name].parameters]
-        return stack.put([*keys, (JITTER, "sigma_m")], [*usual, usual_scatter(self.discover)])
+        return stack.put([*keys, (JITTER, "sigma_m")], [*usual, self.usual_m])
+
+    def strays_stretch(self, stack: Stack, name: str) -> bool:
+        """Tell whether an effect strikes single pings, and the scatter is far wider than that of most readings."""
+        return self.base.known[name].by_ping and stack.get((JITTER, "sigma_m")) > STRETCHED * self.usual_m
 
     def scales(self, batch: Batch) -> Scales:
         """Return the scales of nuisances that were measured on a batch."""
@@ -245,7 +249,7 @@ class Search:
         still gains as much when the others are given that scatter too: the summit must be the effect's.
         """
         crossed = self.cross(stack, [*chosen, name], near=current)
-        if not self.base.known[name].by_ping:
+        if not self.strays_stretch(current.first.stack, name):
             return crossed
         own = self.cross(stack, [*chosen, name])
         if own.first.nats < crossed.first.nats + ROUGH:
@@ -383,15 +387,6 @@ class Search:
 def _carried(shared: Stack, own: Stack, keys: Sequence[Key]) -> Stack:
     """Return one stack with the values that another has at some keys."""
     return shared.put(keys, [own.get(key) for key in keys])
-
-
-def usual_scatter(batch: Batch) -> float:
-    """Return the scatter of most readings about the middle of their cell, m, at least a fifth of a register's step."""
-    echo, block = batch.reading.echo, batch.block
-    if not echo.any():
-        return batch.resolution
-    middle = pd.Series(batch.error[echo]).groupby(block[echo]).transform("median").to_numpy()
-    return max(1.4826 * float(np.median(np.abs(batch.error[echo] - middle))), 0.2 * batch.resolution, LEAST_SCATTER_M)
 
 
 def spread_over_blocks(gain: Floats) -> float:
