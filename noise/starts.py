@@ -151,9 +151,13 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
 
 
 def usual_scatter(batch: Batch) -> float:
-    """Return the scatter of most readings about the middle of their cell, m, at least a fifth of a register's step."""
-    echo, block = batch.reading.echo, batch.block
-    if not echo.any():
-        return batch.resolution
-    middle = pd.Series(batch.error[echo]).groupby(block[echo]).transform("median").to_numpy()
-    return max(1.4826 * float(np.median(np.abs(batch.error[echo] - middle))), 0.2 * batch.resolution, LEAST_SCATTER_M)
+    """Return the scatter of most readings about the middle of their stay, m, at least a fifth of a register's step."""
+    away = from_middle(batch)
+    usual = 1.4826 * float(np.median(np.abs(away))) if len(away) else batch.resolution
+    return max(usual, 0.2 * batch.resolution, LEAST_SCATTER_M)
+
+
+def from_middle(batch: Batch) -> Floats:
+    """Return how far each echo lies from the median of its stay, m, (echoes,)."""
+    error = pd.Series(batch.error[batch.reading.echo])
+    return (error - error.groupby(batch.block[batch.reading.echo]).transform("median")).to_numpy()

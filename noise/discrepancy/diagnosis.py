@@ -155,7 +155,7 @@ def _scatter(base: Baseline, search: Search, why: Explained) -> tuple[Named, Flo
     """Return a change of scatter, of which only a simulation known by its readings states anything."""
     if base.own is None or JITTER in search.never:
         return None
-    return changed_scatter(base.stack, search, why.chosen, why.cross, base.check.describes_simulation)
+    return changed_scatter(base.stack, base.own.whole, search, why.chosen, why.cross, base.check.describes_simulation)
 
 
 def _steps(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:

@@ -7,6 +7,7 @@ is held to it afterwards: the explanation is scored once with the recording's sc
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.explanation import Interval
@@ -14,8 +15,10 @@ from noise.discrepancy.search import Crossed, Search, spread_over_blocks
 from noise.discrepancy.verdict import Named
 from noise.law import Floats
 from noise.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.starts import from_middle
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
+INNER = 0.8
 PLACED = (CELLS, "placement_m")
 LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours
 POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours
@@ -28,12 +31,13 @@ def scatter_m(stack: Stack, distance: float) -> float:
 
 
 def changed_scatter(
-    simulation: Stack, search: Search, chosen: list[str], cross: Crossed, describes: bool = True
+    simulation: Stack, simulated: Batch, search: Search, chosen: list[str], cross: Crossed, describes: bool = True
 ) -> tuple[Named, Floats] | None:
     """Return the scatter as a named effect with its gain by block, or None where it is the simulation's own.
 
     Args:
         simulation: the law that stands for the simulation, its scatter fitted to its own readings.
+        simulated: those readings.
         search: holds the parts of the recording.
         chosen: the effects of the explanation.
         cross: the explanation, fitted on either part with scatter free.
@@ -51,6 +55,10 @@ def changed_scatter(
     pairs = [(before, placed, x, fit.stack.get(PLACED)) for fit, x in zip(fits, after, strict=True)]
     if min(_apart(*pair) for pair in pairs) < least or not search.believable(gain):
         return None
+    # two laws may share one scatter out between placement and jitter otherwise: the readings have to bear it out
+    seen = within_stays(search.both) / within_stays(simulated)
+    if max(seen, 1.0 / seen) < LEAST_RATIO or (seen > 1.0) != (after[0] > before):
+        return None
     return _named(cross, gain, before, float(np.mean(after)), distance), gain
 
 
@@ -60,6 +68,13 @@ def _apart(before: float, placed_before: float, after: float, placed_after: floa
     Slow air moves a whole stay, as placement does, quick air single readings: how much is which differs by the day.
     """
     return max(after / np.hypot(before, placed_before), before / np.hypot(after, placed_after))
+
+
+def within_stays(batch: Batch) -> float:
+    """Return the scatter of readings about the middle of their stay, m: of the inner four fifths, whatever strays."""
+    away = from_middle(batch)
+    inner = float(np.quantile(np.abs(away), INNER)) / float(norm.ppf(0.5 + 0.5 * INNER)) if len(away) else 0.0
+    return float(np.hypot(inner, _least(batch)))
 
 
 def _least(batch: Batch) -> float:
