@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from acquisition import Ping, Reading, Recording, SettingError
-from noise.cells import Batch, law_of, placement_scatter
+from noise.cells import Batch, placement_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.locate import Finding, locate
@@ -121,12 +120,13 @@ def diagnose(
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
-    held = _held_out(base.raw, before, why.final.stack, split.vault)
+    corrected = corrected_model(why.final.single, recording)
+    held = _held_out(base.raw, corrected, before, why.final.stack, split.vault)
     ahead = _ahead(base, why, all_rivals, seed)
     tell("done", 1.0)
     return Diagnosis(
         replace(verdict, held_out=held, next_measurement=ahead),
-        corrected_model(why.final.single, recording),
+        corrected,
         model,
         base.raw,
         corrected_model(fitted.stack, recording),
@@ -294,15 +294,16 @@ def corrected_model(stack: Stack, recording: Recording) -> EmpiricalModel:
     return EmpiricalModel(effects, max(stack.resolution, recording.resolution), stack.max_range)
 
 
-def _held_out(raw: SonarModel, before: Stack, after: Stack, vault: Batch) -> HeldOut:
-    """Open the vault: score before and after on cells that nothing was fitted to."""
+def _held_out(raw: SonarModel, corrected: SonarModel, before: Stack, after: Stack, vault: Batch) -> HeldOut:
+    """Open the vault: score before and after on cells that nothing was fitted to.
+
+    Likelihoods are of readings given those before in their cell; CRPS is of single readings under the two models.
+    """
     nats = [log_likelihood(stack, vault) for stack in (before, after)]
     gain = vault.per_block(nats[1] - nats[0])
     error = spread_over_blocks(gain)
     plain, n = gain.sum() / len(vault), len(vault)
-    with torch.no_grad():
-        law = law_of(after.model, vault)
-        scores = [crps_mm(raw, vault.ping, vault.past, vault.reading), _crps(law.quantile, vault.reading)]
+    scores = [crps_mm(model, vault.ping, vault.past, vault.reading) for model in (raw, corrected)]
     first, last = (Score(float(x.mean()), c) for x, c in zip(nats, scores, strict=True))
     return HeldOut("cells", n, first, last, float(plain - Z90 * error / n), float(plain + Z90 * error / n))
 
