@@ -7,7 +7,7 @@ from scipy import stats
 
 from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
-from noise.discrepancy.locate import features, locate, scan
+from noise.discrepancy.locate import Misfit, Scan, features, locate, scan
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
@@ -89,3 +89,14 @@ def test_how_long_a_move_took_is_no_condition():
         time = np.cumsum(interval)
         recording = Recording.of(Ping.of(distance=distance, time=time, interval_s=interval), Reading.of(distance))
         assert ("interval_s" in features(Batch.of(recording))) is kept
+
+
+def test_a_scan_against_a_simulation_counts_how_well_that_is_known():
+    found = Scan(np.array([[6.0, 2.0]]), np.array([1.0]), [])
+    alike = found.beyond(Misfit(np.array([1.0, 1.0]), 50), 50)
+    assert alike.statistic == pytest.approx(np.array([[6.0 / np.sqrt(2.0), 2.0 / np.sqrt(2.0)]]))
+    much = found.beyond(Misfit(np.array([1.0, 1.0]), 5000), 50)
+    assert np.all(much.statistic > alike.statistic)
+    assert np.all(much.statistic < found.statistic)
+    assert found.beyond(Misfit(np.array([5.0, 5.0]), 50), 50).statistic.max() == 0.0  # no more than its own misfit
+    assert found.beyond(None, 50) is found
