@@ -322,6 +322,14 @@ def placement_scatter(placement_m: float) -> float:
     return placement_m * float(np.sqrt(sum(share * wider**2 for wider, share in BANKS)))
 
 
+def shared_scatter(cells: CellNuisance, batch: Batch) -> float:
+    """Return the standard deviation of what a batch's cells share, careless placement included, m."""
+    with torch.no_grad():
+        priors = [(share, *prior_offset(cells, batch, wider)) for wider, share in BANKS]
+    variance = sum(float(share * spread.mean()) for share, _, spread in priors)
+    return float(np.sqrt(variance + float(priors[0][1].var(correction=0))))
+
+
 def silence(batch: Batch) -> float:
     """Return the share of answered pings without an echo."""
     return float(np.mean(~batch.reading.echo))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from acquisition import Ping, Reading, Recording, SettingError
-from noise.cells import Batch, placement_scatter
+from noise.cells import Batch, shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.locate import Finding, locate
@@ -120,7 +120,7 @@ def diagnose(
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
-    corrected = corrected_model(why.final.single, recording)
+    corrected = corrected_model(why.final.single, recording, split.both)
     held = _held_out(base.raw, corrected, before, why.final.stack, split.vault)
     ahead = _ahead(base, why, all_rivals, seed)
     tell("done", 1.0)
@@ -129,7 +129,7 @@ def diagnose(
         corrected,
         model,
         base.raw,
-        corrected_model(fitted.stack, recording),
+        corrected_model(fitted.stack, recording, split.both),
         split,
         tuple(all_rivals),
         recording.name,
@@ -286,9 +286,15 @@ LEARNED_SHARE = {"conditions": 0.5, "memory": 0.02}
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 
 
-def corrected_model(stack: Stack, recording: Recording) -> EmpiricalModel:
-    """Return the model of a stack: what cells share becomes scatter, the register the recording's where coarser."""
-    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), placement_scatter(stack.get((CELLS, "placement_m")))))
+def corrected_model(stack: Stack, recording: Recording, batch: Batch) -> EmpiricalModel:
+    """Return the model of a stack: what cells share becomes scatter, the register the recording's where coarser.
+
+    Args:
+        stack: the explanation.
+        recording: it is of.
+        batch: the cells that share it: where a simulation knows where they lie, only what it does not know scatters.
+    """
+    sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), shared_scatter(stack.build()[1], batch)))
     stack = stack.put([(JITTER, "sigma_m")], [sigma]).without(CELLS)
     effects = [stack.known[name](**values) for name, values in stack.values.items()]
     return EmpiricalModel(effects, max(stack.resolution, recording.resolution), stack.max_range)

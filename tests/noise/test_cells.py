@@ -1,5 +1,7 @@
 """What pings of one cell share: known answers and laws of the prequential likelihood."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording, RecordingError
-from noise.cells import BLOCK, Batch, CellNuisance, cells_of, law_of, log_prob
+from noise.cells import BLOCK, Batch, CellNuisance, cells_of, law_of, log_prob, placement_scatter, shared_scatter
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
 
@@ -98,3 +100,13 @@ def test_a_dead_wire_is_left_out_and_a_dead_recording_refused():
     assert len(Batch.of(Recording(table.assign(reading_mm=[1000.0, np.nan, 1000.0])))) == 2
     with pytest.raises(RecordingError, match="no ping was answered"):
         Batch.of(Recording(table.assign(reading_mm=np.nan)))
+
+
+def test_what_cells_share_scatters_only_by_what_the_simulation_does_not_know():
+    batch = Batch.of(Recording.of(Ping.of(distance=np.linspace(0.5, 3.0, 40)), Reading.of(np.linspace(0.5, 3.0, 40))))
+    loose = CellNuisance(placement_m=0.06)
+    assert shared_scatter(loose, batch) == pytest.approx(placement_scatter(0.06), rel=0.01)
+    known = replace(batch, twin=np.random.default_rng(0).normal(0.0, 0.005, 40))
+    tight = CellNuisance(placement_m=0.06, link=0.999)
+    assert shared_scatter(tight, known) < 0.012
+    assert shared_scatter(tight, known) > 0.999 * known.twin.std()
