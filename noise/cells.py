@@ -39,6 +39,7 @@ LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ou
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
 FEW_CELLS = 12
+NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 
 
 class CellNuisance(Effect):
@@ -176,6 +177,10 @@ class Batch:
         delta = np.where(both, self.error - self.error[row], 1.0)
         tensor = torch.as_tensor
         return tensor(delta), tensor(both), tensor(silent), tensor(valid.sum(axis=0).astype(np.float64))
+
+    def near(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which echoes are the target's, by how far they lie from where it is expected, m, (n,)."""
+        return self.reading.echo & (np.abs(error) < NEAR * self.ping.distance + NEAR_M)
 
     def per_block(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""

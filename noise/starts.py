@@ -14,7 +14,6 @@ from noise.effects import Parameter, Seen
 from noise.law import Floats
 from noise.stack import CELLS, JITTER, LINK, Key, Stack
 
-NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 LEAST_SCATTER_M = 5e-4  # that a climb begins with; ours
 LEAST_MOVE_M = 1e-3  # that a parameter must move the target's echo between its bounds to be put by its readings; ours
 
@@ -61,7 +60,8 @@ def starting_points(
     points = [[stack.get(key) for key in keys], first]
     for j, column in enumerate(columns):
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
-    points += [row for row in (points[0], first) for row in _on_slopes(stack.put(keys, row), keys, whole or batch)]
+    for row in dict.fromkeys((tuple(points[0]), tuple(first))):
+        points += _on_slopes(stack.put(keys, row), keys, whole or batch)
     points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(_seen(whole or batch))]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
     points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
@@ -86,8 +86,7 @@ def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
     expected = _expected(stack, batch)
     slope = (_expected(stack.put([key], [here + step]), batch) - expected) / step
     error = batch.reading.range - expected
-    near = batch.reading.echo & (np.abs(error) < NEAR * batch.ping.distance + NEAR_M)
-    moves = near & (np.abs(slope) * (p.high - p.low) > LEAST_MOVE_M)
+    moves = batch.near(error) & (np.abs(slope) * (p.high - p.low) > LEAST_MOVE_M)
     if not moves.any():
         return None
     ratio, weight = error[moves] / slope[moves], np.abs(slope[moves])

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
+from noise.credence import wilson
 from training.canvas import AFTER, BEFORE, SOFT, Axes, panels
 
 MILLION = 1e6
@@ -27,8 +27,8 @@ def learning_curve(history: Sequence[Mapping[str, Any]]) -> bytes:
 def _shares(steps: Sequence[float], history: Sequence[Mapping[str, Any]], ax: Axes) -> None:
     for name, label, colour in (("success", "parked", AFTER), ("collision", "touched something", BEFORE)):
         share = np.array([one[name] for one in history])
-        limits = [_limits(one[name], one["episodes"]) for one in history]
-        spread = np.abs(np.array(limits).T - share)
+        ended = np.maximum([one["episodes"] for one in history], 1)
+        spread = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share)
         ax.errorbar(steps, 100 * share, yerr=100 * spread, color=colour, marker="o", ms=4, capsize=3, label=label)
     ax.set(title="While it still tries actions at random", xlabel=_LABEL, ylabel="episodes, %", ylim=(-3, 103))
     ax.legend(loc="center right")
@@ -37,14 +37,6 @@ def _shares(steps: Sequence[float], history: Sequence[Mapping[str, Any]], ax: Ax
 def _pace(steps: Sequence[float], history: Sequence[Mapping[str, Any]], ax: Axes) -> None:
     ax.plot(steps, [one["seconds_an_episode"] for one in history], color=SOFT, marker="o", ms=4)
     ax.set(title="Length of an episode", xlabel=_LABEL, ylabel="s", ylim=(0, None))
-
-
-def _limits(share: float, episodes: int) -> tuple[float, float]:
-    """Return Wilson's 95 % limits; the share itself where no episode has ended."""
-    if episodes < 1:
-        return share, share
-    told = binomtest(round(share * episodes), episodes).proportion_ci(0.95, "wilson")
-    return float(min(told.low, share)), float(max(told.high, share))
 
 
 _LABEL = "million steps of trial (0: imitation alone)"

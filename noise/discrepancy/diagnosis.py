@@ -109,9 +109,7 @@ def diagnose(
     why = _explained(base, search)
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
-    scatter = _scatter(base, search, why)
-    steps = _steps(base, search, why)
-    beside = [found for found in (scatter, steps) if found is not None]
+    beside = _beside(base, search, why)
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
     rest = check_rest(
@@ -119,7 +117,7 @@ def diagnose(
     )
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
-    before = fitted.stack if scatter is None else fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
+    before = _before(base, fitted, beside)
     corrected = corrected_model(why.final.single, recording, split.both)
     held = _held_out(base.raw, corrected, before, why.final.stack, split.vault)
     ahead = _ahead(base, why, all_rivals, seed)
@@ -151,18 +149,23 @@ def _ahead(base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: in
     return tuple(next_measurement(why.final.stack, surviving, seed, base.stack if base.own is not None else None))
 
 
-def _scatter(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:
-    """Return a change of scatter, of which only a simulation known by its readings states anything."""
-    if base.own is None or JITTER in search.never:
-        return None
-    return changed_scatter(base.stack, base.own.whole, search, why.chosen, why.cross, base.check.describes_simulation)
-
-
-def _steps(base: Baseline, search: Search, why: Explained) -> tuple[Named, Floats] | None:
-    """Return coarser steps, of which only a simulation known by its readings has any."""
+def _beside(base: Baseline, search: Search, why: Explained) -> list[tuple[Named, Floats]]:
+    """Return what only a simulation known by its readings tells besides: another scatter, coarser steps."""
     if base.own is None:
-        return None
-    return coarser_steps(base.own.whole.resolution, search.both, why.final.stack, search.never)
+        return []
+    scatter = None
+    if JITTER not in search.never:
+        known = base.check.describes_simulation
+        scatter = changed_scatter(base.stack, base.own.whole, search, why.chosen, why.cross, known)
+    steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack, search.never)
+    return [found for found in (scatter, steps) if found is not None]
+
+
+def _before(base: Baseline, fitted: Fit, beside: Sequence[tuple[Named, Floats]]) -> Stack:
+    """Return the law without what was found; with the simulation's own scatter, where that is part of it."""
+    if all(named.effect != JITTER for named, _ in beside):
+        return fitted.stack
+    return fitted.stack.put(SCATTER, [base.stack.get(key) for key in SCATTER])
 
 
 def _check_known(names: Sequence[str]) -> None:
@@ -237,7 +240,7 @@ def _verdict(
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
     p_scan = min((finding.p_value for finding in where if finding.aspect not in CARRIED), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
-    kind = judge(named, rest, gain, p_scan, base)
+    kind = judge(named, rest, gain, p_scan)
     shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
     empty = HeldOut("cells", 0, Score(0.0, 0.0), Score(0.0, 0.0), 0.0, 0.0)
     p = max(LEAST_P, min(1.0, 2.0 * min(p_scan, p_gain)))
@@ -246,7 +249,7 @@ def _verdict(
     return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
 
 
-def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float, base: Baseline) -> str:
+def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:
     """Return the kind of verdict.
 
     A large gain is never enough to name: what is left over must not weigh as much as what was explained, and an

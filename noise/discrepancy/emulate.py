@@ -18,7 +18,7 @@ import torch
 from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
 from noise.discrepancy.locate import Misfit, scan
-from noise.discrepancy.matched import NEAR, NEAR_M, conditions_of
+from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import scan_p
@@ -149,8 +149,7 @@ def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
     with torch.no_grad():
         middle = direct_median(law_of(stack.model, batch))[0].numpy()
     error = batch.reading.range - middle
-    near = batch.reading.echo & (np.abs(error) < NEAR * batch.ping.distance + NEAR_M)
-    frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": near})
+    frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": batch.near(error)})
     mostly = frame.groupby("condition")["near"].mean() > 0.5
     median = frame[frame["near"]].groupby("condition")["error"].median()
     return {key: value for key, value in zip(median.index, median.to_list(), strict=True) if mostly[key]}

@@ -264,8 +264,7 @@ Size = tuple[float, str, tuple[str, float] | None]
 
 def _typical(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Tell which echoes inside are near enough to the expected range to speak of bias."""
-    near = np.abs(batch.reading.range - seen.middle) < 0.1 * batch.ping.distance + 0.05
-    return inside & batch.reading.echo & near
+    return inside & batch.near(batch.reading.range - seen.middle)
 
 
 def _bias(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size:

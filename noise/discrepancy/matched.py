@@ -18,7 +18,6 @@ from noise.discrepancy.locate import flipped, regions
 from noise.law import Floats
 
 FEWEST = 12  # shared cells, below which flips of sign say nothing; ours
-NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 ASPECTS = ("place", "answers", "strays")
 
 
@@ -80,7 +79,7 @@ def _bounded(difference: Floats) -> Floats:
 
 def _by_condition(batch: Batch) -> pd.DataFrame:
     """Return median error, share of answers and share of strays of each condition."""
-    near = batch.reading.echo & (np.abs(batch.error) < NEAR * batch.ping.distance + NEAR_M)
+    near = batch.near(batch.error)
     frame = pd.DataFrame(
         {
             "place": np.where(near, batch.error, np.nan),

@@ -22,6 +22,7 @@ from noise.cells import Batch
 from noise.discrepancy.locate import features
 from noise.discrepancy.residuals import seen_alone, seen_in_cell
 from noise.discrepancy.search import spread_over_blocks
+from noise.discrepancy.transient import APART_M
 from noise.law import Floats
 from noise.stack import Stack
 
@@ -33,7 +34,6 @@ LEAST_CHANCE = 0.02
 # standard errors beyond which a gain is more than chance; pings of a stay hang together by the air of the day, which a
 # law of another day mistakes for memory: ours
 SURE_T = {"conditions": 2.5, "memory": 4.0}
-ELSEWHERE_M = 0.05  # between two cells, for the last reading of one to tell of a memory in the other; ours
 REACH_M = 0.5  # beyond which it no longer matters how far off the last reading was; ours
 
 
@@ -97,7 +97,7 @@ def _memory(batch: Batch, middle: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """
     first = batch.first
     off = np.clip(batch.past.range[first] - middle[first], -REACH_M, REACH_M)
-    elsewhere = batch.past.echo[first] & (np.abs(off) > ELSEWHERE_M)
+    elsewhere = batch.past.echo[first] & (np.abs(off) > APART_M)
     return np.stack([off, batch.ping.distance], axis=1), elsewhere
 
 

@@ -52,7 +52,7 @@ def pit(law: EchoLaw, reading: Reading, within: Floats) -> Floats:
     return np.where(reading.echo & (echo > 1e-12), np.clip(u, 0.0, 1.0), np.nan)
 
 
-def mixed(laws: Sequence[PhysicalLaw], weights: Floats, reading: Reading, rng: np.random.Generator) -> Floats:
+def _mixed(laws: Sequence[PhysicalLaw], weights: Floats, reading: Reading, rng: np.random.Generator) -> Floats:
     """Return PIT values under a mixture of laws that hear equally often; weights (laws, n) or (laws, 1)."""
     within = rng.random(len(reading))
     with torch.no_grad():
@@ -66,7 +66,7 @@ def seen_alone(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Fl
         model, cells = stack.build()
         laws = marginal(law_of(model, batch), cells, batch)
     shares = np.array([[share] for _, share in BANKS])
-    return mixed(laws, shares, batch.reading, rng), laws[0]
+    return _mixed(laws, shares, batch.reading, rng), laws[0]
 
 
 def seen_in_cell(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[Floats, PhysicalLaw]:
@@ -75,7 +75,7 @@ def seen_in_cell(stack: Stack, batch: Batch, rng: np.random.Generator) -> tuple[
         model, cells = stack.build()
         whole = law_of(model, batch)
         given, weights = sequential(whole, cells, batch), bank_weights(whole, cells, batch)
-    return mixed(given, weights, batch.reading, rng), given[0]
+    return _mixed(given, weights, batch.reading, rng), given[0]
 
 
 def residuals(stack: Stack, batch: Batch, rng: np.random.Generator) -> Residuals:

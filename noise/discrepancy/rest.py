@@ -20,6 +20,7 @@ from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
+LOOKS = 4.0  # scans of either part, a beat, and memory of moves
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -49,9 +50,7 @@ def check_rest(
 ) -> Rest:
     """Scan the residuals of cells that were not fitted, both ways; listen for a beat and for memory of moves.
 
-    The least p-value counts, four looks taken.
-
-    Beside it, a learner without physics says how much it still makes of them.
+    The least p-value counts, all looks taken. Beside it, a learner without physics says how much it makes of the rest.
 
     Args:
         search: holds the parts.
@@ -66,21 +65,17 @@ def check_rest(
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, known) for stack, batch in pairs]
     beat = rhythm(pairs[0][0], whole, rng)
-    p_beat = 1.0 if beat is None else beat.p_value
+    in_time = [look.finding for look in (transient(pairs[0][0], whole), beat) if look is not None]
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
-    moved = transient(pairs[0][0], whole)
-    p_moved = 1.0 if moved is None else moved.p_value
-    p = min(1.0, 4.0 * min(*p_values, p_beat, p_moved))
+    p = min(1.0, LOOKS * min(*p_values, *(finding.p_value for finding in in_time)))
     if p >= LEVEL and learned is NOTHING:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
-    findings = tuple(locate(stack, batch, rng, most=3, known=known)) if 4.0 * min(p_values) < LEVEL else ()
-    if beat is not None and 4.0 * p_beat < LEVEL:
-        findings = (beat.finding, *findings)
-    if moved is not None and 4.0 * p_moved < LEVEL:
-        findings = (moved.finding, *findings)
+    findings = tuple(finding for finding in in_time if LOOKS * finding.p_value < LEVEL)
+    if LOOKS * min(p_values) < LEVEL:
+        findings += tuple(locate(stack, batch, rng, most=3, known=known))
     parts = [in_words(finding) for finding in findings]
     parts += [] if learned is NOTHING else [LEARNED[learned.of].format(nats=learned.nats)]
     words = "; ".join(parts) or "small misfits that stand out at no single place"

@@ -21,7 +21,7 @@ from noise.discrepancy.explanation import Explained
 from noise.discrepancy.search import Search
 from noise.fit import Fit, Scales, maximise
 from noise.law import Floats
-from noise.stack import NUISANCES, SPREAD, Key, Stack
+from noise.stack import NUISANCES, SPREAD, Stack
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %
@@ -93,7 +93,7 @@ def rivals(search: Search, why: Explained, effect: str, rng: np.random.Generator
         more = len(search.keys([name])) - len(search.keys([effect]))
         observed = own.nats - fitted.nats + more
         rival = Rival(name, effect, observed, np.nan, fitted.stack, more)
-        out.append(contest.against(fitted.stack, others, rival) if observed < NEAR else rival)
+        out.append(contest.against(rival, others) if observed < NEAR else rival)
     return sorted(out, key=lambda rival: rival.observed)
 
 
@@ -123,19 +123,18 @@ class Contest:
         self.search, self.why, self.rng = search, why, rng
         self.scales: Scales = {}
 
-    def against(self, start: Stack, others: Sequence[str], rival: Rival) -> Rival:
+    def against(self, rival: Rival, others: Sequence[str]) -> Rival:
         """Return a rival that was met on all open data: fitted there, and on unseen cells where it is no twin.
 
         Args:
-            start: where its fit begins.
-            others: the effects that it shares with the explanation.
             rival: as it looked from afar.
+            others: the effects that it shares with the explanation.
         """
         effects = [*others, rival.effect]
         batch, free = self.search.both, (*self.search.keys(effects), *NUISANCES)
-        other = maximise(start, free, batch, 30, scales=self.search.scales(batch))
+        other = maximise(rival.stack, free, batch, 30, scales=self.search.scales(batch))
         expected = np.nan
-        if not (self.own.stack.model.remembers or start.model.remembers):
+        if not (self.own.stack.model.remembers or rival.stack.model.remembers):
             best = maximise(other.stack, free, self.replica, 30, scales=self.scales)
             expected = max(self.own_on_replica.nats - best.nats, 0.0)
         met = replace(rival, observed=self.own.nats - other.nats + rival.more, expected=expected, stack=other.stack)
@@ -158,11 +157,8 @@ class Contest:
     @cached_property
     def own_on_replica(self) -> Fit:
         """The explanation, fitted to what it draws."""
-        return maximise(self.own.stack, self._free, self.replica, 30, scales=self.scales)
-
-    @property
-    def _free(self) -> tuple[Key, ...]:
-        return (*self.search.keys(self.why.chosen), *NUISANCES)
+        free = (*self.search.keys(self.why.chosen), *NUISANCES)
+        return maximise(self.own.stack, free, self.replica, 30, scales=self.scales)
 
 
 def posterior(own: Sequence[Rival]) -> float:

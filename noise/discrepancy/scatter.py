@@ -18,7 +18,7 @@ from noise.stack import CELLS, JITTER, NUISANCES, Stack
 from noise.starts import from_middle
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
-INNER = 0.8
+INNER = 0.8  # share of readings of a stay that say how it scatters; ours
 PLACED = (CELLS, "placement_m")
 LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours
 POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours

@@ -112,6 +112,7 @@ class Search:
         fits, grids: of every round, by the effects that were given: what was fitted, and where everything began.
         progress: called with a message and a share done.
         never: effects that are not to be named.
+        usual_m: scatter of most readings about the middle of their cell, m.
     """
 
     base: Stack
@@ -125,6 +126,7 @@ class Search:
     fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
     grids: dict[tuple[str, ...], dict[str, Points]] = field(default_factory=dict)
     never: tuple[str, ...] = ()
+    usual_m: float = field(init=False)
     _clocked: dict[str, bool] = field(default_factory=dict)
     _scales: dict[Batch, Scales] = field(default_factory=dict)
 

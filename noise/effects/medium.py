@@ -178,8 +178,7 @@ class ThermalDrift(Effect):
         near = np.abs(stretch) < MOST_STRETCH
         if near.sum() < 8 or not np.ptp(time[near]):
             return []
-        stretch = np.median(stretch[near]) + _winsorised(stretch[near] - np.median(stretch[near]))
-        return _swings(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * stretch)
+        return _swings(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * _winsorised(stretch[near]))
 
     def warming(self, time: Tensor) -> Tensor:
         """Return how much warmer than at rest the air is at a time in s, K, bounded to +-50 K."""
@@ -195,10 +194,11 @@ class ThermalDrift(Effect):
         return f"The air's temperature moved while recording, by {moved}: ranges are scaled by what changes with time."
 
 
-def _winsorised(error: Floats) -> Floats:
-    """Return errors with what lies beyond three of their usual size pulled in."""
-    limit = 3.0 * 1.4826 * float(np.median(np.abs(error))) + 1e-6
-    return np.clip(error, -limit, limit)
+def _winsorised(value: Floats) -> Floats:
+    """Return values with what lies farther than three usual deviations from their middle pulled in."""
+    middle = float(np.median(value))
+    limit = 3.0 * 1.4826 * float(np.median(np.abs(value - middle))) + 1e-6
+    return np.clip(value, middle - limit, middle + limit)
 
 
 def _swings(time: Floats, warmer: Floats) -> list[dict[str, float]]:

@@ -266,8 +266,7 @@ class FalseAlarm(Effect):
 
     def apply(self, state: State) -> State:
         """Strew clutter before the echo."""
-        rate = state.clutter_per_metre + self.per_metre
-        return replace(state, clutter_per_metre=rate, clutter_share=self.share, clutter_from=self.from_m)
+        return replace(state, clutter_per_metre=self.per_metre, clutter_share=self.share, clutter_from=self.from_m)
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
@@ -285,9 +284,8 @@ class FalseAlarm(Effect):
         """Return the rate."""
         v = self.values
         told = f"{self.summary}, in {-100 * np.expm1(-v['per_metre']):.2g} % of pings for every metre listened"
-        return (
-            f"{told}." if v["share"] == 1.0 else f"{told} while there is noise, in {100 * v['share']:.2g} % of pings."
-        )
+        when = "" if v["share"] == 1.0 else f" while there is noise, in {100 * v['share']:.2g} % of pings"
+        return f"{told}{when}."
 
 
 class Quantisation(Effect):

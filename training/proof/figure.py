@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import binomtest
 
+from noise.credence import wilson
 from training.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.proof.score import CLEAR, Band, Scored, by_separation
 
@@ -15,17 +15,14 @@ LEAST, MOST = 1.0, 500.0  # nats, of the axis
 
 def accuracy(trials: Sequence[Scored]) -> bytes:
     """Return accuracy against separation, with 95 % limits, as PNG."""
-    return panels([lambda axes: _draw(axes, trials)], (6.4, 3.8))
+    return panels([lambda axes: _draw(axes, by_separation(trials))], (6.4, 3.8))
 
 
-def _draw(axes: Axes, trials: Sequence[Scored]) -> None:
-    bands = by_separation(trials)
+def _draw(axes: Axes, bands: Sequence[Band]) -> None:
     middle = [_middle(band) for band in bands]
-    limits = [binomtest(round(band.right * band.trials), band.trials).proportion_ci(0.95, "wilson") for band in bands]
-    right = np.array([band.right for band in bands])
-    low = right - np.array([each.low for each in limits])
-    high = np.array([each.high for each in limits]) - right
-    axes.errorbar(middle, right, yerr=[low, high], color=AFTER, marker="o", capsize=3, label="right, of all")
+    right, trials = np.array([band.right for band in bands]), np.array([band.trials for band in bands])
+    spread = np.abs(np.array(wilson(right * trials, trials)) - right)
+    axes.errorbar(middle, right, yerr=spread, color=AFTER, marker="o", capsize=3, label="right, of all")
     axes.plot(middle, [band.answered for band in bands], color=BEFORE, marker="s", ls="--", label="said anything")
     axes.axvline(CLEAR, color=SOFT, lw=1, ls=":")
     axes.axhline(0.95, color=SOFT, lw=1, ls=":")
