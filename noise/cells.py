@@ -178,9 +178,14 @@ class Batch:
         tensor = torch.as_tensor
         return tensor(delta), tensor(both), tensor(silent), tensor(valid.sum(axis=0).astype(np.float64))
 
+    @property
+    def reach(self) -> NDArray[np.float64]:
+        """How far from where it is expected an echo may lie and be the target's, m, (n,)."""
+        return NEAR * self.ping.distance + NEAR_M
+
     def near(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which echoes are the target's, by how far they lie from where it is expected, m, (n,)."""
-        return self.reading.echo & (np.abs(error) < NEAR * self.ping.distance + NEAR_M)
+        return self.reading.echo & (np.abs(error) < self.reach)
 
     def per_block(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LassoLarsIC
 
 from noise.cells import Batch
-from noise.discrepancy.locate import features
 from noise.discrepancy.residuals import seen_alone
+from noise.discrepancy.scan import features
 from noise.law import Floats
 from noise.stack import Stack
 

@@ -15,7 +15,7 @@ from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
-from noise.discrepancy.rest import check_rest
+from noise.discrepancy.rest import check_rest, scan_p
 from noise.discrepancy.rivals import Rival, posterior, rivals
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search, spread_over_blocks
@@ -104,19 +104,20 @@ def diagnose(
     split = Split.of(batch, np.random.default_rng([seed, 1]))
     search, fitted = prepared(base, split, seed, tell, tuple(without))
     tell("locating", 0.08)
-    misfit = base.misfit(seed)
-    where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), known=misfit)
+    peer = base.peer(seed)
+    where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), peer=peer)
+    p_scan = scan_p(fitted.stack, search.both, np.random.default_rng([seed, 2]), peer, lasting=True)
+    p_scan = min(p_scan, *(finding.p_value for finding in where if not finding.carried), 1.0)
     why = _explained(base, search)
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
     beside = _beside(base, search, why)
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
-    rest = check_rest(
-        search, why.chosen, why.cross, np.random.default_rng([seed, 4]), split.both, misfit, base.remainder(seed)
-    )
+    rng, usual = np.random.default_rng([seed, 4]), (base.remainder(seed), base.in_company())
+    rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, *usual)
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
-    verdict = _verdict(base, where, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
+    verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = _before(base, fitted, beside)
     corrected = corrected_model(why.final.single, recording, split.both)
     held = _held_out(base.raw, corrected, before, why.final.stack, split.vault)
@@ -229,6 +230,7 @@ def compared_air(before_c: float, after_c: float) -> str:
 def _verdict(
     base: Baseline,
     where: Sequence[Finding],
+    p_scan: float,
     named: Sequence[Named],
     rest: Rest,
     gain: float,
@@ -238,7 +240,6 @@ def _verdict(
     """Return the verdict, its held-out part still open."""
     if matched is not None and not matched.differs and gain < SURE and not rest.present:
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
-    p_scan = min((finding.p_value for finding in where if finding.aspect not in CARRIED), default=1.0)
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     kind = judge(named, rest, gain, p_scan)
     shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
@@ -258,11 +259,11 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str
     learned = rest.learned_nats
     if not named:
         clear = learned > 0.0 or any(finding.aspect in IN_TIME for finding in rest.findings)
-        seen = p_scan < ALARM and any(finding.aspect not in CARRIED for finding in rest.findings)
+        seen = p_scan < ALARM and any(not finding.carried for finding in rest.findings)
         return "unknown" if rest.present and (seen or clear) else "none"
     if rest.present and all(n.effect == JITTER for n in named):
         return "unknown"
-    if learned > LEARNED_SHARE[rest.learned_of] * gain or _remembers(rest):
+    if learned > LEARNED_SHARE[rest.learned_of] * gain or _beyond_any_law(rest):
         return "unknown"
     left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
     # scatter explains nothing: it is what is left over by another name
@@ -273,15 +274,14 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str
     return "confounded" if any(n.indistinguishable_from for n in named) else "named"
 
 
-def _remembers(rest: Rest) -> bool:
-    """Tell whether first readings after a move lean towards the place before, which no law of single readings holds."""
-    return any(finding.aspect == "transient" and finding.p_value < SURE_P for finding in rest.findings)
+def _beyond_any_law(rest: Rest) -> bool:
+    """Tell whether readings show what no law of single readings holds: memory of moves, or other things that answer."""
+    return any(finding.aspect in ("transient", "company") and finding.p_value < SURE_P for finding in rest.findings)
 
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
-IN_TIME = ("rhythm", "transient")  # found by looks of their own, which no scan of conditions has to bear out
-CARRIED = ("time_correlation",)  # the air of another day hangs together otherwise, and nothing is amiss with that
+IN_TIME = ("rhythm", "transient", "company")  # found by looks of their own, which no scan of conditions has to bear out
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

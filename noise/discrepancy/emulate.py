@@ -17,11 +17,12 @@ import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
-from noise.discrepancy.locate import Misfit, scan
+from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import scan_p
+from noise.discrepancy.scan import Peer
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
@@ -35,6 +36,7 @@ from noise.starts import nuisance_starts
 
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500
+PEER_PINGS = 6000
 MOST_ASKED = 6000
 # what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
 PLAIN: dict[Key, float] = {
@@ -91,20 +93,22 @@ class Baseline:
         twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
         return batch if np.isnan(twin).all() else replace(batch, twin=twin)
 
-    def misfit(self, seed: int) -> Misfit | None:
-        """Return how far the law is from the simulation itself; None for a model that is used as it is."""
+    def peer(self, seed: int) -> Peer | None:
+        """Return how the simulation's own readings score under the law; None for a model that is used as it is."""
         if self.own is None:
             return None
-        rng = np.random.default_rng([seed, 8])
-        batch = self.own.whole.thin(EMULATOR_PINGS)
-        by_aspect = scan(residuals(self.stack, batch, rng), batch, rng).by_aspect
-        return Misfit(by_aspect, max(self.own.both.blocks, 1))
+        batch = self.own.whole.thin(PEER_PINGS)
+        return Peer(residuals(self.stack, batch, np.random.default_rng([seed, 8])), batch)
 
     def remainder(self, seed: int) -> Remainder | None:
         """Return what a learner makes of the law's misfit to the simulation itself; None for a model used as it is."""
         if self.own is None:
             return None
         return remainder(self.stack, self.own.whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
+
+    def in_company(self) -> float:
+        """Return the share of the simulation's stays in which something else than the target answers."""
+        return USUAL if self.own is None else company(self.stack, self.own.whole).usual
 
     def without_repairs(
         self, search: Search, chosen: list[str], cross: Crossed, plain: Crossed

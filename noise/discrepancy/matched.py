@@ -14,7 +14,7 @@ import pandas as pd
 
 from acquisition import Ping
 from noise.cells import Batch
-from noise.discrepancy.locate import flipped, regions
+from noise.discrepancy.scan import flipped, regions
 from noise.law import Floats
 
 FEWEST = 12  # shared cells, below which flips of sign say nothing; ours

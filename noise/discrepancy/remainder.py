@@ -19,8 +19,8 @@ from sklearn.model_selection import GroupKFold
 from threadpoolctl import ThreadpoolController
 
 from noise.cells import Batch
-from noise.discrepancy.locate import features
 from noise.discrepancy.residuals import seen_alone, seen_in_cell
+from noise.discrepancy.scan import features
 from noise.discrepancy.search import spread_over_blocks
 from noise.discrepancy.transient import APART_M
 from noise.law import Floats

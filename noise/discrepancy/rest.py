@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from noise.cells import Batch
+from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.describe import formula
-from noise.discrepancy.locate import Finding, Misfit, locate, scan
+from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
+from noise.discrepancy.scan import OF_THE_DAY, Peer, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
@@ -20,7 +22,7 @@ from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
-LOOKS = 4.0  # scans of either part, a beat, and memory of moves
+LOOKS = 5.0  # scans of either part, a beat, memory of moves, and other things that answer
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -35,6 +37,7 @@ _WORDS = {
     "extra_mode": "{percent:.1f} % of readings are far from what is expected{place}",
     "time_correlation": "successive readings hang together (correlation {size:.2f})",
     "transient": "first readings after a move lean towards the place before, by {mm:.0f} mm",
+    "company": "in {percent:.0f} % of stays something else than the target answers, from one place while it lasts",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 
@@ -45,10 +48,11 @@ def check_rest(
     cross: Crossed,
     rng: np.random.Generator,
     whole: Batch,
-    known: Misfit | None = None,
+    peer: Peer | None = None,
     usual: Remainder | None = None,
+    in_company: float = USUAL,
 ) -> Rest:
-    """Scan the residuals of cells that were not fitted, both ways; listen for a beat and for memory of moves.
+    """Scan the residuals of cells that were not fitted, both ways; look for a beat, memory of moves, other things.
 
     The least p-value counts, all looks taken. Beside it, a learner without physics says how much it makes of the rest.
 
@@ -58,24 +62,24 @@ def check_rest(
         cross: the explanation, fitted on either part.
         rng: for randomised PIT values and flips.
         whole: both parts with every ping of a block, in which a beat shows best; nothing fitted can hold one.
-        known: how far the law that stands for a simulation is from it.
+        peer: the simulation that the law stands for.
         usual: what the learner makes of the simulation itself.
+        in_company: share of the simulation's stays in which something else than the target answers.
     """
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
-    p_values = [scan_p(stack, batch, rng, known) for stack, batch in pairs]
-    beat = rhythm(pairs[0][0], whole, rng)
-    in_time = [look.finding for look in (transient(pairs[0][0], whole), beat) if look is not None]
+    p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
+    beside = in_time(pairs[0][0], whole, rng, in_company)
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
-    p = min(1.0, LOOKS * min(*p_values, *(finding.p_value for finding in in_time)))
+    p = min(1.0, LOOKS * min(*p_values, *(finding.p_value for finding in beside)))
     if p >= LEVEL and learned is NOTHING:
         return Rest(False, p, None)
     stack, batch = pairs[int(np.argmin(p_values))]
-    findings = tuple(finding for finding in in_time if LOOKS * finding.p_value < LEVEL)
+    findings = tuple(finding for finding in beside if LOOKS * finding.p_value < LEVEL)
     if LOOKS * min(p_values) < LEVEL:
-        findings += tuple(locate(stack, batch, rng, most=3, known=known))
+        findings += tuple(locate(stack, batch, rng, most=3, peer=peer))
     parts = [in_words(finding) for finding in findings]
     parts += [] if learned is NOTHING else [LEARNED[learned.of].format(nats=learned.nats)]
     words = "; ".join(parts) or "small misfits that stand out at no single place"
@@ -84,6 +88,12 @@ def check_rest(
         words = f"{words}; {short}"
     told = f"{words} (a description, not a cause)"
     return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
+
+
+def in_time(stack: Stack, batch: Batch, rng: np.random.Generator, in_company: float) -> list[Finding]:
+    """Return what looks of their own find, whatever their p-values: memory of moves, a beat, other things."""
+    looks = (transient(stack, batch), rhythm(stack, batch, rng))
+    return [look.finding for look in looks if look is not None] + [company(stack, batch).finding(in_company)]
 
 
 def beyond(found: Remainder, usual: Remainder | None) -> Remainder:
@@ -100,9 +110,20 @@ def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> S
     return each.put([(CELLS, "carry")], [fit.stack.get((CELLS, "carry"))])
 
 
-def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, known: Misfit | None = None) -> float:
-    """Return the family-wise p-value of the greatest residual statistic."""
-    scanned = scan(residuals(stack, batch, rng), batch, rng).beyond(known, batch.blocks)
+def scan_p(
+    stack: Stack, batch: Batch, rng: np.random.Generator, peer: Peer | None = None, lasting: bool = False
+) -> float:
+    """Return the family-wise p-value of the greatest residual statistic.
+
+    Args:
+        stack: the law, its nuisances fitted.
+        batch: readings.
+        rng: for randomised PIT values and flips.
+        peer: the simulation that the law stands for.
+        lasting: leave out what may change from day to day.
+    """
+    scanned = scan(residuals(stack, batch, rng), batch, rng, peer)
+    scanned = scanned.of(~OF_THE_DAY) if lasting else scanned
     return scanned.p_value(scanned.best)
 
 

@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.explanation import Interval
+from noise.discrepancy.locate import LEAST_RATIO
 from noise.discrepancy.search import Crossed, Search, spread_over_blocks
 from noise.discrepancy.verdict import Named
 from noise.law import Floats
@@ -20,7 +21,6 @@ from noise.starts import from_middle
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 INNER = 0.8  # share of readings of a stay that say how it scatters; ours
 PLACED = (CELLS, "placement_m")
-LEAST_RATIO = 1.3  # an emulator knows a simulation's scatter no better than this; ours
 POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours
 
 

@@ -7,8 +7,9 @@ from scipy import stats
 
 from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
-from noise.discrepancy.locate import Misfit, Scan, features, locate, scan
+from noise.discrepancy.locate import locate
 from noise.discrepancy.residuals import residuals
+from noise.discrepancy.scan import Peer, features, scan
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
@@ -91,12 +92,42 @@ def test_how_long_a_move_took_is_no_condition():
         assert ("interval_s" in features(Batch.of(recording))) is kept
 
 
-def test_a_scan_against_a_simulation_counts_how_well_that_is_known():
-    found = Scan(np.array([[6.0, 2.0]]), np.array([1.0]), [])
-    alike = found.beyond(Misfit(np.array([1.0, 1.0]), 50), 50)
-    assert alike.statistic == pytest.approx(np.array([[6.0 / np.sqrt(2.0), 2.0 / np.sqrt(2.0)]]))
-    much = found.beyond(Misfit(np.array([1.0, 1.0]), 5000), 50)
-    assert np.all(much.statistic > alike.statistic)
-    assert np.all(much.statistic < found.statistic)
-    assert found.beyond(Misfit(np.array([5.0, 5.0]), 50), 50).statistic.max() == 0.0  # no more than its own misfit
-    assert found.beyond(None, 50) is found
+def erring(d, a):
+    """Return where the law would put targets, were it right: it errs by 12 mm in a corner."""
+    return d + 0.012 * ((d > 2.0) & (a > 0.2))
+
+
+def peer_of(seed, change):
+    """Return a simulation's readings as the law sees them."""
+    batch = heard(seed, change, cells=120)
+    return Peer(residuals(STACK, batch, np.random.default_rng(seed)), batch)
+
+
+def test_where_the_law_errs_for_both_nothing_is_found():
+    p, alone = [], []
+    for seed in range(30):
+        batch, rng = heard(seed, erring), np.random.default_rng(seed)
+        seen = residuals(STACK, batch, rng)
+        against, plain = scan(seen, batch, rng, peer_of(100 + seed, erring)), scan(seen, batch, rng)
+        p.append(against.p_value(against.best))
+        alone.append(plain.p_value(plain.best))
+    assert max(alone) < 0.05
+    assert stats.kstest(p, "uniform", alternative="greater").pvalue > 0.01
+    assert np.mean(np.array(p) <= 0.05) <= 0.15
+
+
+def test_what_comes_on_top_of_the_laws_error_is_found_and_measured():
+    batch = heard(5, lambda d, a: erring(d, a) + 0.01, cells=120)
+    (found, *_) = locate(STACK, batch, np.random.default_rng(0), peer=peer_of(6, erring))
+    assert found.aspect == "bias"
+    assert found.size == pytest.approx(0.01, abs=0.002)
+    assert found.p_value < 0.01
+
+
+def test_a_region_that_the_simulation_never_saw_is_not_held_against_it():
+    batch, near = heard(7), heard(8, cells=40)
+    near = near.select(near.ping.distance < 1.5)
+    peer = Peer(residuals(STACK, near, np.random.default_rng(8)), near)
+    scanned = scan(residuals(STACK, batch, np.random.default_rng(0)), batch, np.random.default_rng(0), peer)
+    assert all(limits.get("distance_mm", (0.0, 0.0))[0] < 1500.0 for limits, _ in scanned.where)
+    assert np.isfinite(scanned.statistic).all()
