@@ -57,7 +57,7 @@ def locate(
     level: float = 0.05,
     peer: Peer | None = None,
 ) -> list[Finding]:
-    """Return the findings of a scan under a level, strongest first, at most one an aspect.
+    """Return the findings of a scan under a level, strongest first, at most one an aspect; what air carries, last.
 
     Args:
         stack: the law, its nuisances fitted.
@@ -83,7 +83,7 @@ def locate(
         finding = describe(aspect, scanned.where[row], seen, batch, p, value, peer)
         if _family(finding.aspect) not in {_family(f.aspect) for f in out}:
             out.append(finding)
-    return out
+    return sorted(out, key=lambda finding: finding.carried)
 
 
 def _bias_or_scale(aspect: str, where: Region, seen: Residuals, batch: Batch) -> str:
