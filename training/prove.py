@@ -20,7 +20,7 @@ from training.progress import bar
 from training.proof.crew import ENGINES, Bench, Crew
 from training.proof.figure import accuracy
 from training.proof.page import FAMILY, PICTURE, page
-from training.proof.score import trials_of
+from training.proof.score import CLAIMS, trials_of
 from training.proof.seal import OPENED, PROTOCOL, SEALED, VERDICT, Ledger, LedgerError, check, hash_of, salt_of, seed_of
 
 
@@ -124,11 +124,21 @@ def trial_of(bench: Bench, job: Job, book: Book) -> None:
         VERDICT, job.trial, verdict=told["verdict"], seconds=told["seconds"], verdict_sha256=hash_of(told["verdict"])
     )
     scores = bench.ask("assess", {**folder, "answer": answer, "verdict": told["verdict"], "quick": job.quick})
+    scores["followed"] = _followed(bench, {**asked, **folder}, answer, told["verdict"])
     if job.leave_out and answer["kind"] == "effect":
         known = answer["causes"][0]["accepted"]
         scores["left_out"] = bench.ask("examine", {**folder, "without": known})["verdict"]
     book.write(OPENED, job.trial, answer=answer, salt=salt, scores=scores)
     bench.tidy(job.folder, job.keep)
+
+
+def _followed(bench: Bench, asked: dict[str, Any], answer: dict[str, Any], verdict: dict[str, Any]) -> Any:
+    """Return what a measurement tells that the verdict asked for, made in the trial's own world; None without one."""
+    wanted = [m for m in verdict["next_measurement"] if m.get("conditions")] if verdict["verdict"] in CLAIMS else []
+    if not wanted or answer["kind"] == FAMILY:
+        return None
+    bench.ask("generate", {**asked, "measure": wanted})
+    return bench.ask("examine", {"folder": asked["folder"], "follow": True})["told"]
 
 
 class Book:

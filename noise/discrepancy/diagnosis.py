@@ -48,6 +48,7 @@ class Diagnosis:
         given: the model that was handed in.
         shown_before: the model, or the physical law that stands for the simulated readings: "before" in every score.
         before: the law that stood for it in the search, its scatter fitted.
+        explanation: what was found, as the stack of effects and nuisances that the rivals are held against.
         split: the parts; the vault was used for `verdict.held_out` alone.
         rivals: everything that was tried in the place of each named effect.
         recording: its name; `pings` of it were used, `unanswered` were not.
@@ -58,6 +59,7 @@ class Diagnosis:
     given: SonarModel | Simulator
     shown_before: SonarModel
     before: EmpiricalModel
+    explanation: Stack
     split: Split
     rivals: tuple[Rival, ...]
     recording: str
@@ -121,7 +123,7 @@ def diagnose(
     before = _before(base, fitted, beside)
     corrected = corrected_model(why.final.single, recording, split.both)
     held = _held_out(base.raw, corrected, before, why.final.stack, split.vault)
-    ahead = _ahead(base, why, all_rivals, seed)
+    ahead = _ahead(base, why, all_rivals, seed, search.both)
     tell("done", 1.0)
     return Diagnosis(
         replace(verdict, held_out=held, next_measurement=ahead),
@@ -129,6 +131,7 @@ def diagnose(
         model,
         base.raw,
         corrected_model(fitted.stack, recording, split.both),
+        why.final.stack,
         split,
         tuple(all_rivals),
         recording.name,
@@ -144,10 +147,13 @@ def _explained(base: Baseline, search: Search) -> Explained:
     return Explained(chosen, without, cross, conclude(search, cross, chosen))
 
 
-def _ahead(base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: int) -> tuple[Measurement, ...]:
+def _ahead(
+    base: Baseline, why: Explained, all_rivals: Sequence[Rival], seed: int, batch: Batch
+) -> tuple[Measurement, ...]:
     """Return what to measure next to tell apart what the data did not."""
     surviving = [(r.replaces, r.effect, r.stack) for r in all_rivals if r.survives]
-    return tuple(next_measurement(why.final.stack, surviving, seed, base.stack if base.own is not None else None))
+    simulation = base.stack if base.own is not None else None
+    return tuple(next_measurement(why.final.stack, surviving, seed, simulation, batch.ping))
 
 
 def _beside(base: Baseline, search: Search, why: Explained) -> list[tuple[Named, Floats]]:

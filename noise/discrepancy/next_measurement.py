@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from acquisition import Ping
 from noise.discrepancy.proposal import DEG, Proposal, propose
+from noise.effects.medium import ASSUMED_TEMPERATURE_C
 from noise.law import Floats
 from noise.stack import Stack
 
@@ -23,11 +25,27 @@ class Measurement:
         do: in plain English.
         separates: the effects that it tells apart.
         pings: to 10.8 nats (99 %).
+        proposal: where to measure and what to set; None where another instrument tells.
+        warmer_k: by how much warmer than the simulation's air a thermometer shows it, if the temperature is the cause.
     """
 
     do: str
     separates: tuple[str, ...]
     pings: int
+    proposal: Proposal | None = field(default=None, compare=False)
+    warmer_k: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as the verdict file has it: in words, and for machines (mm, degrees)."""
+        out: dict[str, Any] = {"do": self.do, "separates": list(self.separates), "pings": self.pings}
+        if self.proposal is not None:
+            ping = self.proposal.ping
+            columns = {"distance_mm": 1000.0 * ping.distance, "angle_deg": ping.angle / DEG}
+            columns["incidence_deg"] = ping.incidence / DEG
+            rows = np.round(np.stack(list(columns.values()), axis=1), 3).tolist()
+            out["conditions"] = [dict(zip(columns, row, strict=True)) for row in rows]
+            out["also"] = dict(self.proposal.setting.also)
+        return out if self.warmer_k is None else {**out, "expected": {"warmer_k": round(self.warmer_k, 2)}}
 
 
 # what the laws cannot tell because it is no condition of a ping: read it off another instrument
@@ -41,7 +59,9 @@ NOTHING = "no distance, angle, gain or ping interval tells these apart: inspect 
 Rivals = Sequence[tuple[str, str, Stack]]
 
 
-def next_measurement(own: Stack, rivals: Rivals, seed: int, simulation: Stack | None = None) -> list[Measurement]:
+def next_measurement(
+    own: Stack, rivals: Rivals, seed: int, simulation: Stack | None = None, seen: Ping | None = None
+) -> list[Measurement]:
     """Return the measurements that tell surviving rivals apart, each once.
 
     Args:
@@ -50,28 +70,31 @@ def next_measurement(own: Stack, rivals: Rivals, seed: int, simulation: Stack | 
         seed: of the draws.
         simulation: the law that stands for a simulation whose own temperature nobody stated; None where 22.8 degC is
             what the sensor assumes.
+        seen: conditions that were recorded; nothing far from them is proposed.
     """
     read = [_read_off(own, *rival, simulation) for rival in rivals if frozenset(rival[:2]) in OTHER_INSTRUMENT]
-    return merged([*read, *_measured(own, [r for r in rivals if frozenset(r[:2]) not in OTHER_INSTRUMENT], seed)])
+    others = [rival for rival in rivals if frozenset(rival[:2]) not in OTHER_INSTRUMENT]
+    return merged([*read, *_measured(own, others, seed, seen)])
 
 
 def merged(measurements: Sequence[Measurement]) -> list[Measurement]:
     """Return measurements with those that ask for the same thing made one."""
     out: dict[str, Measurement] = {}
     for m in measurements:
-        same = out.get(m.do, Measurement(m.do, (), 0))
-        out[m.do] = Measurement(m.do, tuple(dict.fromkeys((*same.separates, *m.separates))), max(same.pings, m.pings))
+        same = out.get(m.do, m)
+        separates = tuple(dict.fromkeys((*same.separates, *m.separates)))
+        out[m.do] = replace(same, separates=separates, pings=max(same.pings, m.pings))
     return list(out.values())
 
 
-def _measured(own: Stack, rivals: Rivals, seed: int) -> list[Measurement]:
+def _measured(own: Stack, rivals: Rivals, seed: int, seen: Ping | None) -> list[Measurement]:
     """Return one measurement for all rivals where that takes no more pings than one for each."""
-    each = [(rival, propose(own, [rival[2]], seed)) for rival in rivals]
+    each = [(rival, propose(own, [rival[2]], seed, seen)) for rival in rivals]
     alone = [_told(found, rival[:2]) for rival, found in each]
     within_reach = [(rival, found) for rival, found in each if found.nats >= HOPELESS]
     if len(within_reach) < 2:
         return alone
-    together = propose(own, [rival[2] for rival, _ in within_reach], seed)
+    together = propose(own, [rival[2] for rival, _ in within_reach], seed, seen)
     if together.pings > sum(found.pings for _, found in within_reach):
         return alone
     names = tuple(dict.fromkeys(name for rival, _ in within_reach for name in rival[:2]))
@@ -81,13 +104,15 @@ def _measured(own: Stack, rivals: Rivals, seed: int) -> list[Measurement]:
 def _told(found: Proposal, separates: tuple[str, ...]) -> Measurement:
     if found.nats < HOPELESS:
         return Measurement(NOTHING, separates, 0)
-    return Measurement(_tell(found.ping) + found.setting.words, separates, found.pings)
+    return Measurement(_tell(found.ping) + found.setting.words, separates, found.pings, found)
 
 
 def _read_off(own: Stack, chosen: str, rival: str, other: Stack, simulation: Stack | None) -> Measurement:
     warm = (own if chosen == "sound_speed" else other).get(("sound_speed", "temperature_c"))
-    text = OTHER_INSTRUMENT[frozenset({chosen, rival})].format(temperature=_warmth(warm, simulation))
-    return Measurement(text, (chosen, rival), 1)
+    text = OTHER_INSTRUMENT[frozenset({chosen, rival})]
+    usual = ASSUMED_TEMPERATURE_C if simulation is None else simulation.get(("sound_speed", "temperature_c"))
+    shown = warm - usual if "{temperature}" in text else None
+    return Measurement(text.format(temperature=_warmth(warm, simulation)), (chosen, rival), 1, warmer_k=shown)
 
 
 def _warmth(celsius: float, simulation: Stack | None) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition import Ping, Reading
 from noise.cells import FLOOR, alone
@@ -25,6 +26,8 @@ FARTHEST = 11.008  # m; SRF08 with range register 255
 DRAWS, CLOSER = 60, 2000  # readings a condition: to look everywhere; to choose among the best, where chance would win
 SHORTLIST = 12  # conditions that are looked at closer
 SURE_Z = 2.3263  # 99 % of a normal; its square is half of what settles: a normal ratio varies by twice its mean
+# beyond what was recorded a law is a guess: no farther than so many times, nor turned by so much more; ours
+FARTHER, MORE_DEG = 2.0, 10.0
 TOGETHER = 5  # conditions proposed at once, so that no single misplaced target decides
 DEG = np.pi / 180.0
 
@@ -62,18 +65,29 @@ class Setting:
         words: in plain English, to follow "place the target at ...".
         change: what it does under every explanation.
         bearing, incidence: share of the angle by which the sensor, and the target's face, is turned away.
+        also: the same for machines: by how much a quantity is to change, or `range_m` to be.
     """
 
     words: str
     change: Callable[[Stack], Stack] = _as_is
     bearing: float = 1.0
     incidence: float = 1.0
+    also: tuple[tuple[str, float], ...] = ()
 
-    def pings(self) -> Ping:
-        """Return the conditions that are considered."""
+    def pings(self, seen: Ping | None = None) -> Ping:
+        """Return the conditions that are considered: not far from what was recorded, where that is given."""
         distance, angle = np.meshgrid(DISTANCES, ANGLES_DEG * DEG, indexing="ij")
         turned = angle.ravel()
-        return Ping.of(distance.ravel(), self.bearing * turned, incidence=self.incidence * turned)
+        ping = Ping.of(distance.ravel(), self.bearing * turned, incidence=self.incidence * turned)
+        return ping if seen is None else ping[_not_far(ping, seen)]
+
+
+def _not_far(ping: Ping, seen: Ping) -> NDArray[np.bool_]:
+    """Tell which pings lie where the laws hardly extrapolate; all, where none does."""
+    near = (ping.distance <= FARTHER * seen.distance.max()) & (ping.distance >= seen.distance.min() / FARTHER)
+    turned = max(np.abs(seen.angle).max(), np.abs(seen.incidence).max()) + MORE_DEG * DEG
+    near &= np.maximum(np.abs(ping.angle), np.abs(ping.incidence)) <= turned
+    return near if near.any() else np.ones(len(ping), dtype=bool)
 
 
 USUAL = Setting("")
@@ -81,10 +95,10 @@ SETTINGS = (
     USUAL,
     Setting(", turning the sensor alone", incidence=0.0),
     Setting(", turning the target alone", bearing=0.0),
-    Setting(", with 6 dB more receiver gain", _more_gain),
-    Setting(", with 6 dB less receiver gain", _less_gain),
-    Setting(", with 5 ms more between pings", _later_ping),
-    Setting(", listening as long as the sensor can", _longest_range),
+    Setting(", with 6 dB more receiver gain", _more_gain, also=(("gain_db", 6.0),)),
+    Setting(", with 6 dB less receiver gain", _less_gain, also=(("gain_db", -6.0),)),
+    Setting(", with 5 ms more between pings", _later_ping, also=(("interval_s", 0.005),)),
+    Setting(", listening as long as the sensor can", _longest_range, also=(("range_m", FARTHEST),)),
 )
 
 
@@ -106,17 +120,26 @@ class Proposal:
     pings: int
 
 
-def propose(own: Stack, others: Sequence[Stack], seed: int, settings: Sequence[Setting] = SETTINGS) -> Proposal:
-    """Return the conditions under which the nearest rival lies farthest from an explanation."""
-    looked = [_shortlist(own, others, setting, seed) for setting in settings]
+def propose(own: Stack, others: Sequence[Stack], seed: int, seen: Ping | None = None) -> Proposal:
+    """Return the conditions under which the nearest rival lies farthest from an explanation.
+
+    Args:
+        own: the explanation.
+        others: its rivals.
+        seed: of the draws.
+        seen: conditions that were recorded; the laws are trusted little beyond them.
+    """
+    looked = [_shortlist(own, others, setting, seed, seen) for setting in SETTINGS]
     order = np.argsort([-nats for nats, _ in looked], kind="stable")[:2]
-    closer = [_closer(own, others, settings[k], looked[k][1], seed) for k in order]
+    closer = [_closer(own, others, SETTINGS[k], looked[k][1], seed) for k in order]
     return max(closer, key=lambda found: found.nats)
 
 
-def _shortlist(own: Stack, others: Sequence[Stack], setting: Setting, seed: int) -> tuple[float, Ping]:
+def _shortlist(
+    own: Stack, others: Sequence[Stack], setting: Setting, seed: int, seen: Ping | None
+) -> tuple[float, Ping]:
     """Return about how far the best conditions of a setting tell, and the conditions worth a closer look."""
-    ping = setting.pings()
+    ping = setting.pings(seen)
     least = np.min(
         [ratios(own, other, ping, setting.change, seed, DRAWS).mean(axis=(0, 2)) for other in others], axis=0
     )

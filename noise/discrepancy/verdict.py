@@ -133,9 +133,7 @@ class Verdict:
                 "description": self.unknown.description,
             },
             "held_out": _held_out(self.held_out),
-            "next_measurement": [
-                {"do": m.do, "separates": list(m.separates), "pings": m.pings} for m in self.next_measurement
-            ],
+            "next_measurement": [measurement.to_dict() for measurement in self.next_measurement],
             "baseline_check": {
                 "describes_simulation": self.baseline_check.describes_simulation,
                 "p_value": _plain(self.baseline_check.p_value),

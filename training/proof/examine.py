@@ -11,16 +11,19 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from acquisition import Recording
 from noise import IdealModel
-from noise.discrepancy import diagnose
+from noise.discrepancy import Diagnosis, diagnose
 from training.proof.desk import ROOT, serve
+from training.proof.told import told
 
 SIMULATED, RECORDED = "simulated.csv", "recorded.csv"
-MAKERS = ("generate", "mix", "causes", "strangers", "family", "world", "surveys", "assess")
+FOLLOWING = ("measured-", "anywhere-")  # beginnings of the names of what is measured next
+MAKERS = ("generate", "mix", "causes", "strangers", "family", "world", "surveys", "follow", "assess")
 FORBIDDEN_MODULES = ("acquisition.bench", *(f"training.proof.{name}" for name in MAKERS))
 FORBIDDEN_EVENTS = (
     "subprocess.Popen",
@@ -62,9 +65,14 @@ class Guard:
         run = self.folder.parent.parent
         own = path in (self.folder / SIMULATED, self.folder / RECORDED)
         library = path.is_relative_to(ROOT) or path.is_relative_to(sys.prefix)
-        of_the_run = path.is_relative_to(run) and not own and not library
+        of_the_run = path.is_relative_to(run) and not own and not library and not self.may_follow(path)
         if of_the_run or is_maker(path) or path.is_relative_to("/proc"):
             raise SealError(f"the diagnosing process may not look at {path}")
+
+    def may_follow(self, path: Path) -> bool:
+        """Tell whether a path is of what the diagnosis asked to measure next."""
+        assert self.folder is not None
+        return path.parent == self.folder and path.name.startswith(FOLLOWING)
 
 
 def is_maker(path: Path) -> bool:
@@ -80,10 +88,16 @@ def examined(folder: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
         folder: holds them.
         without: effects to take out of the catalogue first.
     """
-    simulated, recorded = (Recording.load(folder / name) for name in (SIMULATED, RECORDED))
     begun = time.perf_counter()
-    found = diagnose(IdealModel(), recorded, simulated=simulated, seed=0, without=without)
+    found = diagnosed(folder, without)
     return {"verdict": found.to_verdict(), "seconds": round(time.perf_counter() - begun, 2)}
+
+
+@lru_cache(maxsize=1)
+def diagnosed(folder: Path, without: tuple[str, ...]) -> Diagnosis:
+    """Return the diagnosis of a folder; it is kept, for what is measured next to be held against it."""
+    simulated, recorded = (Recording.load(folder / name) for name in (SIMULATED, RECORDED))
+    return diagnose(IdealModel(), recorded, simulated=simulated, seed=0, without=without)
 
 
 def guarded() -> tuple[Guard, Callable[[dict[str, Any]], dict[str, Any]]]:
@@ -93,6 +107,8 @@ def guarded() -> tuple[Guard, Callable[[dict[str, Any]], dict[str, Any]]]:
 
     def answer(question: dict[str, Any]) -> dict[str, Any]:
         guard.folder = Path(question["folder"]).resolve()
+        if question.get("follow"):
+            return {"told": told(diagnosed(guard.folder, ()), guard.folder)}
         return examined(guard.folder, tuple(question.get("without", ())))
 
     return guard, answer

@@ -10,6 +10,7 @@ import numpy as np
 
 from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED
+from training.proof.follow import measure
 from training.proof.mix import card_of, make
 from training.proof.seal import hash_of_file
 
@@ -25,7 +26,8 @@ def generated(question: dict[str, Any]) -> dict[str, Any]:
 
     Args:
         question: `trial`; its `secret`; `deck`, and `shuffle`, the secret of its order; `folder` for the recordings;
-            `kind`, `name` and `size` in place of the deck's, where given.
+            `kind`, `name` and `size` in place of the deck's, where given; `measure`, what a verdict asks for next,
+            which is then recorded beside them.
     """
     card: tuple[str, str | None] = (question.get("kind", ""), question.get("name"))
     if not card[0]:
@@ -36,6 +38,9 @@ def generated(question: dict[str, Any]) -> dict[str, Any]:
     trial.simulated.save(folder / SIMULATED)
     trial.recorded.save(folder / RECORDED)
     files = {name: hash_of_file(folder / name) for name in (SIMULATED, RECORDED)}
+    if question.get("measure"):
+        more = measure(trial, question["measure"], folder, generator(question["secret"], "next"))
+        files |= {path.name: hash_of_file(path) for path in more.values()}
     return {"answer": {"trial": question["trial"], **trial.answer}, "files": files}
 
 

@@ -62,11 +62,13 @@ NEVER_PAIRED = ("specular_loss", "reflectance_loss")  # they change what the log
 
 @dataclass(frozen=True)
 class Trial:
-    """Two recordings and the answer."""
+    """Two recordings, the answer, and where more can be recorded: the real world, None of a law's own family."""
 
     simulated: Recording
     recorded: Recording
     answer: dict[str, Any]
+    real: World | None = None
+    design: Design | None = None
 
 
 def card_of(trial: int, deck: str, block: Callable[[int], Rng]) -> tuple[str, str | None]:
@@ -195,7 +197,8 @@ def _concealed(
     answer: dict[str, Any] = {"kind": kind, "causes": told, "same_grid": same}
     if matched:
         answer["marginals"] = marginals(simulated, recorded)
-    return Trial(simulated, recorded, answer)
+    before, after = (world.rig.setup.temperature_c for world in (simulator, real))
+    return Trial(simulated, recorded, {**answer, "warmer_k": after - before}, real, design)
 
 
 def _told(cause: Cause, size: float, simulator: World, real: World) -> dict[str, Any]:

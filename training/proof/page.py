@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from training.proof.methods import baselines
-from training.proof.score import Line, Scored, by_separation, confusion, table, trials_of
+from training.proof.score import Line, Scored, by_separation, confusion, judged, table, trials_of
+from training.proof.settled import lines as lines_of_next
 
 FAMILY = "family"
 PICTURE = "proof.png"
@@ -20,8 +21,9 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
     settings = lines[0]["settings"]
     rig = [t for t in trials if t.kind != FAMILY]
     own = [t for t in trials if t.kind == FAMILY]
-    parts = [_head(settings, trials), _short(table(rig))]
-    parts += ["## Targets, on the waveform rig", _targets(table(rig))]
+    targets = [*table(rig), *judged(lines_of_next(rig))]
+    parts = [_head(settings, trials), _short(targets)]
+    parts += ["## Targets, on the waveform rig", _targets(targets)]
     parts += ["## Accuracy against separation", f"![Accuracy against separation]({PICTURE})", _separation(rig)]
     parts += ["## Beside others", _baselines(rig)]
     parts += ["## What was said of what", _confusion(rig)]

@@ -151,8 +151,13 @@ def at_most(limit: float) -> Callable[[float], bool]:
 
 
 def table(trials: Sequence[Scored]) -> list[Line]:
-    """Return the design's table of targets; one counts as met by enough trials only."""
-    return [replace(line, met=None) if line.met and line.trials < ENOUGH_TRIALS else line for line in _lines(trials)]
+    """Return the design's table of targets, but for next measurements (`training.proof.settled`)."""
+    return judged(_lines(trials))
+
+
+def judged(lines: Sequence[Line]) -> list[Line]:
+    """Return lines of which one counts as met by enough trials only."""
+    return [replace(line, met=None) if line.met and line.trials < ENOUGH_TRIALS else line for line in lines]
 
 
 def _lines(trials: Sequence[Scored]) -> list[Line]:

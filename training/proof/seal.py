@@ -25,7 +25,7 @@ from typing import Any
 from acquisition import SonarError
 from acquisition.files import lock, sync_folder
 
-PROTOCOL = "1"
+PROTOCOL = "2"
 FIRST = "0" * 64  # what stands for the line before the first
 SEALED, VERDICT, OPENED = "sealed", "verdict", "opened"
 

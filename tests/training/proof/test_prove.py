@@ -27,6 +27,8 @@ class Told:
     asked: ClassVar[list[tuple[str, dict[str, Any]]]] = []
     dies: ClassVar[dict[str, int]] = {}
     says: ClassVar[str] = "none"
+    names: ClassVar[list[dict[str, Any]]] = []
+    wants: ClassVar[list[dict[str, Any]]] = []
 
     def ask(self, module: str, question: dict[str, Any]) -> dict[str, Any]:
         """Return an answer made up."""
@@ -37,7 +39,10 @@ class Told:
         if module == "generate":
             return {"answer": {"trial": question["trial"], "kind": "null", "causes": []}, "files": {}}
         held = {"after": {"log_likelihood_per_ping": 0.0}}
-        verdict = {"verdict": self.says, "effects": [], "where": [], "p_value": 1.0, "held_out": held}
+        verdict = {"verdict": self.says, "effects": self.names, "where": [], "p_value": 1.0, "held_out": held}
+        verdict["next_measurement"] = self.wants
+        if question.get("follow"):
+            return {"told": [{"replaces": "spike", "effect": "stuck", "observed": 1.0, "pings": 5}]}
         if module == "examine":
             return {"verdict": verdict, "seconds": 1.0}
         scores = {
@@ -76,6 +81,18 @@ def test_each_trial_is_sealed_judged_and_opened_in_this_order(tmp_path):
     assert [each["event"] for each in kept[1:]] == [SEALED, VERDICT, OPENED] * 3
     check(kept)
     assert "3 blind trials (3 null)" in (tmp_path / "proof.md").read_text()
+
+
+def test_what_a_verdict_asks_for_next_is_measured_before_its_answer_is_opened(tmp_path, told, monkeypatch):
+    wants = [{"do": "go to 2 m", "separates": ["spike", "stuck"], "pings": 5, "conditions": [{}], "also": {}}]
+    monkeypatch.setattr(told, "wants", wants)
+    monkeypatch.setattr(told, "says", "confounded")
+    monkeypatch.setattr(told, "names", [{"effect": "spike", "indistinguishable_from": ["stuck"], "parameters": {}}])
+    main(Args(tmp_path, trials=1, workers=1))
+    assert [m for m, q in told.asked] == ["generate", "examine", "assess", "generate", "examine"]
+    assert told.asked[3][1]["measure"] == wants
+    opened = [line for line in lines(tmp_path) if line["event"] == OPENED]
+    assert opened[0]["scores"]["followed"][0]["pings"] == 5
 
 
 def test_the_diagnosis_is_told_a_folder_and_nothing_else(tmp_path, told):

@@ -11,6 +11,7 @@ from scipy.stats import binomtest
 from training.proof.figure import accuracy
 from training.proof.page import page
 from training.proof.score import Scored, by_separation, confusion, covered, overlap, table, trials_of
+from training.proof.settled import against_anywhere, is_settled, lines
 
 TARGETS = 18
 
@@ -29,6 +30,7 @@ def trial(kind: str, said: str = "none", nats: float = 100.0, **given: Any) -> S
         "where": given.get("where", []),
         "p_value": given.get("p", 0.9),
         "held_out": {"after": {"log_likelihood_per_ping": given.get("after", 1.0)}},
+        "next_measurement": given.get("asked", []),
     }
     scores = {
         "separation_nats": nats,
@@ -38,7 +40,9 @@ def trial(kind: str, said: str = "none", nats: float = 100.0, **given: Any) -> S
         "oracle_widths": {},
     }
     scores |= {"classifier_z": 0.0, "classifier_nats": 0.0, "kernel_p": 1.0} | given.get("scores", {})
-    return Scored({"kind": kind, "causes": truth}, verdict, scores, given.get("seconds", 10.0))
+    return Scored(
+        {"kind": kind, "causes": truth, **given.get("answer", {})}, verdict, scores, given.get("seconds", 10.0)
+    )
 
 
 def line(trials: list[Scored], metric: str) -> Any:
@@ -157,3 +161,69 @@ def test_the_picture_is_drawn_of_many_trials_and_of_none():
     trials = [trial("effect", "named", nats=n, effects=[effect("clock_scale")]) for n in (1.0, 3.0, 20.0, 200.0)]
     for each in (trials, []):
         assert accuracy(each).startswith(b"\x89PNG")
+
+
+ALIKE = [effect("clock_scale", ("zero_offset",))]
+ASKED = [{"do": "go to 2.5 m", "separates": ["clock_scale", "zero_offset"], "pings": 5, "conditions": [], "also": {}}]
+
+
+def row(here, anywhere=1.0, observed=1.0, replaces="clock_scale", effect="zero_offset"):
+    """Return what a measurement told of a pair."""
+    return {
+        "replaces": replaces,
+        "effect": effect,
+        "observed": observed,
+        "pings": 5,
+        "here": here,
+        "anywhere": anywhere,
+    }
+
+
+def followed(*rows, **given):
+    """Return a trial of a clock error that was confounded, and measured again."""
+    return trial("effect", "confounded", effects=ALIKE, asked=ASKED, scores={"followed": list(rows)}, **given)
+
+
+def test_a_pair_is_settled_where_the_truth_is_preferred_clearly():
+    assert is_settled(followed(row(8.0)))
+    assert not is_settled(followed(row(1.0)))
+    assert not is_settled(followed(row(-8.0)))
+    assert not is_settled(followed(row(8.0), row(0.0)))
+
+
+def test_a_truth_in_the_rivals_place_is_preferred_by_the_other_sign():
+    other = {"replaces": "zero_offset", "effect": "clock_scale"}
+    assert is_settled(followed(row(-8.0, **other)))
+    assert not is_settled(followed(row(8.0, **other)))
+
+
+def test_a_pair_of_which_neither_is_true_says_nothing():
+    assert is_settled(followed(row(8.0, replaces="spike", effect="stuck"))) is None
+
+
+def test_what_no_measurement_tells_apart_is_not_settled():
+    hopeless = [{**ASKED[0], "pings": 0}]
+    assert is_settled(trial("effect", "confounded", effects=ALIKE, asked=hopeless)) is False
+
+
+@pytest.mark.parametrize(("truth", "shown", "right"), [("sound_speed", 8.4, True), ("sound_speed", 0.0, False)])
+def test_a_thermometer_decides_by_what_it_shows(truth, shown, right):
+    asked = [
+        {"do": "thermometer", "separates": ["sound_speed", "clock_scale"], "pings": 1, "expected": {"warmer_k": 8}}
+    ]
+    given = {"causes": [{"name": truth, "accepted": [truth]}], "answer": {"warmer_k": shown}, "asked": asked}
+    alike = [effect("clock_scale", ("sound_speed",))]
+    assert is_settled(trial("effect", "confounded", effects=alike, **given)) is right
+
+
+def test_pings_count_against_as_many_anywhere():
+    assert against_anywhere(followed(row(8.0, 2.0))) == [4.0]
+    assert against_anywhere(followed(row(8.0, -2.0))) == [100.0]
+    assert against_anywhere(followed(row(-8.0, -2.0))) == [0.0]
+
+
+def test_the_lines_count_trials_that_hold_the_truth():
+    wrong = followed(row(8.0), causes=[{"name": "spike", "accepted": ["spike"]}])
+    settles, times = lines([followed(row(8.0)), followed(row(0.0)), wrong])
+    assert (settles.value, settles.trials) == (0.5, 2)
+    assert times.trials == 2
