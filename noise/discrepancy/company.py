@@ -11,14 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
+from scipy.stats import binom, poisson
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
 from noise.law import Floats
 from noise.stack import Stack
 
-AGREE_M = 0.05  # strays of one stay this near to each other come from one thing; ours
+AGREE_M = 0.02  # strays of one stay this near to each other come from one thing; ours
 RARE = 1e-3  # chance of a stray anywhere that every law allows; ours
 FEWEST = 8  # stays with strays, below which nothing is told; ours
 USUAL = 0.01  # share of stays in which this happens to any simulation; ours
@@ -55,8 +55,9 @@ class Company:
         """
         if self.told < FEWEST or self.foreseen >= HALF * self.agree:
             return 1.0
-        share = min(1.0, usual + self.foreseen / max(self.stays, 1))
-        return float(binom.sf(self.agree - 1, self.stays, share))
+        by_law = np.arange(self.told + 1)
+        more = poisson.sf(self.agree - by_law - 1, self.stays * usual)
+        return float(binom.pmf(by_law, self.told, self.foreseen / self.told) @ more)
 
     def finding(self, usual: float) -> Finding:
         """Return it as a finding everywhere; its size is the share of stays in which something else answers."""
@@ -73,6 +74,8 @@ def company(stack: Stack, batch: Batch) -> Company:
     """
     middle = stack.model.law(batch.ping, batch.past).quantile(0.5)
     away = batch.reading.echo & ~batch.near(np.where(batch.reading.echo, batch.reading.range - middle, 0.0))
+    if stack.model.remembers:  # a law that repeats readings repeats them to the digit: those are its own
+        away &= np.abs(batch.reading.range - batch.past.range) > 0.5 * batch.resolution
     first, second = _pairs(batch, away)
     if not len(first):
         return Company(batch.blocks, 0, 0, 0.0, 0.0)
@@ -96,5 +99,9 @@ def _chance(stack: Stack, batch: Batch, second: np.ndarray, middle: Floats, plac
     near = batch.reach[second]
     there = law.cdf(place + AGREE_M) - law.cdf(np.maximum(place - AGREE_M, 0.0))
     strays = law.echo - (law.cdf(middle + near) - law.cdf(np.maximum(middle - near, 0.0)))
+    if stack.model.remembers:
+        step = law.step(batch.past.range[second])
+        repeated = np.where(batch.past.echo[second], law.between(law.edge(step - 1), law.edge(step)), 0.0)
+        there, strays = there - repeated, strays - repeated
     floor = RARE * 2.0 * AGREE_M / law.max_range
     return np.clip((np.maximum(there, 0.0) + floor) / (np.maximum(strays, 0.0) + RARE), floor, 1.0)
