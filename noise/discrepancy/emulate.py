@@ -22,7 +22,7 @@ from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import scan_p
-from noise.discrepancy.scan import Peer
+from noise.discrepancy.scan import Blocks
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
@@ -93,12 +93,12 @@ class Baseline:
         twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
         return batch if np.isnan(twin).all() else replace(batch, twin=twin)
 
-    def peer(self, seed: int) -> Peer | None:
+    def peer(self, seed: int) -> Blocks | None:
         """Return how the simulation's own readings score under the law; None for a model that is used as it is."""
         if self.own is None:
             return None
         batch = self.own.whole.thin(PEER_PINGS)
-        return Peer(residuals(self.stack, batch, np.random.default_rng([seed, 8])), batch)
+        return Blocks(residuals(self.stack, batch, np.random.default_rng([seed, 8])), batch)
 
     def remainder(self, seed: int) -> Remainder | None:
         """Return what a learner makes of the law's misfit to the simulation itself; None for a model used as it is."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from noise.cells import Batch
 from noise.discrepancy.residuals import ASPECTS, EXTRA, Residuals, residuals
-from noise.discrepancy.scan import Peer, Region, scan
+from noise.discrepancy.scan import Blocks, Region, scan
 from noise.stack import Stack
 
 SHADOWS = ("spread", "skew", "time_correlation")  # a bias bends them wherever it changes: told of after it
@@ -55,7 +55,7 @@ def locate(
     rng: np.random.Generator,
     most: int = 5,
     level: float = 0.05,
-    peer: Peer | None = None,
+    peer: Blocks | None = None,
 ) -> list[Finding]:
     """Return the findings of a scan under a level, strongest first, at most one an aspect; what air carries, last.
 
@@ -65,7 +65,7 @@ def locate(
         rng: for randomised PIT values and flips.
         most: number of findings.
         level: greatest p-value.
-        peer: the simulation that the law stands for; see `scan`.
+        peer: the readings of the simulation that the law stands for; see `scan`.
     """
     seen = residuals(stack, batch, rng)
     scanned = scan(seen, batch, rng, peer)
@@ -106,7 +106,7 @@ def _family(aspect: str) -> str:
 
 
 def describe(
-    aspect: str, where: Region, seen: Residuals, batch: Batch, p: float, statistic: float, peer: Peer | None = None
+    aspect: str, where: Region, seen: Residuals, batch: Batch, p: float, statistic: float, peer: Blocks | None = None
 ) -> Finding:
     """Return a finding with its size in plain units: beyond what a simulation's own readings do there, with a peer."""
     nats = statistic**2 / 2.0

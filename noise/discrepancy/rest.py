@@ -14,7 +14,7 @@ from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
-from noise.discrepancy.scan import OF_THE_DAY, Peer, scan
+from noise.discrepancy.scan import OF_THE_DAY, Blocks, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
@@ -48,7 +48,7 @@ def check_rest(
     cross: Crossed,
     rng: np.random.Generator,
     whole: Batch,
-    peer: Peer | None = None,
+    peer: Blocks | None = None,
     usual: Remainder | None = None,
     in_company: float = USUAL,
 ) -> Rest:
@@ -111,7 +111,7 @@ def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> S
 
 
 def scan_p(
-    stack: Stack, batch: Batch, rng: np.random.Generator, peer: Peer | None = None, lasting: bool = False
+    stack: Stack, batch: Batch, rng: np.random.Generator, peer: Blocks | None = None, lasting: bool = False
 ) -> float:
     """Return the family-wise p-value of the greatest residual statistic.
 

@@ -86,10 +86,8 @@ def by_block(batch: Batch) -> dict[str, Floats]:
 
 
 @dataclass(frozen=True)
-class Peer:
-    """How a simulation's own readings score under the law that stands for it: what a recording is held against.
-
-    Where the law errs, both err alike, and what the scores of the two differ by is no fault of the law's.
+class Blocks:
+    """Readings as a law sees them, block by block.
 
     Attributes:
         seen: residuals under the law.
@@ -156,7 +154,7 @@ class Scan:
         return Scan(self.statistic[:, aspects], self.highest[:, aspects], self.where)
 
 
-def scan(seen: Residuals, batch: Batch, rng: np.random.Generator, peer: Peer | None = None) -> Scan:
+def scan(seen: Residuals, batch: Batch, rng: np.random.Generator, peer: Blocks | None = None) -> Scan:
     """Scan all regions for every aspect.
 
     A statistic is studentised by its blocks, but never by less than independent pings would vary: where an event of
@@ -166,11 +164,10 @@ def scan(seen: Residuals, batch: Batch, rng: np.random.Generator, peer: Peer | N
         seen: residuals under a law.
         batch: what they are of.
         rng: for the flips.
-        peer: the simulation that the law stands for; regions are then held against its own.
+        peer: the readings of the simulation that the law stands for; regions are then held against them.
     """
     one_sided = np.array([aspect in ONE_SIDED for aspect in ASPECTS])
-    own = Peer(seen, batch)
-    where = regions(batch)
+    own, where = Blocks(seen, batch), regions(batch)
     score, least, weight = own.score, own.least, np.stack([mask for _, mask in where]).astype(np.float64)
     if peer is not None:
         score, least, weight, where = _against(own, peer, where)
@@ -178,7 +175,7 @@ def scan(seen: Residuals, batch: Batch, rng: np.random.Generator, peer: Peer | N
     return replace(scanned, statistic=np.where(one_sided, np.maximum(scanned.statistic, 0.0), scanned.statistic))
 
 
-def _against(own: Peer, peer: Peer, where: list[Region]) -> tuple[Floats, Floats, Floats, list[Region]]:
+def _against(own: Blocks, peer: Blocks, where: list[Region]) -> tuple[Floats, Floats, Floats, list[Region]]:
     """Return scores and their least variances, a simulation's after the recording's, and weights: means less means.
 
     Regions in which the simulation has too few blocks are left out.

@@ -9,7 +9,7 @@ from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
 from noise.discrepancy.locate import locate
 from noise.discrepancy.residuals import residuals
-from noise.discrepancy.scan import Peer, features, scan
+from noise.discrepancy.scan import Blocks, features, scan
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
@@ -100,7 +100,7 @@ def erring(d, a):
 def peer_of(seed, change):
     """Return a simulation's readings as the law sees them."""
     batch = heard(seed, change, cells=120)
-    return Peer(residuals(STACK, batch, np.random.default_rng(seed)), batch)
+    return Blocks(residuals(STACK, batch, np.random.default_rng(seed)), batch)
 
 
 def test_where_the_law_errs_for_both_nothing_is_found():
@@ -127,7 +127,7 @@ def test_what_comes_on_top_of_the_laws_error_is_found_and_measured():
 def test_a_region_that_the_simulation_never_saw_is_not_held_against_it():
     batch, near = heard(7), heard(8, cells=40)
     near = near.select(near.ping.distance < 1.5)
-    peer = Peer(residuals(STACK, near, np.random.default_rng(8)), near)
+    peer = Blocks(residuals(STACK, near, np.random.default_rng(8)), near)
     scanned = scan(residuals(STACK, batch, np.random.default_rng(0)), batch, np.random.default_rng(0), peer)
     assert all(limits.get("distance_mm", (0.0, 0.0))[0] < 1500.0 for limits, _ in scanned.where)
     assert np.isfinite(scanned.statistic).all()
