@@ -36,7 +36,7 @@ LIMITS = {
     "reading_mm": (0.0, 1_700_000.0),  # whatever 16 bits can say, in inches too: a wire may set any of them
 }
 MM, DEG = 1e-3, np.pi / 180.0
-ENOUGH_VALUES = 12  # different readings that keep to an unusual step before it is believed; ours
+LUCK = 1e-4  # chance of so many different readings to keep to an unusual step, below which it is believed; ours
 
 
 @dataclass(frozen=True)
@@ -255,14 +255,16 @@ class Recording:
     def resolution(self) -> float:
         """Grid on which readings lie, m: the coarsest step that divides them all, else 1 mm.
 
-        The usual steps are 10 mm (cm output) and 25.4 mm (inch output); any other is found where many different
-        readings keep to it. A finer output is treated in 1 mm bins.
+        The usual steps are 10 mm (cm output) and 25.4 mm (inch output); any other is found where more different
+        readings keep to it than by luck, and the true distances do not. A finer output is treated in 1 mm bins.
         """
         echo_mm = np.unique(self.reading.range[self.reading.echo] / MM)
         for step in (25.4, 10.0):
             if len(echo_mm) and on_grid(echo_mm, step, 0.051):
                 return step * MM
-        return (unusual_step(echo_mm) or 1.0) * MM
+        found = unusual_step(echo_mm)
+        given = found is not None and on_grid(np.unique(self.ping.distance / MM), found, 0.051)
+        return MM if found is None or given else found * MM
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as CSV, atomically: the file is there whole or not at all."""
@@ -275,18 +277,19 @@ def on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
 
 
 def unusual_step(value: NDArray[np.float64]) -> float | None:
-    """Return the step of which all of many sorted different values, mm, are multiples; None where there is none.
+    """Return the step of which all sorted different values, mm, are multiples; None where that may be luck.
 
     Whole millimetres may have been rounded to after the step was taken: a little more than half of one is allowed then.
     """
-    if len(value) < ENOUGH_VALUES:
+    if len(value) < 2:
         return None
     rounded = on_grid(value, 1.0, 1e-6)
     least, tolerance = (10.0, 0.6) if rounded else (2.0, 0.051)
     gaps = np.diff(value)
     gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # of neighbours on the grid; rounding errors cancel
     for step in (_refined(value, gap / share) for share in (1, 2, 3) if gap / share >= least - tolerance):
-        if step >= least and on_grid(value, step, tolerance):
+        luck = (2.0 * tolerance / max(step, least)) ** (len(value) - 1)  # the first gap gave the step
+        if step >= least and luck < LUCK and on_grid(value, step, tolerance):
             return step
     return None
 

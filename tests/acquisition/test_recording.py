@@ -110,7 +110,18 @@ def test_an_unusual_grid_is_found_although_the_log_rounds_to_millimetres(step):
     assert recording.resolution == pytest.approx(step / 1000, rel=2e-3)
 
 
-@pytest.mark.parametrize("values", [2, 5, 11, 40, 200])
+def test_four_readings_on_the_grid_of_a_loop_are_enough_where_the_target_is_not():
+    step = 5.517242
+    reading = np.resize(np.arange(180, 184) * step, 60) / 1000
+    at_one_place = Recording.of(Ping.of(np.full(60, 1.0)), Reading.of(reading))
+    assert at_one_place.resolution == pytest.approx(step / 1000)
+    two = Recording.of(Ping.of(np.full(60, 1.0)), Reading.of(np.resize(np.arange(180, 182) * step, 60) / 1000))
+    assert two.resolution == 0.001
+    exact = Recording.of(Ping.of(reading), Reading.of(reading))
+    assert exact.resolution == 0.001
+
+
+@pytest.mark.parametrize("values", [2, 3, 5, 11, 40, 200])
 def test_readings_without_a_grid_are_told_none(values):
     rng = np.random.default_rng(values)
     for _ in range(50):
