@@ -92,7 +92,7 @@ def check_rest(
 
 def in_time(stack: Stack, batch: Batch, rng: np.random.Generator, in_company: float) -> list[Finding]:
     """Return what looks of their own find, whatever their p-values: memory of moves, a beat, other things."""
-    looks = (transient(stack, batch), rhythm(stack, batch, rng))
+    looks = (transient(batch), rhythm(stack, batch, rng))
     return [look.finding for look in looks if look is not None] + [company(stack, batch).finding(in_company)]
 
 

@@ -14,8 +14,6 @@ from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
-from noise.law import Floats
-from noise.stack import Stack
 
 FEWEST = 12  # moves, below which signs say nothing; ours
 FEWEST_PINGS = 4  # of a stay, for its later half to tell where readings settle; ours
@@ -49,15 +47,15 @@ class Transient:
         return Finding("transient", {}, self.size_m, "m", self.p_value, nats)
 
 
-def transient(stack: Stack, batch: Batch) -> Transient | None:
+def transient(batch: Batch) -> Transient | None:
     """Return how first readings after a move lean; None where there are too few moves to tell.
 
+    No law is asked where a reading is expected: one that repeats readings would expect the place before.
+
     Args:
-        stack: the law, for where a reading is expected.
         batch: readings, whole stays.
     """
-    middle = stack.model.law(batch.ping, batch.past).quantile(0.5)
-    pairs = [_lean(batch, middle, rows) for rows in np.split(np.arange(len(batch)), np.unique(batch.first)[1:])]
+    pairs = [_lean(batch, rows) for rows in np.split(np.arange(len(batch)), np.unique(batch.first)[1:])]
     known = np.array([pair for pair in pairs if pair is not None])
     if len(known) < FEWEST:
         return None
@@ -69,7 +67,7 @@ def transient(stack: Stack, batch: Batch) -> Transient | None:
     return Transient(len(known), float(leaning.sum()) / spread if spread > 0 else 0.0, float(np.median(leaning)))
 
 
-def _lean(batch: Batch, middle: Floats, rows: np.ndarray) -> tuple[float, float] | None:
+def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
     """Return first reading less the later ones, and how far off the place before was, m; None where nothing is told.
 
     A reading that repeats the last one to the digit is a repeat, which the catalogue knows, and no lean.
@@ -77,8 +75,8 @@ def _lean(batch: Batch, middle: Floats, rows: np.ndarray) -> tuple[float, float]
     first, later = rows[0], rows[len(rows) // 2 :]
     heard = batch.reading.echo[first] and batch.past.echo[first] and batch.reading.echo[later].any()
     repeated = abs(batch.reading.range[first] - batch.past.range[first]) < 0.5 * batch.resolution
-    towards = batch.past.range[first] - middle[first]
-    if len(rows) < FEWEST_PINGS or not heard or repeated or abs(towards) < APART_M:
+    if len(rows) < FEWEST_PINGS or not heard or repeated:
         return None
     settled = np.median(batch.reading.range[later][batch.reading.echo[later]])
-    return float(batch.reading.range[first] - settled), float(towards)
+    towards = batch.past.range[first] - settled
+    return None if abs(towards) < APART_M else (float(batch.reading.range[first] - settled), float(towards))

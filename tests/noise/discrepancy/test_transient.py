@@ -11,7 +11,6 @@ from noise.discrepancy.transient import SURE_P, transient
 from noise.effects import CATALOGUE
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0)])
@@ -43,6 +42,11 @@ def slewing(x):
     return out
 
 
+def averaged(x):
+    """Return the means of the last four readings."""
+    return np.array([x[max(0, k - 3) : k + 1].mean() for k in range(len(x))])
+
+
 def repeating(x):
     """Return readings of which every first one of a stay is the last one of the stay before."""
     out = x.copy()
@@ -50,27 +54,32 @@ def repeating(x):
     return out
 
 
-@pytest.mark.parametrize("host", [smoothed, slewing])
+@pytest.mark.parametrize("host", [smoothed, slewing, averaged])
 def test_a_host_that_remembers_leans_towards_the_place_before(host):
-    found = transient(Stack.of(SONAR), Batch.of(heard(1, host)))
+    found = transient(Batch.of(heard(1, host)))
     assert found.p_value < SURE_P
     assert found.size_m > 0.05
 
 
 def test_sonars_without_memory_lean_to_either_side_alike():
-    p = [transient(Stack.of(SONAR), Batch.of(heard(seed))).p_value for seed in range(20, 60)]
+    p = [transient(Batch.of(heard(seed))).p_value for seed in range(20, 60)]
     assert 0.2 < np.mean(p) < 0.8
     assert min(p) > SURE_P / 10
 
 
 def test_a_repeated_reading_is_no_lean():
-    found = transient(Stack.of(SONAR), Batch.of(heard(2, repeating)))
+    found = transient(Batch.of(heard(2, repeating)))
     assert found is None or found.p_value > SURE_P
 
 
 def test_too_few_moves_say_nothing():
     recording = heard(3)
-    assert transient(Stack.of(SONAR), Batch.of(Recording.of(recording.ping[:60], recording.reading[:60]))) is None
+    assert transient(Batch.of(Recording.of(recording.ping[:60], recording.reading[:60]))) is None
+
+
+def test_a_mean_of_readings_is_no_repeat():
+    verdict = diagnose(SONAR, heard(6, averaged), seed=1).to_verdict()
+    assert verdict["verdict"] == "unknown"
 
 
 def test_a_filter_is_no_scatter():
