@@ -10,9 +10,11 @@ The prediction is, in this order:
    filter, and what is carried over from one ping to the next (`carry`); where a simulation was asked under the very
    same condition, its own offset there is where this one begins (`link`). One cell in ten is taken to be put down
    far less carefully (`WIDE`), and which one it is shows as its readings come;
-2. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
+2. whether it is heard at all, which near the edge of hearing is settled by how the target was put down rather than from
+   ping to ping (`hearing`): a beta-binomial, in which the law's probability meets what was heard so far;
+3. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
    repeating (silence, another reflector) count about once a cell;
-3. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
+4. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
 Any such prediction from the past makes a proper joint likelihood, whether the cell behaves like it or not.
 """
 
@@ -29,7 +31,7 @@ from torch import Tensor
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions, Effect, Parameter, Stage, State
 from noise.effects.base import number
-from noise.physical import PhysicalLaw, PhysicalModel
+from noise.physical import TINY, PhysicalLaw, PhysicalModel
 
 MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
 BLOCK = 25  # pings taken as one cell where conditions never repeat (a moving robot); ours
@@ -38,6 +40,7 @@ CARELESS = 0.1  # share of such cells; ours
 LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
+LEAST = 1e-9  # probability that is divided by
 FEW_CELLS = 12
 NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 
@@ -53,12 +56,14 @@ class CellNuisance(Effect):
         Parameter("carry", "1", 0.0, 0.0, 0.98, "correlation from ping to ping: ours", (0.1,)),
         Parameter("sharing", "1", 0.0, 0.0, 5.0, "weight of one earlier reading against the law: ours", (0.02,)),
         Parameter("kernel_m", "m", 0.004, 0.0003, 0.05, "width of what a cell repeats: ours", (0.004,)),
+        Parameter("hearing", "1", 0.0, 0.0, 5.0, "weight of one earlier ping, heard or not, against it: ours", (0.05,)),
         Parameter("link", "1", 0.0, 0.0, 0.999, "correlation with the simulation's offset in a cell: ours", (0.5,)),
     )
     placement_m: Tensor
     carry: Tensor
     sharing: Tensor
     kernel_m: Tensor
+    hearing: Tensor
     link: Tensor
 
     def apply(self, state: State) -> State:
@@ -177,6 +182,13 @@ class Batch:
         delta = np.where(both, self.error - self.error[row], 1.0)
         tensor = torch.as_tensor
         return tensor(delta), tensor(both), tensor(silent), tensor(valid.sum(axis=0).astype(np.float64))
+
+    @cached_property
+    def heard(self) -> tuple[Tensor, Tensor]:
+        """Number of pings before each in its block, and of those with an echo, (n,) each."""
+        total: NDArray[np.int64] = np.cumsum(self.reading.echo) - self.reading.echo
+        counts = (self.count, total - total[self.first])
+        return torch.from_numpy(counts[0].astype(np.float64)), torch.from_numpy(counts[1].astype(np.float64))
 
     @property
     def reach(self) -> NDArray[np.float64]:
@@ -313,9 +325,21 @@ def by_bank(own: Tensor, cells: CellNuisance, batch: Batch, last_step: int) -> T
     return torch.log((1.0 - 2.0 * FLOOR) * torch.exp(own) + floor + repeats) - torch.log1p(cells.sharing * seen)
 
 
+def _own(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
+    """Return log probabilities under the laws of both banks, that of hearing as the cell's earlier pings have it."""
+    both = together(law, cells, batch)
+    silent, place = both.no_echo_tensor(), both.echo_tensor(both.step(batch.reading.range))
+    echo = torch.from_numpy(batch.reading.echo)
+    count, heard = batch.heard
+    expected = torch.where(echo, 1.0 - silent, silent)
+    before = torch.where(echo, heard, count - heard)
+    told = (expected + cells.hearing * before) / ((1.0 + cells.hearing * count) * torch.clamp(expected, min=LEAST))
+    return torch.log(torch.clamp(torch.where(echo, place, silent) * told, min=TINY))
+
+
 def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
     """Return the prequential log probability of each reading, nats, (n,), differentiable."""
-    own = together(law, cells, batch).log_prob_tensor(batch.reading)
+    own = _own(law, cells, batch)
     each = by_bank(own, cells, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
 
@@ -323,7 +347,7 @@ def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
 def bank_weights(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> NDArray[np.float64]:
     """Return the probability of each bank given the readings before in the cell, (banks, n)."""
     with torch.no_grad():
-        own = together(law, cells, batch).log_prob_tensor(batch.reading)
+        own = _own(law, cells, batch)
         return torch.exp(log_weights(by_bank(own, cells, batch, law.last_step), batch)).numpy()
 
 

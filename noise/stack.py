@@ -19,7 +19,7 @@ CELLS = "cells"
 JITTER = "travel_time_jitter"
 SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (CELLS, "placement_m"))
 LINK = (CELLS, "link")
-SHARED = ((CELLS, "carry"), (CELLS, "sharing"), (CELLS, "kernel_m"), LINK)
+SHARED = ((CELLS, "carry"), (CELLS, "sharing"), (CELLS, "kernel_m"), (CELLS, "hearing"), LINK)
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 
 

@@ -135,6 +135,7 @@ def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
     wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (CELLS, "placement_m"): 0.5 * size}
     shared = {(CELLS, "sharing"): 0.02, (CELLS, "carry"): 0.1, (CELLS, "kernel_m"): max(0.004, batch.resolution / 3.0)}
+    shared[(CELLS, "hearing")] = 0.05
     shared[LINK] = 0.0 if batch.twin is None else 0.5
     start = {**wide, **shared}
     return stack.put(list(start), np.minimum(list(start.values()), 0.19))
@@ -144,7 +145,7 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
     """Return starts for cells that share little, for cells that repeat themselves, and what the stack says already."""
     loose = nuisance_start(stack, batch)
     tight = {(JITTER, "sigma_m"): 0.5 * loose.get((JITTER, "sigma_m")), (CELLS, "sharing"): 1.5, (CELLS, "carry"): 0.5}
-    tight[(CELLS, "kernel_m")] = max(0.001, batch.resolution / 3.0)
+    tight |= {(CELLS, "kernel_m"): max(0.001, batch.resolution / 3.0), (CELLS, "hearing"): 0.5}
     present = [stack] if CELLS in stack.values else []
     return [loose, loose.put(list(tight), list(tight.values())), *present]
 

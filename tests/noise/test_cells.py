@@ -43,15 +43,16 @@ def test_a_shared_offset_makes_readings_jointly_normal():
     carry=st.floats(0.0, 0.9),
     sharing=st.floats(0.0, 4.0),
     kernel=st.floats(0.001, 0.02),
+    hearing=st.floats(0.0, 4.0),
 )
-def test_every_prediction_sums_to_one(placement, carry, sharing, kernel):
+def test_every_prediction_sums_to_one(placement, carry, sharing, kernel, hearing):
     # the third ping of a cell, after an echo and a silence: all readings and silence together
     model = PhysicalModel(
         [CATALOGUE["travel_time_jitter"](sigma_m=0.02), CATALOGUE["dropped_reading"](probability=0.2)],
         resolution=0.01,
         max_range=1.0,
     )
-    cells = CellNuisance(placement_m=placement, carry=carry, sharing=sharing, kernel_m=kernel)
+    cells = CellNuisance(placement_m=placement, carry=carry, sharing=sharing, kernel_m=kernel, hearing=hearing)
     last = np.arange(101) * 0.01
     range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
     reading, block = Reading.of(range_), np.repeat(np.arange(101), 3)
