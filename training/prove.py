@@ -134,7 +134,7 @@ def trial_of(bench: Bench, job: Job, book: Book) -> None:
 
 def _followed(bench: Bench, asked: dict[str, Any], answer: dict[str, Any], verdict: dict[str, Any]) -> Any:
     """Return what a measurement tells that the verdict asked for, made in the trial's own world; None without one."""
-    wanted = [m for m in verdict["next_measurement"] if m.get("conditions")] if verdict["verdict"] in CLAIMS else []
+    wanted = [m for m in verdict["next_settings"] if m["conditions"]] if verdict["verdict"] in CLAIMS else []
     if not wanted or answer["kind"] == FAMILY:
         return None
     bench.ask("generate", {**asked, "measure": wanted})

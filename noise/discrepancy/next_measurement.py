@@ -36,8 +36,12 @@ class Measurement:
     warmer_k: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as the verdict file has it: in words, and for machines (mm, degrees)."""
-        out: dict[str, Any] = {"do": self.do, "separates": list(self.separates), "pings": self.pings}
+        """Return it as the verdict file has it, in words."""
+        return {"do": self.do, "separates": list(self.separates), "pings": self.pings}
+
+    def settings(self) -> dict[str, Any]:
+        """Return it as the verdict file has it for machines: conditions (mm, degrees), what else to set or expect."""
+        out: dict[str, Any] = {"pings": self.pings, "conditions": [], "also": {}}
         if self.proposal is not None:
             ping = self.proposal.ping
             columns = {"distance_mm": 1000.0 * ping.distance, "angle_deg": ping.angle / DEG}

@@ -134,6 +134,7 @@ class Verdict:
             },
             "held_out": _held_out(self.held_out),
             "next_measurement": [measurement.to_dict() for measurement in self.next_measurement],
+            "next_settings": [measurement.settings() for measurement in self.next_measurement],
             "baseline_check": {
                 "describes_simulation": self.baseline_check.describes_simulation,
                 "p_value": _plain(self.baseline_check.p_value),

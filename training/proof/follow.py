@@ -25,7 +25,7 @@ def measure(trial: Trial, asked: Sequence[dict[str, Any]], folder: Path, rng: Rn
 
     Args:
         trial: whose real world is asked.
-        asked: entries of a verdict's `next_measurement` that name conditions.
+        asked: entries of a verdict's `next_settings` that name conditions.
         folder: the trial's.
         rng: for the noise, and for where anywhere is.
     """

@@ -34,7 +34,8 @@ def is_settled(trial: Scored) -> bool | None:
     exclude a rival. A thermometer does if what it shows is nearer to what was told of it exactly if that is the truth.
     """
     told = [_side(trial, row) * (row["observed"] + row["here"]) >= TIE for row in _rows(trial)]
-    told += [s for m in trial.verdict["next_measurement"] if (s := _by_thermometer(trial, m)) is not None]
+    asked = zip(trial.verdict["next_measurement"], trial.verdict["next_settings"], strict=True)
+    told += [s for m, settings in asked if (s := _by_thermometer(trial, m, settings)) is not None]
     told += [False for m in trial.verdict["next_measurement"] if m["pings"] == 0 and _concerns(trial, m["separates"])]
     return all(told) if told else None
 
@@ -68,9 +69,9 @@ def _concerns(trial: Scored, effects: Sequence[str]) -> bool:
     return 0 < sum(_true(trial, effect) for effect in effects) < len(effects)
 
 
-def _by_thermometer(trial: Scored, measurement: dict[str, Any]) -> bool | None:
+def _by_thermometer(trial: Scored, measurement: dict[str, Any], settings: dict[str, Any]) -> bool | None:
     """Tell whether a thermometer decides rightly between warm air and another cause; None where none is asked for."""
-    told = measurement.get("expected", {}).get("warmer_k")
+    told = settings.get("expected", {}).get("warmer_k")
     if told is None or "warmer_k" not in trial.answer or not _concerns(trial, measurement["separates"]):
         return None
     fits = abs(trial.answer["warmer_k"] - told) < 0.5 * abs(told)

@@ -40,7 +40,7 @@ class Told:
             return {"answer": {"trial": question["trial"], "kind": "null", "causes": []}, "files": {}}
         held = {"after": {"log_likelihood_per_ping": 0.0}}
         verdict = {"verdict": self.says, "effects": self.names, "where": [], "p_value": 1.0, "held_out": held}
-        verdict["next_measurement"] = self.wants
+        verdict["next_measurement"] = verdict["next_settings"] = self.wants
         if question.get("follow"):
             return {"told": [{"replaces": "spike", "effect": "stuck", "observed": 1.0, "pings": 5}]}
         if module == "examine":

@@ -31,6 +31,7 @@ def trial(kind: str, said: str = "none", nats: float = 100.0, **given: Any) -> S
         "p_value": given.get("p", 0.9),
         "held_out": {"after": {"log_likelihood_per_ping": given.get("after", 1.0)}},
         "next_measurement": given.get("asked", []),
+        "next_settings": given.get("settings", given.get("asked", [])),
     }
     scores = {
         "separation_nats": nats,
