@@ -116,8 +116,8 @@ def diagnose(
     beside = _beside(base, search, why)
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
-    rng, usual = np.random.default_rng([seed, 4]), (base.remainder(seed), base.in_company())
-    rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, *usual)
+    rng = np.random.default_rng([seed, 4])
+    rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, base.usual(seed))
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = _before(base, fitted, beside)
@@ -264,7 +264,7 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str
     """
     learned = rest.learned_nats
     if not named:
-        clear = learned > 0.0 or any(finding.aspect in IN_TIME for finding in rest.findings)
+        clear = learned > 0.0 or any(finding.aspect in OWN_LOOKS for finding in rest.findings)
         seen = p_scan < ALARM and any(not finding.carried for finding in rest.findings)
         return "unknown" if rest.present and (seen or clear) else "none"
     if rest.present and all(n.effect == JITTER for n in named):
@@ -287,7 +287,8 @@ def _beyond_any_law(rest: Rest) -> bool:
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
-IN_TIME = ("rhythm", "transient", "company")  # found by looks of their own, which no scan of conditions has to bear out
+# found by looks of their own, which no scan of conditions has to bear out
+OWN_LOOKS = ("rhythm", "transient", "company", "smooth")
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

@@ -17,13 +17,14 @@ import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
-from noise.discrepancy.company import USUAL, company
+from noise.discrepancy.company import company
 from noise.discrepancy.matched import conditions_of
-from noise.discrepancy.remainder import Remainder, remainder
+from noise.discrepancy.remainder import remainder
 from noise.discrepancy.residuals import residuals
-from noise.discrepancy.rest import scan_p
+from noise.discrepancy.rest import Usual, scan_p
 from noise.discrepancy.scan import Blocks
 from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
+from noise.discrepancy.smooth import smooth
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.empirical import DISTANCE_KNOTS, Flexible
@@ -100,15 +101,13 @@ class Baseline:
         batch = self.own.whole.thin(PEER_PINGS)
         return Blocks(residuals(self.stack, batch, np.random.default_rng([seed, 8])), batch)
 
-    def remainder(self, seed: int) -> Remainder | None:
-        """Return what a learner makes of the law's misfit to the simulation itself; None for a model used as it is."""
+    def usual(self, seed: int) -> Usual:
+        """Return what looks at the rest find in the simulation itself; nothing for a model that is used as it is."""
         if self.own is None:
-            return None
-        return remainder(self.stack, self.own.whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
-
-    def in_company(self) -> float:
-        """Return the share of the simulation's stays in which something else than the target answers."""
-        return USUAL if self.own is None else company(self.stack, self.own.whole).usual
+            return Usual()
+        whole = self.own.whole
+        learned = remainder(self.stack, whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
+        return Usual(learned, company(self.stack, whole).usual, smooth(self.stack, whole))
 
     def without_repairs(
         self, search: Search, chosen: list[str], cross: Crossed, plain: Crossed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,18 +16,20 @@ from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.scan import OF_THE_DAY, Blocks, scan
 from noise.discrepancy.search import Crossed, Search
+from noise.discrepancy.smooth import Smooth, smooth
 from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
-LOOKS = 5.0  # scans of either part, a beat, memory of moves, and other things that answer
+LOOKS = 6.0  # scans of either part, a beat, memory of moves, other things that answer, neighbours that agree
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
     "memory": "readings follow what was read before them, by {nats:.0f} nats that no effect explains",
 }
+_COLUMNS = {"distance_mm": ("distance", "m", 1000.0), "angle_deg": ("angle", "deg", 1.0), "time_s": ("time", "s", 1.0)}
 _WORDS = {
     "bias": "readings are off by {mm:+.0f} mm",
     "scale": "readings stray by {percent:+.2f} % of distance",
@@ -38,8 +40,24 @@ _WORDS = {
     "time_correlation": "successive readings hang together (correlation {size:.2f})",
     "transient": "first readings after a move lean towards the place before, by {mm:.0f} mm",
     "company": "in {percent:.0f} % of stays something else than the target answers, from one place while it lasts",
+    "smooth": "positions are off by {mm:.0f} mm (standard deviation), neighbours in {along} alike",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What looks find in the readings of a simulation itself, under the law that stands for it.
+
+    Attributes:
+        remainder: what a learner makes of them; None where the law is the simulation.
+        company: share of its stays in which something else than the target answers.
+        smooth: how much its stays agree with their neighbours; None where the law is the simulation.
+    """
+
+    remainder: Remainder | None = None
+    company: float = USUAL
+    smooth: Smooth | None = None
 
 
 def check_rest(
@@ -49,10 +67,9 @@ def check_rest(
     rng: np.random.Generator,
     whole: Batch,
     peer: Blocks | None = None,
-    usual: Remainder | None = None,
-    in_company: float = USUAL,
+    usual: Usual | None = None,
 ) -> Rest:
-    """Scan the residuals of cells that were not fitted, both ways; look for a beat, memory of moves, other things.
+    """Scan the residuals of cells that were not fitted, both ways; take looks of other kinds.
 
     The least p-value counts, all looks taken. Beside it, a learner without physics says how much it makes of the rest.
 
@@ -63,14 +80,14 @@ def check_rest(
         rng: for randomised PIT values and flips.
         whole: both parts with every ping of a block, in which a beat shows best; nothing fitted can hold one.
         peer: the simulation that the law stands for.
-        usual: what the learner makes of the simulation itself.
-        in_company: share of the simulation's stays in which something else than the target answers.
+        usual: what the looks find in the simulation itself.
     """
+    usual = usual or Usual()
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
-    beside = in_time(pairs[0][0], whole, rng, in_company)
-    learned = beyond(remainder(pairs[0][0], search.both, rng), usual)
+    beside = beside_scans(pairs[0][0], whole, rng, usual)
+    learned = beyond(remainder(pairs[0][0], search.both, rng), usual.remainder)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
     p = min(1.0, LOOKS * min(*p_values, *(finding.p_value for finding in beside)))
@@ -90,10 +107,14 @@ def check_rest(
     return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
 
 
-def in_time(stack: Stack, batch: Batch, rng: np.random.Generator, in_company: float) -> list[Finding]:
-    """Return what looks of their own find, whatever their p-values: memory of moves, a beat, other things."""
+def beside_scans(stack: Stack, batch: Batch, rng: np.random.Generator, usual: Usual) -> list[Finding]:
+    """Return what looks of their own find, whatever their p-values.
+
+    They are memory of moves, a beat, other things that answer, and neighbours in a condition that agree.
+    """
     looks = (transient(batch), rhythm(stack, batch, rng))
-    return [look.finding for look in looks if look is not None] + [company(stack, batch).finding(in_company)]
+    found = [look.finding for look in looks if look is not None]
+    return [*found, company(stack, batch).finding(usual.company), smooth(stack, batch).finding(usual.smooth)]
 
 
 def beyond(found: Remainder, usual: Remainder | None) -> Remainder:
@@ -129,9 +150,11 @@ def scan_p(
 
 def in_words(finding: Finding) -> str:
     """Return a finding as a phrase."""
-    place, period = "", 0.0
+    place, period, along = "", 0.0, ""
     if finding.aspect == "rhythm" and finding.place is not None:
         period = finding.place[1]
+    elif finding.aspect == "smooth" and finding.place is not None:
+        along = _COLUMNS.get(finding.place[0], (finding.place[0], "", 1.0))[0]
     elif finding.place is not None:
         kind, value = finding.place
         place = f" ({kind} {value:.2f})" if kind == "times distance" else f" ({kind}, {value:.2f} m)"
@@ -142,15 +165,15 @@ def in_words(finding: Finding) -> str:
         more="heard less" if finding.size < 0 else "heard more",
         place=place,
         period=period,
+        along=along,
     )
     return f"{text} {region_in_words(finding)}".strip()
 
 
 def region_in_words(finding: Finding) -> str:
     """Return where a finding is, as a phrase; nothing where it is everywhere."""
-    names = {"distance_mm": ("distance", "m", 1000.0), "angle_deg": ("angle", "deg", 1.0), "time_s": ("time", "s", 1.0)}
     parts = []
     for column, (low, high) in finding.region.items():
-        name, unit, scale = names.get(column, (column, "", 1.0))
+        name, unit, scale = _COLUMNS.get(column, (column, "", 1.0))
         parts.append(f"{name} {low / scale:.3g} to {high / scale:.3g} {unit}".strip())
     return f"at {' and '.join(parts)}" if parts else ""

@@ -1,0 +1,102 @@
+"""Whether where stays lie is a smooth function of a condition: a bent rail, a worn scale, anything no effect follows.
+
+How a target was put down is a matter of each stay; what follows from a condition is alike for neighbours in it. So
+stays are laid in the order of a condition, and neighbours are compared (von Neumann 1941). No shape is assumed: a wave
+that averages out over every wide interval shows as well as a bend.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from noise.cells import Batch
+from noise.discrepancy.locate import Finding
+from noise.discrepancy.scan import by_block
+from noise.law import Floats
+from noise.stack import Stack
+
+FEWEST = 20  # stays, below which neighbours tell nothing; ours
+WEIGHTS = np.array([1.0, 0.5, 0.25])  # of the first, second and third neighbour: waves may be short; ours
+KNOTS = 8.0  # of the smooth part of a law that stands for a simulation, which errs smoothly too; ours
+NOT_ASKED = ("time_s",)  # air drifts, and that is no riddle; what drifts has its own effects
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """How much neighbours in a condition agree.
+
+    Attributes:
+        stays: number of them.
+        share: of the variance of where stays lie, that neighbours share, by condition.
+        size_m: standard deviation of where stays lie, m.
+    """
+
+    stays: int
+    share: dict[str, float]
+    size_m: float
+
+    def finding(self, usual: Smooth | None) -> Finding:
+        """Return the strongest of it as a finding, beyond what a simulation's own stays share; p = 1 without any.
+
+        Args:
+            usual: the same of the simulation that the law stands for; None where the law is the simulation.
+        """
+        excess = {name: share - _expected(usual, name) for name, share in self.share.items()}
+        if not excess:
+            return Finding("smooth", {}, 0.0, "m", 1.0, 0.0)
+        name = max(excess, key=lambda each: excess[each])
+        z = excess[name] * float(np.sqrt(self.stays) * WEIGHTS.sum() / np.linalg.norm(WEIGHTS))
+        p = min(1.0, len(excess) * float(norm.sf(z)))
+        size = self.size_m * float(np.sqrt(np.clip(excess[name], 0.0, 1.0)))
+        return Finding("smooth", {}, size, "m", p, 0.5 * max(z, 0.0) ** 2, (name, 0.0))
+
+
+def _expected(usual: Smooth | None, name: str) -> float:
+    if usual is None:
+        return 0.0
+    return max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.stays, 1)
+
+
+def smooth(stack: Stack, batch: Batch) -> Smooth:
+    """Return how much neighbours in each condition agree about where their stays lie.
+
+    Args:
+        stack: the law.
+        batch: readings, whole stays.
+    """
+    middle = stack.model.law(batch.ping, batch.past).quantile(0.5)
+    error = np.where(batch.reading.echo, batch.reading.range - middle, 0.0)
+    near = batch.near(error)
+    starts = np.unique(batch.first)
+    offset = np.array([_median(error[a:b][near[a:b]]) for a, b in zip(starts, [*starts[1:], len(batch)], strict=True)])
+    known = ~np.isnan(offset)
+    if known.sum() < FEWEST:
+        return Smooth(int(known.sum()), {}, 0.0)
+    value = _winsorised(offset[known])
+    columns = {name: column[known] for name, column in by_block(batch).items() if name not in NOT_ASKED}
+    share = {name: _shared(value[np.argsort(column, kind="stable")]) for name, column in columns.items()}
+    return Smooth(len(value), share, float(value.std()))
+
+
+def _median(error: Floats) -> float:
+    return float(np.median(error)) if len(error) > 1 else np.nan
+
+
+def _winsorised(value: Floats) -> Floats:
+    """Return values less their middle, none farther from it than three usual deviations."""
+    value = value - np.median(value)
+    limit = 3.0 * 1.4826 * float(np.median(np.abs(value))) + 1e-6
+    return np.clip(value, -limit, limit)
+
+
+def _shared(value: Floats) -> float:
+    """Return the mean correlation of a sequence with its neighbours; 0 is what chance gives."""
+    value = value - value.mean()
+    total = float((value**2).sum())
+    if total == 0.0:
+        return 0.0
+    each = [float((value[lag:] * value[:-lag]).sum()) / total for lag in range(1, len(WEIGHTS) + 1)]
+    return float(np.average(each, weights=WEIGHTS)) + 1.0 / len(value)

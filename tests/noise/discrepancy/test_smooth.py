@@ -1,0 +1,68 @@
+"""Where stays lie as a smooth function of a condition: waves are seen, careless placing is not."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from acquisition import Ping, Reading, Recording
+from noise.cells import Batch
+from noise.discrepancy import diagnose
+from noise.discrepancy.rest import in_words
+from noise.discrepancy.smooth import smooth
+from noise.effects import CATALOGUE
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import Stack
+
+torch.set_num_threads(1)
+SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0)])
+
+
+def heard(seed, stands=lambda d, a: d, stays=60):
+    """Return stays of 6 pings, placed to 4 mm, on a stand that errs."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.4, 2.5, stays), 6)
+    angle = np.repeat(np.deg2rad(rng.choice([-10.0, 0.0, 10.0], stays)), 6)
+    there = stands(distance, angle) + np.repeat(rng.normal(0, 0.004, stays), 6)
+    reading = simulate(SONAR, Ping.of(distance=there), rng)
+    return Recording.of(Ping.of(distance=distance, angle=angle), Reading.of(np.round(reading.range, 4)))
+
+
+def waving(d, a):
+    """Return a rail whose marks are wrong by a wave, twice in a metre."""
+    return d + 0.012 * np.sin(4.0 * np.pi * d)
+
+
+def test_a_wave_that_averages_out_is_seen():
+    found = smooth(Stack.of(SONAR), Batch.of(heard(1, waving))).finding(None)
+    assert found.p_value < 1e-4
+    assert found.place == ("distance_mm", 0.0)
+    assert found.size == pytest.approx(0.012 / np.sqrt(2.0), rel=0.4)
+    assert "neighbours in distance alike" in in_words(found)
+
+
+def test_what_follows_from_the_angle_alone_is_told_so():
+    found = smooth(Stack.of(SONAR), Batch.of(heard(2, lambda d, a: d + 0.01 * np.sign(a)))).finding(None)
+    assert found.p_value < 1e-4
+    assert found.place == ("angle_deg", 0.0)
+
+
+def test_careless_placing_is_no_function_of_anything():
+    p = [smooth(Stack.of(SONAR), Batch.of(heard(seed))).finding(None).p_value for seed in range(40)]
+    assert stats.kstest(p, "uniform", alternative="greater").pvalue > 0.01
+    assert np.mean(np.array(p) < 0.05) <= 0.15
+
+
+def test_a_simulation_that_waves_alike_is_no_worse():
+    usual = smooth(Stack.of(SONAR), Batch.of(heard(3, waving)))
+    assert smooth(Stack.of(SONAR), Batch.of(heard(4, waving))).finding(usual).p_value > 0.01
+
+
+def test_few_stays_tell_nothing():
+    assert smooth(Stack.of(SONAR), Batch.of(heard(5, waving, stays=12))).finding(None).p_value == 1.0
+
+
+def test_a_wrong_rail_is_unknown_physics():
+    verdict = diagnose(SONAR, heard(6, waving), seed=1).to_verdict()
+    assert verdict["verdict"] == "unknown"
