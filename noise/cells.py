@@ -52,7 +52,8 @@ class CellNuisance(Effect):
     stage = Stage.SEQUENCE
     summary = "Pings of one cell share an offset"
     parameters = (
-        Parameter("placement_m", "m", 0.0, 0.0, 0.1, "ruler and mount, 1 to 5 mm; wider: ours", (0.003,)),
+        # never nothing: its slope is zero there, and no climb would lead back
+        Parameter("placement_m", "m", 2e-4, 2e-4, 0.1, "ruler and mount, 1 to 5 mm; wider: ours", (0.003,)),
         Parameter("carry", "1", 0.0, 0.0, 0.98, "correlation from ping to ping: ours", (0.1,)),
         Parameter("sharing", "1", 0.0, 0.0, 5.0, "weight of one earlier reading against the law: ours", (0.02,)),
         Parameter("kernel_m", "m", 0.004, 0.0003, 0.05, "width of what a cell repeats: ours", (0.004,)),

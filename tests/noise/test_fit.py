@@ -81,3 +81,11 @@ def test_extra_modes_are_where_they_were_put():
     stack = Stack.of(PhysicalModel())
     starts = starting_points(stack, "fixed_clutter", Batch.of(recording), np.random.default_rng(0))
     assert min(abs(s.get(("fixed_clutter", "range_m")) - 0.2) for s in starts) <= 0.026
+
+
+def test_a_climb_leads_away_from_cells_that_scatter_as_little_as_they_can():
+    batch, key = Batch.of(heard(7)), ("cells", "placement_m")
+    stack = nuisance_start(Stack.of(PhysicalModel()), batch)
+    summits = [maximise(stack.put([key], [p]), NUISANCES, batch) for p in (stack.parameter(key).low, 0.003)]
+    assert summits[0].nats == pytest.approx(summits[1].nats, abs=0.1)
+    assert summits[0].stack.get(key) > 0.001
