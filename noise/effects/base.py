@@ -278,6 +278,12 @@ class Seen:
     range: NDArray[np.float64]
 
     @property
+    def away(self) -> Seen:
+        """Return those that are not the target's."""
+        keep = np.abs(self.range - self.distance) > 0.1 * self.distance + 0.05
+        return Seen(self.distance[keep], self.time[keep], self.range[keep])
+
+    @property
     def early(self) -> Seen:
         """Return those that came clearly before the target's."""
         keep = self.range < 0.9 * self.distance - 0.05

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from acquisition import EchoStatus
-from noise.effects.base import Atom, Effect, Parameter, Stage, State, ndtr, number
+from noise.effects.base import Atom, Effect, Parameter, Seen, Stage, State, ndtr, number
 
 FULL_SCALE = 11.008  # m; SRF08 with range register 255
+MOST_GUESSES, FEWEST_SAME = 3, 3  # readings that a register may be stuck at; how often one must have come back; ours
 
 
 class Spike(Effect):
@@ -86,7 +88,7 @@ class Stuck(Effect):
     """With `probability` the sensor gives one and the same reading: the thesis's CONSTANT fault.
 
     `value_m` is a place on the register's grid and has no useful derivative: a fit must start at the right one, which
-    is the most frequent reading.
+    is the most frequent of the readings that are not the target's.
     """
 
     name = "stuck"
@@ -104,6 +106,13 @@ class Stuck(Effect):
         """Mix in the constant."""
         zero = number(0.0)
         return state.with_atom(Atom(self.probability, self._from_value, zero, zero))
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Return the readings that come back most often away from the target, to the digit."""
+        value, count = np.unique(np.round(seen.away.range, 6), return_counts=True)
+        often = [k for k in np.argsort(-count, kind="stable")[:MOST_GUESSES] if count[k] >= FEWEST_SAME]
+        return [{"probability": float(count[k] / len(seen.range)), "value_m": float(value[k])} for k in often]
 
     def _from_value(self, edge: Tensor) -> Tensor:
         return (edge >= self.value_m).to(torch.float64)

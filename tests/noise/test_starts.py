@@ -61,3 +61,15 @@ def test_noise_that_comes_and_goes_begins_where_early_readings_do():
     assert guess["from_m"] == pytest.approx(0.25, abs=0.05)
     assert guess["share"] == pytest.approx(0.3, abs=0.12)
     assert 2.0 < guess["per_metre"] < 12.0
+
+
+def test_a_stuck_register_is_guessed_to_the_digit():
+    rng = np.random.default_rng(0)
+    distance = rng.uniform(0.8, 3.0, 300)
+    value = np.where(
+        rng.random(300) < 0.1, 0.3327, np.where(rng.random(300) < 0.1, rng.uniform(0.1, 0.6, 300), distance)
+    )
+    (guess, *_) = CATALOGUE["stuck"].guesses(Seen(distance, np.zeros(300), value))
+    assert guess["value_m"] == 0.3327
+    assert guess["probability"] == pytest.approx(0.1, abs=0.04)
+    assert CATALOGUE["stuck"].guesses(Seen(distance, np.zeros(300), distance)) == []
