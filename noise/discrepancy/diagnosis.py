@@ -15,7 +15,7 @@ from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
-from noise.discrepancy.rest import check_rest, scan_p
+from noise.discrepancy.rest import check_rest, in_words, scan_p
 from noise.discrepancy.rivals import Rival, posterior, rivals
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search, spread_over_blocks
@@ -34,6 +34,7 @@ from noise.starts import nuisance_starts
 
 LEAST_P = 1e-12  # no p-value of a model of the world means more
 ALARM = 0.01  # p-value of a scan below which something is there
+SURE_SCAN = 0.005  # and below which that is enough, whatever is left on unseen cells
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
 
 
@@ -247,6 +248,8 @@ def _verdict(
     if matched is not None and not matched.differs and gain < SURE and not rest.present:
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
+    if not named and not rest.present and p_scan <= SURE_SCAN and (matched is None or matched.differs):
+        rest = _located(where, p_scan)
     kind = judge(named, rest, gain, p_scan)
     shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
     empty = HeldOut("cells", 0, Score(0.0, 0.0), Score(0.0, 0.0), 0.0, 0.0)
@@ -254,6 +257,13 @@ def _verdict(
     if kind in ("none", "named", "confounded"):
         rest = replace(rest, present=False, description=None)
     return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
+
+
+def _located(where: Sequence[Finding], p_scan: float) -> Rest:
+    """Return a rest that nothing but the first scan shows: what is located beyond doubt is not nothing."""
+    lasting = tuple(finding for finding in where if not finding.carried)
+    words = "; ".join(in_words(finding) for finding in lasting) or "small misfits that stand out at no single place"
+    return Rest(True, p_scan, f"{words} (a description, not a cause)", lasting)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:
@@ -265,7 +275,7 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str
     learned = rest.learned_nats
     if not named:
         clear = learned > 0.0 or any(finding.aspect in OWN_LOOKS for finding in rest.findings)
-        seen = p_scan < ALARM and any(not finding.carried for finding in rest.findings)
+        seen = p_scan <= SURE_SCAN or (p_scan < ALARM and any(not finding.carried for finding in rest.findings))
         return "unknown" if rest.present and (seen or clear) else "none"
     if rest.present and all(n.effect == JITTER for n in named):
         return "unknown"

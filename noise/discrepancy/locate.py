@@ -46,7 +46,7 @@ class Finding:
     def carried(self) -> bool:
         """Whether it only tells that the air of another day hangs together otherwise: nothing is amiss with that."""
         little = self.aspect == "spread" and 1.0 / LEAST_RATIO < self.size < LEAST_RATIO
-        return little or self.aspect == "time_correlation"
+        return little or self.aspect in ("skew", "time_correlation")
 
 
 def locate(
