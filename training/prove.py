@@ -20,7 +20,7 @@ from training.progress import bar
 from training.proof.crew import ENGINES, Bench, Crew
 from training.proof.figure import accuracy
 from training.proof.page import FAMILY, PICTURE, page
-from training.proof.score import CLAIMS, trials_of
+from training.proof.score import CLAIMS, TELLABLE, trials_of
 from training.proof.seal import OPENED, PROTOCOL, SEALED, VERDICT, Ledger, LedgerError, check, hash_of, salt_of, seed_of
 
 
@@ -135,7 +135,7 @@ def trial_of(bench: Bench, job: Job, book: Book) -> None:
 def _followed(bench: Bench, asked: dict[str, Any], answer: dict[str, Any], verdict: dict[str, Any]) -> Any:
     """Return what a measurement tells that the verdict asked for, made in the trial's own world; None without one."""
     wanted = [m for m in verdict["next_settings"] if m["conditions"]] if verdict["verdict"] in CLAIMS else []
-    if not wanted or answer["kind"] == FAMILY:
+    if not wanted or answer["kind"] not in TELLABLE:
         return None
     bench.ask("generate", {**asked, "measure": wanted})
     return bench.ask("examine", {"folder": asked["folder"], "follow": True})["told"]

@@ -27,6 +27,7 @@ class Told:
     asked: ClassVar[list[tuple[str, dict[str, Any]]]] = []
     dies: ClassVar[dict[str, int]] = {}
     says: ClassVar[str] = "none"
+    kind: ClassVar[str] = "null"
     names: ClassVar[list[dict[str, Any]]] = []
     wants: ClassVar[list[dict[str, Any]]] = []
 
@@ -37,7 +38,7 @@ class Told:
             self.dies[module] -= 1
             raise DeskError(f"{module} died")
         if module == "generate":
-            return {"answer": {"trial": question["trial"], "kind": "null", "causes": []}, "files": {}}
+            return {"answer": {"trial": question["trial"], "kind": self.kind, "causes": []}, "files": {}}
         held = {"after": {"log_likelihood_per_ping": 0.0}}
         verdict = {"verdict": self.says, "effects": self.names, "where": [], "p_value": 1.0, "held_out": held}
         verdict["next_measurement"] = verdict["next_settings"] = self.wants
@@ -83,16 +84,36 @@ def test_each_trial_is_sealed_judged_and_opened_in_this_order(tmp_path):
     assert "3 blind trials (3 null)" in (tmp_path / "proof.md").read_text()
 
 
-def test_what_a_verdict_asks_for_next_is_measured_before_its_answer_is_opened(tmp_path, told, monkeypatch):
+@pytest.fixture
+def asking(monkeypatch, told):
+    """Let every verdict be confounded, and ask for a measurement."""
     wants = [{"do": "go to 2 m", "separates": ["spike", "stuck"], "pings": 5, "conditions": [{}], "also": {}}]
     monkeypatch.setattr(told, "wants", wants)
     monkeypatch.setattr(told, "says", "confounded")
     monkeypatch.setattr(told, "names", [{"effect": "spike", "indistinguishable_from": ["stuck"], "parameters": {}}])
+    return wants
+
+
+@pytest.mark.parametrize("kind", ["effect", "pair", "matched", "confounded"])
+def test_what_a_verdict_asks_for_next_is_measured_before_its_answer_is_opened(
+    tmp_path, told, asking, monkeypatch, kind
+):
+    monkeypatch.setattr(told, "kind", kind)
     main(Args(tmp_path, trials=1, workers=1))
     assert [m for m, q in told.asked] == ["generate", "examine", "assess", "generate", "examine"]
-    assert told.asked[3][1]["measure"] == wants
+    assert told.asked[3][1]["measure"] == asking
     opened = [line for line in lines(tmp_path) if line["event"] == OPENED]
     assert opened[0]["scores"]["followed"][0]["pings"] == 5
+
+
+@pytest.mark.parametrize("kind", ["null", "stranger", "family"])
+def test_where_nothing_can_be_told_apart_a_claim_is_opened_without_a_measurement(
+    tmp_path, told, asking, monkeypatch, kind
+):
+    monkeypatch.setattr(told, "kind", kind)
+    main(Args(tmp_path, trials=1, workers=1))
+    assert [m for m, q in told.asked] == ["generate", "examine", "assess"]
+    assert [line["scores"]["followed"] for line in lines(tmp_path) if line["event"] == OPENED] == [None]
 
 
 def test_the_diagnosis_is_told_a_folder_and_nothing_else(tmp_path, told):
