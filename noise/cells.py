@@ -30,7 +30,7 @@ from torch import Tensor
 
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions, Effect, Parameter, Stage, State
-from noise.effects.base import number
+from noise.effects.base import number, reach
 from noise.physical import TINY, PhysicalLaw, PhysicalModel
 
 MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
@@ -42,7 +42,6 @@ BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
 LEAST = 1e-9  # probability that is divided by
 FEW_CELLS = 12
-NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
 
 
 class CellNuisance(Effect):
@@ -187,14 +186,13 @@ class Batch:
     @cached_property
     def heard(self) -> tuple[Tensor, Tensor]:
         """Number of pings before each in its block, and of those with an echo, (n,) each."""
-        total: NDArray[np.int64] = np.cumsum(self.reading.echo) - self.reading.echo
-        counts = (self.count, total - total[self.first])
-        return torch.from_numpy(counts[0].astype(np.float64)), torch.from_numpy(counts[1].astype(np.float64))
+        echo = torch.from_numpy(self.reading.echo.astype(np.float64))
+        return torch.from_numpy(self.count.astype(np.float64)), _before(echo, self)
 
     @property
     def reach(self) -> NDArray[np.float64]:
         """How far from where it is expected an echo may lie and be the target's, m, (n,)."""
-        return NEAR * self.ping.distance + NEAR_M
+        return reach(self.ping.distance)
 
     def near(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which echoes are the target's, by how far they lie from where it is expected, m, (n,)."""

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from torch import Tensor
 
-from noise.cells import CellNuisance
+from noise.cells import Batch, CellNuisance
 from noise.effects import CATALOGUE, Effect, Parameter
+from noise.law import Floats
 from noise.physical import PhysicalModel
 
 Values = dict[str, dict[str, float]]
@@ -79,6 +80,10 @@ class Stack:
         cells = CellNuisance(**values.pop(CELLS, {}))
         effects = [self.known[name](**inner) for name, inner in values.items()]
         return PhysicalModel(effects, self.resolution, self.max_range), cells
+
+    def expected(self, batch: Batch) -> Floats:
+        """Return the median reading that the law expects of each ping of a batch, m, (n,)."""
+        return self.model.law(batch.ping, batch.past).quantile(0.5)
 
     @property
     def model(self) -> PhysicalModel:

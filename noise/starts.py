@@ -12,6 +12,7 @@ from scipy.stats import qmc
 from noise.cells import Batch
 from noise.effects import Parameter, Seen
 from noise.law import Floats
+from noise.robust import usual_deviation
 from noise.stack import CELLS, JITTER, LINK, Key, Stack
 
 LEAST_SCATTER_M = 5e-4  # that a climb begins with; ours
@@ -128,10 +129,10 @@ def _spread(p: Parameter, u: float) -> float:
 def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     """Return the stack with nuisances where a robust look at the errors puts them, wide enough to climb from."""
     echo = batch.reading.echo
-    middle = np.zeros(len(batch)) if not echo.any() else stack.model.law(batch.ping, batch.past).quantile(0.5)
+    middle = np.zeros(len(batch)) if not echo.any() else stack.expected(batch)
     known = echo & (middle > 0)
-    error = np.abs(batch.reading.range - middle)[known]
-    robust = 1.4826 * float(np.median(error)) if len(error) else 0.005
+    error = (batch.reading.range - middle)[known]
+    robust = usual_deviation(error) if len(error) else 0.005
     size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
     wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (CELLS, "placement_m"): 0.5 * size}
     shared = {(CELLS, "sharing"): 0.02, (CELLS, "carry"): 0.1, (CELLS, "kernel_m"): max(0.004, batch.resolution / 3.0)}
@@ -153,7 +154,7 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
 def usual_scatter(batch: Batch) -> float:
     """Return the scatter of most readings about the middle of their stay, m, at least a fifth of a register's step."""
     away = from_middle(batch)
-    usual = 1.4826 * float(np.median(np.abs(away))) if len(away) else batch.resolution
+    usual = usual_deviation(away) if len(away) else batch.resolution
     return max(usual, 0.2 * batch.resolution, LEAST_SCATTER_M)
 
 

@@ -72,8 +72,8 @@ def company(stack: Stack, batch: Batch) -> Company:
         stack: the law of single readings.
         batch: readings, whole stays.
     """
-    middle = stack.model.law(batch.ping, batch.past).quantile(0.5)
-    away = batch.reading.echo & ~batch.near(np.where(batch.reading.echo, batch.reading.range - middle, 0.0))
+    middle = stack.expected(batch)
+    away = batch.reading.echo & ~batch.near(batch.reading.range - middle)
     if stack.model.remembers:  # a law that repeats readings repeats them to the digit: those are its own
         away &= np.abs(batch.reading.range - batch.past.range) > 0.5 * batch.resolution
     first, second = _pairs(batch, away)

@@ -12,11 +12,13 @@ from acquisition import Ping, Reading, Recording, SettingError
 from noise.cells import Batch, shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
-from noise.discrepancy.locate import Finding, locate
+from noise.discrepancy.locate import Finding, findings
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
-from noise.discrepancy.rest import check_rest, in_words, scan_p
+from noise.discrepancy.residuals import residuals
+from noise.discrepancy.rest import check_rest, located
 from noise.discrepancy.rivals import Rival, posterior, rivals
+from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search, spread_over_blocks
 from noise.discrepancy.splits import Split
@@ -108,9 +110,7 @@ def diagnose(
     search, fitted = prepared(base, split, seed, tell, tuple(without))
     tell("locating", 0.08)
     peer = base.peer(seed)
-    where = locate(fitted.stack, search.both, np.random.default_rng([seed, 2]), peer=peer)
-    p_scan = scan_p(fitted.stack, search.both, np.random.default_rng([seed, 2]), peer, lasting=True)
-    p_scan = min(p_scan, *(finding.p_value for finding in where if not finding.carried), 1.0)
+    where, p_scan = _where(fitted.stack, search.both, peer, seed)
     why = _explained(base, search)
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
@@ -139,6 +139,16 @@ def diagnose(
         len(batch),
         len(recording) - len(batch),
     )
+
+
+def _where(stack: Stack, batch: Batch, peer: Blocks | None, seed: int) -> tuple[list[Finding], float]:
+    """Return what a scan locates, and the p-value of what is not of the day in it."""
+    rng = np.random.default_rng([seed, 2])
+    seen = residuals(stack, batch, rng)
+    scanned = scan(seen, batch, rng, peer)
+    where = findings(seen, scanned, batch, peer)
+    p_values = [finding.p_value for finding in where if not finding.carried]
+    return where, min(scanned.lasting.p_value(scanned.lasting.best), *p_values, 1.0)
 
 
 def _explained(base: Baseline, search: Search) -> Explained:
@@ -249,7 +259,7 @@ def _verdict(
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     if not named and not rest.present and p_scan <= SURE_SCAN and (matched is None or matched.differs):
-        rest = _located(where, p_scan)
+        rest = located(where, p_scan)
     kind = judge(named, rest, gain, p_scan)
     shown = tuple(where) if kind != "none" else tuple(f for f in where if f.p_value < ALARM)
     empty = HeldOut("cells", 0, Score(0.0, 0.0), Score(0.0, 0.0), 0.0, 0.0)
@@ -257,13 +267,6 @@ def _verdict(
     if kind in ("none", "named", "confounded"):
         rest = replace(rest, present=False, description=None)
     return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
-
-
-def _located(where: Sequence[Finding], p_scan: float) -> Rest:
-    """Return a rest that nothing but the first scan shows: what is located beyond doubt is not nothing."""
-    lasting = tuple(finding for finding in where if not finding.carried)
-    words = "; ".join(in_words(finding) for finding in lasting) or "small misfits that stand out at no single place"
-    return Rest(True, p_scan, f"{words} (a description, not a cause)", lasting)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from noise.cells import Batch
 from noise.discrepancy.residuals import ASPECTS, EXTRA, Residuals, residuals
-from noise.discrepancy.scan import Blocks, Region, scan
+from noise.discrepancy.scan import Blocks, Region, Scan, scan
 from noise.stack import Stack
 
 SHADOWS = ("spread", "skew", "time_correlation")  # a bias bends them wherever it changes: told of after it
@@ -68,7 +68,13 @@ def locate(
         peer: the readings of the simulation that the law stands for; see `scan`.
     """
     seen = residuals(stack, batch, rng)
-    scanned = scan(seen, batch, rng, peer)
+    return findings(seen, scan(seen, batch, rng, peer), batch, peer, most, level)
+
+
+def findings(
+    seen: Residuals, scanned: Scan, batch: Batch, peer: Blocks | None = None, most: int = 5, level: float = 0.05
+) -> list[Finding]:
+    """Return the findings of a scan that was made; see `locate`."""
     out: list[Finding] = []
     shadow = np.array([aspect in SHADOWS for aspect in ASPECTS])
     for flat in np.argsort(np.where(shadow, LAST, 0.0) - np.abs(scanned.statistic), axis=None, kind="stable"):

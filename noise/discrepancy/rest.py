@@ -9,12 +9,12 @@ import numpy as np
 
 from noise.cells import Batch
 from noise.discrepancy.company import USUAL, company
-from noise.discrepancy.describe import formula
+from noise.discrepancy.describe import Formula, formula
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
-from noise.discrepancy.scan import OF_THE_DAY, Blocks, scan
+from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import Smooth, smooth
 from noise.discrepancy.transient import transient
@@ -99,11 +99,7 @@ def check_rest(
         findings += tuple(locate(stack, batch, rng, most=3, peer=peer))
     parts = [in_words(finding) for finding in findings]
     parts += [] if learned is NOTHING else [LEARNED[learned.of].format(nats=learned.nats)]
-    words = "; ".join(parts) or "small misfits that stand out at no single place"
-    short = formula(stack, search.both, rng)
-    if short is not None:
-        words = f"{words}; {short}"
-    told = f"{words} (a description, not a cause)"
+    told = _told(parts, formula(stack, search.both, rng))
     return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
 
 
@@ -131,21 +127,22 @@ def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> S
     return each.put([(CELLS, "carry")], [fit.stack.get((CELLS, "carry"))])
 
 
-def scan_p(
-    stack: Stack, batch: Batch, rng: np.random.Generator, peer: Blocks | None = None, lasting: bool = False
-) -> float:
-    """Return the family-wise p-value of the greatest residual statistic.
-
-    Args:
-        stack: the law, its nuisances fitted.
-        batch: readings.
-        rng: for randomised PIT values and flips.
-        peer: the simulation that the law stands for.
-        lasting: leave out what may change from day to day.
-    """
+def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, peer: Blocks | None = None) -> float:
+    """Return the family-wise p-value of the greatest residual statistic."""
     scanned = scan(residuals(stack, batch, rng), batch, rng, peer)
-    scanned = scanned.of(~OF_THE_DAY) if lasting else scanned
     return scanned.p_value(scanned.best)
+
+
+def located(where: Sequence[Finding], p_scan: float) -> Rest:
+    """Return a rest that nothing but the first scan shows: what is located beyond doubt is not nothing."""
+    lasting = tuple(finding for finding in where if not finding.carried)
+    return Rest(True, p_scan, _told([in_words(finding) for finding in lasting]), lasting)
+
+
+def _told(parts: Sequence[str], short: Formula | None = None) -> str:
+    """Return the description of what is left, in words and as a short formula."""
+    words = "; ".join(parts) or "small misfits that stand out at no single place"
+    return f"{words if short is None else f'{words}; {short}'} (a description, not a cause)"
 
 
 def in_words(finding: Finding) -> str:

@@ -149,9 +149,10 @@ class Scan:
         """The greatest statistic."""
         return float(np.abs(self.statistic).max(initial=0.0))
 
-    def of(self, aspects: NDArray[np.bool_]) -> Scan:
-        """Return the scan of some aspects alone."""
-        return Scan(self.statistic[:, aspects], self.highest[:, aspects], self.where)
+    @property
+    def lasting(self) -> Scan:
+        """The scan of what does not change from day to day alone."""
+        return Scan(self.statistic[:, ~OF_THE_DAY], self.highest[:, ~OF_THE_DAY], self.where)
 
 
 def scan(seen: Residuals, batch: Batch, rng: np.random.Generator, peer: Blocks | None = None) -> Scan:

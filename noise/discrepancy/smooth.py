@@ -10,12 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.law import Floats
+from noise.robust import winsorised
 from noise.stack import Stack
 
 FEWEST = 20  # stays, below which neighbours tell nothing; ours
@@ -67,29 +69,16 @@ def smooth(stack: Stack, batch: Batch) -> Smooth:
         stack: the law.
         batch: readings, whole stays.
     """
-    middle = stack.model.law(batch.ping, batch.past).quantile(0.5)
-    error = np.where(batch.reading.echo, batch.reading.range - middle, 0.0)
+    error = batch.reading.range - stack.expected(batch)
     near = batch.near(error)
-    starts = np.unique(batch.first)
-    offset = np.array([_median(error[a:b][near[a:b]]) for a, b in zip(starts, [*starts[1:], len(batch)], strict=True)])
-    known = ~np.isnan(offset)
-    if known.sum() < FEWEST:
-        return Smooth(int(known.sum()), {}, 0.0)
-    value = _winsorised(offset[known])
-    columns = {name: column[known] for name, column in by_block(batch).items() if name not in NOT_ASKED}
+    stays = pd.Series(error[near]).groupby(batch.block[near])
+    offset = stays.median()[stays.size() > 1]
+    if len(offset) < FEWEST:
+        return Smooth(len(offset), {}, 0.0)
+    value = winsorised(np.array(offset, dtype=np.float64))
+    columns = {name: column[offset.index] for name, column in by_block(batch).items() if name not in NOT_ASKED}
     share = {name: _shared(value[np.argsort(column, kind="stable")]) for name, column in columns.items()}
     return Smooth(len(value), share, float(value.std()))
-
-
-def _median(error: Floats) -> float:
-    return float(np.median(error)) if len(error) > 1 else np.nan
-
-
-def _winsorised(value: Floats) -> Floats:
-    """Return values less their middle, none farther from it than three usual deviations."""
-    value = value - np.median(value)
-    limit = 3.0 * 1.4826 * float(np.median(np.abs(value))) + 1e-6
-    return np.clip(value, -limit, limit)
 
 
 def _shared(value: Floats) -> float:

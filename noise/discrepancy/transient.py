@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
+from noise.robust import winsorised
 
 FEWEST = 12  # moves, below which signs say nothing; ours
 FEWEST_PINGS = 4  # of a stay, for its later half to tell where readings settle; ours
@@ -61,8 +62,7 @@ def transient(batch: Batch) -> Transient | None:
         return None
     lean, towards = known.T
     lean = lean - np.median(lean)  # of every first reading, wherever it comes from
-    limit = 3.0 * 1.4826 * float(np.median(np.abs(lean))) + batch.resolution
-    leaning = np.clip(lean, -limit, limit) * np.sign(towards)
+    leaning = winsorised(lean, batch.resolution) * np.sign(towards)
     spread = float(np.sqrt((leaning**2).sum()))
     return Transient(len(known), float(leaning.sum()) / spread if spread > 0 else 0.0, float(np.median(leaning)))
 

@@ -269,6 +269,14 @@ def direct_path(conditions: Conditions) -> Path:
     return new_path("direct", distance, wall_level_db(distance), bearing=conditions.angle)
 
 
+NEAR, NEAR_M = 0.1, 0.05  # readings within this share of distance, and this much more, are the target's; ours
+
+
+def reach(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far from a target's distance, m, an echo may lie and be its own, m."""
+    return NEAR * distance + NEAR_M
+
+
 @dataclass(frozen=True)
 class Seen:
     """Readings that were heard, for guesses: arrays (n,) of distance, m, time, s, and range, m."""
@@ -280,13 +288,13 @@ class Seen:
     @property
     def away(self) -> Seen:
         """Return those that are not the target's."""
-        keep = np.abs(self.range - self.distance) > 0.1 * self.distance + 0.05
+        keep = np.abs(self.range - self.distance) > reach(self.distance)
         return Seen(self.distance[keep], self.time[keep], self.range[keep])
 
     @property
     def early(self) -> Seen:
         """Return those that came clearly before the target's."""
-        keep = self.range < 0.9 * self.distance - 0.05
+        keep = self.range < self.distance - reach(self.distance)
         return Seen(self.distance[keep], self.time[keep], self.range[keep])
 
 

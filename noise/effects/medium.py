@@ -11,6 +11,7 @@ from torch import Tensor
 
 from noise.effects.base import Effect, Parameter, Path, Seen, Stage, State
 from noise.law import Floats
+from noise.robust import winsorised
 
 ASSUMED_SPEED = 344.83  # m/s; 58 us/cm, the constant of the HC-SR04 family and the working assumption for the SRF08
 CELSIUS = 273.15
@@ -178,7 +179,7 @@ class ThermalDrift(Effect):
         near = np.abs(stretch) < MOST_STRETCH
         if near.sum() < 8 or not np.ptp(time[near]):
             return []
-        return _swings(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * _winsorised(stretch[near]))
+        return _swings(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * winsorised(stretch[near]))
 
     def warming(self, time: Tensor) -> Tensor:
         """Return how much warmer than at rest the air is at a time in s, K, bounded to +-50 K."""
@@ -192,13 +193,6 @@ class ThermalDrift(Effect):
         swing = math.hypot(v["sine_k"], v["cosine_k"])
         moved = f"{v['rate_k_per_h']:+.2g} K an hour and a swing of {swing:.2g} K every {v['period_s'] / 60:.0f} min"
         return f"The air's temperature moved while recording, by {moved}: ranges are scaled by what changes with time."
-
-
-def _winsorised(value: Floats) -> Floats:
-    """Return values with what lies farther than three usual deviations from their middle pulled in."""
-    middle = float(np.median(value))
-    limit = 3.0 * 1.4826 * float(np.median(np.abs(value - middle))) + 1e-6
-    return np.clip(value, middle - limit, middle + limit)
 
 
 def _swings(time: Floats, warmer: Floats) -> list[dict[str, float]]:
