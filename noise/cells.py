@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -84,6 +85,8 @@ class Batch:
         resolution: step of the register, m.
         timed: whether the time of each ping was logged.
         twin: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
+        last: latest echo before each ping in its run, and how far off its target stood, m, nan where there was none,
+            (n, 2).
     """
 
     ping: Ping
@@ -94,6 +97,7 @@ class Batch:
     resolution: float
     timed: bool = True
     twin: NDArray[np.float64] | None = None
+    last: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -111,7 +115,9 @@ class Batch:
         past = previous(recording.reading, recording.run)
         ping, reading = recording.ping[order], recording.reading[order]
         label = np.unique(block[order], return_inverse=True)[1]
-        return cls(ping, past[order], reading, label, cell[order], recording.resolution, recording.has("time_s"))
+        last = _last_echo(recording)[order]
+        timed = recording.has("time_s")
+        return cls(ping, past[order], reading, label, cell[order], recording.resolution, timed, last=last)
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -128,6 +134,7 @@ class Batch:
             block=block,
             cell=self.cell[mask],
             twin=None if self.twin is None else self.twin[mask],
+            last=None if self.last is None else self.last[mask],
         )
 
     def thin(self, n: int) -> Batch:
@@ -148,6 +155,11 @@ class Batch:
     def first(self) -> NDArray[np.int64]:
         """Row at which each ping's block begins, (n,)."""
         return np.searchsorted(self.block, self.block)
+
+    @property
+    def stays(self) -> list[NDArray[np.int64]]:
+        """Rows of each block."""
+        return np.split(np.arange(len(self)), np.unique(self.first)[1:])
 
     @cached_property
     def count(self) -> NDArray[np.int64]:
@@ -202,6 +214,14 @@ class Batch:
         """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""
         starts = np.unique(self.first)
         return np.add.reduceat(value, starts, axis=0)
+
+
+def _last_echo(recording: Recording) -> NDArray[np.float64]:
+    """Return the latest echo before each ping in its run, and how far off its target stood, m, (n, 2)."""
+    echo, run = recording.reading.echo, recording.run
+    columns = {"read": recording.reading.range, "stood": recording.ping.distance}
+    heard = pd.DataFrame({name: np.where(echo, column, np.nan) for name, column in columns.items()})
+    return heard.groupby(run).ffill().groupby(run).shift().to_numpy()
 
 
 def cells_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -63,7 +63,7 @@ def starting_points(
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
     for row in dict.fromkeys((tuple(points[0]), tuple(first))):
         points += _on_slopes(stack.put(keys, row), keys, whole or batch)
-    points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(_seen(whole or batch))]
+    points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(seen_in(whole or batch))]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
     points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
     return [stack.put(keys, point) for point in points]
@@ -104,7 +104,8 @@ def _expected(stack: Stack, batch: Batch) -> Floats:
     return np.asarray(torch.atleast_2d(place).mean(0).expand(len(batch)).numpy())
 
 
-def _seen(batch: Batch) -> Seen:
+def seen_in(batch: Batch) -> Seen:
+    """Return the echoes of a batch as guesses see them."""
     echo = batch.reading.echo
     return Seen(batch.ping.distance[echo], batch.ping.time[echo], batch.reading.range[echo])
 

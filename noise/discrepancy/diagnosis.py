@@ -17,7 +17,7 @@ from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import check_rest, located
-from noise.discrepancy.rivals import Rival, posterior, rivals
+from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search, spread_over_blocks
@@ -118,7 +118,7 @@ def diagnose(
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     tell("checking what is left", 0.9)
     rng = np.random.default_rng([seed, 4])
-    rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, base.usual(seed))
+    rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, base.usual(seed, batch.resolution))
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = _before(base, fitted, beside)
@@ -215,6 +215,8 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
         own = rivals(search, why, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
+        others = [other for other in chosen if other != name]
+        alike += tuple(rival for rival in in_disguise(search, (name, *alike)) if rival not in others)
         told = _told(base, final.single, name)
         parameters = {key[1]: interval for key, interval in known.items() if key[0] == name}
         weight, error = posterior(own), spread_over_blocks(gain)
@@ -295,13 +297,14 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str
 
 def _beyond_any_law(rest: Rest) -> bool:
     """Tell whether readings show what no law of single readings holds: memory of moves, or other things that answer."""
-    return any(finding.aspect in ("transient", "company") and finding.p_value < SURE_P for finding in rest.findings)
+    return any(finding.aspect in BEYOND_LAWS and finding.p_value < SURE_P for finding in rest.findings)
 
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 # found by looks of their own, which no scan of conditions has to bear out
-OWN_LOOKS = ("rhythm", "transient", "company", "smooth")
+OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form")
+BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form")  # what no law of single readings holds
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

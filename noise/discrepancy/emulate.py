@@ -18,6 +18,7 @@ import torch
 from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
 from noise.discrepancy.company import company
+from noise.discrepancy.held import still
 from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import remainder
 from noise.discrepancy.residuals import residuals
@@ -101,13 +102,19 @@ class Baseline:
         batch = self.own.whole.thin(PEER_PINGS)
         return Blocks(residuals(self.stack, batch, np.random.default_rng([seed, 8])), batch)
 
-    def usual(self, seed: int) -> Usual:
-        """Return what looks at the rest find in the simulation itself; nothing for a model that is used as it is."""
+    def usual(self, seed: int, step: float) -> Usual:
+        """Return what looks at the rest find in the simulation itself; nothing for a model that is used as it is.
+
+        Args:
+            seed: of draws.
+            step: of the recording's register, m: on a coarser one than its own the simulation changes less.
+        """
         if self.own is None:
             return Usual()
         whole = self.own.whole
         learned = remainder(self.stack, whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
-        return Usual(learned, company(self.stack, whole).usual, smooth(self.stack, whole))
+        unmoved = still(whole, max(step, whole.resolution))
+        return Usual(learned, company(self.stack, whole).usual, smooth(self.stack, whole), unmoved)
 
     def without_repairs(
         self, search: Search, chosen: list[str], cross: Crossed, plain: Crossed

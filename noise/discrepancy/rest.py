@@ -10,20 +10,21 @@ import numpy as np
 from noise.cells import Batch
 from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.describe import Formula, formula
+from noise.discrepancy.held import Still, held
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.search import Crossed, Search
-from noise.discrepancy.smooth import Smooth, smooth
+from noise.discrepancy.smooth import Smooth, smooth, wrong_form
 from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
-LOOKS = 6.0  # scans of either part, a beat, memory of moves, other things that answer, neighbours that agree
+LOOKS = 7.0  # scans of either part, a beat, two of memory, other things that answer, neighbours that agree
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -41,6 +42,10 @@ _WORDS = {
     "transient": "first readings after a move lean towards the place before, by {mm:.0f} mm",
     "company": "in {percent:.0f} % of stays something else than the target answers, from one place while it lasts",
     "smooth": "positions are off by {mm:.0f} mm (standard deviation), neighbours in {along} alike",
+    "form": "positions are off by {mm:.0f} mm (standard deviation) along {along}, which no cause of this form explains",
+    "still": "readings do not change by a digit while the target stays",
+    "kept": "after {percent:.0f} % of moves readings stay, to the digit, what they were before",
+    "play": "positions lie towards the place before, by {mm:.0f} mm",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 
@@ -53,11 +58,13 @@ class Usual:
         remainder: what a learner makes of them; None where the law is the simulation.
         company: share of its stays in which something else than the target answers.
         smooth: how much its stays agree with their neighbours; None where the law is the simulation.
+        still: how many of its stays show no change; None where the law is the simulation.
     """
 
     remainder: Remainder | None = None
     company: float = USUAL
     smooth: Smooth | None = None
+    still: Still | None = None
 
 
 def check_rest(
@@ -86,7 +93,7 @@ def check_rest(
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
-    beside = beside_scans(pairs[0][0], whole, rng, usual)
+    beside = beside_scans(pairs[0][0], whole, rng, usual, search.base if chosen else None)
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual.remainder)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
@@ -103,14 +110,20 @@ def check_rest(
     return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
 
 
-def beside_scans(stack: Stack, batch: Batch, rng: np.random.Generator, usual: Usual) -> list[Finding]:
+def beside_scans(
+    stack: Stack, batch: Batch, rng: np.random.Generator, usual: Usual, before: Stack | None
+) -> list[Finding]:
     """Return what looks of their own find, whatever their p-values.
 
-    They are memory of moves, a beat, other things that answer, and neighbours in a condition that agree.
+    They are memory of moves, places held on to, a beat, other things that answer, and neighbours that agree.
     """
     looks = (transient(batch), rhythm(stack, batch, rng))
     found = [look.finding for look in looks if look is not None]
-    return [*found, company(stack, batch).finding(usual.company), smooth(stack, batch).finding(usual.smooth)]
+    found.append(held(stack, batch, usual.still))
+    found.append(company(stack, batch).finding(usual.company))
+    alike = smooth(stack, batch).finding(usual.smooth)
+    wrong = before is not None and wrong_form(alike, before, stack, batch)
+    return [*found, replace(alike, aspect="form") if wrong else alike]
 
 
 def beyond(found: Remainder, usual: Remainder | None) -> Remainder:
@@ -150,7 +163,7 @@ def in_words(finding: Finding) -> str:
     place, period, along = "", 0.0, ""
     if finding.aspect == "rhythm" and finding.place is not None:
         period = finding.place[1]
-    elif finding.aspect == "smooth" and finding.place is not None:
+    elif finding.aspect in ("smooth", "form") and finding.place is not None:
         along = _COLUMNS.get(finding.place[0], (finding.place[0], "", 1.0))[0]
     elif finding.place is not None:
         kind, value = finding.place

@@ -19,9 +19,11 @@ from acquisition import Ping
 from noise.cells import BANKS, Batch, law_of, prior_offset
 from noise.discrepancy.explanation import Explained
 from noise.discrepancy.search import Search
+from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, maximise
 from noise.law import Floats
 from noise.stack import NUISANCES, SPREAD, Stack
+from noise.starts import seen_in
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %
@@ -159,6 +161,13 @@ class Contest:
         """The explanation, fitted to what it draws."""
         free = (*self.search.keys(self.why.chosen), *NUISANCES)
         return maximise(self.own.stack, free, self.replica, 30, scales=self.scales)
+
+
+def in_disguise(search: Search, names: Sequence[str]) -> tuple[str, ...]:
+    """Return effects that pass for one of those named, and that these readings are too few to tell from them."""
+    seen = seen_in(search.discover)
+    able = [kind for name, kind in CATALOGUE.items() if name not in (*names, *search.never)]
+    return tuple(kind.name for kind in able if set(kind.passes_for) & set(names) and kind.hidden(seen))
 
 
 def posterior(own: Sequence[Rival]) -> float:

@@ -23,6 +23,8 @@ from noise.stack import Stack
 FEWEST = 20  # stays, below which neighbours tell nothing; ours
 WEIGHTS = np.array([1.0, 0.5, 0.25])  # of the first, second and third neighbour: waves may be short; ours
 KNOTS = 8.0  # of the smooth part of a law that stands for a simulation, which errs smoothly too; ours
+HALF = 0.5  # of a shift that neighbours share: more is a course along their condition; ours
+MISFIT = 0.1  # of a shift's own spread: what is left beside it may be the law's; ours
 NOT_ASKED = ("time_s",)  # air drifts, and that is no riddle; what drifts has its own effects
 
 
@@ -60,6 +62,25 @@ def _expected(usual: Smooth | None, name: str) -> float:
     if usual is None:
         return 0.0
     return max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.stays, 1)
+
+
+def wrong_form(finding: Finding, before: Stack, after: Stack, batch: Batch) -> bool:
+    """Tell whether neighbours agree along the very condition that an explanation's own shift goes along.
+
+    What is left then is no other cause somewhere else: the shift does not have the form that the explanation gives it.
+
+    Args:
+        finding: of `Smooth.finding`.
+        before: the law without the explanation.
+        after: with it.
+        batch: readings, whole stays.
+    """
+    if finding.place is None:
+        return False
+    starts = np.unique(batch.first)
+    shift = winsorised((after.expected(batch) - before.expected(batch))[starts])
+    course = _shared(shift[np.argsort(by_block(batch)[finding.place[0]], kind="stable")])
+    return course > HALF and finding.size > MISFIT * float(shift.std())
 
 
 def smooth(stack: Stack, batch: Batch) -> Smooth:

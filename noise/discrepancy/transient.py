@@ -56,7 +56,7 @@ def transient(batch: Batch) -> Transient | None:
     Args:
         batch: readings, whole stays.
     """
-    pairs = [_lean(batch, rows) for rows in np.split(np.arange(len(batch)), np.unique(batch.first)[1:])]
+    pairs = [_lean(batch, rows) for rows in batch.stays]
     known = np.array([pair for pair in pairs if pair is not None])
     if len(known) < FEWEST:
         return None
@@ -73,10 +73,18 @@ def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
     A reading that repeats the last one to the digit is a repeat, which the catalogue knows, and no lean.
     """
     first, later = rows[0], rows[len(rows) // 2 :]
-    heard = batch.reading.echo[first] and batch.past.echo[first] and batch.reading.echo[later].any()
-    repeated = abs(batch.reading.range[first] - batch.past.range[first]) < 0.5 * batch.resolution
+    before = _echo_before(batch, first)
+    heard = batch.reading.echo[first] and not np.isnan(before) and batch.reading.echo[later].any()
+    repeated = abs(batch.reading.range[first] - before) < 0.5 * batch.resolution
     if len(rows) < FEWEST_PINGS or not heard or repeated:
         return None
     settled = np.median(batch.reading.range[later][batch.reading.echo[later]])
-    towards = batch.past.range[first] - settled
+    towards = before - settled
     return None if abs(towards) < APART_M else (float(batch.reading.range[first] - settled), float(towards))
+
+
+def _echo_before(batch: Batch, row: int) -> float:
+    """Return the latest echo before a ping, m, nan where there was none: a filter keeps it through silence."""
+    if batch.last is not None:
+        return float(batch.last[row, 0])
+    return float(batch.past.range[row]) if batch.past.echo[row] else float("nan")

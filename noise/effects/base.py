@@ -307,6 +307,7 @@ class Effect(ABC):
     summary: ClassVar[str]  # one line of plain English: what the effect is
     remembers: ClassVar[bool] = False  # whether it looks at the previous reading
     by_ping: ClassVar[bool] = False  # whether it strikes single pings, whatever their cell
+    passes_for: ClassVar[tuple[str, ...]] = ()  # effects that it looks like while it is `hidden`
 
     def __init__(self, **values: float | Tensor) -> None:
         """Set parameters by name; those left out are at their null values.
@@ -326,6 +327,11 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, state: State) -> State:
         """Return the state with this effect in it."""
+
+    @classmethod
+    def hidden(cls, seen: Seen) -> bool:
+        """Tell whether readings are too few for what sets this effect apart from those it passes for."""
+        return False
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:

@@ -82,6 +82,7 @@ class SynchronousCrosstalk(Effect):
 
 TICK_S = 1e-3  # times of pings are logged no finer
 MOST_TICKS = 1 << 21
+SURE_NATS = 5.0  # by which arrivals must keep to a clock better than to any by chance: 99 %
 SLOWEST_HZ, FASTEST_HZ = 0.5, 40.0  # of another sonar; ours
 
 
@@ -95,6 +96,7 @@ class AsynchronousCrosstalk(Effect):
     name = "asynchronous_crosstalk"
     stage = Stage.PATHS
     by_ping = True
+    passes_for = ("false_alarm", "spike")
     summary = "Another sonar, firing by its own clock, is taken for the echo"
     parameters = (
         presence(0.5),
@@ -118,6 +120,12 @@ class AsynchronousCrosstalk(Effect):
         v = self.values
         often = f"{100 * v['presence']:.3g} % of its bursts"
         return f"Another sonar, firing every {1000 * v['period_s']:.2f} ms, is taken for the echo, by {often}."
+
+    @classmethod
+    def hidden(cls, seen: Seen) -> bool:
+        """Tell whether early readings keep to some clock by chance, so few they are among so many clocks."""
+        length = float(np.ptp(seen.time)) if len(seen.time) else 0.0
+        return length == 0.0 or len(seen.early.time) < np.log(max(length, 1.0) * FASTEST_HZ) + SURE_NATS
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:

@@ -294,3 +294,10 @@ def test_a_clock_is_guessed_within_its_bounds_however_few_early_readings_there_a
     seen = Seen(np.full(9, 4.0), time, np.full(9, 1.0))
     for guess in CATALOGUE["asynchronous_crosstalk"].guesses(seen):
         CATALOGUE["asynchronous_crosstalk"](**guess)
+
+
+@pytest.mark.parametrize(("early", "times", "hidden"), [(9, 1.0, True), (60, 1.0, False), (60, 0.0, True)])
+def test_few_early_readings_keep_to_some_clock_by_chance_and_untimed_ones_to_every(early, times, hidden):
+    seen = Seen(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
+    assert CATALOGUE["asynchronous_crosstalk"].hidden(seen) == hidden
+    assert not CATALOGUE["false_alarm"].hidden(seen)

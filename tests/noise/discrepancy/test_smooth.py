@@ -9,7 +9,7 @@ from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.rest import in_words
-from noise.discrepancy.smooth import smooth
+from noise.discrepancy.smooth import smooth, wrong_form
 from noise.effects import CATALOGUE
 from noise.model import simulate
 from noise.physical import PhysicalModel
@@ -57,6 +57,22 @@ def test_careless_placing_is_no_function_of_anything():
 def test_a_simulation_that_waves_alike_is_no_worse():
     usual = smooth(Stack.of(SONAR), Batch.of(heard(3, waving)))
     assert smooth(Stack.of(SONAR), Batch.of(heard(4, waving))).finding(usual).p_value > 0.01
+
+
+@pytest.mark.parametrize(("left", "wrong"), [(0.02, True), (0.002, False)])
+def test_what_is_left_along_the_explanations_own_condition_is_a_wrong_form(left, wrong):
+    bent = heard(7, lambda d, a: 0.97 * d + left * np.sin(4.0 * np.pi * d))
+    scaled = Stack.of(PhysicalModel([*SONAR.effects, CATALOGUE["clock_scale"](error=-0.03)]))
+    found = smooth(scaled, Batch.of(bent)).finding(None)
+    assert wrong_form(found, Stack.of(SONAR), scaled, Batch.of(bent)) == wrong
+
+
+def test_what_is_left_along_another_condition_is_another_cause():
+    turned = heard(8, lambda d, a: 0.97 * d + 0.02 * np.sign(a))
+    scaled = Stack.of(PhysicalModel([*SONAR.effects, CATALOGUE["clock_scale"](error=-0.03)]))
+    found = smooth(scaled, Batch.of(turned)).finding(None)
+    assert found.place == ("angle_deg", 0.0)
+    assert not wrong_form(found, Stack.of(SONAR), scaled, Batch.of(turned))
 
 
 def test_few_stays_tell_nothing():
