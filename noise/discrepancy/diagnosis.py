@@ -303,8 +303,9 @@ def _beyond_any_law(rest: Rest) -> bool:
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 # found by looks of their own, which no scan of conditions has to bear out
-OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form")
-BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form")  # what no law of single readings holds
+OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form", "selective")
+# what no law of single readings, or none of those named, holds
+BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form", "selective")
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

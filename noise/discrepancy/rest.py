@@ -17,6 +17,7 @@ from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rhythm import rhythm
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.search import Crossed, Search
+from noise.discrepancy.selective import selective
 from noise.discrepancy.smooth import Smooth, smooth, wrong_form
 from noise.discrepancy.transient import transient
 from noise.discrepancy.verdict import Rest
@@ -24,7 +25,7 @@ from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
-LOOKS = 7.0  # scans of either part, a beat, two of memory, other things that answer, neighbours that agree
+LOOKS = 8.0  # scans of either part, a beat, two of memory, things that answer, neighbours that agree, places of faults
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -46,6 +47,7 @@ _WORDS = {
     "still": "readings do not change by a digit while the target stays",
     "kept": "after {percent:.0f} % of moves readings stay, to the digit, what they were before",
     "play": "positions lie towards the place before, by {mm:.0f} mm",
+    "selective": "strays, in {percent:.0f} % of stays, go by {along}, where a fault would strike anywhere",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 
@@ -94,6 +96,8 @@ def check_rest(
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
     beside = beside_scans(pairs[0][0], whole, rng, usual, search.base if chosen else None)
+    picked = selective(pairs[0][0], whole, chosen, rng)
+    beside += [] if picked is None else [picked]
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual.remainder)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
@@ -163,7 +167,7 @@ def in_words(finding: Finding) -> str:
     place, period, along = "", 0.0, ""
     if finding.aspect == "rhythm" and finding.place is not None:
         period = finding.place[1]
-    elif finding.aspect in ("smooth", "form") and finding.place is not None:
+    elif finding.aspect in ("smooth", "form", "selective") and finding.place is not None:
         along = _COLUMNS.get(finding.place[0], (finding.place[0], "", 1.0))[0]
     elif finding.place is not None:
         kind, value = finding.place

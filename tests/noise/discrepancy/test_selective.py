@@ -1,0 +1,68 @@
+"""Faults strike any ping: strays that go by a condition are no fault, whatever explains their values."""
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition import Ping, Reading, Recording
+from noise.cells import Batch
+from noise.discrepancy import diagnose
+from noise.discrepancy.rest import in_words
+from noise.discrepancy.selective import selective
+from noise.discrepancy.transient import SURE_P
+from noise.effects import CATALOGUE
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import Stack
+
+torch.set_num_threads(1)
+SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0)])
+PINGS, STAYS = 8, 60
+
+
+def heard(seed, faults=(), least=0.0):
+    """Return stays placed to 3 mm by a sonar with faults, whose host lifts readings to the least it deems possible."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.4, 2.5, STAYS), PINGS)
+    placed = distance + np.repeat(rng.normal(0, 0.003, STAYS), PINGS)
+    sonar = PhysicalModel([*SONAR.effects, *faults])
+    reading = simulate(sonar, Ping.of(distance=placed), rng).range
+    read = np.where(reading > 0.0, np.maximum(np.round(reading, 3), least), 0.0)
+    return Recording.of(Ping.of(distance=distance), Reading.of(read))
+
+
+def stuck(probability=0.2):
+    return CATALOGUE["stuck"](probability=probability, value_m=0.8)
+
+
+def look(recording, law):
+    return selective(Stack.of(law), Batch.of(recording), ["stuck"], np.random.default_rng(0))
+
+
+def test_a_least_reading_goes_by_distance():
+    found = look(heard(1, least=0.8), PhysicalModel([*SONAR.effects, stuck()]))
+    assert found.p_value < SURE_P
+    assert found.place == ("distance_mm", 0.0)
+    assert found.size == pytest.approx(0.15, abs=0.1)
+    assert "go by distance" in in_words(found)
+
+
+def test_faults_ask_no_condition():
+    law = PhysicalModel([*SONAR.effects, stuck()])
+    p = np.array([look(heard(seed, [stuck()]), law).p_value for seed in range(2, 42)])
+    assert np.mean(p < 0.05) <= 0.15
+    assert p.min() > SURE_P
+    assert 0.3 < p.mean() < 0.7
+
+
+def test_nothing_is_asked_where_no_fault_is_named_or_nothing_strays():
+    batch = Batch.of(heard(3, [stuck()]))
+    assert selective(Stack.of(SONAR), batch, ["sound_speed"], np.random.default_rng(0)) is None
+    assert look(heard(4), SONAR) is None
+
+
+def test_a_least_reading_is_unknown_physics_and_a_stuck_register_is_not():
+    assert diagnose(SONAR, heard(5, least=0.9), seed=1).to_verdict()["verdict"] == "unknown"
+    verdict = diagnose(SONAR, heard(6, [stuck()]), seed=1).to_verdict()
+    assert verdict["verdict"] == "named"
+    assert verdict["effects"][0]["effect"] == "stuck"
