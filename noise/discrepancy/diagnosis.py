@@ -122,9 +122,11 @@ def diagnose(
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     before = _before(base, fitted, beside)
-    corrected = corrected_model(why.final.single, recording, split.both)
-    held = _held_out(base.raw, corrected, before, why.final.stack, split.vault)
-    ahead = _ahead(base, why, all_rivals, seed, search.both)
+    # what was chosen and not named in the end corrects nothing
+    after, single = (why.final.stack, why.final.single) if verdict.effects else (fitted.stack, fitted.stack)
+    corrected = corrected_model(single, recording, split.both)
+    held = _held_out(base.raw, corrected, before, after, split.vault)
+    ahead = _ahead(base, why, all_rivals, seed, search.both) if verdict.effects else ()
     tell("done", 1.0)
     return Diagnosis(
         replace(verdict, held_out=held, next_measurement=ahead),
@@ -132,7 +134,7 @@ def diagnose(
         model,
         base.raw,
         corrected_model(fitted.stack, recording, split.both),
-        why.final.stack,
+        after,
         split,
         tuple(all_rivals),
         recording.name,
@@ -259,6 +261,8 @@ def _verdict(
     """Return the verdict, its held-out part still open."""
     if matched is not None and not matched.differs and gain < SURE and not rest.present:
         named, gain = [], 0.0  # what shared cells do not show is the emulator's
+    if of_the_day(named, gain, p_scan) and not rest.present:
+        named, gain = [], 0.0
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     if not named and not rest.present and p_scan <= SURE_SCAN and (matched is None or matched.differs):
         rest = located(where, p_scan)
@@ -269,6 +273,11 @@ def _verdict(
     if kind in ("none", "named", "confounded"):
         rest = replace(rest, present=False, description=None)
     return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
+
+
+def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
+    """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
+    return gain < SURE and p_scan > ALARM and all(n.effect in AIR for n in named)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:
@@ -306,6 +315,7 @@ CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_a
 OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form", "selective")
 # what no law of single readings, or none of those named, holds
 BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form", "selective")
+AIR = (JITTER, "scintillation")  # what another day changes by itself
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

@@ -2,9 +2,9 @@
 
 import pytest
 
-from noise.discrepancy.diagnosis import SURE_SCAN, judge
+from noise.discrepancy.diagnosis import SURE, SURE_SCAN, judge, of_the_day
 from noise.discrepancy.locate import Finding
-from noise.discrepancy.verdict import Rest
+from noise.discrepancy.verdict import Named, Rest
 
 SOMETHING = Rest(True, 0.0025, "small misfits")
 
@@ -25,3 +25,21 @@ def test_a_scatter_that_no_day_brings_is_a_mismatch():
     found = Finding("spread", {}, 1.8, "1", 0.0025, 10.0)
     assert not found.carried
     assert judge([], Rest(True, 0.001, "so", (found,)), 0.0, 0.009) == "unknown"
+
+
+def named(effect):
+    return Named(effect, (), 0.9, {}, 20.0, 5.0, "so")
+
+
+@pytest.mark.parametrize(
+    ("effects", "gain", "p_scan", "day"),
+    [
+        (["scintillation"], 0.8 * SURE, 0.2, True),
+        (["scintillation", "travel_time_jitter"], 0.8 * SURE, 0.2, True),
+        (["scintillation"], 1.2 * SURE, 0.2, False),
+        (["scintillation"], 0.8 * SURE, 0.001, False),
+        (["scintillation", "zero_offset"], 0.8 * SURE, 0.2, False),
+    ],
+)
+def test_livelier_air_that_nothing_is_located_by_is_another_day(effects, gain, p_scan, day):
+    assert of_the_day([named(effect) for effect in effects], gain, p_scan) == day
