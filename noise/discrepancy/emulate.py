@@ -29,12 +29,12 @@ from noise.discrepancy.smooth import smooth
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.empirical import DISTANCE_KNOTS, Flexible
-from noise.fit import log_likelihood, maximise
+from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
 from noise.stack import CELLS, NUISANCES, Key, Stack
-from noise.starts import nuisance_starts
+from noise.starts import nuisance_starts, starting_points
 
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500
@@ -54,6 +54,9 @@ WEAKENED: dict[Key, float] = {
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
 }
+THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
+FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
+LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
 ALARM = 0.01
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
@@ -135,7 +138,7 @@ class Baseline:
             if self._gain_on_simulation(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
                 search.never = (*search.never, name)  # nor is it a rival of anything
-            elif not search.believable(gain, first=len(chosen) == 1):
+            elif not search.believable(name, gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
             else:
                 continue
@@ -224,6 +227,7 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
     starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in (PLAIN, {**PLAIN, **WEAKENED})]
     best = max((maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS) for s in starts), key=lambda fit: fit.nats)
+    best = with_other_things(best, both, np.random.default_rng([seed, 12]))
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
     fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
     smooth = smooth.put(fine, [0.0] * len(fine))
@@ -234,6 +238,23 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     note = f"a stand-in with a smooth part {words} the simulation's own held-out readings"
     plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
     return Baseline(stack, raw or plain, BaselineCheck(good, p, note), split)
+
+
+def with_other_things(fit: Fit, batch: Batch, rng: np.random.Generator) -> Fit:
+    """Return a fit with what else answers in the simulation: not asked for it, the recording would seem to add it.
+
+    Args:
+        fit: of what simulated sonars usually have.
+        batch: the simulation's readings.
+        rng: for starting points.
+    """
+    if company(fit.stack, batch).agree < FEWEST_AGREE:
+        return fit
+    for name in THINGS:
+        start = max(starting_points(fit.stack, name, batch, rng), key=lambda s: log_likelihood(s, batch).sum())
+        found = maximise(start, (*free_of(start), *NUISANCES), batch, 40, LEAST_LOSS)
+        fit = found if found.nats > fit.nats + LEAST_GAIN else fit
+    return fit
 
 
 def _pruned(stack: Stack, batch: Batch) -> Stack:

@@ -53,7 +53,7 @@ def changed_scatter(
     least = LEAST_RATIO if describes else POOR_RATIO
     placed = simulation.get(PLACED)
     pairs = [(before, placed, x, fit.stack.get(PLACED)) for fit, x in zip(fits, after, strict=True)]
-    if min(_apart(*pair) for pair in pairs) < least or not search.believable(gain):
+    if min(_apart(*pair) for pair in pairs) < least or not search.believable(JITTER, gain):
         return None
     # two laws may share one scatter out between placement and jitter otherwise: the readings have to bear it out
     seen = within_stays(search.both) / within_stays(simulated)

@@ -36,8 +36,8 @@ class Rules:
     Attributes:
         least_nats: cross-fitted gain below which nothing is added.
         least_t: the same in standard errors over blocks.
-        sweeping_nats, sweeping_t: gain beyond which so many standard errors are enough: what is plain in a few cells
-            and absent from all others is many nats and few standard errors.
+        sweeping_nats, sweeping_t: gain beyond which so many standard errors are enough of an effect that strikes: what
+            is plain in a few cells and absent from all others is many nats and few standard errors.
         keep_nats: cross-fitted loss below which a chosen effect is dropped again.
         bounded_nats: of each block at most, where the standard error is taken a second time: one heavy block
             then neither makes nor breaks a case.
@@ -274,15 +274,16 @@ class Search:
         first, second = (replace(fit, stack=self.reset(fit.stack, name)) for fit in (cross.first, cross.second))
         return self.cross(first.stack, [n for n in chosen if n != name], near=Crossed(first, second, cross.nats))
 
-    def believable(self, gain: Floats, first: bool = False) -> bool:
-        """Tell whether gains by block are more than chance, and not the work of one block.
+    def believable(self, name: str, gain: Floats, first: bool = False) -> bool:
+        """Tell whether an effect's gains by block are more than chance, and not the work of one block.
 
         Of the first effect alone it is enough if bounded gains say so: what follows it leans on what it left over.
         """
         total, enough, most = gain.sum(), self.rules.least_nats, self.rules.bounded_nats
         without_best = total - gain.max(initial=0.0)
         looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
-        least_t = self.rules.least_t if total < self.rules.sweeping_nats else self.rules.sweeping_t
+        sweeping = total >= self.rules.sweeping_nats and CATALOGUE[name].strikes
+        least_t = self.rules.sweeping_t if sweeping else self.rules.least_t
         sure = any(g.sum() > least_t * spread_over_blocks(g) for g in looks)
         return bool(total > enough and sure and without_best > 0.3 * enough)
 
@@ -312,7 +313,7 @@ class Search:
     ) -> str | None:
         """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
         gains = {name: c.nats - current.nats for name, c in crossed.items()}
-        good = [name for name in gains if self.believable(gains[name], not chosen)]
+        good = [name for name in gains if self.believable(name, gains[name], not chosen)]
         winner = self.simplest(good, gains)
         for name, nats in screened.items():
             gain = gains.get(name)
@@ -368,7 +369,7 @@ class Search:
         fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
         crossed = self.cross(fitted.stack, [THRESHOLD], near=base)
         gain = crossed.nats - base.nats
-        good = self.believable(gain, first=True)
+        good = self.believable(THRESHOLD, gain, first=True)
         told = "added first: echoes are missed" if good else "not more than chance"
         self.attempts.append(Attempt(THRESHOLD, (), np.nan, float(gain.sum()), spread_over_blocks(gain), told))
         return ([THRESHOLD], crossed) if good else ([], base)

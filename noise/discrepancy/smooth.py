@@ -48,7 +48,7 @@ class Smooth:
         Args:
             usual: the same of the simulation that the law stands for; None where the law is the simulation.
         """
-        excess = {name: share - _expected(usual, name) for name, share in self.share.items()}
+        excess = {name: share - self._expected(usual, name) for name, share in self.share.items()}
         if not excess:
             return Finding("smooth", {}, 0.0, "m", 1.0, 0.0)
         name = max(excess, key=lambda each: excess[each])
@@ -57,11 +57,13 @@ class Smooth:
         size = self.size_m * float(np.sqrt(np.clip(excess[name], 0.0, 1.0)))
         return Finding("smooth", {}, size, "m", p, 0.5 * max(z, 0.0) ** 2, (name, 0.0))
 
-
-def _expected(usual: Smooth | None, name: str) -> float:
-    if usual is None:
-        return 0.0
-    return max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.stays, 1)
+    def _expected(self, usual: Smooth | None, name: str) -> float:
+        """Return what the law's own errors make of this variance: they are so many mm, whatever else scatters."""
+        if usual is None or self.size_m == 0.0:
+            return 0.0
+        own = max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.stays, 1)
+        # their square, were they known exactly; but nulls of targets put down with less care then stand out too often
+        return own * min(usual.size_m / self.size_m, 1.0)
 
 
 def wrong_form(finding: Finding, before: Stack, after: Stack, batch: Batch) -> bool:
@@ -96,7 +98,7 @@ def smooth(stack: Stack, batch: Batch) -> Smooth:
     offset = stays.median()[stays.size() > 1]
     if len(offset) < FEWEST:
         return Smooth(len(offset), {}, 0.0)
-    value = winsorised(np.array(offset, dtype=np.float64))
+    value = winsorised(np.array(offset, dtype=np.float64), batch.resolution)
     columns = {name: column[offset.index] for name, column in by_block(batch).items() if name not in NOT_ASKED}
     share = {name: _shared(value[np.argsort(column, kind="stable")]) for name, column in columns.items()}
     return Smooth(len(value), share, float(value.std()))

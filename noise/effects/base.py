@@ -306,6 +306,7 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     summary: ClassVar[str]  # one line of plain English: what the effect is
     remembers: ClassVar[bool] = False  # whether it looks at the previous reading
+    strikes: ClassVar[bool] = False  # whether it is plain in some cells or pings, and leaves all others alone
     by_ping: ClassVar[bool] = False  # whether it strikes single pings, whatever their cell
     passes_for: ClassVar[tuple[str, ...]] = ()  # effects that it looks like while it is `hidden`
 

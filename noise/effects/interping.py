@@ -26,6 +26,7 @@ class PreviousPing(Effect):
 
     name = "previous_ping"
     stage = Stage.PATHS
+    strikes = True
     summary = "A far echo of the previous ping is read as a near one of this"
     parameters = (
         presence(0.3),
@@ -59,6 +60,7 @@ class SynchronousCrosstalk(Effect):
 
     name = "synchronous_crosstalk"
     stage = Stage.PATHS
+    strikes = True
     summary = "Another sonar's ping is read, half as far as both distances together"
     parameters = (
         presence(0.3),
@@ -95,6 +97,7 @@ class AsynchronousCrosstalk(Effect):
 
     name = "asynchronous_crosstalk"
     stage = Stage.PATHS
+    strikes = True
     by_ping = True
     passes_for = ("false_alarm", "spike")
     summary = "Another sonar, firing by its own clock, is taken for the echo"

@@ -18,6 +18,7 @@ class Spike(Effect):
 
     name = "spike"
     stage = Stage.SEQUENCE
+    strikes = True
     by_ping = True
     summary = "Now and then a reading is replaced by an arbitrary one"
     parameters = (
@@ -47,6 +48,7 @@ class DroppedReading(Effect):
 
     name = "dropped_reading"
     stage = Stage.SEQUENCE
+    strikes = True
     by_ping = True
     summary = "Now and then a reading is lost, whatever the target"
     parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: ours", (0.02,)),)
@@ -66,6 +68,7 @@ class StaleRepeat(Effect):
 
     name = "stale_repeat"
     stage = Stage.SEQUENCE
+    strikes = True
     summary = "Now and then the previous reading is given again"
     parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "lost commands 0 to 5 %; wider: ours", (0.02,)),)
     remembers = True
@@ -93,6 +96,7 @@ class Stuck(Effect):
 
     name = "stuck"
     stage = Stage.SEQUENCE
+    strikes = True
     by_ping = True
     summary = "Now and then the sensor gives one and the same reading, whatever the target"
     parameters = (
@@ -131,6 +135,7 @@ class NoiseBurst(Effect):
 
     name = "noise_burst"
     stage = Stage.SEQUENCE
+    strikes = True
     by_ping = True
     summary = "Some readings scatter far more than the others"
     parameters = (
@@ -161,6 +166,7 @@ class CorruptedByte(Effect):
 
     name = "corrupted_byte"
     stage = Stage.SEQUENCE
+    strikes = True
     by_ping = True
     summary = "Now and then a bit of the reading is wrong: it is off by a power of two"
     parameters = (

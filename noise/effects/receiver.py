@@ -200,6 +200,7 @@ class RingDown(Effect):
 
     name = "ring_down"
     stage = Stage.PATHS
+    strikes = True
     summary = "The transducer's own ringing is read as a near echo"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 1.0, "ours", (0.2,)),
@@ -230,6 +231,7 @@ class RearmDeadTime(Effect):
 
     name = "rearm_dead_time"
     stage = Stage.DETECTOR
+    strikes = True
     summary = "The receiver is armed late: nearer echoes are lost"
     parameters = (
         Parameter("deaf_m", "m", 0.0, 0.0, 1.2, "blanking 150-500 us, re-arming 1-4 ms: 0.03 to 0.7 m", (0.12, 0.5)),
@@ -253,6 +255,7 @@ class FalseAlarm(Effect):
 
     name = "false_alarm"
     stage = Stage.DETECTOR
+    strikes = True
     by_ping = True
     summary = "Noise is taken for an echo before the true one comes"
     parameters = (
@@ -331,6 +334,7 @@ class RangeGate(Effect):
 
     name = "range_gate"
     stage = Stage.REGISTER
+    strikes = True
     summary = "The sensor stops listening: farther echoes are not heard"
     parameters = (
         Parameter("listen_m", "m", 11.008, 0.3, 11.008, "range register (r + 1) 43 mm, Devantech SRF08", (6.0, 3.0)),

@@ -149,6 +149,7 @@ class BackgroundReflector(Effect):
 
     name = "background_reflector"
     stage = Stage.PATHS
+    strikes = True
     summary = "Something behind the reflector is read when the reflector itself is missed"
     parameters = (
         presence(0.9),
@@ -179,6 +180,7 @@ class FixedClutter(Effect):
 
     name = "fixed_clutter"
     stage = Stage.PATHS
+    strikes = True
     summary = "Something else in the room is read at a fixed range"
     parameters = (
         presence(0.2),
@@ -207,6 +209,7 @@ class Multipath(Effect):
 
     name = "multipath"
     stage = Stage.PATHS
+    strikes = True
     summary = "Echoes that bounced off the floor are read when the direct one is missed"
     parameters = (
         presence(0.9),
@@ -240,6 +243,7 @@ class RepeatedBounce(Effect):
 
     name = "repeated_bounce"
     stage = Stage.PATHS
+    strikes = True
     summary = "The echo goes to and fro twice and is read at twice the distance when the first is missed"
     parameters = (
         presence(0.9),
