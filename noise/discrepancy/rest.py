@@ -95,7 +95,7 @@ def check_rest(
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
-    beside = beside_scans(pairs[0][0], whole, rng, usual, search.base if chosen else None)
+    beside = beside_scans(pairs[0][0], whole, usual, search.base if chosen else None)
     picked = selective(pairs[0][0], whole, chosen, rng)
     beside += [] if picked is None else [picked]
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual.remainder)
@@ -114,14 +114,12 @@ def check_rest(
     return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
 
 
-def beside_scans(
-    stack: Stack, batch: Batch, rng: np.random.Generator, usual: Usual, before: Stack | None
-) -> list[Finding]:
+def beside_scans(stack: Stack, batch: Batch, usual: Usual, before: Stack | None) -> list[Finding]:
     """Return what looks of their own find, whatever their p-values.
 
     They are memory of moves, places held on to, a beat, other things that answer, and neighbours that agree.
     """
-    looks = (transient(batch), rhythm(stack, batch, rng))
+    looks = (transient(batch), rhythm(stack, batch))
     found = [look.finding for look in looks if look is not None]
     found.append(held(stack, batch, usual.still))
     found.append(company(stack, batch).finding(usual.company))

@@ -1,9 +1,9 @@
 """Whether readings move to a beat: a swaying stand, the mains, a fan.
 
 A disturbance of fixed period looks like scatter to any law of single readings. Here residuals, freed of each block's
-own mean, are laid on a fine grid of time and transformed at once to all frequencies. What keeps its phase from block to
-block adds up; what merely drags on from ping to ping does not. The power of the sum over the sum of the blocks' own
-powers is therefore exponentially distributed where nothing beats, whatever pings of a block share.
+own mean and size, are laid on a fine grid of time and transformed at once to all frequencies. What keeps its phase from
+block to block adds up; what merely drags on from ping to ping does not. The power of the sum over the sum of the
+blocks' own powers is therefore exponentially distributed where nothing beats, whatever pings of a block share.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from scipy.fft import next_fast_len, rfft
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
-from noise.discrepancy.residuals import seen_alone
 from noise.law import Floats
 from noise.stack import Stack
 
@@ -28,6 +27,8 @@ MOST_IN_BLOCK = 100  # pings of a block that are paired with each other; ours
 CANDIDATES = 120  # frequencies near the highest peak that are fitted to tell it from its aliases; ours
 ALIKE = 3.0  # nats by which one alias must fit better to be believed; ours
 NEARLY = 0.7  # of the highest peak
+FAR = 3.0  # usual errors of a block, beyond which one counts no more; ours
+LEAST_STEPS = 0.3  # of the register, that any block's errors are taken for: what rounding alone makes; ours
 LOWEST_CYCLES = 0.75  # of a block: slower movement is taken out with its mean; ours
 
 
@@ -53,22 +54,22 @@ class Rhythm:
         return Finding("rhythm", {}, self.amplitude_m, "m", self.p_value, self.nats, ("period", self.period_s))
 
 
-def rhythm(stack: Stack, batch: Batch, rng: np.random.Generator) -> Rhythm | None:
+def rhythm(stack: Stack, batch: Batch) -> Rhythm | None:
     """Return the strongest beat of the residuals; None where no time was logged or there are too few pings.
 
     Args:
-        stack: the law, its nuisances fitted.
+        stack: the law, of which only where an echo is expected counts: a beat may have made its scatter too wide.
         batch: readings, whole blocks.
-        rng: for randomised PIT values.
     """
     if not batch.timed or len(batch) < LEAST_PINGS:
         return None
-    u, law = seen_alone(stack, batch, rng)
-    heard = ~np.isnan(u)
-    few = heard & (batch.count < MOST_IN_BLOCK)
-    error = np.where(few, batch.reading.range - law.quantile(0.5), 0.0)
-    score = _without_means(np.where(few, 2.0 * u - 1.0, 0.0), few, batch)
-    seen = Beat(batch.ping.time[few], score[few], _without_means(error, few, batch)[few], batch.block[few])
+    error = batch.reading.range - stack.expected(batch)
+    few = batch.near(error) & (batch.count < MOST_IN_BLOCK)
+    error = _without_means(error, few, batch)
+    # every block counts alike, however much its readings scatter
+    usual = batch.per_block(np.abs(error)) / np.maximum(batch.per_block(few.astype(np.float64)), 1.0)
+    score = np.clip(error / (usual + LEAST_STEPS * batch.resolution)[batch.block], -FAR, FAR)
+    seen = Beat(batch.ping.time[few], _without_means(score, few, batch)[few], error[few], batch.block[few])
     return seen.strongest(_longest_period(batch))
 
 
