@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from noise.discrepancy.rivals import TIE
-from training.proof.score import CLAIMS, Line, Scored, at_least, quantile, share
+from training.proof.score import CLAIMS, TELLABLE, Line, Scored, at_least, quantile, share
 
 MOST_TIMES = 100.0  # as much as anywhere: pings anywhere may tell nothing, or the wrong thing
 
 
 def lines(trials: Sequence[Scored]) -> list[Line]:
     """Return the lines of the table: how often rivals are settled, and how much more a ping tells than one anywhere."""
-    open_ = [t for t in trials if t.said in CLAIMS and t.verdict["next_measurement"] and all(map(t.holds, causes(t)))]
+    told = [t for t in trials if t.kind in TELLABLE and t.said in CLAIMS and t.verdict["next_measurement"]]
+    open_ = [t for t in told if all(map(t.holds, causes(t)))]
     settled = [s for t in open_ if (s := is_settled(t)) is not None]
     times = [x for t in open_ for x in against_anywhere(t)]
     return [

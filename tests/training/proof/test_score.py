@@ -228,3 +228,9 @@ def test_the_lines_count_trials_that_hold_the_truth():
     settles, times = lines([followed(row(8.0)), followed(row(0.0)), wrong])
     assert (settles.value, settles.trials) == (0.5, 2)
     assert times.trials == 2
+
+
+def test_what_a_stranger_was_taken_for_is_no_pair_to_settle():
+    stranger = trial("stranger", "confounded", effects=ALIKE, asked=ASKED, causes=[{"name": "dead band"}])
+    settles, times = lines([stranger, followed(row(8.0))])
+    assert (settles.trials, times.trials) == (1, 1)
