@@ -312,9 +312,9 @@ def _beyond_any_law(rest: Rest) -> bool:
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 # found by looks of their own, which no scan of conditions has to bear out
-OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form", "selective")
+OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form", "selective", "fading")
 # what no law of single readings, or none of those named, holds
-BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form", "selective")
+BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form", "selective", "fading")
 AIR = (JITTER, "scintillation")  # what another day changes by itself
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours

@@ -10,6 +10,7 @@ import numpy as np
 from noise.cells import Batch
 from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.describe import Formula, formula
+from noise.discrepancy.fading import fading
 from noise.discrepancy.held import Still, held
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
@@ -25,7 +26,8 @@ from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.01
-LOOKS = 8.0  # scans of either part, a beat, two of memory, things that answer, neighbours that agree, places of faults
+# scans of either part, a beat, two of memory, things that answer, neighbours that agree, places of faults, fading
+LOOKS = 9.0
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -47,6 +49,7 @@ _WORDS = {
     "still": "readings do not change by a digit while the target stays",
     "kept": "after {percent:.0f} % of moves readings stay, to the digit, what they were before",
     "play": "positions lie towards the place before, by {mm:.0f} mm",
+    "fading": "echoes fail {often} as time goes on, by {percent:.0f} % of pings from the earlier half to the later",
     "selective": "strays, in {percent:.0f} % of stays, go by {along}, where a fault would strike anywhere",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
@@ -96,8 +99,8 @@ def check_rest(
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
     beside = beside_scans(pairs[0][0], whole, usual, search.base if chosen else None)
-    picked = selective(pairs[0][0], whole, chosen, rng)
-    beside += [] if picked is None else [picked]
+    picked = (selective(pairs[0][0], whole, chosen, rng), fading(pairs[0][0], whole))
+    beside += [each for each in picked if each is not None]
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual.remainder)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
@@ -172,8 +175,9 @@ def in_words(finding: Finding) -> str:
         place = f" ({kind} {value:.2f})" if kind == "times distance" else f" ({kind}, {value:.2f} m)"
     text = _WORDS[finding.aspect].format(
         mm=1000.0 * finding.size,
-        percent=100.0 * (abs(finding.size) if finding.aspect == "detection" else finding.size),
+        percent=100.0 * (abs(finding.size) if finding.aspect in ("detection", "fading") else finding.size),
         size=finding.size,
+        often="more often" if finding.size > 0 else "less often",
         more="heard less" if finding.size < 0 else "heard more",
         place=place,
         period=period,

@@ -46,16 +46,27 @@ def selective(stack: Stack, batch: Batch, chosen: Sequence[str], rng: np.random.
     columns = {name: column for name, column in columns.items() if np.ptp(column) > 0.0}
     if not columns:
         return None
-    orders = np.array([np.argsort(column, kind="stable") for column in columns.values()])
+    rank, p = _walked(excess, list(columns.values()), rng)
+    along = list(columns)[int(np.argmin(rank))]
+    return Finding("selective", {}, float(struck.mean()), "1", p, -float(np.log(p)), (along, 0.0))
+
+
+def _walked(excess: Floats, columns: Sequence[Floats], rng: np.random.Generator) -> tuple[Floats, float]:
+    """Return how rarely walks of sums stray as far along each condition by chance, and the same of the farthest.
+
+    Args:
+        excess: of each stay, (stays,).
+        columns: conditions, (stays,) each.
+        rng: for the shuffles.
+    """
+    orders = np.array([np.argsort(column, kind="stable") for column in columns])
     shuffled = rng.permuted(np.tile(excess, (SHUFFLES, 1)), axis=1)
     own = _highest(excess[orders])
     by_chance = np.array([_highest(shuffled[:, order]) for order in orders])
     # each condition against its own chance, then the best of them against the best by chance
     rank = np.array([(chance >= x).mean() for x, chance in zip(own, by_chance, strict=True)])
     least = np.min([_ranks(chance) for chance in by_chance], axis=0)
-    p = float((1.0 + (least <= rank.min()).sum()) / (1.0 + SHUFFLES))
-    along = list(columns)[int(np.argmin(rank))]
-    return Finding("selective", {}, float(struck.mean()), "1", p, -float(np.log(p)), (along, 0.0))
+    return rank, float((1.0 + (least <= rank.min()).sum()) / (1.0 + SHUFFLES))
 
 
 def _excess(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
