@@ -49,4 +49,4 @@ def fading(stack: Stack, batch: Batch) -> Finding | None:
 
 
 def _ordered(time: Floats, column: Floats) -> bool:
-    return bool(np.ptp(column) > 0.0 and abs(spearmanr(time, column).statistic) > ORDERED)
+    return bool(np.ptp(column) > 0.0 and abs(float(spearmanr(time, column).statistic)) > ORDERED)
