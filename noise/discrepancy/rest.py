@@ -25,7 +25,7 @@ from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
-LEVEL = 0.01
+LEVEL = 0.015  # of a false alarm of all looks together; ours
 # scans of either part, a beat, two of memory, things that answer, neighbours that agree, places of faults, fading
 LOOKS = 9.0
 CLEAR = 15.0  # nats that a learner must gain to count; ours

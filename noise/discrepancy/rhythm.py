@@ -157,6 +157,8 @@ def _by_chance(height: Floats, own: Floats) -> float:
     Heights say how far blocks keep their phase, whatever power they have; so one may look first where that power is,
     and frequencies with more of it are given more (a weighted Bonferroni bound).
     """
+    if own.max() == 0.0:  # readings that never change
+        return 1.0
     log_share = 2.0 * np.log(np.maximum(own, 1e-12 * own.max()))
     log_share -= np.logaddexp.reduce(log_share)
     return float(np.exp(np.clip((-height - log_share).min(), -700.0, 0.0)))

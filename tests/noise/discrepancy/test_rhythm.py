@@ -63,3 +63,10 @@ def test_without_times_nothing_is_said():
 def _without_time(batch):
     table = Recording.of(batch.ping, batch.reading).table
     return table.drop(columns=["time_s"])
+
+
+def test_readings_that_never_change_have_no_beat():
+    still = recording(7)
+    reading = Reading.of(np.repeat(still.reading.range[np.unique(still.first)], 25))
+    batch = Batch.of(Recording.of(still.ping, reading))
+    assert rhythm(STACK, batch).p_value == 1.0
