@@ -83,10 +83,10 @@ class Batch:
         block: the uninterrupted stay in one cell that a ping belongs to, ascending, (n,).
         cell: the cell of each ping, for splits, (n,).
         resolution: step of the register, m.
-        timed: whether the time of each ping was logged.
-        twin: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
         last: latest echo before each ping in its run, and how far off its target stood, m, nan where there was none,
             (n, 2).
+        timed: whether the time of each ping was logged.
+        twin: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
     """
 
     ping: Ping
@@ -95,9 +95,9 @@ class Batch:
     block: NDArray[np.int64]
     cell: NDArray[np.int64]
     resolution: float
+    last: NDArray[np.float64]
     timed: bool = True
     twin: NDArray[np.float64] | None = None
-    last: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -115,9 +115,8 @@ class Batch:
         past = previous(recording.reading, recording.run)
         ping, reading = recording.ping[order], recording.reading[order]
         label = np.unique(block[order], return_inverse=True)[1]
-        last = _last_echo(recording)[order]
-        timed = recording.has("time_s")
-        return cls(ping, past[order], reading, label, cell[order], recording.resolution, timed, last=last)
+        last, timed = _last_echo(recording)[order], recording.has("time_s")
+        return cls(ping, past[order], reading, label, cell[order], recording.resolution, last, timed)
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -133,8 +132,8 @@ class Batch:
             reading=self.reading[mask],
             block=block,
             cell=self.cell[mask],
+            last=self.last[mask],
             twin=None if self.twin is None else self.twin[mask],
-            last=None if self.last is None else self.last[mask],
         )
 
     def thin(self, n: int) -> Batch:
@@ -156,10 +155,15 @@ class Batch:
         """Row at which each ping's block begins, (n,)."""
         return np.searchsorted(self.block, self.block)
 
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """Row at which each block begins, (blocks,)."""
+        return np.unique(self.first)
+
     @property
     def stays(self) -> list[NDArray[np.int64]]:
         """Rows of each block."""
-        return np.split(np.arange(len(self)), np.unique(self.first)[1:])
+        return np.split(np.arange(len(self)), self.starts[1:])
 
     @cached_property
     def count(self) -> NDArray[np.int64]:
@@ -210,10 +214,13 @@ class Batch:
         """Tell which echoes are the target's, by how far they lie from where it is expected, m, (n,)."""
         return self.reading.echo & (np.abs(error) < self.reach)
 
+    def astray(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which echoes are not the target's, by how far they lie from where it is expected, m, (n,)."""
+        return self.reading.echo & ~self.near(error)
+
     def per_block(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""
-        starts = np.unique(self.first)
-        return np.add.reduceat(value, starts, axis=0)
+        return np.add.reduceat(value, self.starts, axis=0)
 
 
 def _last_echo(recording: Recording) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from scipy.stats import binom, poisson
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
-from noise.law import Floats
+from noise.law import EchoLaw, Floats
 from noise.stack import Stack
 
 AGREE_M = 0.02  # strays of one stay this near to each other come from one thing; ours
@@ -73,7 +73,7 @@ def company(stack: Stack, batch: Batch) -> Company:
         batch: readings, whole stays.
     """
     middle = stack.expected(batch)
-    away = batch.reading.echo & ~batch.near(batch.reading.range - middle)
+    away = batch.astray(batch.reading.range - middle)
     if stack.model.remembers:  # a law that repeats readings repeats them to the digit: those are its own
         away &= np.abs(batch.reading.range - batch.past.range) > 0.5 * batch.resolution
     first, second = _pairs(batch, away)
@@ -83,6 +83,11 @@ def company(stack: Stack, batch: Batch) -> Company:
     agree = np.abs(batch.reading.range[first] - batch.reading.range[second]) < AGREE_M
     nats = float(-np.log(chance[agree]).sum())
     return Company(batch.blocks, len(first), int(agree.sum()), float(chance.sum()), nats)
+
+
+def chance_astray(law: EchoLaw, middle: Floats, near: Floats) -> Floats:
+    """Return the chance of an echo farther than `near` from the `middle`, m, (n,) each."""
+    return law.echo - (law.cdf(middle + near) - law.cdf(np.maximum(middle - near, 0.0)))
 
 
 def _pairs(batch: Batch, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +103,7 @@ def _chance(stack: Stack, batch: Batch, second: np.ndarray, middle: Floats, plac
     law = stack.model.law(batch.ping[second], batch.past[second])
     near = batch.reach[second]
     there = law.cdf(place + AGREE_M) - law.cdf(np.maximum(place - AGREE_M, 0.0))
-    strays = law.echo - (law.cdf(middle + near) - law.cdf(np.maximum(middle - near, 0.0)))
+    strays = chance_astray(law, middle, near)
     if stack.model.remembers:
         step = law.step(batch.past.range[second])
         repeated = np.where(batch.past.echo[second], law.between(law.edge(step - 1), law.edge(step)), 0.0)

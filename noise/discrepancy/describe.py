@@ -77,7 +77,7 @@ def formula(stack: Stack, batch: Batch, rng: np.random.Generator) -> Formula | N
 
 def candidates(batch: Batch, kept: NDArray[np.bool_]) -> tuple[list[str], Floats]:
     """Return names and values of the candidate terms, (blocks, terms)."""
-    size = np.diff(np.r_[np.unique(batch.first), len(batch)])
+    size = np.diff(np.r_[batch.starts, len(batch)])
     column = {name: (batch.per_block(value) / size)[kept] for name, value in features(batch).items()}
     out: dict[str, Floats] = {}
     if "distance_mm" in column:

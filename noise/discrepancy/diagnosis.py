@@ -217,8 +217,7 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
         own = rivals(search, why, name, np.random.default_rng([seed, 3, k]))
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
-        others = [other for other in chosen if other != name]
-        alike += tuple(rival for rival in in_disguise(search, (name, *alike)) if rival not in others)
+        alike += in_disguise(search, (name, *alike), chosen)
         told = _told(base, final.single, name)
         parameters = {key[1]: interval for key, interval in known.items() if key[0] == name}
         weight, error = posterior(own), spread_over_blocks(gain)
@@ -259,9 +258,8 @@ def _verdict(
     matched: Matched | None,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
-    if matched is not None and not matched.differs and gain < SURE and not rest.present:
-        named, gain = [], 0.0  # what shared cells do not show is the emulator's
-    if of_the_day(named, gain, p_scan) and not rest.present:
+    unseen = matched is not None and not matched.differs and gain < SURE  # by shared cells: it is the emulator's
+    if not rest.present and (unseen or of_the_day(named, gain, p_scan)):
         named, gain = [], 0.0
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     if not named and not rest.present and p_scan <= SURE_SCAN and (matched is None or matched.differs):
@@ -305,16 +303,16 @@ def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str
 
 
 def _beyond_any_law(rest: Rest) -> bool:
-    """Tell whether readings show what no law of single readings holds: memory of moves, or other things that answer."""
+    """Tell whether readings show what no law of single readings or none that is named, holds."""
     return any(finding.aspect in BEYOND_LAWS and finding.p_value < SURE_P for finding in rest.findings)
 
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
-# found by looks of their own, which no scan of conditions has to bear out
-OWN_LOOKS = ("rhythm", "transient", "still", "kept", "play", "company", "smooth", "form", "selective", "fading")
 # what no law of single readings, or none of those named, holds
 BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form", "selective", "fading")
+# found by looks of their own, which no scan of conditions has to bear out
+OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
 AIR = (JITTER, "scintillation")  # what another day changes by itself
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours

@@ -14,6 +14,7 @@ from scipy.stats import binom, poisson, t
 
 from noise.cells import Batch
 from noise.discrepancy.locate import Finding
+from noise.discrepancy.smooth import lying
 from noise.law import Floats
 from noise.robust import winsorised
 from noise.stack import Stack
@@ -93,11 +94,8 @@ def _kept(stack: Stack, batch: Batch) -> tuple[float, float]:
 
     Had the sonar no memory, what was read before a stay could as well have been what was read before another.
     """
-    if batch.last is None:
-        return 0.0, 1.0
-    starts = np.unique(batch.first)
-    left, stood = batch.last[starts].T
-    echoes, distance = _echoes(batch), batch.ping.distance[starts]
+    left, stood = batch.last[batch.starts].T
+    echoes, distance = _echoes(batch), batch.ping.distance[batch.starts]
     value = np.array([np.median(e) if len(e) >= FEWEST_PINGS and np.ptp(e) == 0.0 else np.nan for e in echoes])
     asked = np.array([len(e) >= FEWEST_PINGS for e in echoes]) & (np.abs(distance - stood) > MOVED_M)
     told = np.flatnonzero(asked & ~np.isnan(value))
@@ -118,18 +116,13 @@ def _leaning(stack: Stack, batch: Batch) -> tuple[float, float]:
 
     What goes with distance is taken off first: near places are mostly come to from farther ones.
     """
-    if batch.last is None:
-        return 0.0, 1.0
-    error = batch.reading.range - stack.expected(batch)
-    near = batch.near(error)
-    starts = np.unique(batch.first)
-    rows = [r[near[r]] for r in batch.stays]
-    distance, stood = batch.ping.distance[starts], batch.last[starts, 1]
-    use = np.array([len(r) > 1 for r in rows]) & (np.abs(stood - distance) > MOVED_M)
+    offset = lying(stack, batch)
+    distance, stood = batch.ping.distance[batch.starts], batch.last[batch.starts, 1]
+    use = ~np.isnan(offset) & (np.abs(stood - distance) > MOVED_M)
     side = np.sign(stood - distance)[use]
     if len(side) < 3 * FEWEST_STAYS or min((side > 0).sum(), (side < 0).sum()) < FEWEST_STAYS:
         return 0.0, 1.0
-    offset = winsorised(np.array([np.median(error[r]) for r, told in zip(rows, use, strict=True) if told]))
+    offset = winsorised(offset[use])
     along = np.polynomial.polynomial.polyvander(distance[use] - distance[use].mean(), TERMS - 1)
     offset, side = (y - along @ np.linalg.lstsq(along, y, rcond=None)[0] for y in (offset, side))
     lean = float(offset @ side) / float(side @ side)

@@ -24,16 +24,14 @@ class Finding:
 
     Attributes:
         aspect: one of "bias", "scale", "spread", "skew", "detection", "extra_mode", "time_correlation",
-            "rhythm", "transient", "still", "kept", "play", "company", "smooth",
-            "form", "selective", "fading".
+            "rhythm", "transient", "still", "kept", "play", "company", "smooth", "form", "selective", "fading".
         region: condition column -> (low, high) in the column's unit; empty is everywhere.
         size: how much, in `unit`.
         unit: "m" for bias, "1" for shares, ratios and correlations.
         p_value: of the greatest statistic, all regions and aspects counted.
         nats: half the squared statistic: what correcting it would be worth.
         place: where an extra mode sits, as (what it follows, m): "fixed range", "beyond the target", "times distance";
-            of a rhythm, ("period", s); of "smooth", "form" and "selective", (the
-            column that it goes by, 0).
+            of a rhythm, ("period", s); of "smooth", "form" and "selective", (the column that it goes by, 0).
     """
 
     aspect: str

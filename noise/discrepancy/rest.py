@@ -98,9 +98,7 @@ def check_rest(
     fits = ((cross.first, search.discover, search.confirm), (cross.second, search.confirm, search.discover))
     pairs = [(_counted(search, chosen, fit, seen), unseen) for fit, seen, unseen in fits]
     p_values = [scan_p(stack, batch, rng, peer) for stack, batch in pairs]
-    beside = beside_scans(pairs[0][0], whole, usual, search.base if chosen else None)
-    picked = (selective(pairs[0][0], whole, chosen, rng), fading(pairs[0][0], whole))
-    beside += [each for each in picked if each is not None]
+    beside = beside_scans(search, chosen, pairs[0][0], whole, usual, rng)
     learned = beyond(remainder(pairs[0][0], search.both, rng), usual.remainder)
     if not learned.sure or learned.nats <= CLEAR:
         learned = NOTHING
@@ -117,18 +115,17 @@ def check_rest(
     return Rest(True, min(p, learned.p_value), told, findings, learned.nats, learned.of)
 
 
-def beside_scans(stack: Stack, batch: Batch, usual: Usual, before: Stack | None) -> list[Finding]:
-    """Return what looks of their own find, whatever their p-values.
-
-    They are memory of moves, places held on to, a beat, other things that answer, and neighbours that agree.
-    """
-    looks = (transient(batch), rhythm(stack, batch))
-    found = [look.finding for look in looks if look is not None]
-    found.append(held(stack, batch, usual.still))
-    found.append(company(stack, batch).finding(usual.company))
+def beside_scans(
+    search: Search, chosen: Sequence[str], stack: Stack, batch: Batch, usual: Usual, rng: np.random.Generator
+) -> list[Finding]:
+    """Return what looks of their own find, whatever their p-values: those that `LOOKS` counts."""
     alike = smooth(stack, batch).finding(usual.smooth)
-    wrong = before is not None and wrong_form(alike, before, stack, batch)
-    return [*found, replace(alike, aspect="form") if wrong else alike]
+    if chosen and wrong_form(alike, search.base, stack, batch):
+        alike = replace(alike, aspect="form")
+    found = [look.finding for look in (transient(batch), rhythm(stack, batch)) if look is not None]
+    found += [held(stack, batch, usual.still), company(stack, batch).finding(usual.company), alike]
+    by_stay = (selective(stack, batch, chosen, rng), fading(stack, batch))
+    return found + [look for look in by_stay if look is not None]
 
 
 def beyond(found: Remainder, usual: Remainder | None) -> Remainder:

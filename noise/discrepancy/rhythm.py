@@ -81,9 +81,8 @@ def _without_means(value: Floats, known: NDArray[np.bool_], batch: Batch) -> Flo
 
 def _longest_period(batch: Batch) -> float:
     """Return the longest period that shows inside blocks, s."""
-    starts = np.unique(batch.first)
-    ends = np.r_[starts[1:], len(batch)] - 1
-    lasting = batch.ping.time[ends] - batch.ping.time[starts]
+    ends = np.r_[batch.starts[1:], len(batch)] - 1
+    lasting = batch.ping.time[ends] - batch.ping.time[batch.starts]
     return float(np.median(lasting[lasting > 0])) / LOWEST_CYCLES if (lasting > 0).any() else 0.0
 
 

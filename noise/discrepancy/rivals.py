@@ -67,7 +67,7 @@ def replica(stack: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     """Return the batch with readings that a stack draws, every block at its own offset."""
     model, cells = stack.build()
     with torch.no_grad():
-        middle, variance = (x.numpy()[np.unique(batch.first)] for x in prior_offset(cells, batch))
+        middle, variance = (x.numpy()[batch.starts] for x in prior_offset(cells, batch))
     wider = rng.choice([wide for wide, _ in BANKS], batch.blocks, p=[share for _, share in BANKS])
     offset = rng.normal(middle, wider * np.sqrt(variance))[batch.block]
     ping: Ping = replace(batch.ping, distance=np.maximum(batch.ping.distance + offset, 1e-3))
@@ -163,10 +163,16 @@ class Contest:
         return maximise(self.own.stack, free, self.replica, 30, scales=self.scales)
 
 
-def in_disguise(search: Search, names: Sequence[str]) -> tuple[str, ...]:
-    """Return effects that pass for one of those named, and that these readings are too few to tell from them."""
+def in_disguise(search: Search, names: Sequence[str], chosen: Sequence[str]) -> tuple[str, ...]:
+    """Return effects that pass for one of some names, and that these readings are too few to tell from them.
+
+    Args:
+        search: its readings.
+        names: an effect, and what cannot be told from it.
+        chosen: effects of the explanation, which are named anyway.
+    """
     seen = seen_in(search.discover)
-    able = [kind for name, kind in CATALOGUE.items() if name not in (*names, *search.never)]
+    able = [kind for name, kind in CATALOGUE.items() if name not in (*names, *chosen, *search.never)]
     return tuple(kind.name for kind in able if set(kind.passes_for) & set(names) and kind.hidden(seen))
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from noise.cells import Batch
+from noise.discrepancy.company import chance_astray
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.law import Floats
@@ -42,8 +43,8 @@ def selective(stack: Stack, batch: Batch, chosen: Sequence[str], rng: np.random.
     excess, struck = _excess(stack, batch)
     if struck.sum() < FEWEST_STRUCK:
         return None
-    columns = {name: column for name, column in by_block(batch).items() if name not in NOT_ASKED}
-    columns = {name: column for name, column in columns.items() if np.ptp(column) > 0.0}
+    asked = {name: column for name, column in by_block(batch).items() if name not in NOT_ASKED}
+    columns = {name: column for name, column in asked.items() if np.ptp(column) > 0.0}
     if not columns:
         return None
     rank, p = _walked(excess, list(columns.values()), rng)
@@ -71,10 +72,9 @@ def _walked(excess: Floats, columns: Sequence[Floats], rng: np.random.Generator)
 
 def _excess(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
     """Return each stay's strays beyond those of the law, in standard deviations, and whether it has any, (blocks,)."""
-    middle, near = stack.expected(batch), batch.reach
-    law = stack.model.law(batch.ping, batch.past)
-    stray = batch.reading.echo & ~batch.near(batch.reading.range - middle)
-    p = np.clip(law.echo - law.cdf(middle + near) + law.cdf(np.maximum(middle - near, 0.0)), 0.0, 1.0)
+    middle = stack.expected(batch)
+    stray = batch.astray(batch.reading.range - middle)
+    p = np.clip(chance_astray(stack.model.law(batch.ping, batch.past), middle, batch.reach), 0.0, 1.0)
     count, expected, variance = (batch.per_block(x) for x in (stray.astype(np.float64), p, p * (1.0 - p)))
     return (count - expected) / np.sqrt(variance + LEAST), count > 0.0
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy.stats import norm
 
 from noise.cells import Batch
@@ -79,8 +78,7 @@ def wrong_form(finding: Finding, before: Stack, after: Stack, batch: Batch) -> b
     """
     if finding.place is None:
         return False
-    starts = np.unique(batch.first)
-    shift = winsorised((after.expected(batch) - before.expected(batch))[starts])
+    shift = winsorised((after.expected(batch) - before.expected(batch))[batch.starts])
     course = _shared(shift[np.argsort(by_block(batch)[finding.place[0]], kind="stable")])
     return course > HALF and finding.size > MISFIT * float(shift.std())
 
@@ -92,16 +90,22 @@ def smooth(stack: Stack, batch: Batch) -> Smooth:
         stack: the law.
         batch: readings, whole stays.
     """
-    error = batch.reading.range - stack.expected(batch)
-    near = batch.near(error)
-    stays = pd.Series(error[near]).groupby(batch.block[near])
-    offset = stays.median()[stays.size() > 1]
-    if len(offset) < FEWEST:
-        return Smooth(len(offset), {}, 0.0)
-    value = winsorised(np.array(offset, dtype=np.float64), batch.resolution)
-    columns = {name: column[offset.index] for name, column in by_block(batch).items() if name not in NOT_ASKED}
+    offset = lying(stack, batch)
+    told = ~np.isnan(offset)
+    if told.sum() < FEWEST:
+        return Smooth(int(told.sum()), {}, 0.0)
+    value = winsorised(offset[told], batch.resolution)
+    columns = {name: column[told] for name, column in by_block(batch).items() if name not in NOT_ASKED}
     share = {name: _shared(value[np.argsort(column, kind="stable")]) for name, column in columns.items()}
     return Smooth(len(value), share, float(value.std()))
+
+
+def lying(stack: Stack, batch: Batch) -> Floats:
+    """Return how far each stay lies from where a law expects it, m, nan where less than two echoes tell, (blocks,)."""
+    error = batch.reading.range - stack.expected(batch)
+    near = batch.near(error)
+    rows = (stay[near[stay]] for stay in batch.stays)
+    return np.array([np.median(error[row]) if len(row) > 1 else np.nan for row in rows])
 
 
 def _shared(value: Floats) -> float:

@@ -73,7 +73,7 @@ def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
     A reading that repeats the last one to the digit is a repeat, which the catalogue knows, and no lean.
     """
     first, later = rows[0], rows[len(rows) // 2 :]
-    before = _echo_before(batch, first)
+    before = batch.last[first, 0]  # whenever it was: a filter keeps it through silence
     heard = batch.reading.echo[first] and not np.isnan(before) and batch.reading.echo[later].any()
     repeated = abs(batch.reading.range[first] - before) < 0.5 * batch.resolution
     if len(rows) < FEWEST_PINGS or not heard or repeated:
@@ -81,10 +81,3 @@ def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
     settled = np.median(batch.reading.range[later][batch.reading.echo[later]])
     towards = before - settled
     return None if abs(towards) < APART_M else (float(batch.reading.range[first] - settled), float(towards))
-
-
-def _echo_before(batch: Batch, row: int) -> float:
-    """Return the latest echo before a ping, m, nan where there was none: a filter keeps it through silence."""
-    if batch.last is not None:
-        return float(batch.last[row, 0])
-    return float(batch.past.range[row]) if batch.past.echo[row] else float("nan")

@@ -56,7 +56,7 @@ def test_every_prediction_sums_to_one(placement, carry, sharing, kernel, hearing
     last = np.arange(101) * 0.01
     range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
     reading, block = Reading.of(range_), np.repeat(np.arange(101), 3)
-    batch = Batch(Ping.of(distance=np.full(303, 0.5)), reading, reading, block, block, 0.01)
+    batch = Batch(Ping.of(distance=np.full(303, 0.5)), reading, reading, block, block, 0.01, np.full((303, 2), np.nan))
     p = torch.exp(log_prob(law_of(model, batch), cells, batch))
     assert float(p[2::3].sum()) == pytest.approx(1.0, abs=1e-6)
 
