@@ -12,10 +12,11 @@ from acquisition import Ping, Reading, Recording, SettingError
 from noise.cells import Batch, shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
+from noise.discrepancy.gained import gained, with_gained
 from noise.discrepancy.locate import Finding, findings
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
-from noise.discrepancy.residuals import residuals
+from noise.discrepancy.residuals import Residuals, residuals
 from noise.discrepancy.rest import check_rest, located
 from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
 from noise.discrepancy.scan import Blocks, scan
@@ -110,7 +111,9 @@ def diagnose(
     search, fitted = prepared(base, split, seed, tell, tuple(without))
     tell("locating", 0.08)
     peer = base.peer(seed)
-    where, p_scan = _where(fitted.stack, search.both, peer, seed)
+    rng = np.random.default_rng([seed, 2])
+    seen = residuals(fitted.stack, search.both, rng)
+    where, p_scan = _where(seen, search.both, peer, rng)
     why = _explained(base, search)
     tell("weighing rivals", 0.75)
     named, all_rivals = _name(base, search, why, seed)
@@ -121,6 +124,9 @@ def diagnose(
     rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, base.usual(seed, batch.resolution))
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
+    if why.chosen and verdict.claims:
+        told = gained(fitted.stack, why.final.stack, search.both, seen, verdict.p_value, rng, peer)
+        verdict = replace(verdict, where=with_gained(verdict.where, told))
     before = _before(base, fitted, beside)
     # what was chosen and not named in the end corrects nothing
     after, single = (why.final.stack, why.final.single) if verdict.effects else (fitted.stack, fitted.stack)
@@ -143,10 +149,8 @@ def diagnose(
     )
 
 
-def _where(stack: Stack, batch: Batch, peer: Blocks | None, seed: int) -> tuple[list[Finding], float]:
+def _where(seen: Residuals, batch: Batch, peer: Blocks | None, rng: np.random.Generator) -> tuple[list[Finding], float]:
     """Return what a scan locates, and the p-value of what is not of the day in it."""
-    rng = np.random.default_rng([seed, 2])
-    seen = residuals(stack, batch, rng)
     scanned = scan(seen, batch, rng, peer)
     where = findings(seen, scanned, batch, peer)
     p_values = [finding.p_value for finding in where if not finding.carried]
@@ -210,7 +214,7 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
     chosen, final = why.chosen, why.final
     if not chosen:
         return [], []
-    known = intervals(final, search.both)
+    known = intervals(final, search.both, base.stack, base.untied(search.both))
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
         gain, _ = search.contribution(chosen, why.cross, name)
@@ -218,8 +222,9 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
         alike += in_disguise(search, (name, *alike), chosen)
-        told = _told(base, final.single, name)
-        parameters = {key[1]: interval for key, interval in known.items() if key[0] == name}
+        own_keys = [key for key in known if key[0] == name]
+        parameters = {key[1]: known[key] for key in own_keys}
+        told = _told(base, final.single.put(own_keys, [known[key].value for key in own_keys]), name)
         weight, error = posterior(own), spread_over_blocks(gain)
         named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, told))
     return named, all_rivals

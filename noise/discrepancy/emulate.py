@@ -98,6 +98,10 @@ class Baseline:
         twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
         return batch if np.isnan(twin).all() else replace(batch, twin=twin)
 
+    def untied(self, batch: Batch) -> Batch | None:
+        """Return the simulation's readings where no position of a batch is held against them; None for a given law."""
+        return self.own.whole if self.own is not None and batch.twin is None else None
+
     def peer(self, seed: int) -> Blocks | None:
         """Return how the simulation's own readings score under the law; None for a model that is used as it is."""
         if self.own is None:

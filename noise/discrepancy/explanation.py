@@ -75,13 +75,34 @@ def conclude(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     return Final((joint,) if each is joint else (joint, each))
 
 
-def intervals(final: Final, batch: Batch) -> dict[Key, Interval]:
-    """Return the 90 % interval of every parameter that was fitted."""
+def intervals(final: Final, batch: Batch, law: Stack, own: Batch | None) -> dict[Key, Interval]:
+    """Return the 90 % interval of every parameter that was fitted.
+
+    A law that only stands for a simulation errs, and is known no better than its readings are many: what it seems to
+    find in them counts as nothing, and how surely it does adds to the interval. That holds for parameters that may
+    lie on either side of nothing.
+
+    Args:
+        final: the explanation.
+        batch: the readings that it was fitted to.
+        law: what the search started from.
+        own: readings of the simulation that it stands for; None for a law that is the simulation, and where the two
+            are held against each other position by position.
+    """
     out = {}
     for fitted in final.fits:
         spread = np.sqrt(np.diag(covariance(fitted, batch)))
         for key, sd in zip(fitted.free, spread, strict=True):
             p, value = fitted.stack.parameter(key), fitted.stack.get(key)
+            if own is not None and key not in NUISANCES and p.low < p.null < p.high:
+                found, error = _found_in(own, law, key)
+                value, sd = float(np.clip(value - found, p.low, p.high)), float(np.hypot(sd, error))
             low, high = max(value - Z90 * sd, min(p.low, p.null)), min(value + Z90 * sd, max(p.high, p.null))
             out[key] = Interval(value, float(low), float(high), p.unit)
     return out
+
+
+def _found_in(own: Batch, stack: Stack, key: Key) -> tuple[float, float]:
+    """Return by how much a law would have a parameter otherwise for the readings it stands for, and how surely."""
+    fitted = maximise(stack.put([key], [stack.get(key)]), (key, *NUISANCES), own, 80)
+    return fitted.stack.get(key) - stack.get(key), float(np.sqrt(covariance(fitted, own)[0, 0]))

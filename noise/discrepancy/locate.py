@@ -85,14 +85,14 @@ def findings(
             if not shadow[column] and len(out) < most:
                 continue
             break
-        aspect = _bias_or_scale(ASPECTS[column], scanned.where[row], seen, batch)
+        aspect = bias_or_scale(ASPECTS[column], scanned.where[row], seen, batch)
         finding = describe(aspect, scanned.where[row], seen, batch, p, value, peer)
-        if _family(finding.aspect) not in {_family(f.aspect) for f in out}:
+        if family(finding.aspect) not in {family(f.aspect) for f in out}:
             out.append(finding)
     return sorted(out, key=lambda finding: finding.carried)
 
 
-def _bias_or_scale(aspect: str, where: Region, seen: Residuals, batch: Batch) -> str:
+def bias_or_scale(aspect: str, where: Region, seen: Residuals, batch: Batch) -> str:
     """Return which of the two leaves less over, block by block: the same error everywhere, or a share of distance."""
     rows = _typical(seen, batch, where[1][batch.block])
     if aspect not in ("bias", "scale") or rows.sum() < 4:
@@ -106,7 +106,7 @@ def _bias_or_scale(aspect: str, where: Region, seen: Residuals, batch: Batch) ->
     return "bias" if np.abs(e - constant).sum() <= np.abs(e - share * d).sum() else "scale"
 
 
-def _family(aspect: str) -> str:
+def family(aspect: str) -> str:
     """Return what an aspect is a shadow of: a bias also bends spread and skew wherever it changes."""
     return "bias" if aspect in ("bias", "scale", "spread", "skew") else aspect
 
@@ -168,10 +168,10 @@ def _detection(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size
 def _extra(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size:
     u = np.nan_to_num(seen.u, nan=0.5)
     rows = inside & ((u < EXTRA) | (u > 1.0 - EXTRA))
-    return float(rows.sum() / max(inside.sum(), 1)), "1", _place(batch, rows)
+    return float(rows.sum() / max(inside.sum(), 1)), "1", place_of(batch, rows)
 
 
-def _place(batch: Batch, rows: NDArray[np.bool_]) -> tuple[str, float] | None:
+def place_of(batch: Batch, rows: NDArray[np.bool_]) -> tuple[str, float] | None:
     """Return what the place of stray readings follows: the description that scatters least."""
     if rows.sum() < 4:
         return None

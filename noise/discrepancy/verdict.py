@@ -12,7 +12,8 @@ from noise.discrepancy.matched import Matched
 from noise.discrepancy.next_measurement import Measurement
 from noise.discrepancy.search import Attempt
 
-VERDICTS = ("none", "named", "confounded", "named_with_rest", "unknown")
+CLAIMS = ("named", "confounded", "named_with_rest")
+VERDICTS = ("none", *CLAIMS, "unknown")
 MM_COLUMNS = 1000.0
 
 
@@ -118,6 +119,11 @@ class Verdict:
     def mismatch(self) -> bool:
         """Whether recording and model differ at all."""
         return self.verdict != "none"
+
+    @property
+    def claims(self) -> bool:
+        """Whether a cause is named, be it one of several."""
+        return self.verdict in CLAIMS
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict file's content."""

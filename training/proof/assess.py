@@ -90,7 +90,7 @@ def oracle(opened: Opened, truth: Sequence[Sequence[str]]) -> Best:
             best = max(crossed, key=lambda name: crossed[name].nats.sum())
             stack, told, chosen = fits[best], crossed[best], [*chosen, best]
     final = conclude(search, told, chosen)
-    known = intervals(final, search.both)
+    known = intervals(final, search.both, opened.base.stack, opened.base.untied(search.both))
     widths = {f"{key[0]}.{key[1]}": i.high - i.low for key, i in known.items() if key[0] in chosen}
     gain = float((told.nats - without.nats).sum())
     each = [gain] if len(chosen) < 2 else [float(search.contribution(chosen, told, n)[0].sum()) for n in chosen]

@@ -1,0 +1,122 @@
+"""What an explanation gains, by the respect in which readings are better explained, and where."""
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition import Ping, Recording
+from noise.cells import Batch
+from noise.discrepancy.explanation import Final, intervals
+from noise.discrepancy.gained import by_aspect, gained, with_gained
+from noise.discrepancy.locate import Finding
+from noise.discrepancy.residuals import residuals
+from noise.effects import CATALOGUE
+from noise.fit import log_likelihood, maximise
+from noise.physical import PhysicalModel
+from noise.stack import NUISANCES, Stack
+
+torch.set_num_threads(1)
+SONAR = {"travel_time_jitter": {"sigma_m": 0.004}, "sensitivity": {"loss_db": 33.0}}
+LAW = Stack({**SONAR, "cells": {"placement_m": 0.003}})
+KEY = ("zero_offset", "offset_m")
+
+
+def heard(seed, effects, cells=60, pings=8, beyond=0.0):
+    """Return readings of a sonar with effects, those that stand in nearer cells than `beyond` m without them."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.3, 3.0, cells), pings)
+    moved = Ping.of(distance=distance + np.repeat(rng.normal(0, 0.003, cells), pings))
+    plain, whole = (
+        PhysicalModel([CATALOGUE[name](**values) for name, values in {**SONAR, **more}.items()]).law(moved).sample(rng)
+        for more in ({}, effects)
+    )
+    range_ = np.where(distance > beyond, whole.range, plain.range)
+    table = Recording.of(Ping.of(distance=distance), whole).table.assign(reading_mm=1e3 * range_)
+    return Batch.of(Recording(table))
+
+
+def told(batch, effects, p=1e-6):
+    rng = np.random.default_rng(0)
+    after = Stack({**LAW.values, **effects})
+    return gained(LAW, after, batch, residuals(LAW, batch, rng), p, rng)
+
+
+CASES = [
+    ({"spike": {"probability": 0.02}}, "extra_mode"),
+    ({"zero_offset": {"offset_m": 0.02}}, "bias"),
+    ({"clock_scale": {"error": 0.02}}, "scale"),
+    ({"dropped_reading": {"probability": 0.1}}, "detection"),
+    ({"travel_time_jitter": {"sigma_m": 0.012}}, "spread"),
+]
+
+
+@pytest.mark.parametrize(("effects", "aspect"), CASES, ids=[aspect for _, aspect in CASES])
+def test_each_cause_is_told_in_the_respect_in_which_it_shows(effects, aspect):
+    found = told(heard(1, effects), effects)
+    assert (found.aspect, found.p_value) == (aspect, 1e-6)
+    assert found.region == {} or aspect == "scale"  # which far readings show more than near ones
+    assert found.nats > 10
+
+
+def test_a_handful_of_strays_is_told_with_the_share_that_they_are():
+    effects = {"spike": {"probability": 0.02}}
+    batch = heard(2, effects)
+    strays = batch.astray(batch.reading.range - batch.ping.distance).mean()
+    assert told(batch, effects).size == pytest.approx(strays, abs=0.003)
+
+
+@pytest.mark.parametrize(("effects", "_"), CASES)
+def test_what_is_gained_by_every_respect_is_all_that_is_gained(effects, _):
+    batch, after = heard(3, effects), Stack({**LAW.values, **effects})
+    parts, gain = by_aspect(LAW, after, batch), log_likelihood(after, batch) - log_likelihood(LAW, batch)
+    np.testing.assert_allclose(sum(parts.values()), gain, atol=1e-9)
+
+
+def test_it_is_told_where_and_only_where_it_is_gained():
+    effects = {"dropped_reading": {"probability": 0.3}}
+    distance = told(heard(4, effects, beyond=2.0), effects).region["distance_mm"]
+    assert distance[0] > 1700
+    assert distance[1] > 2700
+
+
+def test_an_explanation_that_gains_nothing_tells_nothing():
+    assert told(heard(5, {}), {"dropped_reading": {"probability": 0.3}}) is None
+
+
+def finding(aspect, p, nats=20.0, size=2.0):
+    return Finding(aspect, {}, size, "1", p, nats)
+
+
+def test_what_a_scan_surely_located_is_not_told_again():
+    sure, strays = finding("scale", 0.002), finding("extra_mode", 1e-9, 50.0)
+    assert with_gained([sure], finding("bias", 1e-9)) == (sure,)
+    assert with_gained([sure], None) == (sure,)
+    assert with_gained([sure], strays) == (strays, sure)
+    # faint, and of a family of which the explanation says otherwise
+    assert with_gained([finding("scale", 0.04)], finding("spread", 1e-9)) == (finding("spread", 1e-9),)
+    # what the air of another day carries comes last, whatever it weighs
+    assert with_gained([finding("time_correlation", 0.002, 90.0)], strays)[0] == strays
+
+
+def final_of(batch):
+    return Final((maximise(LAW.put([KEY], [0.0]), (KEY, *NUISANCES), batch, 80),))
+
+
+def test_what_a_law_finds_in_the_readings_it_stands_for_counts_as_nothing():
+    recorded = heard(6, {"zero_offset": {"offset_m": 0.020}})
+    simulated = heard(7, {"zero_offset": {"offset_m": 0.008}})
+    final = final_of(recorded)
+    alone, against = (intervals(final, recorded, LAW, own)[KEY] for own in (None, simulated))
+    assert alone.low < 0.020 < alone.high
+    assert against.low < 0.012 < against.high
+    # both are known by as many readings
+    assert (against.high - against.low) / (alone.high - alone.low) == pytest.approx(np.sqrt(2.0), rel=0.25)
+
+
+def test_intervals_of_an_offset_cover_as_often_as_they_say():
+    covered = []
+    for seed in range(20):
+        recorded = heard(100 + seed, {"zero_offset": {"offset_m": 0.01}}, 30, 4)
+        interval = intervals(final_of(recorded), recorded, LAW, heard(200 + seed, {}, 30, 4))[KEY]
+        covered.append(interval.low < 0.01 < interval.high)
+    assert sum(covered) >= 15
