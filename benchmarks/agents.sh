@@ -8,7 +8,7 @@ run="${PYTHON:-.venv/bin/python} -m training.cli"
 if [ "${1:-}" = quick ]; then
     out=runs/agents-quick lessons=60 steps=1 episodes=20 ablation=20 few=2 seeds=1
 else
-    lessons=2000 steps=3000000 episodes=500 ablation=300 few=12 seeds=3
+    lessons=2000 steps=3000000 episodes=500 ablation=300 few=30 seeds=3
 fi
 
 # the shipped agent, and its scores
