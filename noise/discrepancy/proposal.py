@@ -1,8 +1,9 @@
 """Where explanations differ most: the conditions under which the nearest of several rivals is told from the chosen one.
 
 Conditions are those a user can set: distance, what is turned and how far, the receiver's gain, the time between pings,
-how long is listened. Everything that a setting does to the physics it does under every explanation; what counts is the
-expected log likelihood ratio per ping (half of Jeffreys' divergence), each ping at a newly placed target.
+how long is listened, how long the sensor has been on. Everything that a setting does to the physics it does under every
+explanation; what counts is the expected log likelihood ratio per ping (half of Jeffreys' divergence), each ping at a
+newly placed target.
 """
 
 from __future__ import annotations
@@ -26,10 +27,13 @@ FARTHEST = 11.008  # m; SRF08 with range register 255
 DRAWS, CLOSER = 60, 2000  # readings a condition: to look everywhere; to choose among the best, where chance would win
 SHORTLIST = 12  # conditions that are looked at closer
 SURE_Z = 2.3263  # 99 % of a normal; its square is half of what settles: a normal ratio varies by twice its mean
-# beyond what was recorded a law is a guess: no farther than so many times, nor turned by so much more; ours
-FARTHER, MORE_DEG = 2.0, 10.0
+# beyond what was recorded a law is a guess: only where little was varied, by so many times and so much more; ours
+VARIED, FARTHER = 2.0, 2.0
+VARIED_DEG, MORE_DEG = 20.0, 10.0
+LATER_S = 7200.0  # by then every sensor is warm
 TOGETHER = 5  # conditions proposed at once, so that no single misplaced target decides
 DEG = np.pi / 180.0
+SLIGHTLY = 1e-6  # rad
 
 
 def _as_is(stack: Stack) -> Stack:
@@ -65,7 +69,8 @@ class Setting:
         words: in plain English, to follow "place the target at ...".
         change: what it does under every explanation.
         bearing, incidence: share of the angle by which the sensor, and the target's face, is turned away.
-        also: the same for machines: by how much a quantity is to change, or `range_m` to be.
+        also: the same for machines: by how much a quantity is to change, or `range_m` and `start_s` to be.
+        after_s: how long after the sensor was switched on.
     """
 
     words: str
@@ -73,19 +78,24 @@ class Setting:
     bearing: float = 1.0
     incidence: float = 1.0
     also: tuple[tuple[str, float], ...] = ()
+    after_s: float = 0.0
 
     def pings(self, seen: Ping | None = None) -> Ping:
         """Return the conditions that are considered: not far from what was recorded, where that is given."""
         distance, angle = np.meshgrid(DISTANCES, ANGLES_DEG * DEG, indexing="ij")
         turned = angle.ravel()
-        ping = Ping.of(distance.ravel(), self.bearing * turned, incidence=self.incidence * turned)
+        time = np.full(len(turned), self.after_s)
+        ping = Ping.of(distance.ravel(), self.bearing * turned, incidence=self.incidence * turned, time=time)
         return ping if seen is None else ping[_not_far(ping, seen)]
 
 
 def _not_far(ping: Ping, seen: Ping) -> NDArray[np.bool_]:
     """Tell which pings lie where the laws hardly extrapolate; all, where none does."""
-    near = (ping.distance <= FARTHER * seen.distance.max()) & (ping.distance >= seen.distance.min() / FARTHER)
-    turned = max(np.abs(seen.angle).max(), np.abs(seen.incidence).max()) + MORE_DEG * DEG
+    least, most = seen.distance.min(), seen.distance.max()
+    farther = FARTHER if most < VARIED * least else 1.0
+    turned = max(np.abs(seen.angle).max(), np.abs(seen.incidence).max())
+    turned += MORE_DEG * DEG if turned < VARIED_DEG * DEG else SLIGHTLY
+    near = (ping.distance <= farther * most) & (ping.distance >= least / farther)
     near &= np.maximum(np.abs(ping.angle), np.abs(ping.incidence)) <= turned
     return near if near.any() else np.ones(len(ping), dtype=bool)
 
@@ -100,6 +110,7 @@ SETTINGS = (
     Setting(", with 5 ms more between pings", _later_ping, also=(("interval_s", 0.005),)),
     Setting(", listening as long as the sensor can", _longest_range, also=(("range_m", FARTHEST),)),
 )
+LATER = Setting(", after the sensor has been on for two hours", also=(("start_s", LATER_S),), after_s=LATER_S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +140,12 @@ def propose(own: Stack, others: Sequence[Stack], seed: int, seen: Ping | None = 
         seed: of the draws.
         seen: conditions that were recorded; the laws are trusted little beyond them.
     """
-    looked = [_shortlist(own, others, setting, seed, seen) for setting in SETTINGS]
+    # how air drifts two hours on is anybody's guess
+    drifts = any("thermal_drift" in stack.values for stack in (own, *others))
+    settings = SETTINGS if drifts else (*SETTINGS, LATER)
+    looked = [_shortlist(own, others, setting, seed, seen) for setting in settings]
     order = np.argsort([-nats for nats, _ in looked], kind="stable")[:2]
-    closer = [_closer(own, others, SETTINGS[k], looked[k][1], seed) for k in order]
+    closer = [_closer(own, others, settings[k], looked[k][1], seed) for k in order]
     return max(closer, key=lambda found: found.nats)
 
 

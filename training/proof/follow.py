@@ -36,11 +36,11 @@ def measure(trial: Trial, asked: Sequence[dict[str, Any]], folder: Path, rng: Rn
         n, also = min(entry["pings"], MOST_PINGS), entry["also"]
         there = _conditions(entry["conditions"])
         wanted = there[np.resize(np.arange(len(there)), n)]
-        for name, cells, world in (
-            (f"measured-{k}", wanted, changed(trial.real, also)),
-            (f"anywhere-{k}", trial.design.conditions(rng, n), trial.real),
+        for name, cells, world, how in (
+            (f"measured-{k}", wanted, changed(trial.real, also), also),
+            (f"anywhere-{k}", trial.design.conditions(rng, n), trial.real, {}),
         ):
-            recording = _visited(world, cells, trial.design, also.get(AGAIN_S), rng)
+            recording = _visited(world, cells, trial.design, how, rng)
             files[name] = recording.save(folder / f"{name}.csv")
     return files
 
@@ -61,12 +61,14 @@ def _conditions(rows: Sequence[dict[str, float]]) -> Ping:
     return Ping.of(distance=np.array([row["distance_mm"] for row in rows]) / 1000.0, angle=angle, incidence=incidence)
 
 
-def _visited(world: World, cells: Ping, design: Design, more: float | None, rng: Rng) -> Recording:
+def _visited(world: World, cells: Ping, design: Design, also: dict[str, float], rng: Rng) -> Recording:
     """Return a recording in which the target is put down anew for every ping that counts."""
+    more, start = also.get(AGAIN_S), also.get("start_s", 0.0)
     each = 1 if more is None else 2
     ping = cells[np.repeat(np.arange(len(cells)), each)]
     wait = np.full(len(ping), design.interval_s[0] + (more or 0.0))
     wait[::each] = MOVE_S
+    wait[0] += start
     # two visits of one condition would be one visit: a run of its own keeps them apart
     run = np.repeat(np.arange(len(cells)), each)
     recording = world.record(replace(ping, time=np.round(np.cumsum(wait) - MOVE_S, 3), run=run), rng)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from acquisition import Ping
 from noise.discrepancy.next_measurement import Measurement, merged, next_measurement
-from noise.discrepancy.proposal import at_random, floored, law, propose
+from noise.discrepancy.proposal import LATER, at_random, floored, law, propose
 from noise.stack import Stack
 
 
@@ -77,3 +78,42 @@ def test_twins_are_not_worth_a_measurement():
     asked = next_measurement(own, [("zero_offset", "warm_up", own)], seed=0)
     assert asked[0].pings == 0
     assert "inspect the sensor" in asked[0].do
+
+
+def test_what_fades_after_power_on_is_asked_for_when_the_sensor_is_warm():
+    own = Stack({**BASE, "zero_offset": {"offset_m": 0.012}})
+    warming = Stack({**BASE, "warm_up": {"offset_m": 0.014, "tau_s": 1500.0}})
+    found = propose(own, [warming], seed=0)
+    assert found.setting == LATER
+    assert found.pings <= 20
+    (asked,) = next_measurement(own, [("zero_offset", "warm_up", warming)], seed=0)
+    assert "has been on for two hours" in asked.do
+    assert asked.settings()["also"] == {"start_s": 7200.0}
+
+
+def test_no_law_is_asked_how_the_air_is_two_hours_on():
+    own = Stack({**BASE, "zero_offset": {"offset_m": 0.012}})
+    drifting = Stack({**BASE, "thermal_drift": {"sine_k": 6.0, "period_s": 3000.0}})
+    assert propose(own, [drifting], seed=0).setting != LATER
+    (asked,) = next_measurement(own, [("zero_offset", "thermal_drift", drifting)], seed=0)
+    assert "log a thermometer" in asked.do
+
+
+def test_a_thermometer_tells_warm_air_from_whatever_else():
+    own = Stack({**BASE, "zero_offset": {"offset_m": 0.012}})
+    warm = Stack({**BASE, "sound_speed": {"temperature_c": 29.0}})
+    (asked,) = next_measurement(own, [("zero_offset", "sound_speed", warm)], seed=0)
+    assert "29.0 degC" in asked.do
+    assert asked.warmer_k == pytest.approx(29.0 - 22.8, abs=0.1)
+
+
+def test_nothing_is_asked_for_beyond_what_was_varied():
+    own, other = stacks("zero and clock")
+    seen = Ping.of(distance=np.linspace(0.4, 2.4, 40), angle=np.deg2rad(np.linspace(-25, 25, 40)))
+    ping = propose(own, [other], seed=0, seen=seen).ping
+    assert ping.distance.min() >= 0.4
+    assert ping.distance.max() <= 2.4
+    assert np.abs(ping.angle).max() <= np.deg2rad(25.01)
+    # of one place alone nothing is told: one has to go farther
+    alone = propose(own, [other], seed=0, seen=Ping.of(distance=np.full(40, 1.2))).ping
+    assert np.ptp(alone.distance) > 0.0 or alone.distance[0] != 1.2

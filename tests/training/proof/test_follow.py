@@ -35,6 +35,14 @@ def test_a_pause_that_matters_takes_two_pings_of_which_the_later_counts(tmp_path
     assert np.diff(time) == pytest.approx(np.full(3, 20.105))
 
 
+def test_a_sensor_that_is_to_be_warm_is_measured_later_and_the_other_at_once(tmp_path):
+    made = make("confounded", np.random.default_rng(3))
+    asked = {"pings": 4, "conditions": [{"distance_mm": 800.0, "angle_deg": 0.0, "incidence_deg": 0.0}]}
+    files = measure(made, [{**asked, "also": {"start_s": 7200.0}}], tmp_path, np.random.default_rng(0))
+    measured, anywhere = (Recording.load(files[name]).ping.time for name in ("measured-0", "anywhere-0"))
+    assert measured == pytest.approx(anywhere + 7200.0)
+
+
 def test_settings_are_changed_as_asked():
     world = with_setup(make("confounded", np.random.default_rng(1)).real, gain=20)
     before = world.rig.setup
