@@ -93,10 +93,11 @@ def _not_far(ping: Ping, seen: Ping) -> NDArray[np.bool_]:
     """Tell which pings lie where the laws hardly extrapolate; all, where none does."""
     least, most = seen.distance.min(), seen.distance.max()
     farther = FARTHER if most < VARIED * least else 1.0
-    turned = max(np.abs(seen.angle).max(), np.abs(seen.incidence).max())
-    turned += MORE_DEG * DEG if turned < VARIED_DEG * DEG else SLIGHTLY
     near = (ping.distance <= farther * most) & (ping.distance >= least / farther)
-    near &= np.maximum(np.abs(ping.angle), np.abs(ping.incidence)) <= turned
+    # a face that was never turned says nothing of what is heard of it askew
+    for turned, so_far in ((ping.angle, seen.angle), (ping.incidence, seen.incidence)):
+        most = np.abs(so_far).max()
+        near &= np.abs(turned) <= most + (MORE_DEG * DEG if most < VARIED_DEG * DEG else SLIGHTLY)
     return near if near.any() else np.ones(len(ping), dtype=bool)
 
 

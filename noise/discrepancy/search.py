@@ -141,7 +141,8 @@ class Search:
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
-        able = [name for name in CATALOGUE if name not in (JITTER, *self.never)]
+        able = [name for name, kind in CATALOGUE.items() if self.both.resolution <= kind.coarsest_m]
+        able = [name for name in able if name not in (JITTER, *self.never)]
         return [name for name in able if self.discover.timed or not self._uses_time(name)]
 
     def _uses_time(self, name: str) -> bool:

@@ -308,6 +308,7 @@ class Effect(ABC):
     remembers: ClassVar[bool] = False  # whether it looks at the previous reading
     strikes: ClassVar[bool] = False  # whether it is plain in some cells or pings, and leaves all others alone
     by_ping: ClassVar[bool] = False  # whether it strikes single pings, whatever their cell
+    coarsest_m: ClassVar[float] = math.inf  # a register of coarser steps cannot show it
     passes_for: ClassVar[tuple[str, ...]] = ()  # effects that it looks like while it is `hidden`
 
     def __init__(self, **values: float | Tensor) -> None:

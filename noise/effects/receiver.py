@@ -165,6 +165,7 @@ class CycleSlip(Effect):
     name = "cycle_slip"
     stage = Stage.DETECTOR
     summary = "Echoes trigger one or two cycles late: readings fall on a comb 4.29 mm apart"
+    coarsest_m = HALF_WAVE
     parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "of each further cycle; ours", (0.3,)),)
     probability: Tensor
 

@@ -8,7 +8,11 @@ import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
+from noise.cells import Batch
 from noise.discrepancy import VERDICTS, diagnose
+from noise.discrepancy.diagnosis import prepared
+from noise.discrepancy.emulate import baseline_of
+from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
 from noise.model import GaussianModel, IdealModel, simulate
 from noise.physical import PhysicalModel
@@ -62,6 +66,15 @@ def check_schema(verdict):
     for item in verdict["next_measurement"]:
         assert set(item) == {"do", "separates", "pings"}
     assert {"describes_simulation", "p_value"} <= set(verdict["baseline_check"])
+
+
+@pytest.mark.parametrize(("step", "shows"), [(1e-3, True), (1e-2, False)])
+def test_a_comb_finer_than_the_register_is_no_candidate(step, shows):
+    recording = heard(2, cells=20)
+    coarse = recording.table.assign(reading_mm=1e3 * step * np.rint(recording.reading.range / step))
+    base = baseline_of(model_of(), recording := Recording(coarse), None, 0)
+    split = Split.of(Batch.of(recording), np.random.default_rng(0))
+    assert ("cycle_slip" in prepared(base, split, 0)[0].candidates()) == shows
 
 
 def test_speed_of_sound_and_clock_are_one_class_at_constant_temperature():

@@ -109,11 +109,14 @@ def test_a_thermometer_tells_warm_air_from_whatever_else():
 
 def test_nothing_is_asked_for_beyond_what_was_varied():
     own, other = stacks("zero and clock")
-    seen = Ping.of(distance=np.linspace(0.4, 2.4, 40), angle=np.deg2rad(np.linspace(-25, 25, 40)))
+    seen = Ping.of(
+        distance=np.linspace(0.4, 2.4, 40), angle=np.deg2rad(np.linspace(-25, 25, 40)), incidence=np.zeros(40)
+    )
     ping = propose(own, [other], seed=0, seen=seen).ping
     assert ping.distance.min() >= 0.4
     assert ping.distance.max() <= 2.4
     assert np.abs(ping.angle).max() <= np.deg2rad(25.01)
+    assert np.abs(ping.incidence).max() <= np.deg2rad(10.01)  # never turned so far
     # of one place alone nothing is told: one has to go farther
     alone = propose(own, [other], seed=0, seen=Ping.of(distance=np.full(40, 1.2))).ping
     assert np.ptp(alone.distance) > 0.0 or alone.distance[0] != 1.2
