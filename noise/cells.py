@@ -355,12 +355,24 @@ def _own(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
     """Return log probabilities under the laws of both banks, that of hearing as the cell's earlier pings have it."""
     both = together(law, cells, batch)
     silent, place = both.no_echo_tensor(), both.echo_tensor(both.step(batch.reading.range))
+    expected, given = hearing(silent, cells, batch)
+    told = given / torch.clamp(expected, min=LEAST)
+    return torch.log(torch.clamp(torch.where(torch.from_numpy(batch.reading.echo), place, silent) * told, min=TINY))
+
+
+def hearing(silent: Tensor, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return the probability of what each ping was, echo or silence: alone, and given those before in its cell.
+
+    Args:
+        silent: probability of no echo, (n,) or (banks, n), as is what is returned.
+        cells: how far a cell is heard as it was before.
+        batch: readings.
+    """
     echo = torch.from_numpy(batch.reading.echo)
     count, heard = batch.heard
     expected = torch.where(echo, 1.0 - silent, silent)
     before = torch.where(echo, heard, count - heard)
-    told = (expected + cells.hearing * before) / ((1.0 + cells.hearing * count) * torch.clamp(expected, min=LEAST))
-    return torch.log(torch.clamp(torch.where(echo, place, silent) * told, min=TINY))
+    return expected, (expected + cells.hearing * before) / (1.0 + cells.hearing * count)
 
 
 def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:

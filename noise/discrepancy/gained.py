@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from noise.cells import Batch
+from noise.cells import Batch, hearing, law_of
 from noise.discrepancy.locate import Finding, bias_or_scale, describe, family, place_of
 from noise.discrepancy.residuals import EXTRA, Residuals
 from noise.discrepancy.scan import Blocks, Region, regions
@@ -85,8 +86,7 @@ def by_aspect(before: Stack, after: Stack, batch: Batch) -> dict[str, Floats]:
     """
     heard = batch.reading.echo
     gain = log_likelihood(after, batch) - log_likelihood(before, batch)
-    hearing = _log_echo(after, batch) - _log_echo(before, batch)
-    lying = np.where(heard, gain - hearing, 0.0)
+    lying = np.where(heard, gain - (_log_hearing(after, batch) - _log_hearing(before, batch)), 0.0)
     middle = before.expected(batch)
     moved = np.median(np.abs(after.expected(batch) - middle)[heard]) if heard.any() else 0.0
     how = "bias" if moved > 0.5 * batch.resolution else "spread"
@@ -101,10 +101,12 @@ def by_aspect(before: Stack, after: Stack, batch: Batch) -> dict[str, Floats]:
     }
 
 
-def _log_echo(stack: Stack, batch: Batch) -> Floats:
-    """Return the log probability of an echo, (n,)."""
-    silent = stack.model.law(batch.ping, batch.past).no_echo
-    return np.asarray(np.log(np.clip(1.0 - silent, LEAST, 1.0)))
+def _log_hearing(stack: Stack, batch: Batch) -> Floats:
+    """Return the log probability of echo or silence, whichever there was, given the cell's pings before, (n,)."""
+    with torch.no_grad():
+        model, cells = stack.build()
+        given = hearing(law_of(model, batch).no_echo_tensor(), cells, batch)[1]
+    return np.asarray(np.log(np.clip(given.numpy(), LEAST, 1.0)))
 
 
 def _region(batch: Batch, gain: Floats, rng: np.random.Generator) -> Region:
