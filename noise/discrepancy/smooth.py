@@ -35,11 +35,13 @@ class Smooth:
         stays: number of them.
         share: of the variance of where stays lie, that neighbours share, by condition.
         size_m: standard deviation of where stays lie, m.
+        tied: whether each lies so far from the simulation's own under the same condition, where no law errs.
     """
 
     stays: int
     share: dict[str, float]
     size_m: float
+    tied: bool = False
 
     def finding(self, usual: Smooth | None) -> Finding:
         """Return the strongest of it as a finding, beyond what a simulation's own stays share; p = 1 without any.
@@ -58,7 +60,7 @@ class Smooth:
 
     def _expected(self, usual: Smooth | None, name: str) -> float:
         """Return what the law's own errors make of this variance: they are so many mm, whatever else scatters."""
-        if usual is None or self.size_m == 0.0:
+        if usual is None or self.tied or self.size_m == 0.0:
             return 0.0
         own = max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.stays, 1)
         # their square, were they known exactly; but nulls of targets put down with less care then stand out too often
@@ -90,14 +92,31 @@ def smooth(stack: Stack, batch: Batch) -> Smooth:
         stack: the law.
         batch: readings, whole stays.
     """
-    offset = lying(stack, batch)
+    offset, twin = lying(stack, batch), _twins(batch)
+    tied = float(np.mean(~np.isnan(twin))) > HALF
+    if tied:
+        # one simulated stay may answer for several: what they share would pass for neighbours that agree
+        offset = _one_a_cell(offset - twin, batch)
     told = ~np.isnan(offset)
     if told.sum() < FEWEST:
         return Smooth(int(told.sum()), {}, 0.0)
     value = winsorised(offset[told], batch.resolution)
     columns = {name: column[told] for name, column in by_block(batch).items() if name not in NOT_ASKED}
     share = {name: _shared(value[np.argsort(column, kind="stable")]) for name, column in columns.items()}
-    return Smooth(len(value), share, float(value.std()))
+    return Smooth(len(value), share, float(value.std()), tied)
+
+
+def _twins(batch: Batch) -> Floats:
+    """Return how far the simulation's own readings lie from its law under each stay's condition, m, nan if unknown."""
+    return np.full(batch.blocks, np.nan) if batch.twin is None else batch.twin[batch.starts]
+
+
+def _one_a_cell(value: Floats, batch: Batch) -> Floats:
+    """Return means over the stays of each cell, at its first stay that has a value, nan elsewhere, (blocks,)."""
+    out, told = np.full(len(value), np.nan), np.flatnonzero(~np.isnan(value))
+    _, first, cell = np.unique(batch.cell[batch.starts][told], return_index=True, return_inverse=True)
+    out[told[first]] = np.bincount(cell, value[told]) / np.bincount(cell)
+    return out
 
 
 def lying(stack: Stack, batch: Batch) -> Floats:

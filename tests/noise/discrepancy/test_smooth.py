@@ -1,6 +1,9 @@
 """Where stays lie as a smooth function of a condition: waves are seen, careless placing is not."""
 
+from dataclasses import replace
+
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from scipy import stats
@@ -57,6 +60,31 @@ def test_careless_placing_is_no_function_of_anything():
 def test_a_simulation_that_waves_alike_is_no_worse():
     usual = smooth(Stack.of(SONAR), Batch.of(heard(3, waving)))
     assert smooth(Stack.of(SONAR), Batch.of(heard(4, waving))).finding(usual).p_value > 0.01
+
+
+def tied(seed, stands, stays=60):
+    """Return a recording's stays with where a simulation, which waves too, has its own under the same conditions."""
+    batch = Batch.of(heard(seed, lambda d, a: stands(waving(d, a), a), stays))
+    rng = np.random.default_rng(seed + 1000)
+    own = waving(batch.ping.distance, 0.0) - batch.ping.distance
+    cell = np.unique(batch.cell, return_inverse=True)[1]
+    return replace(batch, twin=own + rng.normal(0.0, 0.002, len(batch))[cell])
+
+
+def test_where_conditions_are_shared_a_simulation_that_waves_hides_nothing_and_shows_nothing():
+    other = smooth(Stack.of(SONAR), tied(11, lambda d, a: d + 0.006 * np.sin(9.0 * d)))
+    assert other.tied
+    # without them the wave that both have is the greater part
+    assert other.finding(smooth(Stack.of(SONAR), Batch.of(heard(12, waving)))).p_value < 1e-3
+    p = [smooth(Stack.of(SONAR), tied(seed, lambda d, a: d)).finding(None).p_value for seed in range(20, 60)]
+    assert stats.kstest(p, "uniform", alternative="greater").pvalue > 0.01
+    assert np.mean(np.array(p) < 0.05) <= 0.15
+
+
+def test_stays_of_one_cell_are_held_against_its_simulation_once():
+    batch = tied(13, lambda d, a: d, 30)
+    twice = Batch.of(Recording(pd.concat([Recording.of(batch.ping, batch.reading).table] * 2, ignore_index=True)))
+    assert smooth(Stack.of(SONAR), replace(twice, twin=np.zeros(len(twice)))).stays == 30
 
 
 @pytest.mark.parametrize(("left", "wrong"), [(0.02, True), (0.002, False)])
