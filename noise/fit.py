@@ -27,6 +27,7 @@ STEP_SHARE = 0.02  # of what a climb must gain: a step that gains less ends it
 ROUGHEST = 0.05  # nats; no climb ends at a step that gains more
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
+REPEATED = (1.0, 0.3, 0.1, 0.03)  # of the share of what is new in a cell: the share of all its pings; ours
 MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
 
@@ -213,7 +214,29 @@ def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
     loose = alone.put([(JITTER, "sigma_m"), (CELLS, "placement_m")], [spread, spread])
     # with a spread that does not fit, the first step of a climb may throw a share to zero, from where none leads back
     fitting = [maximise(stack, SPREAD, batch, 40).stack for stack in (alone, loose)]
-    return best_of(fitting, (*keys, *SPREAD), batch, 80)
+    best = best_of([_rarer(stack, keys, batch) for stack in fitting], (*keys, *SPREAD), batch, 80)
+    if not _lost(best.stack, keys):
+        return best
+    # a few strays are explained by cells that scatter more as well: then the scatter is left as the urn has it
+    held = maximise(_rarer(alone, keys, batch), keys, batch, 40)
+    return joint if _lost(held.stack, keys) else held
+
+
+def _rarer(stack: Stack, keys: Sequence[Key], batch: Batch) -> Stack:
+    """Return a stack whose effects strike as often as is likeliest of some shares: the urn's are of what is new."""
+    shares = _shares(stack, keys)
+    tries = [stack.put(shares, [part * stack.get(key) for key in shares]) for part in REPEATED]
+    return max(tries, key=lambda each: float(log_likelihood(each, batch).sum()))
+
+
+def _shares(stack: Stack, keys: Sequence[Key]) -> list[Key]:
+    """Return the parameters that say how often effects strike: the first of each."""
+    return [(name, stack.known[name].parameters[0].name) for name in dict.fromkeys(key[0] for key in keys)]
+
+
+def _lost(stack: Stack, keys: Sequence[Key]) -> bool:
+    """Tell whether an effect that had been found has come to nothing."""
+    return any(stack.get(key) == stack.parameter(key).null for key in _shares(stack, keys))
 
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:

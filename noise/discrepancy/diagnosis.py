@@ -19,9 +19,10 @@ from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.residuals import Residuals, residuals
 from noise.discrepancy.rest import check_rest, located
 from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
+from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
-from noise.discrepancy.search import Progress, Search, spread_over_blocks
+from noise.discrepancy.search import Progress, Search
 from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
 from noise.discrepancy.transient import SURE_P

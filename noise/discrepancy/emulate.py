@@ -23,8 +23,9 @@ from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import Usual, scan_p
+from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.discrepancy.scan import Blocks
-from noise.discrepancy.search import Attempt, Crossed, Rules, Search, spread_over_blocks
+from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import smooth
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
@@ -142,7 +143,7 @@ class Baseline:
             if self._gain_on_simulation(null, name, cross) > 0.5 * gain.sum() / len(gain):
                 told = "gains as much on the simulation itself: repairs the emulator"
                 search.never = (*search.never, name)  # nor is it a rival of anything
-            elif not search.believable(name, gain, first=len(chosen) == 1):
+            elif not search.rules.believes(name, gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
             else:
                 continue

@@ -20,8 +20,8 @@ from threadpoolctl import ThreadpoolController
 
 from noise.cells import Batch
 from noise.discrepancy.residuals import seen_alone, seen_in_cell
+from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.scan import features
-from noise.discrepancy.search import spread_over_blocks
 from noise.discrepancy.transient import APART_M
 from noise.law import Floats
 from noise.stack import Stack

@@ -12,7 +12,8 @@ from scipy.stats import norm
 from noise.cells import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.locate import LEAST_RATIO
-from noise.discrepancy.search import Crossed, Search, spread_over_blocks
+from noise.discrepancy.rules import spread_over_blocks
+from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named
 from noise.law import Floats
 from noise.stack import CELLS, JITTER, NUISANCES, Stack
@@ -53,7 +54,7 @@ def changed_scatter(
     least = LEAST_RATIO if describes else POOR_RATIO
     placed = simulation.get(PLACED)
     pairs = [(before, placed, x, fit.stack.get(PLACED)) for fit, x in zip(fits, after, strict=True)]
-    if min(_apart(*pair) for pair in pairs) < least or not search.believable(JITTER, gain):
+    if min(_apart(*pair) for pair in pairs) < least or not search.rules.believes(JITTER, gain):
         return None
     # two laws may share one scatter out between placement and jitter otherwise: the readings have to bear it out
     seen = within_stays(search.both) / within_stays(simulated)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from noise.cells import Batch, silence
+from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, log_likelihood, maximise
 from noise.law import Floats
@@ -27,62 +28,6 @@ THRESHOLD = "sensitivity"
 STEPS = 5  # of a climb that only ranks candidates
 STRETCHED = 2.0  # times the scatter of most readings; ours
 ROUGH = 3.0  # nats: a first climb that gains less is not refined, since the candidate will not win
-
-
-@dataclass(frozen=True)
-class Rules:
-    """When an effect is believed, and how much work goes into the search.
-
-    Attributes:
-        least_nats: cross-fitted gain below which nothing is added.
-        least_t: the same in standard errors over blocks.
-        sweeping_nats, sweeping_t: gain beyond which so many standard errors are enough of an effect that strikes: what
-            is plain in a few cells and absent from all others is many nats and few standard errors.
-        keep_nats: cross-fitted loss below which a chosen effect is dropped again.
-        bounded_nats: of each block at most, where the standard error is taken a second time: one heavy block
-            then neither makes nor breaks a case.
-        tie_nats: a simpler effect is preferred to one that gains no more than this, or one standard error, beyond it.
-        most_effects: at most so many are added.
-        grid_pings, screen_pings, full_pings: sizes of the batches for the three grades of fit.
-        fitted: candidates that are fitted after the grid.
-        crossed: of those, the ones that are cross-fitted.
-        rivals: effects that are tried in the place of each chosen one.
-    """
-
-    least_nats: float = 6.0
-    least_t: float = 2.0
-    sweeping_nats: float = 30.0
-    sweeping_t: float = 2.0
-    keep_nats: float = 2.0
-    bounded_nats: float = 2.0
-    tie_nats: float = 4.0
-    most_effects: int = 4
-    grid_pings: int = 400
-    screen_pings: int = 1200
-    full_pings: int = 2500
-    fitted: int = 10
-    crossed: int = 4
-    rivals: int = 6
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """What was tried: an effect, given others, and what it gained.
-
-    Attributes:
-        effect: id.
-        given: effects already chosen.
-        screen_nats: gain where it was fitted.
-        gain_nats, gain_se: cross-fitted gain and its standard error over blocks; nan where it was not worth it.
-        decision: in words.
-    """
-
-    effect: str
-    given: tuple[str, ...]
-    screen_nats: float
-    gain_nats: float = np.nan
-    gain_se: float = np.nan
-    decision: str = "did not come near"
 
 
 @dataclass(frozen=True)
@@ -261,32 +206,36 @@ class Search:
         more = max(0.0, float((without.nats - current.nats).sum()))
         return own if float((own.nats - crossed.nats).sum()) > more else crossed
 
+    def best_seen(self, fit: Fit, crossed: Crossed, effects: Sequence[str]) -> Fit:
+        """Return the better of a climb on the screening batch and one from where a cross-fit of the same ended.
+
+        A quick climb from a coarse grid may stop short of the summit that the whole part shows, and a rival that cannot
+        be told from what is chosen would look far off.
+        """
+        free = (*self.keys(effects), *SPREAD)
+        again = maximise(crossed.first.stack, free, self.screen, 25, ROUGH, self.scales(self.screen))
+        return max(fit, again, key=lambda each: each.nats)
+
     def _as_it_is(self, stack: Stack) -> Fit:
         """Return a hypothesis without anything to fit on the smaller part."""
         return Fit(stack, (), float(log_likelihood(stack, self.confirm).sum()))
 
     def contribution(self, chosen: Sequence[str], cross: Crossed, name: str) -> tuple[Floats, Crossed]:
-        """Return what one effect adds to the others, nats by block, and the explanation without it."""
-        without = self.without(chosen, cross, name)
+        """Return what one effect adds to the others, nats by block, and the explanation without it.
+
+        From a scatter that the effect has made narrow no climb may lead back: without it, that of the law that the
+        search began from is tried as well.
+        """
+        others = [other for other in chosen if other != name]
+        loose = _carried(self.reset(cross.first.stack, name), self.base, NUISANCES)
+        tries = (self.without(chosen, cross, name), self.cross(loose, others))
+        without = max(tries, key=lambda each: float(each.nats.sum()))
         return cross.nats - without.nats, without
 
     def without(self, chosen: Sequence[str], cross: Crossed, name: str) -> Crossed:
         """Return an explanation fitted anew without one of its effects."""
         first, second = (replace(fit, stack=self.reset(fit.stack, name)) for fit in (cross.first, cross.second))
         return self.cross(first.stack, [n for n in chosen if n != name], near=Crossed(first, second, cross.nats))
-
-    def believable(self, name: str, gain: Floats, first: bool = False) -> bool:
-        """Tell whether an effect's gains by block are more than chance, and not the work of one block.
-
-        Of the first effect alone it is enough if bounded gains say so: what follows it leans on what it left over.
-        """
-        total, enough, most = gain.sum(), self.rules.least_nats, self.rules.bounded_nats
-        without_best = total - gain.max(initial=0.0)
-        looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
-        sweeping = total >= self.rules.sweeping_nats and CATALOGUE[name].strikes
-        least_t = self.rules.sweeping_t if sweeping else self.rules.least_t
-        sure = any(g.sum() > least_t * spread_over_blocks(g) for g in looks)
-        return bool(total > enough and sure and without_best > 0.3 * enough)
 
     def round(self, chosen: list[str], current: Crossed) -> tuple[str, Crossed] | None:
         """Return the effect that gains most given the chosen ones, or None when none is believed."""
@@ -304,6 +253,7 @@ class Search:
         for name in best[: self.rules.crossed]:
             if screened[name] > 1.0:
                 crossed[name] = self.crossed_with(fits[name].stack, chosen, name, current)
+                fits[name] = self.best_seen(fits[name], crossed[name], [*chosen, name])
         winner = self._judge(chosen, current, screened, crossed)
         rest = {name: grids[name][0][0] - here for name in order[self.rules.fitted :]}
         self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
@@ -314,7 +264,7 @@ class Search:
     ) -> str | None:
         """Return the believed effect of greatest gain and write down what became of every one that was fitted."""
         gains = {name: c.nats - current.nats for name, c in crossed.items()}
-        good = [name for name in gains if self.believable(name, gains[name], not chosen)]
+        good = [name for name in gains if self.rules.believes(name, gains[name], not chosen)]
         winner = self.simplest(good, gains)
         for name, nats in screened.items():
             gain = gains.get(name)
@@ -370,7 +320,7 @@ class Search:
         fitted = self.climbed(self.points(base.first.stack, THRESHOLD), [], THRESHOLD)
         crossed = self.cross(fitted.stack, [THRESHOLD], near=base)
         gain = crossed.nats - base.nats
-        good = self.believable(THRESHOLD, gain, first=True)
+        good = self.rules.believes(THRESHOLD, gain, first=True)
         told = "added first: echoes are missed" if good else "not more than chance"
         self.attempts.append(Attempt(THRESHOLD, (), np.nan, float(gain.sum()), spread_over_blocks(gain), told))
         return ([THRESHOLD], crossed) if good else ([], base)
@@ -391,8 +341,3 @@ class Search:
 def _carried(shared: Stack, own: Stack, keys: Sequence[Key]) -> Stack:
     """Return one stack with the values that another has at some keys."""
     return shared.put(keys, [own.get(key) for key in keys])
-
-
-def spread_over_blocks(gain: Floats) -> float:
-    """Return the standard error of a sum of block gains."""
-    return float(np.sqrt(np.sum((gain - gain.mean()) ** 2))) if len(gain) > 1 else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from noise.cells import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rivals import SAME
-from noise.discrepancy.search import spread_over_blocks
+from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.verdict import Named
 from noise.fit import maximise
 from noise.law import Floats

@@ -10,7 +10,7 @@ from noise.discrepancy.explanation import Interval
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.matched import Matched
 from noise.discrepancy.next_measurement import Measurement
-from noise.discrepancy.search import Attempt
+from noise.discrepancy.rules import Attempt
 
 CLAIMS = ("named", "confounded", "named_with_rest")
 VERDICTS = ("none", *CLAIMS, "unknown")

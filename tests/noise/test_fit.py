@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition import Ping, Recording
+from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
 from noise.effects import CATALOGUE
-from noise.fit import _Objective, covariance, fit, log_likelihood, maximise
+from noise.fit import Fit, _Objective, covariance, each_counted, fit, log_likelihood, maximise
 from noise.physical import PhysicalModel
 from noise.stack import NUISANCES, Stack
 from noise.starts import extra_modes, nuisance_start, starting_points
@@ -89,3 +89,33 @@ def test_a_climb_leads_away_from_cells_that_scatter_as_little_as_they_can():
     summits = [maximise(stack.put([key], [p]), NUISANCES, batch) for p in (stack.parameter(key).low, 0.003)]
     assert summits[0].nats == pytest.approx(summits[1].nats, abs=0.1)
     assert summits[0].stack.get(key) > 0.001
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_share_of_strays_is_of_all_pings_where_cells_repeat_themselves(seed):
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.3, 3.0, 72), 15)
+    away = np.repeat(rng.normal(0, 0.006, 72), 15) + rng.normal(0, 0.0003, len(distance))
+    stray = rng.random(len(distance)) < 0.012
+    reading = np.where(stray, distance + rng.uniform(0.2, 7.0, len(distance)), distance + away)
+    batch = Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(reading, 4))))
+    keys = (("spike", "probability"), ("spike", "span_m"))
+    cells = {"placement_m": 0.006, "sharing": 3.0, "kernel_m": 0.0003, "hearing": 5.0}
+    spike = {"probability": 0.1, "span_m": 8.0}
+    joint = maximise(
+        Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": spike, "cells": cells}),
+        (*keys, *NUISANCES),
+        batch,
+        80,
+    )
+    assert joint.stack.get(keys[0]) > 4.0 * stray.mean()  # strays are most of what is new in a cell
+    assert each_counted(joint, keys, batch).stack.get(keys[0]) == pytest.approx(stray.mean(), rel=1.5)
+
+
+def test_an_effect_that_was_found_is_not_told_as_nothing():
+    batch = Batch.of(heard(3, placement=0.003))
+    cells = {"placement_m": 0.003, "sharing": 3.0}
+    found = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": {"probability": 0.1}, "cells": cells})
+    joint = Fit(found, (), 0.0)
+    # not one reading strays, so its share comes to nothing whatever is tried: what was found stands as it was found
+    assert each_counted(joint, (("spike", "probability"),), batch) is joint

@@ -1,6 +1,7 @@
 """Diagnosis of planted differences: right cause, right size, and no cause where there is none."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,37 @@ def check_schema(verdict):
     for item in verdict["next_measurement"]:
         assert set(item) == {"do", "separates", "pings"}
     assert {"describes_simulation", "p_value"} <= set(verdict["baseline_check"])
+
+
+@pytest.fixture(scope="module")
+def at_one_distance():
+    """Return a simulation's file and a recording of much colder air, both at one distance and the same angles."""
+    rng = np.random.default_rng(5)
+    angle = np.repeat(np.deg2rad(rng.choice([-20.0, -10.0, -5.0, 0.0, 5.0, 10.0, 20.0], 72)), 10)
+    grid = Ping.of(distance=np.full(720, 1.0), angle=angle, run=np.repeat(np.arange(72), 10))
+    files = []
+    for temperature_c in (22.8, 2.0):
+        stood = np.repeat(rng.normal(1.0, 0.003, 72), 10)
+        model = model_of(sound_speed={"temperature_c": temperature_c})
+        files.append(Recording.of(grid, simulate(model, replace(grid, distance=stood), rng)))
+    return files
+
+
+def test_at_one_distance_speed_of_sound_clock_and_zero_are_one_class(at_one_distance):
+    simulated, recorded = at_one_distance
+    (effect,) = diagnose(IdealModel(), recorded, simulated=simulated, seed=1).to_verdict()["effects"]
+    assert {effect["effect"], *effect["indistinguishable_from"]} >= {"sound_speed", "clock_scale", "zero_offset"}
+
+
+def test_what_one_effect_adds_is_what_all_add_where_it_is_alone(at_one_distance):
+    simulated, recorded = at_one_distance
+    base = baseline_of(IdealModel(), recorded, simulated, 0)
+    batch = base.with_twins(Batch.of(recorded))
+    search, _ = prepared(base, Split.of(batch, np.random.default_rng(0)), 0)
+    chosen, without, cross = search.run()
+    assert len(chosen) == 1
+    gain, _ = search.contribution(chosen, cross, chosen[0])
+    assert gain.sum() <= (cross.nats - without.nats).sum() + 5.0
 
 
 @pytest.mark.parametrize(("step", "shows"), [(1e-3, True), (1e-2, False)])
