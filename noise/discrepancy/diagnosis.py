@@ -154,8 +154,9 @@ def _where(seen: Residuals, batch: Batch, peer: Blocks | None, rng: np.random.Ge
     """Return what a scan locates, and the p-value of what is not of the day in it."""
     scanned = scan(seen, batch, rng, peer)
     where = findings(seen, scanned, batch, peer)
-    p_values = [finding.p_value for finding in where if not finding.carried]
-    return where, min(scanned.lasting.p_value(scanned.lasting.best), *p_values, 1.0)
+    # what one day may change is looked at besides, where it is more than a day changes
+    besides = [2.0 * finding.p_value for finding in where if not finding.carried]
+    return where, min(scanned.lasting.p_value(scanned.lasting.best), *besides, 1.0)
 
 
 def _explained(base: Baseline, search: Search) -> Explained:

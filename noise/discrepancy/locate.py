@@ -15,7 +15,7 @@ from noise.stack import Stack
 SHADOWS = ("spread", "skew", "time_correlation")  # a bias bends them wherever it changes: told of after it
 LAST = 1e6
 LEAST_SPREAD = 0.05  # of what is expected; ours
-LEAST_RATIO = 1.3  # scatter that differs by less is no mismatch: one day's air moves less than another's; ours
+LIVELIER = 1.5  # times the scatter inside stays, which another day's air alone may bring; ours
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Finding:
     @property
     def carried(self) -> bool:
         """Whether it only tells that the air of another day hangs together otherwise: nothing is amiss with that."""
-        little = self.aspect == "spread" and 1.0 / LEAST_RATIO < self.size < LEAST_RATIO
-        return little or self.aspect in ("skew", "time_correlation")
+        calm = self.aspect == "spread" and self.size < LIVELIER
+        return calm or self.aspect in ("skew", "time_correlation")
 
 
 def locate(

@@ -11,7 +11,6 @@ from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.explanation import Interval
-from noise.discrepancy.locate import LEAST_RATIO
 from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named
@@ -22,6 +21,7 @@ from noise.starts import from_middle
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 INNER = 0.8  # share of readings of a stay that say how it scatters; ours
 PLACED = (CELLS, "placement_m")
+LEAST_RATIO = 1.3  # scatter that differs by less is no mismatch: one day's air moves less than another's; ours
 POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours
 
 

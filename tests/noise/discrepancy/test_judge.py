@@ -14,7 +14,9 @@ def test_what_is_located_beyond_doubt_is_not_nothing():
     assert judge([], SOMETHING, 0.0, 4.0 * SURE_SCAN) == "none"
 
 
-@pytest.mark.parametrize(("aspect", "size"), [("spread", 1.2), ("skew", 0.1), ("time_correlation", 0.9)])
+@pytest.mark.parametrize(
+    ("aspect", "size"), [("spread", 1.4), ("spread", 0.3), ("skew", 0.1), ("time_correlation", 0.9)]
+)
 def test_what_the_air_of_another_day_changes_is_no_mismatch(aspect, size):
     found = Finding(aspect, {}, size, "1", 0.0025, 10.0)
     assert found.carried
