@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import pandas as pd
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -33,16 +32,15 @@ from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions, Effect, Parameter, Stage, State
 from noise.effects.base import number, reach
 from noise.physical import TINY, PhysicalLaw, PhysicalModel
+from noise.stays import cells_of, last_echo
 
 MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
-BLOCK = 25  # pings taken as one cell where conditions never repeat (a moving robot); ours
 WIDE = 4.0  # how much farther from its mark a carelessly placed target lies; ours
 CARELESS = 0.1  # share of such cells; ours
 LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
 LEAST = 1e-9  # probability that is divided by
-FEW_CELLS = 12
 
 
 class CellNuisance(Effect):
@@ -115,7 +113,7 @@ class Batch:
         past = previous(recording.reading, recording.run)
         ping, reading = recording.ping[order], recording.reading[order]
         label = np.unique(block[order], return_inverse=True)[1]
-        last, timed = _last_echo(recording)[order], recording.has("time_s")
+        last, timed = last_echo(recording)[order], recording.has("time_s")
         return cls(ping, past[order], reading, label, cell[order], recording.resolution, last, timed)
 
     def __len__(self) -> int:
@@ -221,41 +219,6 @@ class Batch:
     def per_block(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""
         return np.add.reduceat(value, self.starts, axis=0)
-
-
-def _last_echo(recording: Recording) -> NDArray[np.float64]:
-    """Return the latest echo before each ping in its run, and how far off its target stood, m, (n, 2)."""
-    echo, run = recording.reading.echo, recording.run
-    columns = {"read": recording.reading.range, "stood": recording.ping.distance}
-    heard = pd.DataFrame({name: np.where(echo, column, np.nan) for name, column in columns.items()})
-    return heard.groupby(run).ffill().groupby(run).shift().to_numpy()
-
-
-def cells_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cell of each ping, and the block (stay in one cell during one run), each (n,).
-
-    Where conditions hardly repeat, or hardly change, runs are cut into stretches of `BLOCK` pings instead.
-    """
-    n = len(recording)
-    pair = np.unique(np.stack([recording.cell, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
-    crowded = np.bincount(recording.cell)
-    if crowded.mean() < 2.0 and n > 2 * FEW_CELLS:
-        stretch = _stretches(recording.run)
-        return stretch, stretch
-    block = pair
-    if len(np.unique(pair)) < FEW_CELLS:
-        block = np.unique(pair * (n + 1) + _stretches(pair), return_inverse=True)[1]
-    cell = recording.cell if len(crowded) >= FEW_CELLS else block
-    return cell, block
-
-
-def _stretches(group: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number stretches of at most BLOCK consecutive pings of each group, (n,)."""
-    order = np.argsort(group, kind="stable")
-    starts = np.r_[0, np.flatnonzero(np.diff(group[order])) + 1]
-    rank = np.empty(len(group), dtype=np.int64)
-    rank[order] = np.arange(len(group)) - np.repeat(starts, np.diff(np.r_[starts, len(group)]))
-    return np.unique(group * (len(group) + 1) + rank // BLOCK, return_inverse=True)[1].ravel()
 
 
 def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:

@@ -17,13 +17,13 @@ from rich.console import Console
 
 from acquisition import Ping, Reading, Recording, SettingError
 from noise import load_model
-from noise.cells import cells_of
 from noise.inputs import Inputs
 from noise.metrics import Evaluation, evaluate
 from noise.mixture import Head
 from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
 from noise.networks import MlpModel
 from noise.recurrent import LstmModel
+from noise.stays import cells_of
 from noise.store import check_model_folder, save_model
 from training.model_card import card, plain, table
 from training.networks import LONGEST, Batch, Memory, Network, Schedule, fit_network, with_memory

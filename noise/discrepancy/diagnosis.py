@@ -13,7 +13,7 @@ from noise.cells import Batch, shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.gained import gained, with_gained
-from noise.discrepancy.locate import Finding, findings
+from noise.discrepancy.locate import ALARM, Finding, findings
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.residuals import Residuals, residuals
@@ -37,7 +37,6 @@ from noise.stack import CELLS, JITTER, NUISANCES, Stack
 from noise.starts import nuisance_starts
 
 LEAST_P = 1e-12  # no p-value of a model of the world means more
-ALARM = 0.01  # p-value of a scan below which something is there
 SURE_SCAN = 0.005  # and below which that is enough, whatever is left on unseen cells
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
 

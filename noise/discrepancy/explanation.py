@@ -104,5 +104,5 @@ def intervals(final: Final, batch: Batch, law: Stack, own: Batch | None) -> dict
 
 def _found_in(own: Batch, stack: Stack, key: Key) -> tuple[float, float]:
     """Return by how much a law would have a parameter otherwise for the readings it stands for, and how surely."""
-    fitted = maximise(stack.put([key], [stack.get(key)]), (key, *NUISANCES), own, 80)
+    fitted = maximise(stack, (key, *NUISANCES), own, 80)
     return fitted.stack.get(key) - stack.get(key), float(np.sqrt(covariance(fitted, own)[0, 0]))

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from noise.cells import Batch, hearing, law_of
-from noise.discrepancy.locate import Finding, bias_or_scale, describe, family, place_of
+from noise.discrepancy.locate import ALARM, Finding, bias_or_scale, describe, family, place_of
 from noise.discrepancy.residuals import EXTRA, Residuals
 from noise.discrepancy.scan import Blocks, Region, regions
 from noise.fit import log_likelihood
@@ -26,7 +26,6 @@ FEW = 0.1  # of the echoes: more that the law did not allow say that it is too n
 MOST = 0.9  # of what is gained, that a region holds; ours
 DRAWS = 200
 SURE = 0.05  # p-value of a region; ours
-ALARM = 0.01  # p-value of what a scan located, below which it is sure; ours
 
 
 def gained(
@@ -50,10 +49,11 @@ def gained(
         peer: the readings of the simulation that the law stands for; see `scan`.
     """
     shares = by_aspect(before, after, batch)
-    aspect = max(shares, key=lambda name: float(shares[name].sum()))
-    nats = float(shares[aspect].sum())
-    if sum(share.sum() for share in shares.values()) <= 0.0:
+    total = {name: float(share.sum()) for name, share in shares.items()}
+    if sum(total.values()) <= 0.0:
         return None
+    aspect = max(total, key=lambda name: total[name])
+    nats = total[aspect]
     where = _region(batch, batch.per_block(shares[aspect]), rng)
     if aspect == "extra_mode":
         inside = where[1][batch.block]

@@ -14,6 +14,7 @@ from noise.stack import Stack
 
 SHADOWS = ("spread", "skew", "time_correlation")  # a bias bends them wherever it changes: told of after it
 LAST = 1e6
+ALARM = 0.01  # p-value of a scan below which something is there
 LEAST_SPREAD = 0.05  # of what is expected; ours
 LIVELIER = 1.5  # times the scatter inside stays, which another day's air alone may bring; ours
 

@@ -73,8 +73,9 @@ def next_measurement(
             what the sensor assumes.
         seen: conditions that were recorded; nothing far from them is proposed.
     """
-    read = [_read_off(own, *rival, simulation) for rival in rivals if _thermometer(*rival[:2])]
-    others = [rival for rival in rivals if not _thermometer(*rival[:2])]
+    told = [(rival, _thermometer(*rival[:2])) for rival in rivals]
+    read = [_read_off(text, own, *rival, simulation) for rival, text in told if text]
+    others = [rival for rival, text in told if not text]
     return merged([*read, *_measured(own, others, seed, seen)])
 
 
@@ -115,9 +116,8 @@ def _thermometer(one: str, other: str) -> str:
     return READ if "sound_speed" in (one, other) else ""
 
 
-def _read_off(own: Stack, chosen: str, rival: str, other: Stack, simulation: Stack | None) -> Measurement:
+def _read_off(text: str, own: Stack, chosen: str, rival: str, other: Stack, simulation: Stack | None) -> Measurement:
     warm = (own if chosen == "sound_speed" else other).get(("sound_speed", "temperature_c"))
-    text = _thermometer(chosen, rival)
     usual = ASSUMED_TEMPERATURE_C if simulation is None else simulation.get(("sound_speed", "temperature_c"))
     shown = warm - usual if "{temperature}" in text else None
     return Measurement(text.format(temperature=_warmth(warm, simulation)), (chosen, rival), 1, warmer_k=shown)

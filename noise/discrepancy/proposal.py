@@ -30,6 +30,7 @@ SURE_Z = 2.3263  # 99 % of a normal; its square is half of what settles: a norma
 # beyond what was recorded a law is a guess: only where little was varied, by so many times and so much more; ours
 VARIED, FARTHER = 2.0, 2.0
 VARIED_DEG, MORE_DEG = 20.0, 10.0
+START_S = "start_s"  # how long the sensor has been on
 LATER_S = 7200.0  # by then every sensor is warm
 TOGETHER = 5  # conditions proposed at once, so that no single misplaced target decides
 DEG = np.pi / 180.0
@@ -70,7 +71,6 @@ class Setting:
         change: what it does under every explanation.
         bearing, incidence: share of the angle by which the sensor, and the target's face, is turned away.
         also: the same for machines: by how much a quantity is to change, or `range_m` and `start_s` to be.
-        after_s: how long after the sensor was switched on.
     """
 
     words: str
@@ -78,13 +78,12 @@ class Setting:
     bearing: float = 1.0
     incidence: float = 1.0
     also: tuple[tuple[str, float], ...] = ()
-    after_s: float = 0.0
 
     def pings(self, seen: Ping | None = None) -> Ping:
         """Return the conditions that are considered: not far from what was recorded, where that is given."""
         distance, angle = np.meshgrid(DISTANCES, ANGLES_DEG * DEG, indexing="ij")
         turned = angle.ravel()
-        time = np.full(len(turned), self.after_s)
+        time = np.full(len(turned), dict(self.also).get(START_S, 0.0))
         ping = Ping.of(distance.ravel(), self.bearing * turned, incidence=self.incidence * turned, time=time)
         return ping if seen is None else ping[_not_far(ping, seen)]
 
@@ -111,7 +110,7 @@ SETTINGS = (
     Setting(", with 5 ms more between pings", _later_ping, also=(("interval_s", 0.005),)),
     Setting(", listening as long as the sensor can", _longest_range, also=(("range_m", FARTHEST),)),
 )
-LATER = Setting(", after the sensor has been on for two hours", also=(("start_s", LATER_S),), after_s=LATER_S)
+LATER = Setting(", after the sensor has been on for two hours", also=((START_S, LATER_S),))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording, RecordingError
-from noise.cells import BLOCK, Batch, CellNuisance, cells_of, law_of, log_prob, placement_scatter, shared_scatter
+from noise.cells import Batch, CellNuisance, law_of, log_prob, placement_scatter, shared_scatter
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
+from noise.stays import BLOCK, cells_of
 
 STEP = 0.001
 

@@ -13,12 +13,13 @@ from sklearn.model_selection import GroupKFold
 
 from acquisition import Recording
 from noise.beam import fit_beam
-from noise.cells import FLOOR, Batch, cells_of
+from noise.cells import FLOOR, Batch
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.fit import log_likelihood, maximise
 from noise.model import MAX_RANGE
 from noise.stack import CELLS, SPREAD, Stack
+from noise.stays import cells_of
 
 Floats = NDArray[np.float64]
 FOLDS, SHUFFLES, MOST = 4, 200, 240

@@ -17,6 +17,7 @@ from training.proof.world import Rng, World, with_setup
 
 MOST_PINGS = 400  # of a measurement; who is asked for more has measured so many
 LONGEST_REGISTER = 255
+START_S = "start_s"  # how long the sensor has been on when a measurement begins
 AGAIN_S = "interval_s"  # a measurement that changes it needs two pings of each visit, of which the later one counts
 
 
@@ -63,7 +64,7 @@ def _conditions(rows: Sequence[dict[str, float]]) -> Ping:
 
 def _visited(world: World, cells: Ping, design: Design, also: dict[str, float], rng: Rng) -> Recording:
     """Return a recording in which the target is put down anew for every ping that counts."""
-    more, start = also.get(AGAIN_S), also.get("start_s", 0.0)
+    more, start = also.get(AGAIN_S), also.get(START_S, 0.0)
     each = 1 if more is None else 2
     ping = cells[np.repeat(np.arange(len(cells)), each)]
     wait = np.full(len(ping), design.interval_s[0] + (more or 0.0))

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest, kstwo
 
+from noise.discrepancy.verdict import CLAIMS
 from training.proof.seal import OPENED, VERDICT
 
 CLEAR, FAINT = 15.0, 2.0  # nats
 ENOUGH_TRIALS = 20  # for a target to be met; fewer may still miss it; ours
 TELLABLE = ("effect", "pair", "matched", "confounded")  # kinds that a measurement in the trial's world can tell
-CLAIMS = ("named", "confounded", "named_with_rest")
 LEAST_NATS_A_PING = 0.002  # an oracle that gains less on the vault leaves no gap to close
 BINS = (-np.inf, 2.0, 5.0, 15.0, 50.0, 150.0, np.inf)
 

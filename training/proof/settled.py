@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from noise.discrepancy.rivals import TIE
-from training.proof.score import CLAIMS, TELLABLE, Line, Scored, at_least, quantile, share
+from noise.discrepancy.verdict import CLAIMS
+from training.proof.score import TELLABLE, Line, Scored, at_least, quantile, share
 
 MOST_TIMES = 100.0  # as much as anywhere: pings anywhere may tell nothing, or the wrong thing
 
