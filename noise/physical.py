@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -42,7 +43,7 @@ class PhysicalLaw(EchoLaw):
     def silence(self, z: Tensor) -> Tensor:
         """Return P(nothing registered at an exact range <= z), for z (..., n)."""
         z = z.unsqueeze(-2)
-        parts = [self._unheard(path, z) for path in self.state.paths]
+        parts = [self._unheard(path, heard, z) for path, heard in zip(self.state.paths, self._heard, strict=True)]
         return self._average(math.prod(parts, start=self._unhurt(z)))
 
     def between_tensor(self, low: Tensor, high: Tensor) -> Tensor:
@@ -50,25 +51,32 @@ class PhysicalLaw(EchoLaw):
 
         With S = prod u_k: S(low) - S(high) = sum_k prod_{j<k} u_j(high) (u_k(low) - u_k(high)) prod_{j>k} u_j(low).
         """
-        low, high, width = low.unsqueeze(-2), high.unsqueeze(-2), self.state.width_db
+        low, high = low.unsqueeze(-2), high.unsqueeze(-2)
         so_far = self._unhurt(high)
         total = self._unhurt(low) - so_far
-        for path in self.state.paths:
+        for path, heard in zip(self.state.paths, self._heard, strict=True):
             arriving = path.between(self._listened(low), self._listened(high))
-            total = total * self._unheard(path, low) + so_far * path.detection(width) * arriving
-            so_far = so_far * self._unheard(path, high)
+            total = total * self._unheard(path, heard, low) + so_far * heard[1] * arriving
+            so_far = so_far * self._unheard(path, heard, high)
         return self._average(total)
 
     def _listened(self, z: Tensor) -> Tensor:
         """Return the range, or where listening begins if that is farther."""
         return z if self.state.deaf is None else torch.maximum(z, self.state.deaf)
 
-    def _unheard(self, path: Path, z: Tensor) -> Tensor:
+    @cached_property
+    def _heard(self) -> list[tuple[Tensor, Tensor]]:
+        """Probability that a path is missed, and that it is detected, (Q, n) each, of every path."""
+        width = self.state.width_db
+        return [(path.missing(width), path.detection(width)) for path in self.state.paths]
+
+    def _unheard(self, path: Path, heard: tuple[Tensor, Tensor], z: Tensor) -> Tensor:
         """Return P(nothing registered of a path at an exact range <= z): what comes to deaf ears is lost."""
-        width, deaf = self.state.width_db, self.state.deaf
-        if deaf is None:
-            return path.silence(z, width)
-        return path.silence(self._listened(z), width) + path.detection(width) * (1.0 - path.lateness(deaf))
+        missed, detected = heard
+        late = path.lateness(self._listened(z))
+        if self.state.deaf is not None:
+            late = late + 1.0 - path.lateness(self.state.deaf)
+        return missed + detected * late
 
     def _unhurt(self, z: Tensor) -> Tensor:
         """Return P(no clutter before z)."""

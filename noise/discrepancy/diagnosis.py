@@ -115,13 +115,13 @@ def diagnose(
     seen = residuals(fitted.stack, search.both, rng)
     where, p_scan = _where(seen, search.both, peer, rng)
     why = _explained(base, search)
-    tell("weighing rivals", 0.75)
-    named, all_rivals = _name(base, search, why, seed)
-    beside = _beside(base, search, why)
-    gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
-    tell("checking what is left", 0.9)
+    tell("checking what is left", 0.7)
     rng = np.random.default_rng([seed, 4])
     rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, base.usual(seed, batch.resolution))
+    tell("weighing rivals", 0.8)
+    named, all_rivals = _name(base, search, why, seed, believed=not _beyond_any_law(rest))
+    beside = _beside(base, search, why)
+    gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)
     if why.chosen and verdict.claims:
@@ -210,8 +210,14 @@ def prepared(
     return search, fitted
 
 
-def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[list[Named], list[Rival]]:
-    """Return every chosen effect with intervals, gain and rivals."""
+def _name(
+    base: Baseline, search: Search, why: Explained, seed: int, believed: bool = True
+) -> tuple[list[Named], list[Rival]]:
+    """Return every chosen effect with intervals, gain and rivals.
+
+    Where readings show what none of them holds, no rival is weighed against an explanation that nobody believes, and
+    its effects have no probability.
+    """
     chosen, final = why.chosen, why.final
     if not chosen:
         return [], []
@@ -219,14 +225,14 @@ def _name(base: Baseline, search: Search, why: Explained, seed: int) -> tuple[li
     named, all_rivals = [], []
     for k, name in enumerate(chosen):
         gain, _ = search.contribution(chosen, why.cross, name)
-        own = rivals(search, why, name, np.random.default_rng([seed, 3, k]))
+        own = rivals(search, why, name, np.random.default_rng([seed, 3, k])) if believed else []
         all_rivals += own
         alike = tuple(rival.effect for rival in own if rival.survives)
         alike += in_disguise(search, (name, *alike), chosen)
         own_keys = [key for key in known if key[0] == name]
         parameters = {key[1]: known[key] for key in own_keys}
         told = _told(base, final.single.put(own_keys, [known[key].value for key in own_keys]), name)
-        weight, error = posterior(own), spread_over_blocks(gain)
+        weight, error = posterior(own) if believed else 0.0, spread_over_blocks(gain)
         named.append(Named(name, alike, weight, parameters, float(gain.sum()), error, told))
     return named, all_rivals
 
@@ -281,7 +287,7 @@ def _verdict(
 
 def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
     """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
-    return gain < SURE and p_scan > ALARM and all(n.effect in AIR for n in named)
+    return gain < SURE_OF_AIR and p_scan > ALARM and all(n.effect in AIR for n in named)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:
@@ -314,9 +320,10 @@ def _beyond_any_law(rest: Rest) -> bool:
 
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
+SURE_OF_AIR = 100.0  # the same of livelier air that nothing is located by: a law's misfit of levels passes for it; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 # what no law of single readings, or none of those named, holds
-BEYOND_LAWS = ("transient", "still", "kept", "play", "company", "form", "selective", "fading")
+BEYOND_LAWS = ("transient", "window", "still", "kept", "play", "company", "form", "selective", "fading")
 # found by looks of their own, which no scan of conditions has to bear out
 OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
 AIR = (JITTER, "scintillation")  # what another day changes by itself

@@ -34,8 +34,8 @@ from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, NUISANCES, Key, Stack
-from noise.starts import nuisance_starts, starting_points
+from noise.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
+from noise.starts import extra_modes, nuisance_starts, starting_points, usual_scatter
 
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500
@@ -54,7 +54,12 @@ WEAKENED: dict[Key, float] = {
     ("specular_loss", "strength"): 0.8,
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
+    ("reflectance_loss", "strength"): 0.5,
 }
+FAULTS = ("spike", "dropped_reading", "cycle_slip")  # of the emulator, that anything unexplained passes for
+LOSS: Key = ("sensitivity", "loss_db")
+LOSSES_DB = (30.0, 38.0, 42.0, 46.0, 50.0)  # to begin from where other things answer: no slope tells them apart; ours
+LOOSE: dict[Key, float] = {(CELLS, "placement_m"): 0.004, (CELLS, "sharing"): 0.3}  # to begin from; ours
 THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
 FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
 LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
@@ -231,6 +236,7 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     both = split.both.thin(EMULATOR_PINGS)
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
     starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in (PLAIN, {**PLAIN, **WEAKENED})]
+    starts += in_company(bare[0], both)
     best = max((maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS) for s in starts), key=lambda fit: fit.nats)
     best = with_other_things(best, both, np.random.default_rng([seed, 12]))
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
@@ -243,6 +249,34 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baselin
     note = f"a stand-in with a smooth part {words} the simulation's own held-out readings"
     plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
     return Baseline(stack, raw or plain, BaselineCheck(good, p, note), split)
+
+
+def in_company(bare: Stack, batch: Batch) -> list[Stack]:
+    """Return where to begin if something else answers wherever the target is too faint; nothing if nothing stands out.
+
+    Such echoes pass for spikes, losses and cells that repeat themselves, and no climb leads back from there: its own
+    parameters and the levels are climbed first, with faults as rare and cells as loose as they usually are.
+
+    Args:
+        bare: a law with nuisances and nothing else.
+        batch: the simulation's readings.
+    """
+    modes = [mode for mode in dict.fromkeys(extra_modes(batch)) if mode > 0.0]
+    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): usual_scatter(batch), **LOOSE}
+    starts = [bare.put([*usual, LOSS], [*usual.values(), loss]) for loss in LOSSES_DB]
+    keys = {name: [(name, p.name) for p in bare.known[name].parameters] for name in THINGS}
+    things = [(keys[name][: len(at)], at) for mode in modes for name, at in _answering(mode).items()]
+    if not things:
+        return []
+    put = [start.put(*thing) for start in starts for thing in things]
+    best = max(put, key=lambda stack: log_likelihood(stack, batch).sum())
+    free = tuple(key for key in free_of(best) if key[0] not in FAULTS)
+    return [maximise(best, (*free, *SPREAD), batch, 40, LEAST_LOSS).stack]
+
+
+def _answering(mode: float) -> dict[str, list[float]]:
+    """Return first parameters of things that nearly always answer at a length, m: behind the target, or in the room."""
+    return {"background_reflector": [0.9, mode, 5.0], "fixed_clutter": [0.9, mode, 0.02]}
 
 
 def with_other_things(fit: Fit, batch: Batch, rng: np.random.Generator) -> Fit:

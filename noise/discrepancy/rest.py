@@ -20,14 +20,14 @@ from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.selective import selective
 from noise.discrepancy.smooth import Smooth, smooth, wrong_form
-from noise.discrepancy.transient import transient
+from noise.discrepancy.transient import transient, windowed
 from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.015  # of a false alarm of all looks together; ours
-# scans of either part, a beat, two of memory, things that answer, neighbours that agree, places of faults, fading
-LOOKS = 9.0
+# scans of either part, a beat, three of memory, things that answer, neighbours that agree, places of faults, fading
+LOOKS = 10.0
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -43,6 +43,7 @@ _WORDS = {
     "extra_mode": "{percent:.1f} % of readings are far from what is expected{place}",
     "time_correlation": "successive readings hang together (correlation {size:.2f})",
     "transient": "first readings after a move lean towards the place before, by {mm:.0f} mm",
+    "window": "after a move the first {size:.1f} readings are still of the place before, as a filter has it",
     "company": "in {percent:.0f} % of stays something else than the target answers, from one place while it lasts",
     "smooth": "positions are off by {mm:.0f} mm (standard deviation), neighbours in {along} alike",
     "form": "positions are off by {mm:.0f} mm (standard deviation) along {along}, which no cause of this form explains",
@@ -124,7 +125,7 @@ def beside_scans(
         alike = replace(alike, aspect="form")
     found = [look.finding for look in (transient(batch), rhythm(stack, batch)) if look is not None]
     found += [held(stack, batch, usual.still), company(stack, batch).finding(usual.company), alike]
-    by_stay = (selective(stack, batch, chosen, rng), fading(stack, batch))
+    by_stay = (windowed(batch, rng), selective(stack, batch, chosen, rng), fading(stack, batch))
     return found + [look for look in by_stay if look is not None]
 
 

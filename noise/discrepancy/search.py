@@ -20,7 +20,7 @@ from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, log_likelihood, maximise
 from noise.law import Floats
 from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.starts import starting_points, usual_scatter
+from noise.starts import nuisance_start, starting_points, usual_scatter
 
 Progress = Callable[[str, float], None]
 Points = list[tuple[float, Stack]]  # log likelihood on the grid batch and starting point, best first
@@ -138,24 +138,27 @@ class Search:
         free = (*self.keys([*chosen, name]), *SPREAD)
         batch = self.screen if batch is None else batch
         starts = [stack for _, stack in points[: 1 if points[0][1].values.get(name) == self.present(name) else 2]]
-        if self.strays_stretch(points[0][1], name):
-            starts.append(self.tight(points, name))
         fits = [maximise(stack, free, batch, 25, ROUGH, self.scales(batch)) for stack in starts]
+        if self.strays_stretch(points[0][1], name):
+            free = (*self.keys([*chosen, name]), *NUISANCES)
+            fits.append(maximise(self.tight(points, name), free, batch, 25, ROUGH, self.scales(batch)))
         return max(fits, key=lambda fit: fit.nats)
 
     def tight(self, points: Points, name: str) -> Stack:
         """Return the effect as it usually starts, with the scatter that most readings of a cell have.
 
-        From a scatter that strays have stretched no climb leads back.
+        From a scatter that strays have stretched no climb leads back, nor from cells that are taken to repeat
+        themselves because all but the strays are alike.
         """
-        stack = points[0][1]
+        stack = nuisance_start(points[0][1], self.discover)
         usual = [(p.starts or (p.null,))[0] for p in self.base.known[name].parameters]
         keys = [(name, p.name) for p in self.base.known[name].parameters]
         return stack.put([*keys, (JITTER, "sigma_m")], [*usual, self.usual_m])
 
     def strays_stretch(self, stack: Stack, name: str) -> bool:
         """Tell whether an effect strikes single pings, and the scatter is far wider than that of most readings."""
-        return self.base.known[name].by_ping and stack.get((JITTER, "sigma_m")) > STRETCHED * self.usual_m
+        usual = max(self.usual_m, 0.5 * self.both.resolution)  # on a coarse register most readings of a cell are alike
+        return self.base.known[name].by_ping and stack.get((JITTER, "sigma_m")) > STRETCHED * usual
 
     def scales(self, batch: Batch) -> Scales:
         """Return the scales of nuisances that were measured on a batch."""
@@ -245,7 +248,9 @@ class Search:
         grids = {name: self.points(stack, name) for name in open_}
         order = sorted(open_, key=lambda name: -grids[name][0][0])
         start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH)
-        fits = {name: self.climbed(grids[name], chosen, name) for name in order[: self.rules.fitted]}
+        # a grid sees no stray in a scatter that strays have stretched: what may have stretched it is fitted as well
+        near = [n for k, n in enumerate(order) if k < self.rules.fitted or self.strays_stretch(stack, n)]
+        fits = {name: self.climbed(grids[name], chosen, name) for name in near}
         self.fits[tuple(chosen)], self.grids[tuple(chosen)] = fits, grids
         screened = {name: fit.nats - start.nats for name, fit in fits.items()}
         best = sorted(screened, key=lambda name: -screened[name])
@@ -255,7 +260,7 @@ class Search:
                 crossed[name] = self.crossed_with(fits[name].stack, chosen, name, current)
                 fits[name] = self.best_seen(fits[name], crossed[name], [*chosen, name])
         winner = self._judge(chosen, current, screened, crossed)
-        rest = {name: grids[name][0][0] - here for name in order[self.rules.fitted :]}
+        rest = {name: grids[name][0][0] - here for name in order if name not in fits}
         self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
         return None if winner is None else (winner, crossed[winner])
 

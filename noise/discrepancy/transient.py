@@ -3,6 +3,10 @@
 Filters, slew limits and hysteresis show here whatever else they do to the scatter. Inside one stay the target stands
 still, so its first reading is compared with its later ones: how the target was placed, and what the air is like,
 cancel; what is left leans to either side alike unless the sonar remembers.
+
+A median over the last few readings leaves no lean on a coarse register: readings are those of the place before, and
+then those of the new one. But it lets go of the place before after so many readings, where a command that is lost now
+and then does so at random.
 """
 
 from __future__ import annotations
@@ -19,6 +23,9 @@ from noise.robust import winsorised
 FEWEST = 12  # moves, below which signs say nothing; ours
 FEWEST_PINGS = 4  # of a stay, for its later half to tell where readings settle; ours
 APART_M = 0.05  # between two places, for the last reading of one to show in the other; ours
+DRAWS = 9999  # of what chance does
+ENDLESS = 1_000_000
+CUT_OFF = 0.05  # share of stays whose number is not known, above which nothing is told; ours
 SURE_P = 1e-3  # below which no law of single readings is believed
 
 
@@ -81,3 +88,43 @@ def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
     settled = np.median(batch.reading.range[later][batch.reading.echo[later]])
     towards = before - settled
     return None if abs(towards) < APART_M else (float(batch.reading.range[first] - settled), float(towards))
+
+
+def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
+    """Return whether readings let go of the place before after so many; None where there are too few moves to tell.
+
+    Repeats at random last geometrically. Given their sum every way to share it out among the moves is then as likely,
+    and their squares add up to less where each move takes as many. The size is how many a move takes.
+
+    Args:
+        batch: readings, whole stays.
+        rng: for draws of what chance does.
+    """
+    left = [_left_behind(batch, rows) for rows in batch.stays]
+    known = np.array([count for count in left if count is not None], dtype=np.int64)
+    counts = known[known < ENDLESS]
+    moves, total = len(counts), int(counts.sum())
+    # numbers that are cut off agree with each other because they are
+    if moves < FEWEST or total < FEWEST or len(known) - moves > CUT_OFF * len(known):
+        return None
+    # geometric numbers whose sum is known are multinomial with shares that are uniform on the simplex
+    drawn = rng.multinomial(total, rng.dirichlet(np.ones(moves), DRAWS))
+    p = (1.0 + np.sum((drawn**2).sum(axis=1) <= (counts**2).sum())) / (1.0 + DRAWS)
+    return Finding("window", {}, total / moves, "1", float(p), -float(np.log(p)))
+
+
+def _left_behind(batch: Batch, rows: np.ndarray) -> int | None:
+    """Return how many first readings of a stay are of the place before; None where that cannot be told.
+
+    `ENDLESS` where the earlier half of the stay has no other.
+    """
+    before, later = batch.last[rows[0], 0], rows[len(rows) // 2 :]
+    heard = batch.past.echo[rows[0]] and batch.reading.echo[later].any()
+    if len(rows) < 2 * FEWEST_PINGS or np.isnan(before) or not heard:
+        return None
+    settled = float(np.median(batch.reading.range[later][batch.reading.echo[later]]))
+    if abs(before - settled) < 2.0 * APART_M:
+        return None
+    reading = batch.reading[rows[: len(rows) // 2]]
+    old = reading.echo & (np.abs(reading.range - before) < APART_M)
+    return int(np.argmin(old)) if not old.all() else ENDLESS

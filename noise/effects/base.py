@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import ClassVar
@@ -134,24 +134,27 @@ class Path:
         """Return the probability that this path crosses the threshold, (Q, n)."""
         return self.presence * ndtr(self.level_db / width_db)
 
-    def silence(self, z: Tensor, width_db: Tensor) -> Tensor:
-        """Return P(nothing registered at a range <= z), for z broadcasting with (Q, n)."""
-        missed = (1.0 - self.presence) + self.presence * ndtr(-self.level_db / width_db)
-        return missed + self.detection(width_db) * self.lateness(z)
+    def missing(self, width_db: Tensor) -> Tensor:
+        """Return the probability that nothing of this path crosses the threshold, exact where that is rare, (Q, n)."""
+        return (1.0 - self.presence) + self.presence * ndtr(-self.level_db / width_db)
 
     def lateness(self, z: Tensor) -> Tensor:
         """Return P(registered beyond z | detected)."""
-        return _total(w * ndtr(-s) for w, s in self._scores(z))
+        return self._over_slips(ndtr(-self._scores(z)))
 
     def between(self, low: Tensor, high: Tensor) -> Tensor:
         """Return P(registered in (low, high] | detected), exact far out in either tail."""
-        scores = zip(self._scores(low), self._scores(high), strict=True)
-        return _total(w * _normal_between(below, above) for (w, below), (_, above) in scores)
+        return self._over_slips(_normal_between(self._scores(low), self._scores(high)))
 
-    def _scores(self, z: Tensor) -> list[tuple[Tensor, Tensor]]:
+    def _scores(self, z: Tensor) -> Tensor:
+        """Return how many standard deviations a range lies beyond the arrival after each slip, (J, ..., n)."""
         sigma = torch.sqrt(self.spread**2 + FLOOR_M**2)
-        centre = self.length + self.lag
-        return [(w, (z - (centre + slip)) / sigma) for w, slip in zip(self.slip_weight, self.slip_m, strict=True)]
+        beyond = z - (self.length + self.lag)
+        return (beyond - self.slip_m.reshape(-1, *[1] * beyond.ndim)) / sigma
+
+    def _over_slips(self, value: Tensor) -> Tensor:
+        """Return the mean over slips of (J, ..., n)."""
+        return (self.slip_weight.reshape(-1, *[1] * (value.ndim - 1)) * value).sum(0)
 
 
 def ndtr(score: Tensor) -> Tensor:
@@ -163,10 +166,6 @@ def _normal_between(low: Tensor, high: Tensor) -> Tensor:
     """Return Phi(high) - Phi(low), taken on the side where both are small."""
     sign = torch.where(low + high > 0, -1.0, 1.0)
     return sign * (ndtr(sign * high) - ndtr(sign * low))
-
-
-def _total(parts: Iterable[Tensor]) -> Tensor:
-    return torch.stack(torch.broadcast_tensors(*parts)).sum(0)
 
 
 @dataclass(frozen=True)

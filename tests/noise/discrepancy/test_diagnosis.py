@@ -274,3 +274,31 @@ def test_what_is_ruled_out_is_never_named_however_it_is_found():
     verdict = diagnose(IdealModel(), rounded, simulated=fine, seed=1, without=never).to_verdict()
     told = [name for e in verdict["effects"] for name in (e["effect"], *e["indistinguishable_from"])]
     assert not set(told) & set(never)
+
+
+def test_bursts_show_where_the_other_readings_of_a_position_are_alike():
+    """On a register in centimetres all but the bursts repeat themselves, as if the position did."""
+    quiet = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.001)], 0.01)
+    bursts = CATALOGUE["noise_burst"](probability=0.08, sigma_m=0.1)
+    rng = np.random.default_rng(12)
+    distance = np.repeat(rng.uniform(0.4, 3.5, 50), 12)
+    ping = Ping.of(distance=distance, time=np.arange(len(distance)) * 0.1)
+    reading = simulate(PhysicalModel([*quiet.effects, bursts], 0.01), ping, rng)
+    (effect,) = diagnose(quiet, Recording.of(ping, reading), seed=3).to_verdict()["effects"]
+    assert effect["effect"] == "noise_burst"
+    assert effect["parameters"]["probability"]["value"] == pytest.approx(0.08, abs=0.03)
+    assert effect["parameters"]["sigma_m"]["value"] == pytest.approx(0.1, abs=0.03)
+
+
+def test_a_register_that_hangs_for_minutes_is_stuck():
+    """All its readings of a while are one value, and the next position's are what the last one's were."""
+    recording = heard(13, cells=50, pings=10)
+    table = recording.table.copy()
+    table.loc[200:309, "reading_mm"] = 1300.0
+    found = diagnose(model_of(), Recording(table), seed=3)
+    verdict = found.to_verdict()
+    assert verdict["verdict"] == "named"
+    (effect,) = verdict["effects"]
+    assert effect["effect"] == "stuck"
+    assert effect["parameters"]["value_m"]["value"] == 1.3
+    assert effect["parameters"]["hold"]["value"] > 0.9

@@ -2,7 +2,7 @@
 
 import pytest
 
-from noise.discrepancy.diagnosis import SURE, SURE_SCAN, judge, of_the_day
+from noise.discrepancy.diagnosis import SURE_OF_AIR, SURE_SCAN, judge, of_the_day
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.verdict import Named, Rest
 
@@ -36,11 +36,11 @@ def named(effect):
 @pytest.mark.parametrize(
     ("effects", "gain", "p_scan", "day"),
     [
-        (["scintillation"], 0.8 * SURE, 0.2, True),
-        (["scintillation", "travel_time_jitter"], 0.8 * SURE, 0.2, True),
-        (["scintillation"], 1.2 * SURE, 0.2, False),
-        (["scintillation"], 0.8 * SURE, 0.001, False),
-        (["scintillation", "zero_offset"], 0.8 * SURE, 0.2, False),
+        (["scintillation"], 0.8 * SURE_OF_AIR, 0.2, True),
+        (["scintillation", "travel_time_jitter"], 0.8 * SURE_OF_AIR, 0.2, True),
+        (["scintillation"], 1.2 * SURE_OF_AIR, 0.2, False),
+        (["scintillation"], 0.8 * SURE_OF_AIR, 0.001, False),
+        (["scintillation", "zero_offset"], 0.8 * SURE_OF_AIR, 0.2, False),
     ],
 )
 def test_livelier_air_that_nothing_is_located_by_is_another_day(effects, gain, p_scan, day):

@@ -7,7 +7,7 @@ import torch
 from acquisition import Ping, Reading, Recording
 from noise.cells import Batch
 from noise.discrepancy import diagnose
-from noise.discrepancy.transient import SURE_P, transient
+from noise.discrepancy.transient import SURE_P, transient, windowed
 from noise.effects import CATALOGUE
 from noise.model import simulate
 from noise.physical import PhysicalModel
@@ -86,3 +86,48 @@ def test_a_filter_is_no_scatter():
     verdict = diagnose(SONAR, heard(4, smoothed), seed=1).to_verdict()
     assert verdict["verdict"] == "unknown"
     assert "the place before" in verdict["unknown"]["description"]
+
+
+def in_steps(change):
+    """Return a host on a register of 1 cm steps."""
+    return lambda x: np.round(change(x), 2)
+
+
+def middling(x):
+    """Return the medians of the last five readings."""
+    return np.array([np.median(x[max(0, k - 4) : k + 1]) for k in range(len(x))])
+
+
+def losing(share):
+    """Return a host that now and then gives its last reading again."""
+
+    def host(x):
+        out, lost = x.copy(), np.random.default_rng(9).random(len(x)) < share
+        for k in range(1, len(x)):
+            out[k] = out[k - 1] if lost[k] else x[k]
+        return out
+
+    return host
+
+
+def test_a_median_lets_go_of_the_place_before_after_so_many_readings():
+    found = windowed(Batch.of(heard(1, in_steps(middling))), np.random.default_rng(0))
+    assert found.p_value < SURE_P
+    assert found.size == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_commands_that_are_lost_let_go_at_random(seed, share):
+    found = windowed(Batch.of(heard(seed, in_steps(losing(share)))), np.random.default_rng(0))
+    assert found is None or found.p_value > 0.01
+
+
+def test_a_sonar_without_memory_leaves_nothing_behind():
+    assert windowed(Batch.of(heard(1)), np.random.default_rng(0)) is None
+
+
+def test_a_median_on_a_coarse_register_is_no_repeated_reading():
+    diagnosis = diagnose(SONAR, heard(1, in_steps(middling)))
+    assert diagnosis.verdict.verdict == "unknown"
+    assert "as a filter has it" in diagnosis.verdict.unknown.description

@@ -1,0 +1,55 @@
+"""The law that stands for a simulation: it must hold what a simulated room does by itself."""
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition import Ping, Recording
+from noise.cells import Batch
+from noise.discrepancy.emulate import emulated, in_company
+from noise.effects import CATALOGUE
+from noise.fit import log_likelihood
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import CELLS, Stack
+from noise.starts import nuisance_start
+
+torch.set_num_threads(1)
+TARGET = {
+    "travel_time_jitter": {"sigma_m": 0.003},
+    "sensitivity": {"loss_db": 46.0},
+    "beam_width": {"ka": 4.0},
+    "specular_loss": {"strength": 0.4},
+}
+WALL = {"fixed_clutter": {"presence": 1.0, "range_m": 4.4, "spread_m": 0.005}}
+
+
+def heard(seed, step=0.01, cells=70, pings=12, **effects):
+    """Return readings of targets on a coarse register, a third of which are too far off the axis to be heard."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(np.round(rng.uniform(0.3, 3.6, cells), 3), pings)
+    angle = np.repeat(np.round(rng.uniform(-0.5, 0.5, cells), 3), pings)
+    placed = distance + np.repeat(rng.normal(0, 0.003, cells), pings)
+    time = np.arange(len(distance)) * 0.1
+    model = PhysicalModel([CATALOGUE[name](**values) for name, values in {**TARGET, **effects}.items()], step)
+    reading = simulate(model, Ping.of(distance=placed, angle=angle, time=time), rng)
+    return Recording.of(Ping.of(distance=distance, angle=angle, time=time), reading)
+
+
+def bare(batch):
+    return nuisance_start(Stack.of(PhysicalModel((), batch.resolution)), batch)
+
+
+def test_a_wall_that_answers_where_the_target_is_too_faint_is_part_of_the_simulation():
+    recording, fresh = heard(3, **WALL), Batch.of(heard(13, **WALL))
+    assert 0.1 < np.mean(fresh.astray(fresh.error)) < 0.6, "the wall answers for a good part of the targets"
+    truth = PhysicalModel([CATALOGUE[name](**values) for name, values in {**TARGET, **WALL}.items()], 0.01)
+    best = Stack.of(truth).put([(CELLS, "placement_m"), (CELLS, "sharing")], [0.003, 0.0])
+    stack = emulated(recording, None, 0).stack
+    assert stack.get(("fixed_clutter", "range_m")) == pytest.approx(4.4, abs=0.02)
+    assert log_likelihood(stack, fresh).mean() > log_likelihood(best, fresh).mean() - 0.4, "on positions it never met"
+
+
+def test_where_nothing_stands_out_nothing_else_is_tried():
+    batch = Batch.of(heard(1))
+    assert in_company(bare(batch), batch) == []
