@@ -287,7 +287,8 @@ def _verdict(
 
 def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
     """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
-    return gain < SURE_OF_AIR and p_scan > ALARM and all(n.effect in AIR for n in named)
+    sure = SURE_OF_AIR if any(n.effect == "scintillation" for n in named) else SURE
+    return gain < sure and p_scan > ALARM and all(n.effect in AIR for n in named)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:

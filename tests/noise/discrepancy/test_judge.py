@@ -2,7 +2,7 @@
 
 import pytest
 
-from noise.discrepancy.diagnosis import SURE_OF_AIR, SURE_SCAN, judge, of_the_day
+from noise.discrepancy.diagnosis import SURE, SURE_OF_AIR, SURE_SCAN, judge, of_the_day
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.verdict import Named, Rest
 
@@ -40,6 +40,8 @@ def named(effect):
         (["scintillation", "travel_time_jitter"], 0.8 * SURE_OF_AIR, 0.2, True),
         (["scintillation"], 1.2 * SURE_OF_AIR, 0.2, False),
         (["scintillation"], 0.8 * SURE_OF_AIR, 0.001, False),
+        (["travel_time_jitter"], 0.8 * SURE, 0.2, True),
+        (["travel_time_jitter"], 1.2 * SURE, 0.2, False),
         (["scintillation", "zero_offset"], 0.8 * SURE_OF_AIR, 0.2, False),
     ],
 )
