@@ -98,9 +98,7 @@ def _kept(stack: Stack, batch: Batch) -> tuple[float, float]:
     echoes, distance = _echoes(batch), batch.ping.distance[batch.starts]
     value = np.array([np.median(e) if len(e) >= FEWEST_PINGS and np.ptp(e) == 0.0 else np.nan for e in echoes])
     asked = np.array([len(e) >= FEWEST_PINGS for e in echoes]) & (np.abs(distance - stood) > MOVED_M)
-    # a register that is known to hang stays what it was
-    hung = ("stuck" in stack.values) & (np.abs(value - stack.get(("stuck", "value_m"))) < 0.5 * batch.resolution)
-    told = np.flatnonzero(asked & ~np.isnan(value) & ~hung)
+    told = np.flatnonzero(asked & ~np.isnan(value))
     same = np.abs(left[None, :] - value[told, None]) < 0.5 * batch.resolution
     kept = same[np.arange(len(told)), told]
     if kept.sum() < FEWEST_KEPT:

@@ -71,19 +71,10 @@ def _walked(excess: Floats, columns: Sequence[Floats], rng: np.random.Generator)
 
 
 def _excess(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
-    """Return each stay's strays beyond those of the law, in standard deviations, and whether it has any, (blocks,).
-
-    A register that hangs strikes once, however many stays it hangs for: what it goes on saying is not counted.
-    """
-    value, held = stack.get(("stuck", "value_m")), "stuck" in stack.values
-    stack = stack.put([("stuck", "hold")], [0.0]) if held else stack
+    """Return each stay's strays beyond those of the law, in standard deviations, and whether it has any, (blocks,)."""
     middle = stack.expected(batch)
     stray = batch.astray(batch.reading.range - middle)
     p = np.clip(chance_astray(stack.model.law(batch.ping, batch.past), middle, batch.reach), 0.0, 1.0)
-    if held:
-        off = np.maximum(np.abs(batch.reading.range - value), np.abs(batch.past.range - value))
-        fresh = ~(stray & batch.past.echo & (off < 0.5 * batch.resolution))
-        stray, p = stray & fresh, p * fresh
     count, expected, variance = (batch.per_block(x) for x in (stray.astype(np.float64), p, p * (1.0 - p)))
     return (count - expected) / np.sqrt(variance + LEAST), count > 0.0
 

@@ -10,8 +10,6 @@ from acquisition import EchoStatus
 from noise.effects.base import Atom, Effect, Parameter, Seen, Stage, State, ndtr, number
 
 FULL_SCALE = 11.008  # m; SRF08 with range register 255
-SAME_M = 5e-4  # readings of one value are as near as that: half of the finest register's step
-LASTING = 3.0  # pings that a register stays stuck, for it to be said; ours
 MOST_GUESSES, FEWEST_SAME = 3, 3  # readings that a register may be stuck at; how often one must have come back; ours
 
 
@@ -93,9 +91,7 @@ class Stuck(Effect):
     """With `probability` the sensor gives one and the same reading: the thesis's CONSTANT fault.
 
     `value_m` is a place on the register's grid and has no useful derivative: a fit must start at the right one, which
-    is the most frequent of the readings that are not the target's. A register that hangs does so for a while: `hold` is
-    the correlation from ping to ping of whether it is stuck (a two-state Markov chain; Gilbert, 1960), and a reading
-    that is the constant already tells that it is.
+    is the most frequent of the readings that are not the target's.
     """
 
     name = "stuck"
@@ -106,36 +102,21 @@ class Stuck(Effect):
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) CONSTANT; rate: ours", (0.02,)),
         Parameter("value_m", "m", 1.0, 0.001, 20.0, "on the register; ours", (1.0,)),
-        Parameter("hold", "1", 0.0, 0.0, 0.999, "single readings to hang-ups of minutes; ours", (0.0,)),
     )
-    remembers = True
     probability: Tensor
     value_m: Tensor
-    hold: Tensor
 
     def apply(self, state: State) -> State:
         """Mix in the constant."""
-        past, status = state.conditions.past_range, state.conditions.past_status
-        known = (status != EchoStatus.NO_ANSWER).to(torch.float64)
-        was = ((status == EchoStatus.ECHO) & (torch.abs(past - self.value_m) < SAME_M)).to(torch.float64)
-        weight = self.probability + self.hold * known * (was - self.probability)
         zero = number(0.0)
-        return state.with_atom(Atom(weight, self._from_value, zero, zero))
+        return state.with_atom(Atom(self.probability, self._from_value, zero, zero))
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         """Return the readings that come back most often away from the target, to the digit."""
         value, count = np.unique(np.round(seen.away.range, 6), return_counts=True)
         often = [k for k in np.argsort(-count, kind="stable")[:MOST_GUESSES] if count[k] >= FEWEST_SAME]
-        in_time = seen.range[np.argsort(seen.time, kind="stable")]
-        guesses = []
-        for k in often:
-            is_value = np.abs(in_time - value[k]) < SAME_M
-            share = float(is_value.mean())
-            again = float(is_value[1:][is_value[:-1]].mean()) if is_value[:-1].any() else 0.0
-            hold = float(np.clip((again - share) / (1.0 - share), 0.0, 0.99)) if share < 1.0 else 0.0
-            guesses.append({"probability": min(share, 0.9), "value_m": float(value[k]), "hold": hold})
-        return guesses
+        return [{"probability": float(count[k] / len(seen.range)), "value_m": float(value[k])} for k in often]
 
     def _from_value(self, edge: Tensor) -> Tensor:
         return (edge >= self.value_m).to(torch.float64)
@@ -144,11 +125,8 @@ class Stuck(Effect):
         """Return which and how often."""
         v = self.values
         often = f"{100 * v['probability']:.3g} % of pings"
-        lasting = 1.0 / ((1.0 - v["probability"]) * (1.0 - v["hold"]))
-        runs = f" for some {lasting:.2g} pings at a time" if lasting >= LASTING else ""
         return (
-            f"The sensor gives one and the same reading, {1000 * v['value_m']:.0f} mm, in {often}{runs}, whatever the "
-            "target."
+            f"The sensor gives one and the same reading, {1000 * v['value_m']:.0f} mm, in {often}, whatever the target."
         )
 
 

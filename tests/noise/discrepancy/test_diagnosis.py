@@ -288,17 +288,3 @@ def test_bursts_show_where_the_other_readings_of_a_position_are_alike():
     assert effect["effect"] == "noise_burst"
     assert effect["parameters"]["probability"]["value"] == pytest.approx(0.08, abs=0.03)
     assert effect["parameters"]["sigma_m"]["value"] == pytest.approx(0.1, abs=0.03)
-
-
-def test_a_register_that_hangs_for_minutes_is_stuck():
-    """All its readings of a while are one value, and the next position's are what the last one's were."""
-    recording = heard(13, cells=50, pings=10)
-    table = recording.table.copy()
-    table.loc[200:309, "reading_mm"] = 1300.0
-    found = diagnose(model_of(), Recording(table), seed=3)
-    verdict = found.to_verdict()
-    assert verdict["verdict"] == "named"
-    (effect,) = verdict["effects"]
-    assert effect["effect"] == "stuck"
-    assert effect["parameters"]["value_m"]["value"] == 1.3
-    assert effect["parameters"]["hold"]["value"] > 0.9
