@@ -287,7 +287,7 @@ def _verdict(
 
 def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
     """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
-    sure = SURE_OF_AIR if any(n.effect == "scintillation" for n in named) else SURE
+    sure = max((AIR.get(n.effect, 0.0) for n in named), default=SURE)
     return gain < sure and p_scan > ALARM and all(n.effect in AIR for n in named)
 
 
@@ -327,7 +327,7 @@ CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_a
 BEYOND_LAWS = ("transient", "window", "still", "kept", "play", "company", "form", "selective", "fading")
 # found by looks of their own, which no scan of conditions has to bear out
 OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
-AIR = (JITTER, "scintillation")  # what another day changes by itself
+AIR = {JITTER: SURE, "scintillation": SURE_OF_AIR}  # what another day changes by itself, by less than so many nats
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

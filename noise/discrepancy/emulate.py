@@ -19,6 +19,7 @@ from acquisition import ModelError, Ping, Reading, Recording
 from noise.cells import Batch, direct_median, law_of
 from noise.discrepancy.company import company
 from noise.discrepancy.held import still
+from noise.discrepancy.locate import ALARM
 from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import remainder
 from noise.discrepancy.residuals import residuals
@@ -49,21 +50,20 @@ PLAIN: dict[Key, float] = {
     ("spike", "probability"): 0.002,
     ("cycle_slip", "probability"): 0.2,
 }
+LOSS: Key = ("sensitivity", "loss_db")
 WEAKENED: dict[Key, float] = {
-    ("sensitivity", "loss_db"): 38.0,
+    LOSS: 38.0,
     ("specular_loss", "strength"): 0.8,
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
     ("reflectance_loss", "strength"): 0.5,
 }
 FAULTS = ("spike", "dropped_reading", "cycle_slip")  # of the emulator, that anything unexplained passes for
-LOSS: Key = ("sensitivity", "loss_db")
 LOSSES_DB = (30.0, 38.0, 42.0, 46.0, 50.0)  # to begin from where other things answer: no slope tells them apart; ours
 LOOSE: dict[Key, float] = {(CELLS, "placement_m"): 0.004, (CELLS, "sharing"): 0.3}  # to begin from; ours
 THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
 FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
 LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
-ALARM = 0.01
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
@@ -262,21 +262,22 @@ def in_company(bare: Stack, batch: Batch) -> list[Stack]:
         batch: the simulation's readings.
     """
     modes = [mode for mode in dict.fromkeys(extra_modes(batch)) if mode > 0.0]
-    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): usual_scatter(batch), **LOOSE}
-    starts = [bare.put([*usual, LOSS], [*usual.values(), loss]) for loss in LOSSES_DB]
-    keys = {name: [(name, p.name) for p in bare.known[name].parameters] for name in THINGS}
-    things = [(keys[name][: len(at)], at) for mode in modes for name, at in _answering(mode).items()]
-    if not things:
+    if not modes:
         return []
-    put = [start.put(*thing) for start in starts for thing in things]
+    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): usual_scatter(batch), **LOOSE}
+    things = [thing for mode in modes for thing in _answering(mode)]
+    starts = [{**usual, LOSS: loss, **thing} for loss in LOSSES_DB for thing in things]
+    put = [bare.put(list(start), list(start.values())) for start in starts]
     best = max(put, key=lambda stack: log_likelihood(stack, batch).sum())
     free = tuple(key for key in free_of(best) if key[0] not in FAULTS)
     return [maximise(best, (*free, *SPREAD), batch, 40, LEAST_LOSS).stack]
 
 
-def _answering(mode: float) -> dict[str, list[float]]:
-    """Return first parameters of things that nearly always answer at a length, m: behind the target, or in the room."""
-    return {"background_reflector": [0.9, mode, 5.0], "fixed_clutter": [0.9, mode, 0.02]}
+def _answering(mode: float) -> tuple[dict[Key, float], dict[Key, float]]:
+    """Return things that nearly always answer at a length, m: behind the target, or in the room."""
+    behind, fixed = THINGS
+    backdrop = {(behind, "presence"): 0.9, (behind, "behind_m"): mode, (behind, "loss_db"): 5.0}
+    return backdrop, {(fixed, "presence"): 0.9, (fixed, "range_m"): mode, (fixed, "spread_m"): 0.02}
 
 
 def with_other_things(fit: Fit, batch: Batch, rng: np.random.Generator) -> Fit:

@@ -24,7 +24,6 @@ FEWEST = 12  # moves, below which signs say nothing; ours
 FEWEST_PINGS = 4  # of a stay, for its later half to tell where readings settle; ours
 APART_M = 0.05  # between two places, for the last reading of one to show in the other; ours
 DRAWS = 9999  # of what chance does
-ENDLESS = 1_000_000
 CUT_OFF = 0.05  # share of stays whose number is not known, above which nothing is told; ours
 SURE_P = 1e-3  # below which no law of single readings is believed
 
@@ -79,15 +78,13 @@ def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
 
     A reading that repeats the last one to the digit is a repeat, which the catalogue knows, and no lean.
     """
-    first, later = rows[0], rows[len(rows) // 2 :]
+    first, settled = rows[0], _settled(batch, rows)
     before = batch.last[first, 0]  # whenever it was: a filter keeps it through silence
-    heard = batch.reading.echo[first] and not np.isnan(before) and batch.reading.echo[later].any()
     repeated = abs(batch.reading.range[first] - before) < 0.5 * batch.resolution
-    if len(rows) < FEWEST_PINGS or not heard or repeated:
+    if len(rows) < FEWEST_PINGS or not batch.reading.echo[first] or repeated:
         return None
-    settled = np.median(batch.reading.range[later][batch.reading.echo[later]])
-    towards = before - settled
-    return None if abs(towards) < APART_M else (float(batch.reading.range[first] - settled), float(towards))
+    towards = before - settled  # nan where either was not heard
+    return (float(batch.reading.range[first] - settled), float(towards)) if abs(towards) >= APART_M else None
 
 
 def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
@@ -101,8 +98,8 @@ def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
         rng: for draws of what chance does.
     """
     left = [_left_behind(batch, rows) for rows in batch.stays]
-    known = np.array([count for count in left if count is not None], dtype=np.int64)
-    counts = known[known < ENDLESS]
+    known = np.array([count for count in left if count is not None])
+    counts = known[np.isfinite(known)]
     moves, total = len(counts), int(counts.sum())
     # numbers that are cut off agree with each other because they are
     if moves < FEWEST or total < FEWEST or len(known) - moves > CUT_OFF * len(known):
@@ -113,18 +110,20 @@ def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
     return Finding("window", {}, total / moves, "1", float(p), -float(np.log(p)))
 
 
-def _left_behind(batch: Batch, rows: np.ndarray) -> int | None:
+def _left_behind(batch: Batch, rows: np.ndarray) -> float | None:
     """Return how many first readings of a stay are of the place before; None where that cannot be told.
 
-    `ENDLESS` where the earlier half of the stay has no other.
+    Infinite where the earlier half of the stay has no other.
     """
-    before, later = batch.last[rows[0], 0], rows[len(rows) // 2 :]
-    heard = batch.past.echo[rows[0]] and batch.reading.echo[later].any()
-    if len(rows) < 2 * FEWEST_PINGS or np.isnan(before) or not heard:
-        return None
-    settled = float(np.median(batch.reading.range[later][batch.reading.echo[later]]))
-    if abs(before - settled) < 2.0 * APART_M:
+    before, settled = batch.last[rows[0], 0], _settled(batch, rows)
+    if len(rows) < 2 * FEWEST_PINGS or not batch.past.echo[rows[0]] or not abs(before - settled) >= 2.0 * APART_M:
         return None
     reading = batch.reading[rows[: len(rows) // 2]]
     old = reading.echo & (np.abs(reading.range - before) < APART_M)
-    return int(np.argmin(old)) if not old.all() else ENDLESS
+    return float(np.argmin(old)) if not old.all() else np.inf
+
+
+def _settled(batch: Batch, rows: np.ndarray) -> float:
+    """Return where the later half of a stay reads, m; nan where it hears nothing."""
+    later = batch.reading[rows[len(rows) // 2 :]]
+    return float(np.median(later.range[later.echo])) if later.echo.any() else np.nan
