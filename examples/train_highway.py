@@ -1,4 +1,4 @@
-"""Train on highway-env's parking lot with real sonars around the car: SAC of Stable-Baselines3, before and after."""
+"""Train on highway-env's parking lot with real sonars around the car: SAC with hindsight, before and after."""
 
 import sys
 
@@ -6,7 +6,7 @@ import gymnasium
 import highway_env  # noqa: F401 - registers parking-v0
 import numpy as np
 import torch
-from stable_baselines3 import SAC
+from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from sonar_gym import SonarObservation
@@ -39,8 +39,9 @@ def score(model: BaseAlgorithm, env: gymnasium.Env) -> np.ndarray:
 def main(steps: int = 6000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     torch.set_num_threads(1)
     env = make(seed)
-    settings = {"learning_rate": 1e-3, "gamma": 0.95, "learning_starts": 500, "policy_kwargs": {"net_arch": [64, 64]}}
-    model = SAC("MultiInputPolicy", env, seed=seed, device="cpu", **settings)
+    settings = {"learning_rate": 1e-3, "gamma": 0.95, "learning_starts": 500, "policy_kwargs": {"net_arch": [256, 256]}}
+    # where the car came to instead was a goal too (hindsight experience replay); the sonars' keys are kept as they are
+    model = SAC("MultiInputPolicy", env, seed=seed, device="cpu", replay_buffer_class=HerReplayBuffer, **settings)
     before = score(model, env)
     model.learn(steps, progress_bar=sys.stderr.isatty())
     after = score(model, env)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from acquisition import SettingError
 from acquisition.files import write_bytes
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.memory import MemorySettings
-from training.agent_envs import AgentVecEnv, Ended, World
+from training.agent_envs import AgentVecEnv, Ended, World, worlds_of
 from training.checkpoint import check_same, load_checkpoint, read_state, save_checkpoint
 from training.imitation import Lessons, imitate
 from training.learning_curve import learning_curve
@@ -35,6 +34,7 @@ from training.threads import one_thread
 
 CHECKPOINT, AGENT, BOARD, CURVE = "checkpoint.safetensors", "agent", "tensorboard", "learning.png"
 UNSEEN = 2**31  # training draws its streets from seeds of this and more; those below are for evaluation
+TENTHS = 10  # of imitation whose episodes are counted apart
 Tell = Callable[[str, int, int], None]  # what is being done, how much of it, and of how much
 
 
@@ -44,16 +44,20 @@ class Args:
 
     out: Path
     """Folder to write: checkpoint.safetensors, tensorboard/, and agent/, which `sonar_gym.agent.load_agent` reads."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
+    sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Names or folders of the models to learn with; cars are shared out evenly among them."""
+    faults: bool = True
+    """Whether to learn with each also when 5 % of its readings tell of things that are not there and 10 % scatter by
+    50 mm: what makes a driver cope with sonars that it has never heard."""
     odometry: tuple[str, ...] = ("exact",)
     """How far off the car's knowledge of its way is: exact, wheels, worn; each with each sonar."""
     difficulty: tuple[str, ...] = ("normal",)
     """Of the streets: easy, normal, hard; each with each sonar."""
     lessons: int = 2000
     """Rounds of imitation, each a decision of every car; 0 to learn by trial alone."""
-    steps: int = 3_000_000
-    """Steps of 0.1 s of the environments to learn from by trial; 0 for imitation alone."""
+    steps: int = 0
+    """Steps of 0.1 s of the environments to learn from by trial after that, as 1000000; it makes agents quicker, and
+    less careful. 0 for imitation alone."""
     num_envs: int = 256
     """Cars that drive at the same time."""
     repeat: int = 2
@@ -71,8 +75,9 @@ class Args:
         """Refuse what trains nothing."""
         if min(self.lessons, self.steps) < 0 or self.lessons + self.steps == 0:
             raise SettingError(f"lessons {self.lessons} and steps {self.steps} must be >= 0, and one of them > 0")
-        if not 0 < len(self.worlds) <= self.num_envs:
-            raise SettingError(f"{self.num_envs} cars for {len(self.worlds)} kinds of world: give one or more for each")
+        kinds = len(self.sonars) * (1 + self.faults) * len(self.odometry) * len(self.difficulty)
+        if not 0 < kinds <= self.num_envs:
+            raise SettingError(f"{self.num_envs} cars for {kinds} kinds of world: give one or more for each")
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -83,8 +88,7 @@ class Args:
     @property
     def worlds(self) -> list[World]:
         """The kinds of world that it learns in."""
-        kinds = product(self.sonars, self.odometry, self.difficulty)
-        return [dict(zip(("sonar", "odometry", "difficulty"), kind, strict=True)) for kind in kinds]
+        return worlds_of(self.sonars, self.odometry, self.difficulty, self.faults)
 
 
 @dataclass(frozen=True)
@@ -176,6 +180,7 @@ class Training:
         self.envs = AgentVecEnv(args.num_envs, worlds or args.worlds, self.memory, args.repeat)
         self.model = make_model(args, self.envs, self.trials)
         self.history: list[dict[str, Any]] = []
+        self._course: list[dict[str, Any]] = []  # of imitation, a tenth of it an entry; begun anew with it
         self.leg = 0 if args.lessons else 1
         self.model.set_logger(Logger(None, []))
 
@@ -236,8 +241,9 @@ class Training:
             if done % (rounds // 20 or 1) == 0:
                 self.model.logger.record("imitation/loss", loss)
                 self.model.logger.dump(done)
-            if done == rounds - rounds // 10:
-                self.envs.ended.clear()  # what is noted of this leg is how it ended
+            if done % (rounds // TENTHS or 1) == 0 and done < rounds:
+                self._course.append({"steps": done * self.envs.num_envs * self.args.repeat, **self._ended()})
+                self.envs.ended.clear()  # what is noted of the leg itself is how it ended
 
         imitate(self.actor_critic, self.envs, self.lessons, rng, tell)
 
@@ -253,20 +259,21 @@ class Training:
         callback = _Steps(lambda done: self._tell("trial", min(done * repeat, total), total))
         self.model.learn(decisions, callback=callback, reset_num_timesteps=False)
 
-    def _note(self, seconds: float) -> None:
+    def _ended(self) -> dict[str, Any]:
+        """Return what the episodes came to that are over."""
         ended = self.envs.ended or [Ended(False, False, 0.0, 0)]
         success, collision, score, length = np.mean(ended, axis=0)
-        one = {
-            "leg": self.leg,
-            "steps": self.steps,
-            "seconds": round(seconds, 1),
+        return {
             "episodes": len(self.envs.ended),
             "success": round(float(success), 4),
             "collision": round(float(collision), 4),
             "score": round(float(score), 3),
             "seconds_an_episode": round(0.1 * self.args.repeat * float(length), 2),
         }
-        self.history.append(one)
+
+    def _note(self, seconds: float) -> None:
+        one = {"leg": self.leg, "steps": self.steps, "seconds": round(seconds, 1), **self._ended()}
+        self.history.append(one if self.leg else {**one, "course": self._course})
         for name in ("success", "collision", "score", "seconds_an_episode"):
             self.model.logger.record(f"episodes/{name}", one[name])
         self.model.logger.dump(self.steps)

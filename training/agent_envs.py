@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from acquisition import SettingError
+from noise import SonarModel, load_model
+from noise.faults import Faulty, Noise, Short
 from sonar_gym.memory import Memory, MemorySettings
 from sonar_gym.sb3 import SonarVecEnv
 
@@ -21,7 +24,31 @@ World = Mapping[str, Any]
 Infos = list[dict[str, Any]]
 Outcome = tuple[Singles, Singles, Bits, list[dict[str, Any]]]
 CAUTION = 10.0  # most that a memory shows; anything beyond is a fault
+FAULTS = (Short(0.05), Noise(0.1, 0.05))  # that training gives a sonar: of nothing there, and of 50 mm; ours
 EPISODE = "episode"  # under which Stable-Baselines3 looks for what an episode came to
+
+
+def with_faults(model: SonarModel) -> Faulty:
+    """Return a sonar that is now and then wrong, so that nobody who drives with it learns to rely on one reading."""
+    return Faulty(model, FAULTS)
+
+
+def worlds_of(
+    sonars: Sequence[str], odometry: Sequence[str], difficulty: Sequence[str], faults: bool = False
+) -> list[World]:
+    """Return every kind of world of some sonars, kinds of odometry and of street.
+
+    Args:
+        sonars: names or folders of models.
+        odometry: exact, wheels, worn.
+        difficulty: easy, normal, hard.
+        faults: whether each sonar is also there with faults.
+    """
+    heard: list[str | SonarModel] = [*sonars]
+    if faults:
+        heard += [with_faults(load_model(name)) for name in sonars]
+    names = ("sonar", "odometry", "difficulty")
+    return [dict(zip(names, kind, strict=True)) for kind in product(heard, odometry, difficulty)]
 
 
 def as_dict(observation: Any) -> dict[str, Singles]:

@@ -21,6 +21,7 @@ from training.demo_page import gif
 from training.evaluate import SCRIPTED, Outcomes, crew_of, evaluate
 from training.paired import Paired
 from training.progress import bars
+from training.real import heard_as
 
 EVERY = 3  # steps from picture to picture of a film
 
@@ -33,6 +34,9 @@ class Args:
     """Names or folders of agents; "scripted" is the driver written by hand. All are compared with the first."""
     sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
     """Names or folders of the models to drive with."""
+    believed: str | None = None
+    """Name or folder of the model by which credence is reckoned: a car takes its sonar for the one that it was trained
+    with, and "rig" knows none. By default each sonar's own."""
     odometry: str = "exact"
     """How far off the car's knowledge of its way is: exact, wheels, worn."""
     difficulty: str = "normal"
@@ -57,7 +61,8 @@ class Args:
 
     def world(self, sonar: str) -> dict[str, Any]:
         """Return the settings of the environment with a sonar."""
-        return {"sonar": sonar, "odometry": self.odometry, "difficulty": self.difficulty}
+        heard = heard_as(sonar, self.believed)
+        return {"sonar": heard, "odometry": self.odometry, "difficulty": self.difficulty}
 
 
 Found = dict[tuple[str, str], Outcomes]  # by agent and sonar
@@ -73,18 +78,19 @@ def compare(args: Args, tell: Tell = lambda what, done, of: None) -> Found:
     """Let every agent drive all streets with every sonar."""
     found: Found = {}
     crews = {name: crew_of(name if name == SCRIPTED else load_policy(name)) for name in args.agent}
-    seeds = range(args.seed, args.seed + args.episodes)
+    seeds, pooled = range(args.seed, args.seed + args.episodes), args.believed is not None
     for sonar in args.sonars:
         for name, crew in crews.items():
             what = f"{Path(name).name}, {Path(sonar).name}"
-            found[name, sonar] = evaluate(crew, args.world(sonar), seeds, lambda k, n, w=what: tell(w, k, n))  # type: ignore[misc]
+            found[name, sonar] = evaluate(crew, args.world(sonar), seeds, lambda k, n, w=what: tell(w, k, n), pooled)  # type: ignore[misc]
     return found
 
 
 def table(args: Args, found: Found) -> Table:
     """Return the results as a table for the terminal."""
     last = args.seed + args.episodes - 1
-    title = f"streets {args.seed} to {last}, {args.difficulty}, odometry {args.odometry}; intervals at 95 %"
+    believed = "" if args.believed is None else f"credence of {Path(args.believed).name}; "
+    title = f"streets {args.seed} to {last}, {args.difficulty}, odometry {args.odometry}; {believed}intervals at 95 %"
     out = Table(title=title)
     for heading in (
         "sonar",
@@ -111,6 +117,7 @@ def plain(args: Args, found: Found) -> list[dict[str, Any]]:
             "sonar": sonar,
             "episodes": len(one.seeds),
             "first_seed": args.seed,
+            "believed": args.believed,
             "odometry": args.odometry,
             "difficulty": args.difficulty,
             "success": one.successes.share,

@@ -15,28 +15,49 @@ MILLION = 1e6
 
 
 def learning_curve(history: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return shares parked and touched, with 95 % limits, and seconds an episode, by steps of trial, as PNG.
+    """Return shares parked and touched, with 95 % limits, and seconds an episode, by steps of all cars, as PNG.
 
     Args:
-        history: of a training, an entry a leg (`Policy.about["history"]`); steps 0 is what imitation alone has taught.
+        history: of a training, an entry a leg (`Policy.about["history"]`); leg 0, where there is one, is imitation.
     """
-    steps = [one["steps"] / MILLION for one in history]
-    return panels([partial(_shares, steps, history), partial(_pace, steps, history)], (9.0, 3.4))
+    taught, points = course(history)
+    return panels([partial(_shares, taught, points), partial(_pace, taught, points)], (9.0, 3.4))
 
 
-def _shares(steps: Sequence[float], history: Sequence[Mapping[str, Any]], ax: Axes) -> None:
+def course(history: Sequence[Mapping[str, Any]]) -> tuple[float, list[tuple[float, Mapping[str, Any]]]]:
+    """Return where imitation ends, and what the episodes up to each point came to: million steps of all cars."""
+    tenths = [tenth for one in history for tenth in one.get("course", ())]
+    each = tenths[0]["steps"] if tenths else 0
+    taught = (tenths[-1]["steps"] + each) / MILLION if tenths else 0.0
+    points = [(one["steps"] / MILLION, one) for one in tenths]
+    return taught, points + [(taught + one["steps"] / MILLION, one) for one in history]
+
+
+def _shares(taught: float, points: Sequence[tuple[float, Mapping[str, Any]]], ax: Axes) -> None:
+    told = [(at, one) for at, one in points if one["episodes"]]
     for name, label, colour in (("success", "parked", AFTER), ("collision", "touched something", BEFORE)):
-        share = np.array([one[name] for one in history])
-        ended = np.maximum([one["episodes"] for one in history], 1)
-        spread = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share)
-        ax.errorbar(steps, 100 * share, yerr=100 * spread, color=colour, marker="o", ms=4, capsize=3, label=label)
-    ax.set(title="While it still tries actions at random", xlabel=_LABEL, ylabel="episodes, %", ylim=(-3, 103))
+        share = np.array([one[name] for _, one in told])
+        ended = np.array([one["episodes"] for _, one in told])
+        spread = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share) if told else None
+        ax.errorbar(
+            [at for at, _ in told], 100 * share, yerr=None if spread is None else 100 * spread,
+            color=colour, marker="o", ms=4, capsize=3, label=label,
+        )  # fmt: skip
+    _shade(taught, ax)
+    ax.set(title="In training, tries at random included", xlabel=_LABEL, ylabel="episodes, %", ylim=(-3, 103))
     ax.legend(loc="center right")
 
 
-def _pace(steps: Sequence[float], history: Sequence[Mapping[str, Any]], ax: Axes) -> None:
-    ax.plot(steps, [one["seconds_an_episode"] for one in history], color=SOFT, marker="o", ms=4)
+def _pace(taught: float, points: Sequence[tuple[float, Mapping[str, Any]]], ax: Axes) -> None:
+    told = [(at, one["seconds_an_episode"]) for at, one in points if one["episodes"]]
+    ax.plot(*zip(*told, strict=True) if told else ([], []), color=SOFT, marker="o", ms=4)
+    _shade(taught, ax)
     ax.set(title="Length of an episode", xlabel=_LABEL, ylabel="s", ylim=(0, None))
 
 
-_LABEL = "million steps of trial (0: imitation alone)"
+def _shade(taught: float, ax: Axes) -> None:
+    if taught:
+        ax.axvspan(0.0, taught, color=SOFT, alpha=0.12, lw=0, label="imitation")
+
+
+_LABEL = "million steps of 0.1 s, all cars"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition import Ping, Reading
-from noise import EchoLaw, SonarModel
+from noise import EchoLaw, SonarModel, load_model
 from noise.law import Floats
 
 WORDS = 8  # numbers of a stream from which the generator of a batch is made
@@ -62,6 +62,16 @@ class RealModel:
     def law(self, ping: Ping, past: Reading | None = None) -> RealLaw:
         """Return the law of n pings."""
         return RealLaw(self.heard.law(ping), self.believed.law(ping))
+
+
+def tells(sonar: str) -> bool:
+    """Return whether a sonar knows probabilities, or can only be drawn from."""
+    return load_model(sonar).law(Ping.of(distance=[1.0])).tells
+
+
+def heard_as(sonar: str, believed: str | None) -> str | SonarModel:
+    """Return a sonar by its name or folder; one that is taken for another, where another is named."""
+    return sonar if believed is None else RealModel(load_model(sonar), load_model(believed))
 
 
 class MovedLaw(EchoLaw):

@@ -13,6 +13,7 @@ from sonar_gym.agent import WEIGHTS, load_policy
 from training.agent_card import World, card, command
 from training.evaluate import Outcomes, crew_of, evaluate
 from training.progress import bar
+from training.real import heard_as, tells
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,10 @@ class Args:
     """Folder of a trained agent."""
     out: Path = WEIGHTS / "parking"
     """Folder to write it to, with its card."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
+    sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "rig")
     """Names of the sonars to score it with."""
+    believed: str = "srf08-mlp"
+    """Name of the model by which credence is reckoned with a sonar that knows no probabilities, as the rig."""
     odometry: tuple[str, ...] = ("exact", "wheels")
     """Kinds of odometry to score it with."""
     difficulty: tuple[str, ...] = ("normal", "hard")
@@ -42,8 +45,9 @@ def main(args: Args) -> None:
     seeds = range(args.seed, args.seed + args.episodes)
     with bar("scoring", len(kinds)) as tell:
         for k, (sonar, odometry, difficulty) in enumerate(kinds):
-            world = {"sonar": sonar, "odometry": odometry, "difficulty": difficulty}
-            scores[sonar, odometry, difficulty] = evaluate(crew_of(policy), world, seeds)
+            heard = sonar if tells(sonar) else heard_as(sonar, args.believed)
+            world = {"sonar": heard, "odometry": odometry, "difficulty": difficulty}
+            scores[sonar, odometry, difficulty] = evaluate(crew_of(policy), world, seeds, pooled=heard is not sonar)
             tell(k + 1, len(kinds))
     made_by = command(policy.about["settings"], policy.about["planned"], "run")
     commands = [made_by, f"sonar-gym ship-agent run/agent --out {args.out.name}"]

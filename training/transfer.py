@@ -26,6 +26,7 @@ from noise.model import MAX_RANGE
 from noise.rig import SIMULATED, RigModel
 from sonar_gym.agent import load_policy
 from training import agent, diagnose
+from training.agent_envs import with_faults
 from training.canvas import AFTER, INK, SOFT, Axes, panels
 from training.demo import record
 from training.evaluate import Rate, crew_of, evaluate
@@ -37,7 +38,9 @@ from training.threads import one_thread
 
 LEARNED = "srf08-mlp"
 FOUND = "learned+found"
-ARMS = ("ideal", "gaussian", "beam", "learned", "corrected", FOUND)
+FAULTS = "+faults"  # the same, and in half of the cars the same made worse
+PLAIN = ("ideal", "gaussian", "beam", "learned", "corrected", FOUND)
+ARMS = (*PLAIN, "ideal" + FAULTS, "learned" + FAULTS, FOUND + FAULTS)
 WORLDS = {"rig": "the rig", "moved": "the rig, sensors moved back"}
 GAIN = 31  # of the SRF08 as in the learned model's survey
 
@@ -99,7 +102,8 @@ def baselines(recording: Recording) -> dict[str, SonarModel]:
 
 
 def name_of(arm: str, out: Path) -> str:
-    """Return the name or folder of the sonar that an arm trains with."""
+    """Return the name or folder of the sonar that an arm trains with, faults aside."""
+    arm = arm.removesuffix(FAULTS)
     places = {"ideal": "ideal", "learned": LEARNED, FOUND: FOUND, "corrected": str(out / "diagnosis" / "corrected")}
     return places.get(arm, str(out / "models" / arm))
 
@@ -108,8 +112,9 @@ def sonar_of(arm: str, out: Path) -> SonarModel:
     """Return the sonar that an arm trains with.
 
     "corrected" is the diagnosis's own model, an emulator of the survey with what was found in it; "learned+found" is
-    the learned law with the zero that the diagnosis found.
+    the learned law with the zero that the diagnosis found. Faults are in none of them.
     """
+    arm = arm.removesuffix(FAULTS)
     if arm != FOUND:
         return load_model(name_of(arm, out))
     effects = load_model(out / "diagnosis" / "corrected").to_dict()["effects"]  # type: ignore[attr-defined]
@@ -132,17 +137,20 @@ def place(args: Args, arm: str, seed: int) -> Path:
 
 def train(args: Args, arm: str, seed: int) -> str:
     """Train one agent, where that is not done."""
+    sonar = sonar_of(arm, args.out)
+    heard = (sonar, with_faults(sonar)) if arm.endswith(FAULTS) else (sonar,)
     agent.train(
         agent.Args(
             place(args, arm, seed),
             sonars=(name_of(arm, args.out),),
+            faults=arm.endswith(FAULTS),
             lessons=args.lessons,
             steps=args.steps,
             num_envs=args.num_envs,
             hidden=(128, 64),
             seed=1000 * args.seed + seed,
         ),
-        worlds=[{"sonar": sonar_of(arm, args.out)}],
+        worlds=[{"sonar": one} for one in heard],
     )
     return f"{arm}-{seed}"
 
@@ -211,7 +219,7 @@ def _of(found: pd.DataFrame, world: str, arm: str) -> pd.DataFrame:
 def figure(found: pd.DataFrame) -> bytes:
     """Return success and collisions of each arm in each world, with intervals and each seed's own share, as PNG."""
     draws = [lambda ax, w=world: _draw(ax, found, w) for world in WORLDS]
-    return panels(draws, (10.0, 3.8), share_y=True)
+    return panels(draws, (12.0, 4.2), share_y=True)
 
 
 def _draw(axes: Axes, found: pd.DataFrame, world: str) -> None:

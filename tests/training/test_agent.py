@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from acquisition import ModelError, SettingError
+from acquisition import ModelError, Ping, SettingError
+from noise import IdealModel
 from sonar_gym.agent import AgentDriver, load_policy
 from sonar_gym.driver import ParkingDriver, run_episode
 from training import agent, evaluate_agent
@@ -15,9 +16,10 @@ from training.agent import Args, Training, Trials
 from training.checkpoint import read_state
 from training.cli import main
 from training.evaluate import Rate, crew_of, evaluate
-from training.learning_curve import learning_curve
+from training.learning_curve import course, learning_curve
+from training.real import heard_as
 
-SMALL = {"sonars": ("ideal",), "num_envs": 8, "hidden": (16,), "lessons": 4, "steps": 3 * 2 * 8 * 8 * 2}
+SMALL = {"sonars": ("ideal",), "faults": False, "num_envs": 8, "hidden": (16,), "lessons": 20, "steps": 3 * 256}
 SHORT = Trials(length=8, updates=2, batch=64, epochs=2, watching=1)
 
 
@@ -62,7 +64,30 @@ def test_the_learning_curve_lies_beside_the_agent(whole):
     out, training = whole
     assert (out / "learning.png").read_bytes() == learning_curve(training.history)
     assert (out / "learning.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert learning_curve(training.history[:2]) != learning_curve(training.history)
+    assert [one["steps"] for one in training.history[0]["course"]] == [2 * k * 8 * 2 for k in range(1, 10)]
+
+
+def test_the_learning_curve_begins_with_imitation():
+    ended = {"episodes": 9, "success": 0.5, "collision": 0.1, "seconds_an_episode": 12.0}
+    tenths = [{"steps": 200_000 * k, **ended} for k in range(1, 10)]
+    history = [{"steps": 0, "course": tenths, **ended}, {"steps": 500_000, **ended}]
+    taught, points = course(history)
+    assert taught == pytest.approx(2.0)
+    assert [at for at, _ in points] == pytest.approx([*np.arange(0.2, 2.1, 0.2), 2.5])
+    assert course([{"steps": 500_000, **ended}])[0] == 0.0
+    silent = [{**one, "episodes": 0, "success": 0.0} for one in history]
+    assert len({learning_curve(one) for one in (history, history[:1], silent)}) == 3
+
+
+def test_a_sonar_is_also_learned_with_as_it_errs():
+    kinds = Args("x", sonars=("ideal", "gaussian"), odometry=("exact", "worn")).worlds
+    assert [kind["odometry"] for kind in kinds] == 4 * ["exact", "worn"]
+    law, bad = (model.law(Ping.of(distance=np.ones(2000))) for model in (IdealModel(), kinds[4]["sonar"]))
+    readings = [one.sample(np.random.default_rng(0)).range for one in (law, bad)]
+    assert np.mean(np.abs(readings[0] - 1.0) < 0.01) == 1.0
+    assert np.mean(np.abs(readings[1] - 1.0) < 0.01) == pytest.approx(0.85 + 0.1 * 0.16, abs=0.02)
+    with pytest.raises(SettingError, match="3 cars for 4 kinds of world"):
+        Args("x", sonars=("ideal", "gaussian"), num_envs=3)
 
 
 def test_another_seed_comes_to_another_agent(tmp_path, whole):
@@ -149,6 +174,8 @@ def test_command_compares_and_films(tmp_path, whole, capsys):
     said = json.loads(out.read_text())
     assert [(one["agent"], one["episodes"]) for one in said] == [("scripted", 3), (str(whole[0] / "agent"), 3)]
     assert said[0]["success"] == 1.0
+    main(["evaluate-agent", *args, "--sonars", "rig", "--believed", "ideal", "--episodes", "1", "--out", str(out)])
+    assert [(one["sonar"], one["believed"]) for one in json.loads(out.read_text())] == 2 * [("rig", "ideal")]
     assert film.read_bytes()[:6] in (b"GIF87a", b"GIF89a")
     assert "scripted" in capsys.readouterr().out
 
@@ -163,12 +190,21 @@ def test_what_cannot_be_evaluated_is_refused(tmp_path, capsys):
 
 
 def test_an_agent_is_written_out_with_its_course_and_scores(tmp_path, whole, capsys):
-    kinds = ["--sonars", "ideal", "--odometry", "exact", "--difficulty", "easy", "normal", "--episodes", "2"]
+    kinds = ["--sonars", "ideal", "rig", "--odometry", "exact", "--difficulty", "easy", "normal", "--episodes", "2"]
     main(["ship-agent", str(whole[0] / "agent"), "--out", str(tmp_path / "small"), *kinds])
     shipped = load_policy(tmp_path / "small")
     assert all(np.array_equal(a[0], b[0]) for a, b in zip(shipped.layers, whole[1].policy().layers, strict=True))
     assert "sonar-gym train-agent --out run --sonars ideal" in shipped.card
     assert "--seed 0 --steps 768" in shipped.card
-    assert shipped.card.count("| ideal | exact |") == 2
+    assert shipped.card.count("| ideal | exact |") == shipped.card.count("| rig | exact |") == 2
     assert "learned by trial for 768 steps of 0.1 s (PPO)" in shipped.card
+    assert "It has met no sonar but those above" in shipped.card
     assert "small: saved" in capsys.readouterr().out
+
+
+def test_the_shipped_agent_parks_with_a_sonar_that_it_has_never_heard():
+    """The rig shares nothing with the laws that it was trained with; an agent of PPO parked in a tenth of these."""
+    crew, sonar = crew_of(load_policy("parking")), heard_as("rig", "srf08-mlp")
+    outcomes = evaluate(crew, {"sonar": sonar, "threads": 1}, range(100, 124), pooled=True)
+    assert outcomes.success.mean() >= 0.85
+    assert outcomes.collision.mean() <= 0.1
