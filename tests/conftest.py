@@ -11,6 +11,7 @@ from acquisition import DeviceError
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # tests themselves run side by side already
 # a busy machine is slow now and then, which is no fault of what is tested
 settings.register_profile("patient", settings.default, deadline=None)
 settings.load_profile("patient")

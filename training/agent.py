@@ -23,6 +23,7 @@ from torch import nn
 
 from acquisition import SettingError
 from acquisition.files import write_bytes
+from noise.threads import one_thread
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.memory import MemorySettings
 from training.agent_envs import AgentVecEnv, Ended, World, worlds_of
@@ -30,7 +31,6 @@ from training.checkpoint import check_same, load_checkpoint, read_state, save_ch
 from training.imitation import Lessons, imitate
 from training.learning_curve import learning_curve
 from training.progress import bars
-from training.threads import one_thread
 
 CHECKPOINT, AGENT, BOARD, CURVE = "checkpoint.safetensors", "agent", "tensorboard", "learning.png"
 UNSEEN = 2**31  # training draws its streets from seeds of this and more; those below are for evaluation

@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -18,10 +18,11 @@ from acquisition.files import write_text
 from noise.discrepancy import Diagnosis, diagnose
 from noise.discrepancy.emulate import Simulator
 from noise.discrepancy.search import Progress as Tell
+from noise.discrepancy.workers import usable
 from noise.store import load_model, save_model
+from noise.threads import one_thread
 from training.progress import bars
 from training.report import headline, render
-from training.threads import one_thread
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class Args:
     is called as function(pings, rng) and returns readings."""
     seed: int = 0
     """Same seed, same verdict."""
+    workers: int = field(default_factory=usable)
+    """Processes that share the work, some 400 MB each; the verdict is the same with any number."""
 
 
 def main(args: Args) -> None:
@@ -54,7 +57,7 @@ def examine(args: Args) -> Diagnosis:
     model = simulator or load_model(args.model)
     _check_out(args.out)
     with one_thread(), _told() as tell:
-        diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=tell)
+        diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=tell, workers=args.workers)
         tell("drawing the report", 0.97)
         page = render(diagnosis, str(args.out / "corrected"), args.seed)
     write_text(args.out / "verdict.json", json.dumps(diagnosis.to_verdict(), indent=1, allow_nan=False) + "\n")

@@ -18,8 +18,8 @@ from noise import CredenceTable, GaussianModel, IdealModel, SonarModel, listener
 from noise.faults import Faulty, Noise, Short
 from noise.networks import MlpModel
 from noise.recent import Recent, RecentCredence
+from noise.threads import one_thread
 from training.draw_paths import PATHS, Draw, disagreement
-from training.threads import one_thread
 
 FEW, MANY = 8, 8 * 1024  # pings
 LIMITS = {FEW: 100e-6, MANY: 15e-3}  # s

@@ -25,11 +25,11 @@ from noise.networks import MlpModel
 from noise.recurrent import LstmModel
 from noise.stays import cells_of
 from noise.store import check_model_folder, save_model
+from noise.threads import one_thread
 from training.model_card import card, plain, table
 from training.networks import LONGEST, Batch, Memory, Network, Schedule, fit_network, with_memory
 from training.progress import bars
 from training.rivals import fit_gaussian
-from training.threads import one_thread
 
 FEWEST_GROUPS = 10
 Law = Literal["mlp", "lstm", "hybrid"]

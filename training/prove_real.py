@@ -15,10 +15,10 @@ from acquisition import SettingError
 from acquisition.files import write_text
 from noise import IdealModel
 from noise.discrepancy import diagnose
+from noise.threads import one_thread
 from training.commit import commit
 from training.progress import bar
 from training.proof.real import CASES, Case
-from training.threads import one_thread
 
 
 @dataclass(frozen=True)

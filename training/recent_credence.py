@@ -13,8 +13,8 @@ from acquisition import Ping, Reading, Recording
 from noise.law import CREDENCE_TOLERANCE, Floats
 from noise.metrics import Reliability, Score, reliability
 from noise.recent import EACH, Recent, RecentCredence
+from noise.threads import one_thread
 from training.networks import layers_of, perceptron
-from training.threads import one_thread
 
 LEAST = 1e-6  # what is said is never taken for certain
 

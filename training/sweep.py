@@ -16,8 +16,8 @@ from ray import tune
 
 from acquisition import SettingError
 from acquisition.files import write_text
+from noise.threads import one_thread
 from training import agent
-from training.threads import one_thread
 
 NAME = "tune"  # folder of Ray Tune's own notes
 VARIED = ("seed", "learning_rate", "sonar")

@@ -13,11 +13,11 @@ import torch
 from numpy.typing import NDArray
 
 from acquisition import SettingError
+from noise.threads import one_thread
 from training.online import RULES, SLOPES, learn
 from training.optimisers import OPTIMISERS, OptimiserName
 from training.thesis_data import Floats, Samples, Singles
 from training.thesis_networks import Network
-from training.threads import one_thread
 
 Report = Callable[[int, float], None]
 

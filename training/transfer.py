@@ -24,6 +24,7 @@ from noise import SonarModel, load_model, save_model
 from noise.beam import fit_beam
 from noise.model import MAX_RANGE
 from noise.rig import SIMULATED, RigModel
+from noise.threads import one_thread
 from sonar_gym.agent import load_policy
 from training import agent, diagnose
 from training.agent_envs import with_faults
@@ -34,7 +35,6 @@ from training.noise_model import fit_gaussian
 from training.paired import Paired
 from training.progress import bar
 from training.real import MovedModel, RealModel
-from training.threads import one_thread
 
 LEARNED = "srf08-mlp"
 FOUND = "learned+found"

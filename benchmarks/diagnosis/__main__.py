@@ -13,8 +13,8 @@ import tyro
 from acquisition.files import write_text
 from benchmarks.diagnosis.causes import BY_NAME
 from benchmarks.diagnosis.trials import SIZES, Outcome, row, run, schedule
+from noise.threads import one_thread
 from training.progress import bar
-from training.threads import one_thread
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
 from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
+from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
 from noise.effects.medium import CELSIUS
 from noise.empirical import EmpiricalModel
@@ -35,6 +36,7 @@ from noise.law import Floats
 from noise.model import SonarModel
 from noise.stack import CELLS, JITTER, NUISANCES, Stack
 from noise.starts import nuisance_starts
+from noise.threads import one_thread
 
 LEAST_P = 1e-12  # no p-value of a model of the world means more
 SURE_SCAN = 0.005  # and below which that is enough, whatever is left on unseen cells
@@ -75,6 +77,7 @@ class Diagnosis:
         return self.verdict.to_dict()
 
 
+@one_thread()
 def diagnose(
     model: SonarModel | Simulator,
     recording: Recording,
@@ -83,6 +86,7 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
     without: Sequence[str] = (),
+    workers: int = 1,
 ) -> Diagnosis:
     """Say where a recording differs from a model, why, by how much, and correct the model.
 
@@ -97,6 +101,7 @@ def diagnose(
         seed: of splits, draws and starting points; the same seed gives the same verdict.
         progress: called with a message and the share done, now and then.
         without: effects that are known not to be there: they are never named.
+        workers: processes that share the work; the verdict is the same with any number of them.
 
     Raises:
         RecordingError: the recording holds no answered ping.
@@ -105,10 +110,12 @@ def diagnose(
     tell = progress or (lambda message, share: None)
     _check_known(without)
     tell("learning what the simulation says", 0.02)
-    base = baseline_of(model, recording, simulated, seed)
+    crew = Workers(workers)
+    crew.start()
+    base = baseline_of(model, recording, simulated, seed, crew)
     batch = base.with_twins(Batch.of(recording))
     split = Split.of(batch, np.random.default_rng([seed, 1]))
-    search, fitted = prepared(base, split, seed, tell, tuple(without))
+    search, fitted = prepared(base, split, seed, tell, tuple(without), crew)
     tell("locating", 0.08)
     peer = base.peer(seed)
     rng = np.random.default_rng([seed, 2])
@@ -200,13 +207,19 @@ def _check_known(names: Sequence[str]) -> None:
 
 
 def prepared(
-    base: Baseline, split: Split, seed: int, tell: Progress | None = None, never: tuple[str, ...] = ()
+    base: Baseline,
+    split: Split,
+    seed: int,
+    tell: Progress | None = None,
+    never: tuple[str, ...] = (),
+    workers: Workers = ALONE,
 ) -> tuple[Search, Fit]:
     """Return the search, its base fitted in nuisances alone."""
     batch = split.discover.thin(4000)
     fitted = best_of(nuisance_starts(base.stack, batch), NUISANCES, batch, 80)
     rules = base.rules(split.both.blocks)
-    search = Search(fitted.stack, split.discover, split.confirm, split.both, seed, rules, tell, never=never)
+    parts = (split.discover, split.confirm, split.both)
+    search = Search(fitted.stack, *parts, seed, rules, tell, never=never, workers=workers)
     return search, fitted
 
 

@@ -30,6 +30,7 @@ from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import smooth
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
+from noise.discrepancy.workers import ALONE, Workers
 from noise.empirical import DISTANCE_KNOTS, Flexible
 from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
@@ -179,19 +180,23 @@ def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
 
 
 def baseline_of(
-    model: SonarModel | Simulator, recording: Recording, simulated: Recording | None, seed: int
+    model: SonarModel | Simulator,
+    recording: Recording,
+    simulated: Recording | None,
+    seed: int,
+    workers: Workers = ALONE,
 ) -> Baseline:
     """Return the law that stands for a model, for a simulator's readings, or for a simulator that can be asked."""
     if simulated is not None:
-        return emulated(simulated, None, seed)
+        return emulated(simulated, None, seed, workers)
     if not isinstance(model, SonarModel):
-        return emulated(asked(model, recording, seed), None, seed)
+        return emulated(asked(model, recording, seed), None, seed, workers)
     if isinstance(model, IdealModel):
         physical = PhysicalModel((), model.resolution, model.max_range)
         return Baseline(Stack.of(physical), model, BaselineCheck(True, 1.0, "the ideal sonar is used as it is"))
     if isinstance(model, PhysicalModel):
         return Baseline(Stack.of(model), model, BaselineCheck(True, 1.0, "the given physical model is used as it is"))
-    return emulated(sampled(model, recording, seed), model, seed)
+    return emulated(sampled(model, recording, seed), model, seed, workers)
 
 
 def asked(simulator: Simulator, recording: Recording, seed: int) -> Recording:
@@ -230,14 +235,15 @@ def sampled(model: SonarModel, recording: Recording, seed: int) -> Recording:
     return Recording.of(bare, simulate(model, ping, rng), name=f"{type(model).__name__} sampled")
 
 
-def emulated(simulated: Recording, raw: SonarModel | None, seed: int) -> Baseline:
+def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: Workers = ALONE) -> Baseline:
     """Return an emulator of a simulation, checked on cells it was not fitted to."""
     split = Split.of(Batch.of(simulated), np.random.default_rng([seed, 6]))
     both = split.both.thin(EMULATOR_PINGS)
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
     starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in (PLAIN, {**PLAIN, **WEAKENED})]
     starts += in_company(bare[0], both)
-    best = max((maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS) for s in starts), key=lambda fit: fit.nats)
+    climbs = workers.map(lambda s: maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS), starts)
+    best = max(climbs, key=lambda fit: fit.nats)
     best = with_other_things(best, both, np.random.default_rng([seed, 12]))
     smooth = replace(best.stack, extra={Flexible.name: Flexible})
     fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)

@@ -70,7 +70,7 @@ class Explained:
 def conclude(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     """Return the explanation fitted on discover and confirm together."""
     keys = search.keys(chosen)
-    joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80)
+    joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80, scales=search.scales(search.both))
     each = each_counted(joint, keys, search.both)
     return Final((joint,) if each is joint else (joint, each))
 

@@ -9,8 +9,7 @@ a pair is about Phi(sqrt(D/2)): 5.4 nats for 95 %, 10.8 for 99 %.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -18,11 +17,11 @@ import torch
 from acquisition import Ping
 from noise.cells import BANKS, Batch, law_of, prior_offset
 from noise.discrepancy.explanation import Explained
-from noise.discrepancy.search import Search
+from noise.discrepancy.search import Crossed, Search
 from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, maximise
 from noise.law import Floats
-from noise.stack import NUISANCES, SPREAD, Stack
+from noise.stack import NUISANCES, SPREAD, Key, Stack
 from noise.starts import seen_in
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
@@ -89,14 +88,15 @@ def rivals(search: Search, why: Explained, effect: str, rng: np.random.Generator
     chosen, stack = why.chosen, why.final.stack
     others = [name for name in chosen if name != effect]
     own = maximise(stack, (*search.keys(chosen), *SPREAD), search.screen, 25)
-    contest = Contest(search, why, rng)
-    out = []
+    out: dict[str, Rival] = {}
     for name, fitted in _near(search, stack, others, effect).items():
         more = len(search.keys([name])) - len(search.keys([effect]))
-        observed = own.nats - fitted.nats + more
-        rival = Rival(name, effect, observed, np.nan, fitted.stack, more)
-        out.append(contest.against(rival, others) if observed < NEAR else rival)
-    return sorted(out, key=lambda rival: rival.observed)
+        out[name] = Rival(name, effect, own.nats - fitted.nats + more, np.nan, fitted.stack, more)
+    close = {name: rival for name, rival in out.items() if rival.observed < NEAR}
+    if close:
+        contest = Contest.of(search, why, rng)
+        out |= search.each(lambda one, _, rival: contest.against(one, rival, others), close)
+    return sorted(out.values(), key=lambda rival: rival.observed)
 
 
 def _near(search: Search, stack: Stack, others: Sequence[str], effect: str) -> dict[str, Fit]:
@@ -104,63 +104,67 @@ def _near(search: Search, stack: Stack, others: Sequence[str], effect: str) -> d
     without, given = search.reset(stack, effect), tuple(others)
     fits, grids = dict(search.fits.get(given, {})), search.grids.get(given)
     if grids is None:
-        grids = {name: search.points(without, name) for name in search.candidates() if name not in others}
+        open_ = [name for name in search.candidates() if name not in others]
+        grids = search.each(lambda one, name, at: one.points(at, name), dict.fromkeys(open_, without))
     reach = grids[effect][0][0] - CLOSE
     order = sorted((name for name in grids if name != effect), key=lambda name: -grids[name][0][0])
     near = [name for k, name in enumerate(order) if grids[name][0][0] > reach or (not fits and k < search.rules.rivals)]
-    fits |= {name: search.climbed(grids[name], others, name) for name in near if name not in fits}
+    fits |= search.climbs({name: grids[name] for name in near if name not in fits}, others)
     able = [name for name in search.candidates() if name not in (*others, effect)]
     return {name: fits[name] for name in able if name in fits}
 
 
+@dataclass(frozen=True, eq=False)
 class Contest:
     """One explanation against others, on all open data and on a replica of them that the explanation itself draws.
 
     What is the explanation's alone, its fit, the replica and its fit to that, is made once, and every rival meets the
     same replica.
+
+    Attributes:
+        cross, own: the explanation, cross-fitted and fitted to all open data.
+        replica: readings that it draws; None where it remembers the readings before, which a replica cannot.
+        own_nats: log likelihood of its fit to them.
+        scales: of nuisances, measured on them.
     """
 
-    def __init__(self, search: Search, why: Explained, rng: np.random.Generator) -> None:
-        """Put up an explanation; `rng` draws the replica."""
-        self.search, self.why, self.rng = search, why, rng
-        self.scales: Scales = {}
+    cross: Crossed
+    own: Fit
+    replica: Batch | None = None
+    own_nats: float = np.nan
+    scales: Scales = field(default_factory=dict)
 
-    def against(self, rival: Rival, others: Sequence[str]) -> Rival:
+    @classmethod
+    def of(cls, search: Search, why: Explained, rng: np.random.Generator) -> Contest:
+        """Put up an explanation; `rng` draws the replica."""
+        own, scales = why.final.fits[0], dict[Key, float]()
+        if own.stack.model.remembers:
+            return cls(why.cross, own)
+        drawn = replica(own.stack, search.both, rng)
+        again = maximise(own.stack, (*search.keys(why.chosen), *NUISANCES), drawn, 30, scales=scales)
+        return cls(why.cross, own, drawn, again.nats, scales)
+
+    def against(self, search: Search, rival: Rival, others: Sequence[str]) -> Rival:
         """Return a rival that was met on all open data: fitted there, and on unseen cells where it is no twin.
 
         Args:
+            search: of the same data.
             rival: as it looked from afar.
             others: the effects that it shares with the explanation.
         """
         effects = [*others, rival.effect]
-        batch, free = self.search.both, (*self.search.keys(effects), *NUISANCES)
-        other = maximise(rival.stack, free, batch, 30, scales=self.search.scales(batch))
+        batch, free = search.both, (*search.keys(effects), *NUISANCES)
+        other = maximise(rival.stack, free, batch, 30, scales=search.scales(batch))
         expected = np.nan
-        if not (self.own.stack.model.remembers or rival.stack.model.remembers):
-            best = maximise(other.stack, free, self.replica, 30, scales=self.scales)
-            expected = max(self.own_on_replica.nats - best.nats, 0.0)
+        if self.replica is not None and not rival.stack.model.remembers:
+            best = maximise(other.stack, free, self.replica, 30, scales=dict(self.scales))
+            expected = max(self.own_nats - best.nats, 0.0)
         met = replace(rival, observed=self.own.nats - other.nats + rival.more, expected=expected, stack=other.stack)
         if met.alike or met.observed >= TIE:
             return met
         # what fits as well where it was fitted may only be the more pliant: unseen cells tell
-        crossed = self.search.cross(other.stack, effects, near=self.why.cross)
-        return replace(met, observed=max(met.observed, float((self.why.cross.nats - crossed.nats).sum())))
-
-    @property
-    def own(self) -> Fit:
-        """The explanation, fitted."""
-        return self.why.final.fits[0]
-
-    @cached_property
-    def replica(self) -> Batch:
-        """Readings that it draws."""
-        return replica(self.own.stack, self.search.both, self.rng)
-
-    @cached_property
-    def own_on_replica(self) -> Fit:
-        """The explanation, fitted to what it draws."""
-        free = (*self.search.keys(self.why.chosen), *NUISANCES)
-        return maximise(self.own.stack, free, self.replica, 30, scales=self.scales)
+        crossed = search.cross(other.stack, effects, near=self.cross)
+        return replace(met, observed=max(met.observed, float((self.cross.nats - crossed.nats).sum())))
 
 
 def in_disguise(search: Search, names: Sequence[str], chosen: Sequence[str]) -> tuple[str, ...]:

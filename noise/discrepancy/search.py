@@ -9,13 +9,17 @@ it lies with probability 0.0005 for one parameter, so the greatest of some thirt
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from noise.cells import Batch, silence
 from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
+from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, log_likelihood, maximise
 from noise.law import Floats
@@ -23,6 +27,8 @@ from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.starts import nuisance_start, starting_points, usual_scatter
 
 Progress = Callable[[str, float], None]
+T = TypeVar("T")
+R = TypeVar("R")
 Points = list[tuple[float, Stack]]  # log likelihood on the grid batch and starting point, best first
 THRESHOLD = "sensitivity"
 STEPS = 5  # of a climb that only ranks candidates
@@ -57,6 +63,7 @@ class Search:
         fits, grids: of every round, by the effects that were given: what was fitted, and where everything began.
         progress: called with a message and a share done.
         never: effects that are not to be named.
+        workers: that share out fits.
         usual_m: scatter of most readings about the middle of their cell, m.
     """
 
@@ -71,6 +78,7 @@ class Search:
     fits: dict[tuple[str, ...], dict[str, Fit]] = field(default_factory=dict)
     grids: dict[tuple[str, ...], dict[str, Points]] = field(default_factory=dict)
     never: tuple[str, ...] = ()
+    workers: Workers = ALONE
     usual_m: float = field(init=False)
     _clocked: dict[str, bool] = field(default_factory=dict)
     _scales: dict[Batch, Scales] = field(default_factory=dict)
@@ -83,6 +91,23 @@ class Search:
         self.confirm = self.confirm.thin(self.rules.full_pings)
         self.both = self.both.thin(self.rules.full_pings)
         self.usual_m = usual_scatter(self.discover)
+
+    def each(self, job: Callable[[Search, str, T], R], items: Mapping[str, T]) -> dict[str, R]:
+        """Return what a job makes of every item, by name, each with a search of its own: in any order, on any machine.
+
+        Args:
+            job: called with a search of these readings, a name and its item.
+            items: by name.
+        """
+        found = self.workers.map(partial(_apart, self.bare(), job), list(items.items()))
+        return dict(zip(items, found, strict=True))
+
+    def bare(self) -> Search:
+        """Return the same search without what it has found and whom it tells, and with measures of its own."""
+        own = copy(self)
+        own.progress, own.attempts, own.fits, own.grids = None, [], {}, {}
+        own._scales = {batch: dict(scales) for batch, scales in self._scales.items()}
+        return own
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
@@ -209,6 +234,15 @@ class Search:
         more = max(0.0, float((without.nats - current.nats).sum()))
         return own if float((own.nats - crossed.nats).sum()) > more else crossed
 
+    def climbs(self, grids: Mapping[str, Points], chosen: Sequence[str]) -> dict[str, Fit]:
+        """Return the best fit on the screening batch of each of several effects beside the chosen ones."""
+        return self.each(lambda search, name, points: search.climbed(points, chosen, name), grids)
+
+    def met(self, fit: Fit, chosen: Sequence[str], name: str, current: Crossed) -> tuple[Crossed, Fit]:
+        """Return one more effect cross-fitted, and the better of its fits on the screening batch."""
+        crossed = self.crossed_with(fit.stack, chosen, name, current)
+        return crossed, self.best_seen(fit, crossed, [*chosen, name])
+
     def best_seen(self, fit: Fit, crossed: Crossed, effects: Sequence[str]) -> Fit:
         """Return the better of a climb on the screening batch and one from where a cross-fit of the same ended.
 
@@ -245,20 +279,19 @@ class Search:
         stack = current.first.stack
         here = float(log_likelihood(stack, self.grid).sum())
         open_ = [name for name in self.candidates() if name not in chosen]
-        grids = {name: self.points(stack, name) for name in open_}
+        grids = self.each(lambda search, name, at: search.points(at, name), dict.fromkeys(open_, stack))
         order = sorted(open_, key=lambda name: -grids[name][0][0])
-        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH)
+        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH, self.scales(self.screen))
         # a grid sees no stray in a scatter that strays have stretched: what may have stretched it is fitted as well
         near = [n for k, n in enumerate(order) if k < self.rules.fitted or self.strays_stretch(stack, n)]
-        fits = {name: self.climbed(grids[name], chosen, name) for name in near}
+        fits = self.climbs({name: grids[name] for name in near}, chosen)
         self.fits[tuple(chosen)], self.grids[tuple(chosen)] = fits, grids
         screened = {name: fit.nats - start.nats for name, fit in fits.items()}
         best = sorted(screened, key=lambda name: -screened[name])
-        crossed: dict[str, Crossed] = {}
-        for name in best[: self.rules.crossed]:
-            if screened[name] > 1.0:
-                crossed[name] = self.crossed_with(fits[name].stack, chosen, name, current)
-                fits[name] = self.best_seen(fits[name], crossed[name], [*chosen, name])
+        good = {name: fits[name] for name in best[: self.rules.crossed] if screened[name] > 1.0}
+        met = self.each(lambda search, name, fit: search.met(fit, chosen, name, current), good)
+        crossed = {name: both[0] for name, both in met.items()}
+        fits |= {name: both[1] for name, both in met.items()}
         winner = self._judge(chosen, current, screened, crossed)
         rest = {name: grids[name][0][0] - here for name in order if name not in fits}
         self.attempts += [Attempt(name, tuple(chosen), gain) for name, gain in rest.items()]
@@ -341,6 +374,11 @@ class Search:
                 self.attempts.append(Attempt(name, tuple(others), np.nan, nats, error, "dropped again"))
                 chosen, current = others, without
         return chosen, current
+
+
+def _apart(search: Search, job: Callable[[Search, str, T], R], item: tuple[str, T]) -> R:
+    """Do a job with a search of its own: what it measures on the way is seen by no other job."""
+    return job(search.bare(), *item)
 
 
 def _carried(shared: Stack, own: Stack, keys: Sequence[Key]) -> Stack:

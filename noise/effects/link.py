@@ -140,7 +140,7 @@ class NoiseBurst(Effect):
     summary = "Some readings scatter far more than the others"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) NOISE; rate: ours", (0.05,)),
-        Parameter("sigma_m", "m", 0.1, 0.005, 2.0, "ours", (0.05, 0.3)),
+        Parameter("sigma_m", "m", 0.1, 0.005, 0.6, "wider is a spike: ours", (0.05, 0.3)),
     )
     probability: Tensor
     sigma_m: Tensor
