@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.optimize import brentq
 from torch import Tensor
 
 from noise.effects.base import (
@@ -23,6 +24,7 @@ from noise.effects.base import (
 )
 
 BEHIND_M = 0.02  # of a gate behind the farthest echo, to begin from; ours
+MOST_NOISE = 20.0  # false alarms a metre; ours
 HALF_WAVE = 4.29e-3  # m; one period of 40 kHz as range, 25 us at 343.4 m/s there and back
 
 # Lag of the threshold crossing behind the start of the echo, as range, by the level of its peak over the threshold:
@@ -252,6 +254,8 @@ class FalseAlarm(Effect):
     """Noise crosses the threshold at a steady rate while the sensor listens: only ever before the echo.
 
     Noise that comes and goes (compressed air, keys) is there in a `share` of the pings, its rate then `per_metre`.
+    Where it begins has no useful derivative, since the likelihood jumps with every reading that is passed: a fit must
+    start at the right place, which is just before the first.
     """
 
     name = "false_alarm"
@@ -260,7 +264,7 @@ class FalseAlarm(Effect):
     by_ping = True
     summary = "Noise is taken for an echo before the true one comes"
     parameters = (
-        Parameter("per_metre", "1/m", 0.0, 0.0, 20.0, "1e-5 to 1e-2 a ping; beside a jet of air: ours", (0.005, 1.0)),
+        Parameter("per_metre", "1/m", 0.0, 0.0, MOST_NOISE, "1e-5 to 1e-2 a ping; beside air: ours", (0.005, 1.0)),
         Parameter("share", "1", 1.0, 0.01, 1.0, "of pings with noise: ours", (1.0, 0.3)),
         Parameter("from_m", "m", 0.0, 0.0, 1.0, "where the receiver is first sensitive enough: ours", (0.0, 0.3)),
     )
@@ -270,19 +274,28 @@ class FalseAlarm(Effect):
 
     def apply(self, state: State) -> State:
         """Strew clutter before the echo."""
-        return replace(state, clutter_per_metre=self.per_metre, clutter_share=self.share, clutter_from=self.from_m)
+        begun = self.from_m.detach()
+        return replace(state, clutter_per_metre=self.per_metre, clutter_share=self.share, clutter_from=begun)
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        """Return noise that begins where early readings do and thins out as fast as they do."""
+        """Return noise that begins where early readings do: in all pings, and such as thins out as fast as they do."""
         early = seen.early.range
         if len(early) < 4:
             return []
-        begun = max(float(early.min()) - 0.01, 0.0)
-        rate = float(np.log(2.0) / max(np.median(early) - begun, 0.02))
-        heard = 1.0 - np.exp(-rate * np.maximum(0.9 * seen.distance - 0.05 - begun, 0.0))
-        share = float(np.clip(len(early) / max(heard.sum(), 1.0), 0.01, 1.0))
-        return [{"per_metre": min(rate, 20.0), "share": share, "from_m": min(begun, 1.0)}]
+        begun = float(np.clip(early.min() - 0.01, 0.0, 1.0))
+        before = np.maximum(0.9 * seen.distance - 0.05 - begun, 0.0)
+
+        def expected(rate: float) -> float:
+            return float(-np.expm1(-rate * before).sum())
+
+        steep = float(np.clip(np.log(2.0) / max(np.median(early) - begun, 0.02), 0.0, MOST_NOISE))
+        share = float(np.clip(len(early) / max(expected(steep), 1.0), 0.01, 1.0))
+        out = [{"per_metre": steep, "share": share, "from_m": begun}]
+        if expected(MOST_NOISE) > len(early):
+            rate = float(brentq(lambda each: expected(each) - len(early), 0.0, MOST_NOISE))
+            out.append({"per_metre": rate, "share": 1.0, "from_m": begun})
+        return out
 
     def statement(self) -> str:
         """Return the rate."""

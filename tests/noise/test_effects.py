@@ -175,6 +175,8 @@ def test_gradients_are_those_of_differences(name):
         return law.log_prob_tensor(reading).sum()
 
     for p in CATALOGUE[name].parameters:
+        if (name, p.name) == ("false_alarm", "from_m"):
+            continue  # the likelihood jumps where it passes a reading, as its docstring says
         inside = min(max(values[p.name], p.low + 1e-4 * (p.high - p.low)), p.high - 1e-4 * (p.high - p.low))
         leaf = torch.tensor(inside, dtype=torch.float64, requires_grad=True)
         # readings that the law all but excludes have steep logarithms: compare by central differences of a small step
