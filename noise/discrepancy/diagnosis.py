@@ -19,7 +19,7 @@ from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.residuals import Residuals, residuals
 from noise.discrepancy.rest import check_rest, located
 from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
-from noise.discrepancy.rules import spread_over_blocks
+from noise.discrepancy.rules import AIR, SURE, spread_over_blocks
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search
@@ -333,14 +333,11 @@ def _beyond_any_law(rest: Rest) -> bool:
     return any(finding.aspect in BEYOND_LAWS and finding.p_value < SURE_P for finding in rest.findings)
 
 
-SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
-SURE_OF_AIR = 100.0  # the same of livelier air that nothing is located by: a law's misfit of levels passes for it; ours
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 # what no law of single readings, or none of those named, holds
 BEYOND_LAWS = ("transient", "window", "still", "kept", "play", "company", "form", "selective", "fading")
 # found by looks of their own, which no scan of conditions has to bear out
 OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
-AIR = {JITTER: SURE, "scintillation": SURE_OF_AIR}  # what another day changes by itself, by less than so many nats
 SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law

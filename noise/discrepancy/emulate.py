@@ -24,7 +24,7 @@ from noise.discrepancy.matched import conditions_of
 from noise.discrepancy.remainder import remainder
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.rest import Usual, scan_p
-from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
+from noise.discrepancy.rules import AIR, Attempt, Rules, spread_over_blocks
 from noise.discrepancy.scan import Blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import smooth
@@ -135,6 +135,8 @@ class Baseline:
     ) -> tuple[list[str], Crossed]:
         """Drop effects that gain on held-out simulated readings about as much as on the recording.
 
+        Beside other effects livelier air is dropped too, unless it gains more than another day or a law's misfit may.
+
         Args:
             search: of the recording.
             chosen: effects of the explanation.
@@ -151,6 +153,8 @@ class Baseline:
                 search.never = (*search.never, name)  # nor is it a rival of anything
             elif not search.rules.believes(name, gain, first=len(chosen) == 1):
                 told = "not more than chance without what repaired the emulator"
+            elif len(chosen) > 1 and gain.sum() < AIR.get(name, 0.0):
+                told = "no more than another day's air changes by itself"
             else:
                 continue
             chosen = [other for other in chosen if other != name]

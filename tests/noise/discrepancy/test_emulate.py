@@ -1,12 +1,17 @@
 """The law that stands for a simulation: it must hold what a simulated room does by itself."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
 from acquisition import Ping, Recording
 from noise.cells import Batch
-from noise.discrepancy.emulate import emulated, in_company
+from noise.discrepancy.emulate import Baseline, emulated, in_company
+from noise.discrepancy.rules import SURE_OF_AIR, Rules
+from noise.discrepancy.splits import Split
+from noise.discrepancy.verdict import BaselineCheck
 from noise.effects import CATALOGUE
 from noise.fit import log_likelihood
 from noise.model import simulate
@@ -21,6 +26,7 @@ TARGET = {
     "beam_width": {"ka": 4.0},
     "specular_loss": {"strength": 0.4},
 }
+AIRY = ["spike", "scintillation"]
 WALL = {"fixed_clutter": {"presence": 1.0, "range_m": 4.4, "spread_m": 0.005}}
 
 
@@ -53,3 +59,27 @@ def test_a_wall_that_answers_where_the_target_is_too_faint_is_part_of_the_simula
 def test_where_nothing_stands_out_nothing_else_is_tried():
     batch = Batch.of(heard(1))
     assert in_company(bare(batch), batch) == []
+
+
+@pytest.mark.parametrize(("nats", "kept"), [(0.5 * SURE_OF_AIR, ["spike"]), (1.5 * SURE_OF_AIR, AIRY)])
+def test_livelier_air_beside_an_effect_must_gain_more_than_another_day_changes(monkeypatch, nats, kept):
+    monkeypatch.setattr(Baseline, "_gain_on_simulation", lambda *_: 0.0)
+    recording = heard(1)
+    base = emulated_by_itself(recording)
+    crossed = SimpleNamespace(first=SimpleNamespace(stack=base.stack), nats=np.zeros(8))
+    gains = {"spike": np.full(8, 20.0), "scintillation": np.full(8, nats / 8)}
+    search = SimpleNamespace(
+        seed=0,
+        rules=Rules(),
+        never=(),
+        attempts=[],
+        contribution=lambda chosen, cross, name: (gains[name], crossed),
+        cross=lambda *_, **__: crossed,
+    )
+    assert base.without_repairs(search, AIRY, crossed, crossed)[0] == kept
+    assert all("another day's air" in attempt.decision for attempt in search.attempts)
+
+
+def emulated_by_itself(recording):
+    split = Split.of(Batch.of(recording), np.random.default_rng(0))
+    return Baseline(bare(split.both), PhysicalModel(()), BaselineCheck(True, 1.0, ""), split)

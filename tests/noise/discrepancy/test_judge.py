@@ -2,8 +2,9 @@
 
 import pytest
 
-from noise.discrepancy.diagnosis import SURE, SURE_OF_AIR, SURE_SCAN, judge, of_the_day
+from noise.discrepancy.diagnosis import SURE_SCAN, judge, of_the_day
 from noise.discrepancy.locate import Finding
+from noise.discrepancy.rules import SURE, SURE_OF_AIR
 from noise.discrepancy.verdict import Named, Rest
 
 SOMETHING = Rest(True, 0.0025, "small misfits")
