@@ -1,7 +1,7 @@
 """How long a diagnosis takes and how much memory it wants, for 10,000 pings and for the thesis's 133,100.
 
-Run by `make benchmarks`; prints Markdown for docs/diagnosis.md. The bars are for two idle cores; a diagnosis uses
-one, so the time that counts is the processor's, which a busy machine changes little.
+Run by `make benchmarks`; prints Markdown for docs/diagnosis.md. The bars are for two idle cores. What one process takes
+of the processor alone is within them, which a busy machine changes little; with two it is the wall clock that gains.
 """
 
 from __future__ import annotations
@@ -40,17 +40,19 @@ def recorded(cells: int, each: int, path: Path) -> None:
     Recording.of(Ping.of(distance=distance, angle=angle, time=seconds), reading).save(path)
 
 
+@pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize(("cells", "each", "most_s"), [(200, 50, 60.0), (1331, 100, 600.0)], ids=["10000", "133100"])
-def test_a_diagnosis_is_done_in_time(cells: int, each: int, most_s: float, tmp_path: Path) -> None:
+def test_a_diagnosis_is_done_in_time(cells: int, each: int, most_s: float, workers: int, tmp_path: Path) -> None:
     recorded(cells, each, tmp_path / "recorded.csv")
     command = [sys.executable, "-m", "training.cli", "diagnose", str(tmp_path / "recorded.csv")]
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([*command, "--out", str(tmp_path / "out")], check=True, capture_output=True)
+    command += ["--out", str(tmp_path / "out"), "--workers", str(workers)]
+    subprocess.run(command, check=True, capture_output=True)
     wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     gib = after.ru_maxrss / 2**20
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     named = ", ".join(effect["effect"] for effect in verdict["effects"])
-    print(f"\n| {cells * each:,} pings | {wall:.0f} s | {cpu:.0f} s processor | {gib:.2f} GiB | {named} |")
-    assert cpu < most_s
+    print(f"\n| {cells * each:,} pings | {workers} | {wall:.0f} s | {cpu:.0f} s | {gib:.2f} GiB | {named} |")
+    assert min(cpu, wall) < most_s
     assert gib < MOST_GIB
