@@ -19,8 +19,8 @@ one() {
     $run train-agent --out $out/parking $shipped
     [ -d $out/quick ] || { cp -r $out/parking $out/quick.part && mv $out/quick.part $out/quick; }
     $run train-agent --out $out/quick $shipped --steps $steps
-    [ -d $out/shipped ] || $run ship-agent $out/parking/agent --out $out/shipped --episodes $episodes
-    drivers="$out/shipped $out/quick/agent scripted"
+    [ -d $out/shipped/parking ] || $run ship-agent $out/parking/agent --out $out/shipped/parking --episodes $episodes
+    drivers="$out/shipped/parking $out/quick/agent scripted"
     $run evaluate-agent --agent $drivers --episodes $episodes --out $out/scores.json
     $run evaluate-agent --agent $drivers --sonars rig --believed srf08-mlp --episodes $((episodes * 2 / 5)) --out $out/rig.json
 }

@@ -6,14 +6,23 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from string import Template
+from textwrap import fill
 from typing import Any
 
 from sonar_gym.agent import Policy
 from training.evaluate import Outcomes
 
 CARD = Path(__file__).parent / "templates" / "agent_card.md"
-HARDENED = """Half of its cars had sonars of which 5 % of readings told of things
-that were not there and 10 % scattered by 50 mm."""
+LIMITS = (
+    'It was made for eight sonars (layout "eight"), for this car, and for these streets. '
+    "Its memory counts the way by odometry, so worn wheels make it worse."
+)
+HARDENED = (
+    "Half of its cars had sonars of which 5 % of readings told of things that were not there and 10 % scattered by "
+    "50 mm; a sonar that errs more, it has not met."
+)
+PLAIN = "It has met no sonar but those above, and none that errs more."
+WIDTH = 120
 LEGS = 6  # of the course of training that are told
 World = tuple[str, str, str]  # sonar, odometry, difficulty
 PARTS = ("sonars", "odometry", "difficulty")
@@ -30,7 +39,7 @@ def command(settings: dict[str, Any], steps: int, out: str) -> str:
     return shlex.join(words)
 
 
-def card(name: str, policy: Policy, scores: dict[World, Outcomes], commands: Sequence[str]) -> str:
+def card(name: str, policy: Policy, scores: dict[World, Outcomes], commands: Sequence[str], believed: str) -> str:
     """Return the card of an agent, in Markdown.
 
     Args:
@@ -38,19 +47,19 @@ def card(name: str, policy: Policy, scores: dict[World, Outcomes], commands: Seq
         policy: as training wrote it, with its settings and its course.
         scores: by sonar, odometry and difficulty, all on the same streets.
         commands: that make it again, in order.
+        believed: name of the model by which credence was reckoned where a sonar knows none.
     """
     settings, history = policy.about["settings"], list(policy.about["history"])
     streets = next(iter(scores.values())).seeds
-    lessons = [one for one in history if one["leg"] == 0]
     return Template(CARD.read_text(encoding="utf-8")).substitute(
         name=name,
         sizes=" - ".join(map(str, policy.sizes)),
         hold=f"{0.1 * policy.repeat:g}",
         cars=settings["num_envs"],
         worlds="\n".join(f"- {part}: {', '.join(settings[part])}" for part in PARTS),
-        learned=_learned(settings["lessons"], policy.about["steps"], policy.about["planned"]),
-        faults=HARDENED if settings["faults"] else "It has met no sonar but those above, and none that errs more.",
-        imitated=f"{100 * lessons[0]['success']:.1f} %" if lessons else "none",
+        learned=fill(_learned(settings["lessons"], policy.about["steps"], policy.about["planned"]), WIDTH),
+        limits=fill(f"{LIMITS} {HARDENED if settings['faults'] else PLAIN}", WIDTH),
+        believed=believed,
         course="\n".join(map(_leg, _some(history))),
         seed=settings["seed"],
         commands="\n".join(f"    {line}" for line in commands),

@@ -51,5 +51,5 @@ def main(args: Args) -> None:
             tell(k + 1, len(kinds))
     made_by = command(policy.about["settings"], policy.about["planned"], "run")
     commands = [made_by, f"sonar-gym ship-agent run/agent --out {args.out.name}"]
-    replace(policy, card=card(args.out.name, policy, scores, commands)).save(args.out)
+    replace(policy, card=card(args.out.name, policy, scores, commands, args.believed)).save(args.out)
     print(f"{args.out}: saved; load it with sonar_gym.agent.load_agent({args.out.name!r})")

@@ -197,7 +197,8 @@ def test_an_agent_is_written_out_with_its_course_and_scores(tmp_path, whole, cap
     assert "sonar-gym train-agent --out run --sonars ideal" in shipped.card
     assert "--seed 0 --steps 768" in shipped.card
     assert shipped.card.count("| ideal | exact |") == shipped.card.count("| rig | exact |") == 2
-    assert "learned by trial for 768 steps of 0.1 s (PPO)" in shipped.card
+    assert "learned by trial for 768 steps of 0.1 s (PPO)" in " ".join(shipped.card.split())
+    assert max(map(len, shipped.card.split("    sonar-gym")[0].splitlines())) <= 127
     assert "It has met no sonar but those above" in shipped.card
     assert "small: saved" in capsys.readouterr().out
 
