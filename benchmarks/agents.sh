@@ -45,6 +45,8 @@ save_model(Faulty(load_model('srf08-mlp'), [Short(0.15), Noise(0.15, 0.1)]), '$o
 echo "to look on: tail -f $out/one.log $out/two.log"
 one > $out/one.log 2>&1 &
 first=$!
-two > $out/two.log 2>&1 || { kill $first; tail $out/two.log; exit 1; }
+two > $out/two.log 2>&1 &  # beside it and not under "||", where the shell would go on after whatever fails
+second=$!
+wait $second || { kill $first; tail $out/two.log; exit 1; }
 wait $first || { tail $out/one.log; exit 1; }
 cat $out/one.log $out/two.log

@@ -112,6 +112,7 @@ def seen_in(batch: Batch) -> Seen:
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:
     lengths = [m for m in modes if p.unit == "m" and p.high - p.low > 0.3 and p.low <= m <= p.high]
+    # alone the null is no beginning; beside others it is one of the ways in which an effect may be there
     starts = list(p.starts) if len(p.starts) > 1 else [s for s in p.starts if s != p.null] or [present]
     return list(dict.fromkeys([*starts, *lengths]))
 

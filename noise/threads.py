@@ -8,11 +8,16 @@ from contextlib import contextmanager
 import torch
 
 
+def keep_one_thread() -> None:
+    """Keep torch to one thread for as long as this process lives."""
+    torch.set_num_threads(1)
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Keep torch to one thread, and give it its threads back."""
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    keep_one_thread()
     try:
         yield
     finally:

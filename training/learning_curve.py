@@ -25,32 +25,30 @@ def learning_curve(history: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def course(history: Sequence[Mapping[str, Any]]) -> tuple[float, list[tuple[float, Mapping[str, Any]]]]:
-    """Return where imitation ends, and what the episodes up to each point came to: million steps of all cars."""
+    """Return where imitation ends, and what episodes up to each point came to, if any: million steps of all cars."""
     tenths = [tenth for one in history for tenth in one.get("course", ())]
     each = tenths[0]["steps"] if tenths else 0
     taught = (tenths[-1]["steps"] + each) / MILLION if tenths else 0.0
     points = [(one["steps"] / MILLION, one) for one in tenths]
-    return taught, points + [(taught + one["steps"] / MILLION, one) for one in history]
+    points += [(taught + one["steps"] / MILLION, one) for one in history]
+    return taught, [(at, one) for at, one in points if one["episodes"]]
 
 
 def _shares(taught: float, points: Sequence[tuple[float, Mapping[str, Any]]], ax: Axes) -> None:
-    told = [(at, one) for at, one in points if one["episodes"]]
+    steps = [at for at, _ in points]
     for name, label, colour in (("success", "parked", AFTER), ("collision", "touched something", BEFORE)):
-        share = np.array([one[name] for _, one in told])
-        ended = np.array([one["episodes"] for _, one in told])
-        spread = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share) if told else None
-        ax.errorbar(
-            [at for at, _ in told], 100 * share, yerr=None if spread is None else 100 * spread,
-            color=colour, marker="o", ms=4, capsize=3, label=label,
-        )  # fmt: skip
+        share = np.array([one[name] for _, one in points])
+        ended = np.array([one["episodes"] for _, one in points])
+        spread = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share)
+        ax.errorbar(steps, 100 * share, yerr=100 * spread, color=colour, marker="o", ms=4, capsize=3, label=label)
     _shade(taught, ax)
     ax.set(title="In training, tries at random included", xlabel=_LABEL, ylabel="episodes, %", ylim=(-3, 103))
     ax.legend(loc="center right")
 
 
 def _pace(taught: float, points: Sequence[tuple[float, Mapping[str, Any]]], ax: Axes) -> None:
-    told = [(at, one["seconds_an_episode"]) for at, one in points if one["episodes"]]
-    ax.plot(*zip(*told, strict=True) if told else ([], []), color=SOFT, marker="o", ms=4)
+    lengths = [one["seconds_an_episode"] for _, one in points]
+    ax.plot([at for at, _ in points], lengths, color=SOFT, marker="o", ms=4)
     _shade(taught, ax)
     ax.set(title="Length of an episode", xlabel=_LABEL, ylabel="s", ylim=(0, None))
 

@@ -24,7 +24,7 @@ from noise import SonarModel, load_model, save_model
 from noise.beam import fit_beam
 from noise.model import MAX_RANGE
 from noise.rig import SIMULATED, RigModel
-from noise.threads import one_thread
+from noise.threads import keep_one_thread, one_thread
 from sonar_gym.agent import load_policy
 from training import agent, diagnose
 from training.agent_envs import with_faults
@@ -174,18 +174,13 @@ def run(args: Args) -> pd.DataFrame:
     """Do everything that is not done; returns an episode a row."""
     prepare(args)
     agents = list(product(range(args.seeds), ARMS))
-    with ProcessPoolExecutor(args.workers, initializer=_quiet) as pool:
+    with ProcessPoolExecutor(args.workers, initializer=keep_one_thread) as pool:
         trainings = [pool.submit(train, args, arm, seed) for seed, arm in agents]
         _await(trainings, "training")
         tests = [pool.submit(test, args, arm, seed, world) for (seed, arm), world in product(agents, WORLDS)]
         _await(tests, "driving in the rig")
     paths = [args.out / "scores" / f"{w}-{a}-{s}.csv" for (s, a), w in product(agents, WORLDS)]
     return pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
-
-
-def _quiet() -> None:
-    """Keep a worker to one thread."""
-    one_thread().__enter__()
 
 
 def _await(jobs: Sequence[Future[str]], what: str) -> None:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
-import torch
 from loky import BrokenProcessPool, ProcessPoolExecutor, cpu_count, get_reusable_executor
 
 from acquisition import SettingError
+from noise.threads import keep_one_thread
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -35,7 +35,7 @@ class Workers:
         """Let processes begin to load what they need, and do not wait for them."""
         if self.count > 1:
             for _ in range(self.count):
-                self._executor().submit(_alone)
+                self._executor().submit(keep_one_thread)
 
     def map(self, job: Callable[[T], R], items: Iterable[T]) -> list[R]:
         """Return what a job makes of each item, in their order; no job may change what another sees.
@@ -54,12 +54,7 @@ class Workers:
             ) from error
 
     def _executor(self) -> ProcessPoolExecutor:
-        return get_reusable_executor(self.count, timeout=60, initializer=_alone, env={"OMP_NUM_THREADS": "1"})
-
-
-def _alone() -> None:
-    """Keep torch to one thread: small steps are no faster with more, and sums are the same on every machine."""
-    torch.set_num_threads(1)
+        return get_reusable_executor(self.count, timeout=60, initializer=keep_one_thread, env={"OMP_NUM_THREADS": "1"})
 
 
 ALONE = Workers()
