@@ -31,7 +31,7 @@ from torch import Tensor
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions, Effect, Parameter, Stage, State
 from noise.effects.base import number, reach
-from noise.physical import TINY, PhysicalLaw, PhysicalModel
+from noise.physical import PhysicalLaw, PhysicalModel
 from noise.stays import cells_of, last_echo
 
 MEMORY = 12  # readings of a cell that the urn looks back on; ours: past that a cell tells nothing new
@@ -186,16 +186,29 @@ class Batch:
 
     @cached_property
     def urn(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Look-back over the block: (difference of errors, m, both echoes, both silent), each (MEMORY, n); number."""
+        """Look-back over the block, of `MEMORY` readings at most.
+
+        How far echoes lie from earlier ones, each distance once, m, (k,), and how many earlier ones lie so far from
+        each ping's, sparse (n, k); before silent pings, the number of silent ones, (n,); number of earlier ones, (n,).
+        """
         lag = np.arange(1, MEMORY + 1)[:, None]
         valid = lag <= self.count
         row = np.maximum(np.arange(len(self)) - lag, 0)
         echo = self.reading.echo
         both = valid & echo & echo[row]
         silent = valid & ~echo & ~echo[row]
-        delta = np.where(both, self.error - self.error[row], 1.0)
-        tensor = torch.as_tensor
-        return tensor(delta), tensor(both), tensor(silent), tensor(valid.sum(axis=0).astype(np.float64))
+        apart = np.abs(self.error - self.error[row])[both]
+        # a register has few steps within reach: distances come again and again, but for rounding
+        once, which = np.unique(np.round(apart, 9), return_inverse=True)
+        at, tensor = np.stack([np.nonzero(both)[1], which]), torch.as_tensor
+        ones, shape = np.ones(at.shape[1]), (len(self), len(once))
+        often = torch.sparse_coo_tensor(tensor(at), tensor(ones), shape, check_invariants=True)
+        return (
+            tensor(once),
+            often.coalesce(),
+            tensor(silent.sum(axis=0).astype(np.float64)),
+            tensor(valid.sum(axis=0).astype(np.float64)),
+        )
 
     @cached_property
     def heard(self) -> tuple[Tensor, Tensor]:
@@ -235,32 +248,31 @@ def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:
 
 
 def _before(value: Tensor, batch: Batch) -> Tensor:
-    """Return sums over the pings before each in its block, (n,)."""
-    total = torch.cumsum(value, dim=0) - value
-    return total - total[torch.from_numpy(batch.first)]
+    """Return sums over the pings before each in its block, (..., n)."""
+    total = torch.cumsum(value, dim=-1) - value
+    return total - total[..., torch.from_numpy(batch.first)]
 
 
-def prior_offset(cells: CellNuisance, batch: Batch, wider: float = 1.0) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each."""
+def prior_offset(cells: CellNuisance, batch: Batch, wider: float | Tensor = 1.0) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each or (banks, n)."""
     twin, known = batch.twins
     spread = (wider * cells.placement_m) ** 2 * (1.0 - (cells.link * known) ** 2) + (wider * LEAST_M) ** 2
     return cells.link * twin, spread
 
 
-def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch, wider: float = 1.0) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (n,) each."""
+def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (banks, n) each."""
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
-    start, prior = prior_offset(cells, batch, wider)
+    start, prior = prior_offset(cells, batch, number([wider for wider, _ in BANKS])[:, None])
     # a reading counts for the offset as far as it can be the direct path's: smoothly nothing beyond 4 deviations
     near = (error - start) ** 2 / (16.0 * (variance + prior))
     weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
     precision = 1.0 / prior + _before(weight, batch)
     mean = (start / prior + _before(weight * error, batch)) / precision
-    last = torch.from_numpy(np.maximum(np.arange(len(batch)) - 1, batch.first))
     known = torch.from_numpy(batch.count > 0)
-    carried = cells.carry * (weight * variance)[last] * (error - mean)[last]
+    carried = torch.nn.functional.pad((cells.carry * (weight * variance) * (error - mean))[..., :-1], (1, 0))
     return mean + torch.where(known, carried, torch.zeros_like(mean)), 1.0 / precision
 
 
@@ -274,7 +286,7 @@ def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
 
 def sequential(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
     """Return the law of each ping given the readings before it in its cell, one a bank: carefully placed, or not."""
-    return [shifted(law, *predicted_offset(law, cells, batch, wider)) for wider, _ in BANKS]
+    return [shifted(law, *offset) for offset in zip(*predicted_offset(law, cells, batch), strict=True)]
 
 
 def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
@@ -291,36 +303,34 @@ def alone(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
 
 def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
     """Return the log probability of each bank given the readings before in the cell, of log likelihoods (banks, n)."""
-    before = torch.stack([_before(row, batch) for row in log_likelihood])
     prior = torch.log(number([share for _, share in BANKS]))[:, None]
-    return torch.log_softmax(prior + before, dim=0)
+    return torch.log_softmax(prior + _before(log_likelihood, batch), dim=0)
 
 
 def together(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> PhysicalLaw:
     """Return the laws of `sequential` as one, whose `log_prob_tensor` is (banks, n): one pass through the physics."""
-    offsets = [predicted_offset(law, cells, batch, wider) for wider, _ in BANKS]
-    mean, variance = (torch.stack(parts)[:, None] for parts in zip(*offsets, strict=True))
-    return shifted(law, mean, variance)
+    mean, variance = predicted_offset(law, cells, batch)
+    return shifted(law, mean[:, None], variance[:, None])
 
 
 def by_bank(own: Tensor, cells: CellNuisance, batch: Batch, last_step: int) -> Tensor:
-    """Return log probabilities with floor and urn in them, nats, of a law's own, both (banks, n)."""
+    """Return log probabilities with floor and urn in them, nats, (banks, n), of a law's own probabilities."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
     floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
-    delta, both, none, seen = batch.urn
+    apart, often, none, seen = batch.urn
     half = batch.resolution / 2.0
-    upper = torch.special.ndtr((delta + half) / cells.kernel_m) - torch.special.ndtr((delta - half) / cells.kernel_m)
-    repeats = cells.sharing * (torch.where(both, upper, torch.zeros_like(upper)) + none).sum(dim=0)
-    return torch.log((1.0 - 2.0 * FLOOR) * torch.exp(own) + floor + repeats) - torch.log1p(cells.sharing * seen)
+    upper = torch.special.ndtr((apart + half) / cells.kernel_m) - torch.special.ndtr((apart - half) / cells.kernel_m)
+    repeats = cells.sharing * (torch.sparse.mm(often, upper[:, None])[:, 0] + none)
+    return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(cells.sharing * seen)
 
 
 def _own(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
-    """Return log probabilities under the laws of both banks, that of hearing as the cell's earlier pings have it."""
+    """Return probabilities under the laws of both banks, (banks, n), that of hearing as earlier pings have it."""
     both = together(law, cells, batch)
     silent, place = both.no_echo_tensor(), both.echo_tensor(both.step(batch.reading.range))
     expected, given = hearing(silent, cells, batch)
     told = given / torch.clamp(expected, min=LEAST)
-    return torch.log(torch.clamp(torch.where(torch.from_numpy(batch.reading.echo), place, silent) * told, min=TINY))
+    return torch.where(torch.from_numpy(batch.reading.echo), place, silent) * told
 
 
 def hearing(silent: Tensor, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:

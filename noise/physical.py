@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -44,7 +45,7 @@ class PhysicalLaw(EchoLaw):
         """Return P(nothing registered at an exact range <= z), for z (..., n)."""
         z = z.unsqueeze(-2)
         parts = [self._unheard(path, heard, z) for path, heard in zip(self.state.paths, self._heard, strict=True)]
-        return self._average(math.prod(parts, start=self._unhurt(z)))
+        return self._average(self._spared(z) * math.prod(parts[1:], start=parts[0]))
 
     def between_tensor(self, low: Tensor, high: Tensor) -> Tensor:
         """Return P(registered at an exact range in (low, high]), (..., n): sums of what is positive, exact in tails.
@@ -52,13 +53,19 @@ class PhysicalLaw(EchoLaw):
         With S = prod u_k: S(low) - S(high) = sum_k prod_{j<k} u_j(high) (u_k(low) - u_k(high)) prod_{j>k} u_j(low).
         """
         low, high = low.unsqueeze(-2), high.unsqueeze(-2)
-        so_far = self._unhurt(high)
-        total = self._unhurt(low) - so_far
-        for path, heard in zip(self.state.paths, self._heard, strict=True):
-            arriving = path.between(self._listened(low), self._listened(high))
-            total = total * self._unheard(path, heard, low) + so_far * heard[1] * arriving
-            so_far = so_far * self._unheard(path, heard, high)
+        paths = list(zip(self.state.paths, self._heard, strict=True))
+        so_far = self._spared(high)
+        total = so_far * self._arriving(*paths[0], low, high)
+        if self.state.clutter is not None:
+            total = total + (self._spared(low) - so_far) * self._unheard(*paths[0], low)
+        for before, path in pairwise(paths):
+            so_far = so_far * self._unheard(*before, high)
+            total = total * self._unheard(*path, low) + so_far * self._arriving(*path, low, high)
         return self._average(total)
+
+    def _arriving(self, path: Path, heard: tuple[Tensor, Tensor], low: Tensor, high: Tensor) -> Tensor:
+        """Return P(a path is detected, and arrives at an exact range in (low, high])."""
+        return heard[1] * path.between(self._listened(low), self._listened(high))
 
     def _listened(self, z: Tensor) -> Tensor:
         """Return the range, or where listening begins if that is farther."""
@@ -78,14 +85,14 @@ class PhysicalLaw(EchoLaw):
             late = late + 1.0 - path.lateness(self.state.deaf)
         return missed + detected * late
 
-    def _unhurt(self, z: Tensor) -> Tensor:
+    def _spared(self, z: Tensor) -> Tensor | float:
         """Return P(no clutter before z)."""
-        state = self.state
-        begun = state.clutter_from if state.deaf is None else torch.maximum(state.clutter_from, state.deaf)
-        struck = -torch.expm1(-state.clutter_per_metre * torch.clamp(z - begun, min=0.0))
-        return 1.0 - state.clutter_share * struck
+        clutter = self.state.clutter
+        return 1.0 if clutter is None else clutter.spared(z, self.state.deaf)
 
     def _average(self, by_level: Tensor) -> Tensor:
+        if len(self.state.log_weight) == 1:
+            return by_level.squeeze(-2)
         return (torch.softmax(self.state.log_weight, dim=0) * by_level).sum(-2)
 
     def arrival_tensor(self, edge: Tensor) -> Tensor:
@@ -184,9 +191,6 @@ class PhysicalModel:
             (direct_path(conditions),),
             log_weight=torch.zeros((1, 1), dtype=torch.float64),
             width_db=number(DETECTION_WIDTH_DB),
-            clutter_per_metre=number(0.0),
-            clutter_share=number(1.0),
-            clutter_from=number(0.0),
             scale=number(1.0),
             offset=number(0.0),
             gate=number(self.max_range),

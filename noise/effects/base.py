@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -148,9 +149,16 @@ class Path:
 
     def _scores(self, z: Tensor) -> Tensor:
         """Return how many standard deviations a range lies beyond the arrival after each slip, (J, ..., n)."""
-        sigma = torch.sqrt(self.spread**2 + FLOOR_M**2)
-        beyond = z - (self.length + self.lag)
-        return (beyond - self.slip_m.reshape(-1, *[1] * beyond.ndim)) / sigma
+        beyond = z - self._arrival
+        return (beyond - self.slip_m.reshape(-1, *[1] * beyond.ndim)) / self._sigma
+
+    @cached_property
+    def _arrival(self) -> Tensor:
+        return self.length + self.lag
+
+    @cached_property
+    def _sigma(self) -> Tensor:
+        return torch.sqrt(self.spread**2 + FLOOR_M**2)
 
     def _over_slips(self, value: Tensor) -> Tensor:
         """Return the mean over slips of (J, ..., n)."""
@@ -186,6 +194,26 @@ class Atom:
 
 
 @dataclass(frozen=True)
+class Clutter:
+    """False detections while the sensor listens.
+
+    Attributes:
+        per_metre: their rate while there is noise, 1/m.
+        share: of pings in which there is.
+        begins: exact range before which none is counted, m.
+    """
+
+    per_metre: Tensor
+    share: Tensor
+    begins: Tensor
+
+    def spared(self, z: Tensor, deaf: Tensor | None) -> Tensor:
+        """Return P(none before an exact range z) of a receiver that is deaf before some range, or never."""
+        begins = self.begins if deaf is None else torch.maximum(self.begins, deaf)
+        return 1.0 + self.share * torch.expm1(-self.per_metre * torch.clamp(z - begins, min=0.0))
+
+
+@dataclass(frozen=True)
 class State:
     """Everything that a physical law is made of; effects replace parts of it.
 
@@ -194,10 +222,9 @@ class State:
         paths: the ways of the sound; the first is the direct one.
         log_weight: log weights of the latent level's nodes, (Q, 1).
         width_db: spread of the level at the threshold, dB.
-        clutter_per_metre, clutter_share, clutter_from: rate of false detections while there is noise, 1/m, the share of
-            pings in which there is, and the exact range before which none is counted, m.
         scale, offset: register = scale * exact range + offset (1 and m).
         gate: greatest exact range that is listened to, m.
+        clutter: false detections; None without any.
         step: step to which the register rounds beyond its resolution, m; 0 for none.
         deaf: exact range before which arrivals are not registered, m; None hears from the start.
         atoms: replacements, applied in order.
@@ -207,12 +234,10 @@ class State:
     paths: tuple[Path, ...]
     log_weight: Tensor
     width_db: Tensor
-    clutter_per_metre: Tensor
-    clutter_share: Tensor
-    clutter_from: Tensor
     scale: Tensor
     offset: Tensor
     gate: Tensor
+    clutter: Clutter | None = None
     step: float = 0.0
     deaf: Tensor | None = None
     atoms: tuple[Atom, ...] = ()

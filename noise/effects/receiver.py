@@ -12,6 +12,7 @@ from torch import Tensor
 from noise.effects.base import (
     FLOOR_M,
     MARGIN_DB,
+    Clutter,
     Effect,
     Parameter,
     Path,
@@ -274,8 +275,7 @@ class FalseAlarm(Effect):
 
     def apply(self, state: State) -> State:
         """Strew clutter before the echo."""
-        begun = self.from_m.detach()
-        return replace(state, clutter_per_metre=self.per_metre, clutter_share=self.share, clutter_from=begun)
+        return replace(state, clutter=Clutter(self.per_metre, self.share, self.from_m.detach()))
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
