@@ -27,6 +27,7 @@ STEP_SHARE = 0.02  # of what a climb must gain: a step that gains less ends it
 ROUGHEST = 0.05  # nats; no climb ends at a step that gains more
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
+CHANGE = (1e-4, 1e4)  # of curvature in one climb that is believed; ours
 REPEATED = (1.0, 0.3, 0.1, 0.03)  # of the share of what is new in a cell: the share of all its pings; ours
 MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
 PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
@@ -123,8 +124,8 @@ class _Objective:
             moved[j] += step
             gradient = self(moved)[1][j]
             curvature = max(abs(gradient - base[j]) / abs(step), 0.1 * abs(base[j]) / width[j])
-            out[j] = np.clip(1.0 / np.sqrt(max(curvature, 1e-300)), 1e-6 * width[j], 0.25 * width[j])
-        return out
+            out[j] = 1.0 / np.sqrt(max(curvature, 1e-300))
+        return _between(out, width)
 
 
 def maximise(
@@ -150,26 +151,35 @@ def maximise(
     x = np.array([stack.get(key) for key in free])
     best = objective(x)[0]
     left = iterations
-    # curvatures change by orders of magnitude on the way up, so the scale is measured again after every climb
-    for attempt in range(RESTARTS):
+    scale: Floats | None = None
+    # curvatures change by orders of magnitude on the way up, so a climb goes on with the scale that it ended with
+    for _ in range(RESTARTS):
         if objective.is_flat(x):
             break
-        scale = objective.scale(x, scales if attempt == 0 else None)
+        scale = objective.scale(x, scales) if scale is None else scale
         if scales is not None:
             scales.update({key: value for key, value in zip(free, scale, strict=True) if key in NUISANCES})
-        result_x, result, used = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST))
-        gain, left = best - result, left - used
+        end = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST))
+        gain, left, scale = best - end.value, left - end.iterations, end.scale
         if gain > 0:
-            x, best = result_x, result
+            x, best = end.x, end.value
         if gain < enough or left <= 0:
             break
     return Fit(stack.put(free, x), tuple(free), -best)
 
 
-def _climb(
-    objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float
-) -> tuple[Floats, float, int]:
-    """Return a climb's end, minus the log likelihood there, and the iterations; a step of `least` nats ends it."""
+@dataclass(frozen=True)
+class _End:
+    """Where a climb ended: minus the log likelihood there, iterations, and the scales as the climb met them."""
+
+    x: Floats
+    value: float
+    iterations: int
+    scale: Floats
+
+
+def _climb(objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float) -> _End:
+    """Climb; a step of `least` nats ends it."""
     start = objective(x0)[0]
     low, high = objective.bounds()
 
@@ -190,7 +200,14 @@ def _climb(
             "maxcor": 12,
         },
     )
-    return np.clip(x0 + result.x * scale, low, high), float(result.fun), int(result.nit)
+    x = np.clip(x0 + result.x * scale, low, high)
+    change = np.sqrt(np.clip(np.diag(result.hess_inv @ np.eye(len(x))), *CHANGE))
+    return _End(x, float(result.fun), int(result.nit), _between(scale * change, high - low))
+
+
+def _between(scale: Floats, width: Floats) -> Floats:
+    """Return steps that are neither lost in rounding nor wider than a quarter of the bounds."""
+    return np.clip(scale, 1e-6 * width, 0.25 * width)
 
 
 def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
