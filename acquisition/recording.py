@@ -255,16 +255,16 @@ class Recording:
     def resolution(self) -> float:
         """Grid on which readings lie, m: the coarsest step that divides them all, else 1 mm.
 
-        The usual steps are 10 mm (cm output) and 25.4 mm (inch output); any other is found where more different
-        readings keep to it than by luck, and the true distances do not. A finer output is treated in 1 mm bins.
+        The usual steps are 10 mm (cm output) and 25.4 mm (inch output); any other, and any multiple of these, is found
+        where more different readings keep to it than by luck, and the true distances do not. A finer output is treated
+        in 1 mm bins.
         """
         echo_mm = np.unique(self.reading.range[self.reading.echo] / MM)
-        for step in (25.4, 10.0):
-            if len(echo_mm) and on_grid(echo_mm, step, 0.051):
-                return step * MM
-        found = unusual_step(echo_mm)
+        usual = next((step for step in (25.4, 10.0) if len(echo_mm) and on_grid(echo_mm, step, 0.051)), None)
+        found = unusual_step(echo_mm) if usual is None else usual * common_multiple(np.rint(echo_mm / usual))
         given = found is not None and on_grid(np.unique(self.ping.distance / MM), found, 0.051)
-        return MM if found is None or given else found * MM
+        step = usual if found is None or given else found
+        return MM if step is None else step * MM
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as CSV, atomically: the file is there whole or not at all."""
@@ -274,6 +274,12 @@ class Recording:
 def on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
     """Tell whether values are multiples of a step, within a tolerance."""
     return bool(np.all(np.abs(value - np.rint(value / step) * step) < tolerance))
+
+
+def common_multiple(count: NDArray[np.float64]) -> int:
+    """Return the greatest number that divides sorted different whole numbers; 1 where that may be luck."""
+    divisor = max(1, int(np.gcd.reduce(count.astype(np.int64))))
+    return divisor if divisor ** -(len(count) - 1.0) < LUCK else 1
 
 
 def unusual_step(value: NDArray[np.float64]) -> float | None:

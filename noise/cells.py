@@ -39,6 +39,7 @@ WIDE = 4.0  # how much farther from its mark a carelessly placed target lies; ou
 CARELESS = 0.1  # share of such cells; ours
 LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
+STANDS_M = 0.01  # by which the logged distance of a target that stands may change; ours
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
 LEAST = 1e-9  # probability that is divided by
 
@@ -162,6 +163,18 @@ class Batch:
     def stays(self) -> list[NDArray[np.int64]]:
         """Rows of each block."""
         return np.split(np.arange(len(self)), self.starts[1:])
+
+    @property
+    def stops(self) -> list[NDArray[np.int64]]:
+        """Rows of each block in which the target stood."""
+        return [rows for rows, stood in zip(self.stays, self.standing, strict=True) if stood]
+
+    @cached_property
+    def standing(self) -> NDArray[np.bool_]:
+        """Whether the target stood through each block, rather than moved or was passed by, (blocks,)."""
+        distance = self.ping.distance
+        way = np.maximum.reduceat(distance, self.starts) - np.minimum.reduceat(distance, self.starts)
+        return way <= STANDS_M
 
     @cached_property
     def count(self) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
@@ -19,8 +20,11 @@ OURS = "smooth correction: ours"
 
 def _knots(kind: str, unit: str, null: float, low: float, high: float) -> tuple[Parameter, ...]:
     near = [Parameter(f"{kind}_d{k}", unit, null, low, high, OURS) for k in range(len(DISTANCE_KNOTS))]
-    wide = [Parameter(f"{kind}_a{k}", unit, null, low, high, OURS) for k in range(1, len(ANGLE_KNOTS))]
-    return (*near, *wide)
+    return (*near, *_angles(kind, unit, null, low, high))
+
+
+def _angles(kind: str, unit: str, null: float, low: float, high: float) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{kind}_a{k}", unit, null, low, high, OURS) for k in range(1, len(ANGLE_KNOTS)))
 
 
 def interpolate(x: Tensor, knots: tuple[float, ...], values: list[Tensor]) -> Tensor:
@@ -33,7 +37,11 @@ def interpolate(x: Tensor, knots: tuple[float, ...], values: list[Tensor]) -> Te
 
 
 class Flexible(Effect):
-    """Smooth corrections over distance and angle of bias, spread and silence: a description, never a cause."""
+    """Smooth corrections over distance and angle of bias, spread and silence: a description, never a cause.
+
+    `tilt` is a share of distance. It runs straight in 1 - cos(incidence), as the nearest point of a tilted wall does,
+    which the cones of rays of robot simulators read.
+    """
 
     name = "flexible"
     stage = Stage.SEQUENCE
@@ -42,19 +50,27 @@ class Flexible(Effect):
         *_knots("bias", "m", 0.0, -0.4, 0.4),
         *_knots("spread", "m", 0.0, 0.0, 0.2),
         *_knots("silence", "1", 0.0, 0.0, 0.98),
+        *_angles("tilt", "1", 0.0, -0.5, 0.5),
     )
 
     def _line(self, kind: str, state: State) -> Tensor:
         distance, angle = state.conditions.distance, torch.abs(state.conditions.angle)
         near = [getattr(self, f"{kind}_d{k}") for k in range(len(DISTANCE_KNOTS))]
-        wide = [number(0.0), *(getattr(self, f"{kind}_a{k}") for k in range(1, len(ANGLE_KNOTS)))]
-        return interpolate(distance, DISTANCE_KNOTS, near) + interpolate(angle, ANGLE_KNOTS, wide)
+        return interpolate(distance, DISTANCE_KNOTS, near) + interpolate(angle, ANGLE_KNOTS, self._wide(kind))
+
+    def _wide(self, kind: str) -> list[Tensor]:
+        return [number(0.0), *(getattr(self, f"{kind}_a{k}") for k in range(1, len(ANGLE_KNOTS)))]
+
+    def _bias(self, state: State) -> Tensor:
+        short = 1.0 - torch.cos(state.conditions.incidence)
+        tilt = interpolate(short, tuple(1.0 - math.cos(angle) for angle in ANGLE_KNOTS), self._wide("tilt"))
+        return self._line("bias", state) + state.conditions.distance * tilt
 
     def apply(self, state: State) -> State:
         """Move, widen and silence the direct path."""
         path = state.direct
         spread = torch.sqrt(path.spread**2 + self._line("spread", state) ** 2 + 1e-18) - 1e-9
-        state = state.with_direct(replace(path, length=path.length + self._line("bias", state), spread=spread))
+        state = state.with_direct(replace(path, length=path.length + self._bias(state), spread=spread))
         weight = torch.clamp(self._line("silence", state), 0.0, 0.999)
         return state.with_atom(Atom(weight, torch.zeros_like, number(1.0), number(0.0)))
 

@@ -13,19 +13,19 @@ from noise.cells import Batch, shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.gained import gained, with_gained
+from noise.discrepancy.judge import SURE_SCAN, at_the_edge, beyond_any_law, judge, of_the_day
 from noise.discrepancy.locate import ALARM, Finding, findings
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.residuals import Residuals, residuals
-from noise.discrepancy.rest import check_rest, located
+from noise.discrepancy.rest import check_rest, located, with_more
 from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
-from noise.discrepancy.rules import AIR, SURE, spread_over_blocks
+from noise.discrepancy.rules import SURE, spread_over_blocks
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search
 from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
-from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
@@ -39,7 +39,6 @@ from noise.starts import nuisance_starts
 from noise.threads import one_thread
 
 LEAST_P = 1e-12  # no p-value of a model of the world means more
-SURE_SCAN = 0.005  # and below which that is enough, whatever is left on unseen cells
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
 
 
@@ -125,8 +124,9 @@ def diagnose(
     tell("checking what is left", 0.7)
     rng = np.random.default_rng([seed, 4])
     rest = check_rest(search, why.chosen, why.cross, rng, split.both, peer, base.usual(seed, batch.resolution))
+    rest = with_more(rest, at_the_edge(search, why))
     tell("weighing rivals", 0.8)
-    named, all_rivals = _name(base, search, why, seed, believed=not _beyond_any_law(rest))
+    named, all_rivals = _name(base, search, why, seed, believed=not beyond_any_law(rest))
     beside = _beside(base, search, why)
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
@@ -296,53 +296,6 @@ def _verdict(
     if kind in ("none", "named", "confounded"):
         rest = replace(rest, present=False, description=None)
     return Verdict(kind, p, shown, tuple(named), rest, empty, (), base.check, tuple(search.attempts), matched)
-
-
-def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
-    """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
-    sure = max((AIR.get(n.effect, 0.0) for n in named), default=SURE)
-    return gain < sure and p_scan > ALARM and all(n.effect in AIR for n in named)
-
-
-def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:
-    """Return the kind of verdict.
-
-    A large gain is never enough to name: what is left over must not weigh as much as what was explained, and an
-    effect that can pass for anything (a replaced reading) is not believed while structure remains.
-    """
-    learned = rest.learned_nats
-    if not named:
-        clear = learned > 0.0 or any(finding.aspect in OWN_LOOKS for finding in rest.findings)
-        seen = p_scan <= SURE_SCAN or (p_scan < ALARM and any(not finding.carried for finding in rest.findings))
-        return "unknown" if rest.present and (seen or clear) else "none"
-    if rest.present and all(n.effect == JITTER for n in named):
-        return "unknown"
-    if learned > LEARNED_SHARE[rest.learned_of] * gain or _beyond_any_law(rest):
-        return "unknown"
-    left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
-    # scatter explains nothing: it is what is left over by another name
-    gain -= sum(n.gain_nats for n in named if n.effect == JITTER)
-    if rest.present and left > SMALL_SHARE * gain:
-        catch_all = all(n.effect in CATCH_ALL for n in named)
-        return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
-    return "confounded" if any(n.indistinguishable_from for n in named) else "named"
-
-
-def _beyond_any_law(rest: Rest) -> bool:
-    """Tell whether readings show what no law of single readings or none that is named, holds."""
-    return any(finding.aspect in BEYOND_LAWS and finding.p_value < SURE_P for finding in rest.findings)
-
-
-CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
-# what no law of single readings, or none of those named, holds
-BEYOND_LAWS = ("transient", "window", "still", "kept", "play", "company", "form", "selective", "fading")
-# found by looks of their own, which no scan of conditions has to bear out
-OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
-SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
-LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
-# the same for what a learner makes of it: memory is not the shape of a law
-LEARNED_SHARE = {"conditions": 0.5, "memory": 0.02}
-SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 
 
 def corrected_model(stack: Stack, recording: Recording, batch: Batch) -> EmpiricalModel:

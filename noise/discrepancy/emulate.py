@@ -16,7 +16,7 @@ import pandas as pd
 import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
-from noise.cells import Batch, direct_median, law_of
+from noise.cells import Batch, direct_median, law_of, silence
 from noise.discrepancy.company import company
 from noise.discrepancy.held import still
 from noise.discrepancy.locate import ALARM
@@ -29,6 +29,7 @@ from noise.discrepancy.scan import Blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import smooth
 from noise.discrepancy.splits import Split
+from noise.discrepancy.trailing import trailing
 from noise.discrepancy.verdict import BaselineCheck
 from noise.discrepancy.workers import ALONE, Workers
 from noise.empirical import DISTANCE_KNOTS, Flexible
@@ -62,6 +63,7 @@ WEAKENED: dict[Key, float] = {
 FAULTS = ("spike", "dropped_reading", "cycle_slip")  # of the emulator, that anything unexplained passes for
 LOSSES_DB = (30.0, 38.0, 42.0, 46.0, 50.0)  # to begin from where other things answer: no slope tells them apart; ours
 LOOSE: dict[Key, float] = {(CELLS, "placement_m"): 0.004, (CELLS, "sharing"): 0.3}  # to begin from; ours
+FEW_MISSED = 0.002  # share of silent pings, below which nothing is known of a threshold; ours
 THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
 FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
 LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
@@ -128,7 +130,8 @@ class Baseline:
         whole = self.own.whole
         learned = remainder(self.stack, whole.thin(EMULATOR_PINGS), np.random.default_rng([seed, 11]))
         unmoved = still(whole, max(step, whole.resolution))
-        return Usual(learned, company(self.stack, whole).usual, smooth(self.stack, whole), unmoved)
+        own = company(self.stack, whole).usual, smooth(self.stack, whole)
+        return Usual(learned, *own, unmoved, trailing(self.stack, whole))
 
     def without_repairs(
         self, search: Search, chosen: list[str], cross: Crossed, plain: Crossed
@@ -244,7 +247,8 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: W
     split = Split.of(Batch.of(simulated), np.random.default_rng([seed, 6]))
     both = split.both.thin(EMULATOR_PINGS)
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
-    starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in (PLAIN, {**PLAIN, **WEAKENED})]
+    parts = (PLAIN, {**PLAIN, **WEAKENED}) if levels_tell(both) else (PLAIN,)
+    starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in parts]
     starts += in_company(bare[0], both)
     climbs = workers.map(lambda s: maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS), starts)
     best = max(climbs, key=lambda fit: fit.nats)
@@ -259,6 +263,15 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: W
     note = f"a stand-in with a smooth part {words} the simulation's own held-out readings"
     plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
     return Baseline(stack, raw or plain, BaselineCheck(good, p, note), split)
+
+
+def levels_tell(batch: Batch) -> bool:
+    """Tell whether a simulation's readings depend on how loud an echo is: some are missed, or reflectors differ.
+
+    Where none is missed a threshold could stand anywhere below, and what it does to the moment of reading would hold it
+    where no recording can move it.
+    """
+    return silence(batch) > FEW_MISSED or bool(np.ptp(batch.ping.reflectance) > 0.0)
 
 
 def in_company(bare: Stack, batch: Batch) -> list[Stack]:

@@ -85,8 +85,9 @@ def held(stack: Stack, batch: Batch, usual: Still | None) -> Finding:
 
 
 def _echoes(batch: Batch) -> list[Floats]:
-    """Return the echoes of every stay, m."""
-    return [batch.reading.range[rows[batch.reading.echo[rows]]] for rows in batch.stays]
+    """Return the echoes of every stay, m; none of one in which the target moved."""
+    heard = batch.reading.echo & batch.standing[batch.block]
+    return [batch.reading.range[rows[heard[rows]]] for rows in batch.stays]
 
 
 def _kept(stack: Stack, batch: Batch) -> tuple[float, float]:
@@ -118,7 +119,7 @@ def _leaning(stack: Stack, batch: Batch) -> tuple[float, float]:
     """
     offset = lying(stack, batch)
     distance, stood = batch.ping.distance[batch.starts], batch.last[batch.starts, 1]
-    use = ~np.isnan(offset) & (np.abs(stood - distance) > MOVED_M)
+    use = ~np.isnan(offset) & (np.abs(stood - distance) > MOVED_M) & batch.standing
     side = np.sign(stood - distance)[use]
     if len(side) < 3 * FEWEST_STAYS or min((side > 0).sum(), (side < 0).sum()) < FEWEST_STAYS:
         return 0.0, 1.0

@@ -11,6 +11,7 @@ from noise.cells import Batch
 from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.describe import Formula, formula
 from noise.discrepancy.fading import fading
+from noise.discrepancy.grip import grip
 from noise.discrepancy.held import Still, held
 from noise.discrepancy.locate import Finding, locate
 from noise.discrepancy.remainder import NOTHING, Remainder, remainder
@@ -20,14 +21,16 @@ from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.selective import selective
 from noise.discrepancy.smooth import Smooth, smooth, wrong_form
+from noise.discrepancy.trailing import Trailing, trailing
 from noise.discrepancy.transient import transient, windowed
 from noise.discrepancy.verdict import Rest
 from noise.fit import Fit, each_counted
 from noise.stack import CELLS, Stack
 
 LEVEL = 0.015  # of a false alarm of all looks together; ours
-# scans of either part, a beat, three of memory, things that answer, neighbours that agree, places of faults, fading
-LOOKS = 10.0
+# scans of either part, a beat, three of memory where the target stands and two where it moves, things that answer,
+# neighbours that agree, places of faults, fading
+LOOKS = 12.0
 CLEAR = 15.0  # nats that a learner must gain to count; ours
 LEARNED = {
     "conditions": "what is left follows from the conditions, by {nats:.0f} nats on unseen cells",
@@ -43,6 +46,8 @@ _WORDS = {
     "extra_mode": "{percent:.1f} % of readings are far from what is expected{place}",
     "time_correlation": "successive readings hang together (correlation {size:.2f})",
     "transient": "first readings after a move lean towards the place before, by {mm:.0f} mm",
+    "trailing": "readings trail behind a moving target by {size:.2g} {pings}",
+    "grip": "readings stay as they were until the target has moved by {mm:.0f} mm or so",
     "window": "after a move the first {size:.1f} readings are still of the place before, as a filter has it",
     "company": "in {percent:.0f} % of stays something else than the target answers, from one place while it lasts",
     "smooth": "positions are off by {mm:.0f} mm (standard deviation), neighbours in {along} alike",
@@ -52,6 +57,7 @@ _WORDS = {
     "play": "positions lie towards the place before, by {mm:.0f} mm",
     "fading": "echoes fail {often} as time goes on, by {percent:.0f} % of pings from the earlier half to the later",
     "selective": "strays, in {percent:.0f} % of stays, go by {along}, where a fault would strike anywhere",
+    "edge": "nothing less than a {along} of {size:.3g} {unit} would do, which is the edge of what is plausible",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 
@@ -65,12 +71,14 @@ class Usual:
         company: share of its stays in which something else than the target answers.
         smooth: how much its stays agree with their neighbours; None where the law is the simulation.
         still: how many of its stays show no change; None where the law is the simulation.
+        trailing: how far its readings trail behind a moving target; None where the law is the simulation.
     """
 
     remainder: Remainder | None = None
     company: float = USUAL
     smooth: Smooth | None = None
     still: Still | None = None
+    trailing: Trailing | None = None
 
 
 def check_rest(
@@ -125,7 +133,8 @@ def beside_scans(
         alike = replace(alike, aspect="form")
     found = [look.finding for look in (transient(batch), rhythm(stack, batch)) if look is not None]
     found += [held(stack, batch, usual.still), company(stack, batch).finding(usual.company), alike]
-    by_stay = (windowed(batch, rng), selective(stack, batch, chosen, rng), fading(stack, batch))
+    moving = (trailing(stack, batch).finding(usual.trailing), grip(stack, batch))
+    by_stay = (windowed(batch, rng), *moving, selective(stack, batch, chosen, rng), fading(stack, batch))
     return found + [look for look in by_stay if look is not None]
 
 
@@ -155,6 +164,16 @@ def located(where: Sequence[Finding], p_scan: float) -> Rest:
     return Rest(True, p_scan, _told([in_words(finding) for finding in lasting]), lasting)
 
 
+def with_more(rest: Rest, findings: Sequence[Finding]) -> Rest:
+    """Return a rest with what is found besides."""
+    if not findings:
+        return rest
+    words = [in_words(finding) for finding in findings]
+    told = _told(words) if rest.description is None else "; ".join([*words, rest.description])
+    p = min(rest.p_value, *(finding.p_value for finding in findings))
+    return replace(rest, present=True, p_value=p, description=told, findings=(*rest.findings, *findings))
+
+
 def _told(parts: Sequence[str], short: Formula | None = None) -> str:
     """Return the description of what is left, in words and as a short formula."""
     words = "; ".join(parts) or "small misfits that stand out at no single place"
@@ -168,6 +187,8 @@ def in_words(finding: Finding) -> str:
         period = finding.place[1]
     elif finding.aspect in ("smooth", "form", "selective") and finding.place is not None:
         along = _COLUMNS.get(finding.place[0], (finding.place[0], "", 1.0))[0]
+    elif finding.aspect == "edge" and finding.place is not None:
+        along = finding.place[0]
     elif finding.place is not None:
         kind, value = finding.place
         place = f" ({kind} {value:.2f})" if kind == "times distance" else f" ({kind}, {value:.2f} m)"
@@ -180,6 +201,8 @@ def in_words(finding: Finding) -> str:
         place=place,
         period=period,
         along=along,
+        pings="s" if finding.unit == "s" else "pings",
+        unit=finding.unit,
     )
     return f"{text} {region_in_words(finding)}".strip()
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
 
 from noise.cells import Batch
 from noise.discrepancy.company import chance_astray
@@ -21,6 +23,7 @@ from noise.stack import Stack
 
 FAULTS = ("stuck", "stale_repeat", "spike", "corrupted_byte")  # that strike whatever the condition
 SHUFFLES = 4000
+MOSTLY = 0.5  # of stretches in which the target stood: with fewer, the log is of a robot on its way; ours
 FEWEST = 12  # stays, below which no order tells anything; ours
 FEWEST_STRUCK = 4  # stays with strays, for the same; ours
 LEAST = 0.25  # variance of a stay's count that any law is granted; ours
@@ -47,20 +50,21 @@ def selective(stack: Stack, batch: Batch, chosen: Sequence[str], rng: np.random.
     columns = {name: column for name, column in asked.items() if np.ptp(column) > 0.0}
     if not columns:
         return None
-    rank, p = _walked(excess, list(columns.values()), rng)
+    orders = np.array([np.argsort(column, kind="stable") for column in columns.values()])
+    driven = np.mean(batch.standing) < MOSTLY
+    rank, p = _turned(excess, orders) if driven else _shuffled(excess, orders, rng)
     along = list(columns)[int(np.argmin(rank))]
     return Finding("selective", {}, float(struck.mean()), "1", p, -float(np.log(p)), (along, 0.0))
 
 
-def _walked(excess: Floats, columns: Sequence[Floats], rng: np.random.Generator) -> tuple[Floats, float]:
-    """Return how rarely walks of sums stray as far along each condition by chance, and the same of the farthest.
+def _shuffled(excess: Floats, orders: NDArray[np.int64], rng: np.random.Generator) -> tuple[Floats, float]:
+    """Return how rarely walks of sums stray as far in each order by chance, and the same of the farthest.
 
     Args:
-        excess: of each stay, (stays,).
-        columns: conditions, (stays,) each.
+        excess: strays of each stay beyond the law's, (stays,).
+        orders: of the stays along each condition, (conditions, stays).
         rng: for the shuffles.
     """
-    orders = np.array([np.argsort(column, kind="stable") for column in columns])
     shuffled = rng.permuted(np.tile(excess, (SHUFFLES, 1)), axis=1)
     own = _highest(excess[orders])
     by_chance = np.array([_highest(shuffled[:, order]) for order in orders])
@@ -68,6 +72,20 @@ def _walked(excess: Floats, columns: Sequence[Floats], rng: np.random.Generator)
     rank = np.array([(chance >= x).mean() for x, chance in zip(own, by_chance, strict=True)])
     least = np.min([_ranks(chance) for chance in by_chance], axis=0)
     return rank, float((1.0 + (least <= rank.min()).sum()) / (1.0 + SHUFFLES))
+
+
+def _turned(excess: Floats, orders: NDArray[np.int64]) -> tuple[Floats, float]:
+    """Return the same of stretches of a way, had the same strays come so much sooner or later.
+
+    A robot stays near where it is: a fault that lasts strikes one place, wherever the robot is then. Shuffled, that
+    would pass for a choice. Turns are few, so their own mean and scatter tell how rare a walk is.
+    """
+    turned = np.stack([np.roll(excess, k) for k in range(1, len(excess))])
+    own = _highest(excess[orders])
+    by_chance = np.array([_highest(turned[:, order]) for order in orders])
+    scatter = np.maximum(by_chance.std(axis=1), 1e-9)
+    rank = norm.sf((own - by_chance.mean(axis=1)) / scatter)
+    return rank, float(np.clip(len(orders) * rank.min(), 1e-300, 1.0))
 
 
 def _excess(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:

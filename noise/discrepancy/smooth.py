@@ -22,6 +22,7 @@ from noise.stack import Stack
 FEWEST = 20  # stays, below which neighbours tell nothing; ours
 WEIGHTS = np.array([1.0, 0.5, 0.25])  # of the first, second and third neighbour: waves may be short; ours
 KNOTS = 8.0  # of the smooth part of a law that stands for a simulation, which errs smoothly too; ours
+LEAST_M = 0.0015  # by which positions are off, below which it is the ruler's matter or the log's; ours
 HALF = 0.5  # of a shift that neighbours share: more is a course along their condition; ours
 MISFIT = 0.1  # of a shift's own spread: what is left beside it may be the law's; ours
 NOT_ASKED = ("time_s",)  # air drifts, and that is no riddle; what drifts has its own effects
@@ -54,8 +55,8 @@ class Smooth:
             return Finding("smooth", {}, 0.0, "m", 1.0, 0.0)
         name = max(excess, key=lambda each: excess[each])
         z = excess[name] * float(np.sqrt(self.stays) * WEIGHTS.sum() / np.linalg.norm(WEIGHTS))
-        p = min(1.0, len(excess) * float(norm.sf(z)))
         size = self.size_m * float(np.sqrt(np.clip(excess[name], 0.0, 1.0)))
+        p = min(1.0, len(excess) * float(norm.sf(z))) if size >= LEAST_M else 1.0
         return Finding("smooth", {}, size, "m", p, 0.5 * max(z, 0.0) ** 2, (name, 0.0))
 
     def _expected(self, usual: Smooth | None, name: str) -> float:

@@ -62,7 +62,7 @@ def transient(batch: Batch) -> Transient | None:
     Args:
         batch: readings, whole stays.
     """
-    pairs = [_lean(batch, rows) for rows in batch.stays]
+    pairs = [_lean(batch, rows) for rows in batch.stops]
     known = np.array([pair for pair in pairs if pair is not None])
     if len(known) < FEWEST:
         return None
@@ -97,7 +97,7 @@ def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
         batch: readings, whole stays.
         rng: for draws of what chance does.
     """
-    left = [_left_behind(batch, rows) for rows in batch.stays]
+    left = [_left_behind(batch, rows) for rows in batch.stops]
     known = np.array([count for count in left if count is not None])
     counts = known[np.isfinite(known)]
     moves, total = len(counts), int(counts.sum())

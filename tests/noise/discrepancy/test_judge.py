@@ -2,7 +2,7 @@
 
 import pytest
 
-from noise.discrepancy.diagnosis import SURE_SCAN, judge, of_the_day
+from noise.discrepancy.judge import SURE_SCAN, judge, of_the_day
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.rules import SURE, SURE_OF_AIR
 from noise.discrepancy.verdict import Named, Rest

@@ -1,0 +1,55 @@
+"""Whether readings of a moving target hold on to what they were until it has moved far enough: hysteresis, a dead band.
+
+A link that repeats readings does so at random, however far the target has moved since. A host that lets go only beyond
+some distance repeats the near ones and none of the far ones: so repeats to the digit and fresh readings are compared by
+how far from the last reading the law expects the next.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.stats import mannwhitneyu
+
+from noise.cells import Batch, direct_median, law_of
+from noise.discrepancy.locate import Finding
+from noise.law import Floats
+from noise.stack import Stack
+
+FEWEST = 20  # repeats, and fresh readings, below which nothing is told; ours
+PLAIN = 4.0  # deviations of a single reading, within which one may repeat the last by chance; ours
+LEAST_M = 0.02  # from the last reading, for another to be due; ours
+MOST = 0.9  # share of repeats that lie within the distance that is told; ours
+
+
+def grip(stack: Stack, batch: Batch) -> Finding | None:
+    """Return how readings hold on, as a finding everywhere; None where too few readings of a moving target tell.
+
+    Its size is the distance within which nearly all repeats lie, m.
+
+    Args:
+        stack: the law of single readings.
+        batch: readings, whole stays.
+    """
+    apart, due = _apart(stack, batch)
+    told = batch.reading.echo & batch.past.echo & (batch.count > 0) & ~batch.standing[batch.block] & due
+    same = np.abs(batch.reading.range - batch.past.range) < 0.5 * batch.resolution
+    held, fresh = apart[told & same], apart[told & ~same]
+    if min(len(held), len(fresh)) < FEWEST:
+        return None
+    p = float(mannwhitneyu(held, fresh, alternative="less", method="asymptotic").pvalue)
+    return Finding("grip", {}, float(np.quantile(held, MOST)), "m", p, -float(np.log(max(p, 1e-300))))
+
+
+def _apart(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
+    """Return how far from the last reading the next is expected, m, and where that is too far for chance, (n,) each.
+
+    All readings of a stretch may be off by the same: what they usually are off by is expected too.
+    """
+    with torch.no_grad():
+        middle, variance = (x.numpy() for x in direct_median(law_of(stack.model, batch)))
+    error = batch.reading.range - middle
+    near = batch.near(error)
+    off = np.array([np.median(error[rows][near[rows]]) if near[rows].any() else 0.0 for rows in batch.stays])
+    apart = np.abs(middle + off[batch.block] - batch.past.range)
+    return apart, apart > np.maximum(LEAST_M, PLAIN * np.sqrt(variance) + batch.resolution)

@@ -1,0 +1,91 @@
+"""What may be claimed of an explanation, given what it gains and what it leaves over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from noise.discrepancy.explanation import Explained
+from noise.discrepancy.locate import ALARM, Finding
+from noise.discrepancy.rules import AIR, SURE
+from noise.discrepancy.search import Search
+from noise.discrepancy.transient import SURE_P
+from noise.discrepancy.verdict import Named, Rest
+from noise.effects import Parameter
+from noise.stack import JITTER, Key
+from noise.starts import fitting_value
+
+SURE_SCAN = 0.005  # p-value of a scan below which that is enough, whatever is left on unseen cells
+CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
+MEMORY = ("transient", "trailing", "grip", "window", "still", "kept", "play")
+# what no law of single readings, or none of those named, holds
+BEYOND_LAWS = (*MEMORY, "company", "form", "selective", "fading", "edge")
+# found by looks of their own, which no scan of conditions has to bear out
+OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
+SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
+LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
+# the same for what a learner makes of it: memory is not the shape of a law
+LEARNED_SHARE = {"conditions": 0.5, "memory": 0.02}
+SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
+EDGE = 0.01  # of the width of its bounds, within which a parameter lies at one; ours
+
+
+def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
+    """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
+    sure = max((AIR.get(n.effect, 0.0) for n in named), default=SURE)
+    return gain < sure and p_scan > ALARM and all(n.effect in AIR for n in named)
+
+
+def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:
+    """Return the kind of verdict.
+
+    A large gain is never enough to name: what is left over must not weigh as much as what was explained, and an
+    effect that can pass for anything (a replaced reading) is not believed while structure remains.
+    """
+    learned = rest.learned_nats
+    if not named:
+        clear = learned > 0.0 or any(finding.aspect in OWN_LOOKS for finding in rest.findings)
+        seen = p_scan <= SURE_SCAN or (p_scan < ALARM and any(not finding.carried for finding in rest.findings))
+        return "unknown" if rest.present and (seen or clear) else "none"
+    if rest.present and all(n.effect == JITTER for n in named):
+        return "unknown"
+    if learned > LEARNED_SHARE[rest.learned_of] * gain or beyond_any_law(rest):
+        return "unknown"
+    left = sum(finding.nats for finding in rest.findings if finding.aspect not in SHAPES)
+    # scatter explains nothing: it is what is left over by another name
+    gain -= sum(n.gain_nats for n in named if n.effect == JITTER)
+    if rest.present and left > SMALL_SHARE * gain:
+        catch_all = all(n.effect in CATCH_ALL for n in named)
+        return "unknown" if catch_all or left > LEFT_SHARE * gain else "named_with_rest"
+    return "confounded" if any(n.indistinguishable_from for n in named) else "named"
+
+
+def beyond_any_law(rest: Rest) -> bool:
+    """Tell whether readings show what no law of single readings or none that is named, holds."""
+    return any(finding.aspect in BEYOND_LAWS and finding.p_value < SURE_P for finding in rest.findings)
+
+
+def at_the_edge(search: Search, why: Explained) -> list[Finding]:
+    """Return what an explanation needs that lies at the edge of the plausible, as findings everywhere.
+
+    A cause that moves the target's echo, and would have to be as great as such a cause can be, is none: it stands in
+    for another of a form that it nearly has. What an emulator has found of the simulation by itself does not count.
+
+    Args:
+        search: its readings.
+        why: the explanation.
+    """
+    stack, batch = why.final.stack, search.both
+    keys = [key for key in search.keys(why.chosen) if _extreme(stack.parameter(key), stack.get(key))]
+    moved = [key for key in keys if stack.get(key) != search.base.get(key)]
+    told = [key for key in moved if fitting_value(stack, key, batch) is not None]
+    return [_edge(key, stack.get(key), stack.parameter(key).unit, why.gain) for key in told]
+
+
+def _extreme(p: Parameter, value: float) -> bool:
+    """Tell whether a value lies at one of its bounds, nothing at all being none."""
+    bounds = (bound for bound in (p.low, p.high) if bound != p.null)
+    return any(abs(value - bound) < EDGE * (p.high - p.low) for bound in bounds)
+
+
+def _edge(key: Key, value: float, unit: str, nats: float) -> Finding:
+    return Finding("edge", {}, value, unit, 0.0, nats, (".".join(key), value))

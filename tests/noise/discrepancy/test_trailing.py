@@ -1,0 +1,89 @@
+"""Logs of robots that drive: delays show against movement, and nothing is taken for the memory of a stay."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition import Ping, Recording
+from noise.cells import Batch
+from noise.discrepancy import diagnose
+from noise.discrepancy.trailing import trailing
+from noise.discrepancy.transient import transient
+from noise.effects import CATALOGUE
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import Stack
+
+torch.set_num_threads(1)
+SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004), CATALOGUE["sensitivity"](loss_db=36.0)])
+PACE_S = 0.1
+
+
+def way(rng, n):
+    """Return where a wall is while a robot wanders between 0.3 and 3.5 m of it, at 0.3 m/s or so."""
+    x = np.cumsum(rng.normal(0.0, 0.02, n))
+    x = np.convolve(np.r_[np.full(9, x[0]), x], np.full(10, 0.1), "valid")
+    return 0.3 + 3.2 * np.abs((x + rng.uniform(0, 1)) % 2.0 - 1.0)
+
+
+def driven(seed, late=0, n=600, sonar=SONAR, **more):
+    """Return a log in which each reading is of where the target was so many pings before."""
+    rng = np.random.default_rng(seed)
+    there = way(rng, n + late)
+    time = np.arange(n + late) * PACE_S
+    reading = simulate(sonar, Ping.of(distance=there, time=time), rng)
+    rows = slice(0, n)
+    return Recording.of(Ping.of(distance=there[late:], time=time[rows], **more), reading[rows])
+
+
+def seen(recording):
+    return trailing(Stack.of(SONAR), Batch.of(recording))
+
+
+@given(st.integers(1, 4), st.integers(0, 2**31))
+@settings(max_examples=15, deadline=None)
+def test_a_delay_is_told_in_seconds(late, seed):
+    found = seen(driven(seed, late)).finding(None)
+    assert found.p_value < 1e-6
+    assert found.unit == "s"
+    assert found.size == pytest.approx(late * PACE_S, abs=0.35 * late * PACE_S)
+
+
+def test_readings_in_time_trail_by_nothing():
+    z = [(found := seen(driven(seed))).pings / found.error for seed in range(60)]
+    assert abs(np.mean(z)) < 0.4
+    assert 0.7 < np.std(z) < 1.4
+
+
+def test_a_delay_that_the_simulation_has_too_is_no_news():
+    usual = seen(driven(1, 2))
+    assert seen(driven(2, 2)).finding(usual).p_value > 0.01
+    assert seen(driven(3, 0)).finding(usual).p_value < 1e-6
+
+
+def test_a_target_that_stands_tells_nothing_of_delays():
+    rng = np.random.default_rng(1)
+    distance = np.repeat(rng.uniform(0.4, 2.5, 40), 10)
+    ping = Ping.of(distance=distance, time=np.arange(400) * PACE_S)
+    found = seen(Recording.of(ping, simulate(SONAR, ping, rng)))
+    assert found.stretches == 0
+    assert found.finding(None) is None
+
+
+def test_moving_is_no_memory_of_the_place_before():
+    assert transient(Batch.of(driven(4))) is None
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_robots_log_is_diagnosed(late):
+    short = CATALOGUE["zero_offset"](offset_m=-0.03)
+    sonar = PhysicalModel([*SONAR.effects, short])
+    found = diagnose(SONAR, driven(5, late, sonar=sonar), seed=1).verdict
+    if late:
+        assert found.verdict == "unknown"
+        assert "trail behind a moving target by 0." in found.unknown.description
+    else:
+        assert found.verdict in ("named", "confounded")
+        assert found.effects[0].effect == "zero_offset" or "zero_offset" in found.effects[0].indistinguishable_from
