@@ -121,6 +121,16 @@ def test_four_readings_on_the_grid_of_a_loop_are_enough_where_the_target_is_not(
     assert exact.resolution == 0.001
 
 
+@pytest.mark.parametrize("step", [20.0, 50.0, 100.0, 50.8])
+def test_a_multiple_of_a_usual_grid_is_found(step):
+    rng = np.random.default_rng(2)
+    reading = np.rint(rng.uniform(300, 5000, 200) / step) * step
+    recording = Recording.of(Ping.of(np.full(200, 1.003)), Reading.of(reading / 1000))
+    assert recording.resolution == pytest.approx(step / 1000)
+    there = Recording.of(Ping.of(reading / 1000), Reading.of(reading / 1000))
+    assert there.resolution in (0.01, 0.0254), "the target itself stands on the coarser grid"
+
+
 @pytest.mark.parametrize("values", [2, 3, 5, 11, 40, 200])
 def test_readings_without_a_grid_are_told_none(values):
     rng = np.random.default_rng(values)

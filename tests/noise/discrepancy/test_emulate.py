@@ -83,3 +83,23 @@ def test_livelier_air_beside_an_effect_must_gain_more_than_another_day_changes(m
 def emulated_by_itself(recording):
     split = Split.of(Batch.of(recording), np.random.default_rng(0))
     return Baseline(bare(split.both), PhysicalModel(()), BaselineCheck(True, 1.0, ""), split)
+
+
+def cone(robot, seed, n=1200, half_rad=0.25):
+    """Return the log of a robot whose simulated sonar takes the nearest point of a wall within a cone, as rays do."""
+    rng = np.random.default_rng(seed)
+    there, angle = robot.way(rng, n), robot.turning(rng, n)
+    nearest = there * np.cos(angle) / np.cos(np.maximum(np.abs(angle) - half_rad, 0.0))
+    return robot.log_of(nearest + rng.normal(0.0, 0.005, n), distance=there, angle=angle)
+
+
+def test_cones_of_rays_are_held_to_millimetres(robot):
+    stack, fresh = emulated(cone(robot, 1), None, 0).stack, Batch.of(cone(robot, 2))
+    error = fresh.reading.range - stack.expected(fresh)
+    assert np.abs(fresh.error).mean() > 0.03, "the nearest point is not where the axis meets the wall"
+    assert np.median(np.abs(error)) < 0.005
+    assert np.sqrt(np.mean(error**2)) < 0.009
+
+
+def test_no_threshold_is_held_where_nothing_is_missed(robot):
+    assert "sensitivity" not in emulated(cone(robot, 3), None, 0).stack.values

@@ -66,3 +66,26 @@ def test_a_least_reading_is_unknown_physics_and_a_stuck_register_is_not():
     verdict = diagnose(SONAR, heard(6, [stuck()]), seed=1).to_verdict()
     assert verdict["verdict"] == "named"
     assert verdict["effects"][0]["effect"] == "stuck"
+
+
+def spell(robot, seed, begins, lasts, n=1500):
+    """Return the log of a robot whose sensor hangs at one reading for a while."""
+    rng = np.random.default_rng(seed)
+    there = robot.way(rng, n)
+    reading = simulate(SONAR, Ping.of(distance=there), rng).range
+    read = np.where((np.arange(n) >= begins) & (np.arange(n) < begins + lasts), 1.1, np.round(reading, 3))
+    return Recording.of(Ping.of(distance=there, time=np.arange(n) * robot.pace_s), Reading.of(read))
+
+
+def test_a_spell_strikes_where_the_robot_happens_to_be(robot):
+    law = PhysicalModel([*SONAR.effects, stuck(0.1)])
+    p = np.array([look(spell(robot, seed, 100 * seed, 250), law).p_value for seed in range(1, 12)])
+    assert p.min() > SURE_P
+
+
+def test_a_least_reading_goes_by_distance_on_the_way_too(robot):
+    recording = spell(robot, 1, 0, 0)
+    read = np.where(recording.reading.echo, np.maximum(recording.reading.range, 0.8), 0.0)
+    lifted = Recording.of(recording.ping, Reading.of(read))
+    law = PhysicalModel([*SONAR.effects, CATALOGUE["stuck"](probability=0.1, value_m=0.8)])
+    assert look(lifted, law).p_value < SURE_P
