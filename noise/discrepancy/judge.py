@@ -76,6 +76,7 @@ def at_the_edge(search: Search, why: Explained) -> list[Finding]:
     """
     stack, batch = why.final.stack, search.both
     keys = [key for key in search.keys(why.chosen) if _extreme(stack.parameter(key), stack.get(key))]
+    keys = [key for key in keys if stack.parameter(key).unit != "s"]  # how long something lasts is no size
     moved = [key for key in keys if stack.get(key) != search.base.get(key)]
     told = [key for key in moved if fitting_value(stack, key, batch) is not None]
     return [_edge(key, stack.get(key), stack.parameter(key).unit, why.gain) for key in told]
