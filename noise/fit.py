@@ -27,6 +27,7 @@ STEP_SHARE = 0.02  # of what a climb must gain: a step that gains less ends it
 ROUGHEST = 0.05  # nats; no climb ends at a step that gains more
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
+RANKING = 1.0  # nats; a climb that need not gain more only ranks, and goes on with the scale that it met; ours
 CHANGE = (1e-4, 1e4)  # of curvature in one climb that is believed; ours
 REPEATED = (1.0, 0.3, 0.1, 0.03)  # of the share of what is new in a cell: the share of all its pings; ours
 MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
@@ -152,11 +153,12 @@ def maximise(
     best = objective(x)[0]
     left = iterations
     scale: Floats | None = None
-    # curvatures change by orders of magnitude on the way up, so a climb goes on with the scale that it ended with
-    for _ in range(RESTARTS):
+    # curvatures change by orders of magnitude on the way up, so the scale is measured again after every climb
+    for attempt in range(RESTARTS):
         if objective.is_flat(x):
             break
-        scale = objective.scale(x, scales) if scale is None else scale
+        if scale is None or enough < RANKING:
+            scale = objective.scale(x, scales if attempt == 0 else None)
         if scales is not None:
             scales.update({key: value for key, value in zip(free, scale, strict=True) if key in NUISANCES})
         end = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST))

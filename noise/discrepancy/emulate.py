@@ -67,6 +67,7 @@ FEW_MISSED = 0.002  # share of pings that miss the target, below which nothing i
 THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
 FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
 LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
+TILT_GAIN = 2.0  # nats, for each number of the tilt; ours
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
@@ -264,16 +265,25 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: W
     climbs = workers.map(lambda s: maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS), starts)
     best = max(climbs, key=lambda fit: fit.nats)
     best = with_other_things(best, both, np.random.default_rng([seed, 12]))
-    smooth = replace(best.stack, extra={Flexible.name: Flexible})
-    fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
-    smooth = smooth.put(fine, [0.0] * len(fine))
-    stack = folded(_pruned(maximise(smooth, (*free_of(smooth), *NUISANCES), both, 80).stack, both))
+    stack = folded(_pruned(smoothed(best.stack, both), both))
     p = scan_p(stack, split.vault, np.random.default_rng([seed, 7]))
     good = p >= ALARM
     words = "describes" if good else "does not fully describe"
     note = f"a stand-in with a smooth part {words} the simulation's own held-out readings"
     plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
     return Baseline(stack, raw or plain, BaselineCheck(good, p, note), split)
+
+
+def smoothed(stack: Stack, batch: Batch) -> Stack:
+    """Return a stack with a smooth part, fitted; with its tilt only where readings ask for it."""
+    smooth = replace(stack, extra={Flexible.name: Flexible})
+    fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
+    smooth = smooth.put(fine, [0.0] * len(fine))
+    tilt = [key for key in fine if key[1].startswith("tilt")]
+    free = tuple(key for key in (*free_of(smooth), *NUISANCES) if key not in tilt)
+    plain = maximise(smooth, free, batch, 80)
+    tilted = maximise(plain.stack, (*free, *tilt), batch, 80)
+    return tilted.stack if tilted.nats > plain.nats + TILT_GAIN * len(tilt) else plain.stack
 
 
 def levels_tell(batch: Batch) -> bool:
