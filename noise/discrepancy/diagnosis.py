@@ -13,14 +13,14 @@ from noise.cells import Batch, shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.gained import gained, with_gained
-from noise.discrepancy.judge import SURE_SCAN, at_the_edge, beyond_any_law, judge, of_the_day
+from noise.discrepancy.judge import SURE_SCAN, at_the_edge, beyond_any_law, judge, may_be_the_laws, of_the_day
 from noise.discrepancy.locate import ALARM, Finding, findings
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
 from noise.discrepancy.residuals import Residuals, residuals
 from noise.discrepancy.rest import check_rest, located, with_more
 from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
-from noise.discrepancy.rules import SURE, spread_over_blocks
+from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search
@@ -283,7 +283,7 @@ def _verdict(
     matched: Matched | None,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
-    unseen = matched is not None and not matched.differs and gain < SURE  # by shared cells: it is the emulator's
+    unseen = base.own is not None and may_be_the_laws(gain, p_scan, matched)
     if not rest.present and (unseen or of_the_day(named, gain, p_scan)):
         named, gain = [], 0.0
     p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from noise.discrepancy.explanation import Explained
 from noise.discrepancy.locate import ALARM, Finding
+from noise.discrepancy.matched import Matched
 from noise.discrepancy.rules import AIR, SURE
 from noise.discrepancy.search import Search
 from noise.discrepancy.transient import SURE_P
@@ -14,6 +15,7 @@ from noise.effects import Parameter
 from noise.stack import JITTER, Key
 from noise.starts import fitting_value
 
+SEEN = 0.05  # p-value of a scan, above which it bears out nothing; ours
 SURE_SCAN = 0.005  # p-value of a scan below which that is enough, whatever is left on unseen cells
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
 MEMORY = ("transient", "trailing", "grip", "window", "still", "kept", "play")
@@ -33,6 +35,17 @@ def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
     """Tell whether all that is named is how the air moves, that nothing is located by and that gains little."""
     sure = max((AIR.get(n.effect, 0.0) for n in named), default=SURE)
     return gain < sure and p_scan > ALARM and all(n.effect in AIR for n in named)
+
+
+def may_be_the_laws(gain: float, p_scan: float, matched: Matched | None) -> bool:
+    """Tell whether what is named may be the error of a law that stands for a simulation: faint, borne out by nothing.
+
+    Args:
+        gain: of all that is named, nats.
+        p_scan: of the scan.
+        matched: what positions that both files share say; None where they share none.
+    """
+    return gain < SURE and (p_scan > SEEN if matched is None else not matched.differs)
 
 
 def judge(named: Sequence[Named], rest: Rest, gain: float, p_scan: float) -> str:

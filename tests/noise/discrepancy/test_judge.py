@@ -1,11 +1,24 @@
 """What kind of verdict follows from what was located, named and left over."""
 
+import numpy as np
 import pytest
 
-from noise.discrepancy.judge import SURE_SCAN, judge, of_the_day
+from acquisition import Ping, Recording
+from noise.cells import Batch
+from noise.discrepancy.explanation import Explained, Final
+from noise.discrepancy.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
 from noise.discrepancy.locate import Finding
+from noise.discrepancy.matched import Matched
+from noise.discrepancy.rest import in_words
 from noise.discrepancy.rules import SURE, SURE_OF_AIR
+from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named, Rest
+from noise.effects import CATALOGUE
+from noise.fit import Fit
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import Stack
+from noise.starts import nuisance_start
 
 SOMETHING = Rest(True, 0.0025, "small misfits")
 
@@ -48,3 +61,34 @@ def named(effect):
 )
 def test_livelier_air_that_nothing_is_located_by_is_another_day(effects, gain, p_scan, day):
     assert of_the_day([named(effect) for effect in effects], gain, p_scan) == day
+
+
+@pytest.mark.parametrize(
+    ("gain", "p_scan", "matched", "law"),
+    [
+        (SURE - 1, 2 * SEEN, None, True),
+        (SURE + 1, 2 * SEEN, None, False),
+        (SURE - 1, SEEN / 2, None, False),
+        (SURE - 1, SEEN / 2, Matched(30, 0.5, 0.0), True),
+        (SURE - 1, 2 * SEEN, Matched(30, 1e-4, 0.02), False),
+    ],
+)
+def test_what_is_faint_and_borne_out_by_nothing_may_be_the_laws_own_error(gain, p_scan, matched, law):
+    assert may_be_the_laws(gain, p_scan, matched) == law
+
+
+@pytest.mark.parametrize(("axial", "edge"), [(-0.35, True), (-0.2, False)])
+def test_no_cause_lies_at_the_edge_of_the_plausible(axial, edge):
+    """A pivot that would have to be 35 cm off the sensor stands in for something else."""
+    rng = np.random.default_rng(1)
+    distance, angle = rng.uniform(0.5, 3.0, 200), rng.uniform(-0.6, 0.6, 200)
+    ping = Ping.of(distance=distance, angle=angle)
+    law = PhysicalModel([CATALOGUE["pivot_offset"](axial_m=axial), CATALOGUE["travel_time_jitter"](sigma_m=0.003)])
+    batch = Batch.of(Recording.of(ping, simulate(law, ping, rng)))
+    base = nuisance_start(Stack.of(PhysicalModel(())), batch)
+    stack = base.put([("pivot_offset", "axial_m"), ("pivot_offset", "lateral_m")], [axial, 0.01])
+    fit = Fit(stack, (), 0.0)
+    crossed = Crossed(fit, fit, np.zeros(4))
+    found = at_the_edge(Search(base, batch, batch, batch), Explained(["pivot_offset"], crossed, crossed, Final((fit,))))
+    assert bool(found) == edge
+    assert not edge or "pivot_offset.axial_m of -0.35 m" in in_words(found[0])
