@@ -261,7 +261,7 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: W
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
     parts = (PLAIN, {**PLAIN, **WEAKENED}) if levels_tell(both) else (PLAIN,)
     starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in parts]
-    starts += in_company(bare[0], both)
+    starts += in_company(bare[0], both) if levels_tell(both) else []
     climbs = workers.map(lambda s: maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS), starts)
     best = max(climbs, key=lambda fit: fit.nats)
     best = with_other_things(best, both, np.random.default_rng([seed, 12]))
@@ -282,7 +282,7 @@ def smoothed(stack: Stack, batch: Batch) -> Stack:
     tilt = [key for key in fine if key[1].startswith("tilt")]
     free = tuple(key for key in (*free_of(smooth), *NUISANCES) if key not in tilt)
     plain = maximise(smooth, free, batch, 80)
-    tilted = maximise(plain.stack, (*free, *tilt), batch, 80)
+    tilted = maximise(smooth, (*free, *tilt), batch, 80)
     return tilted.stack if tilted.nats > plain.nats + TILT_GAIN * len(tilt) else plain.stack
 
 
@@ -290,10 +290,10 @@ def levels_tell(batch: Batch) -> bool:
     """Tell whether a simulation's readings depend on how loud an echo is: some are missed, or reflectors differ.
 
     Where none is missed a threshold could stand anywhere below, and what it does to the moment of reading would hold it
-    where no recording can move it. A target is missed, too, where something else answers in its place.
+    where no recording can move it. A target is missed, too, where something behind it answers in its place.
     """
-    missed = float(np.mean(~batch.near(batch.error)))
-    return missed > FEW_MISSED or bool(np.ptp(batch.ping.reflectance) > 0.0)
+    missed = ~batch.reading.echo | (batch.error > batch.reach)
+    return float(np.mean(missed)) > FEW_MISSED or bool(np.ptp(batch.ping.reflectance) > 0.0)
 
 
 def in_company(bare: Stack, batch: Batch) -> list[Stack]:

@@ -63,7 +63,7 @@ def test_where_nothing_stands_out_nothing_else_is_tried():
 
 @pytest.mark.parametrize(("nats", "kept"), [(0.5 * SURE_OF_AIR, ["spike"]), (1.5 * SURE_OF_AIR, AIRY)])
 def test_livelier_air_beside_an_effect_must_gain_more_than_another_day_changes(monkeypatch, nats, kept):
-    monkeypatch.setattr(Baseline, "_gain_on_simulation", lambda *_: 0.0)
+    monkeypatch.setattr(Baseline, "_repaired", lambda *_: False)
     recording = heard(1)
     base = emulated_by_itself(recording)
     crossed = SimpleNamespace(first=SimpleNamespace(stack=base.stack), nats=np.zeros(8))
