@@ -15,7 +15,7 @@ from noise.physical import PhysicalModel
 
 DISTANCE_KNOTS = (0.1, 0.3, 0.7, 1.2, 2.0, 3.0, 4.5, 6.0)  # m; ours: denser where sonars change fastest
 ANGLE_KNOTS = (0.0, 0.1, 0.25, 0.45, 0.8)  # rad
-TILT_KNOTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)  # rad; ours: no cone of rays is off by 3 mm at 3 m between them
+TILT_KNOTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)  # rad; ours: a cone of rays of +-30 deg is off by 6 mm at 3 m
 OURS = "smooth correction: ours"
 
 
@@ -59,9 +59,8 @@ class Flexible(Effect):
     def _line(self, kind: str, state: State) -> Tensor:
         distance, angle = state.conditions.distance, torch.abs(state.conditions.angle)
         near = [getattr(self, f"{kind}_d{k}") for k in range(len(DISTANCE_KNOTS))]
-        return interpolate(distance, DISTANCE_KNOTS, near) + interpolate(
-            angle, ANGLE_KNOTS, self._wide(kind, ANGLE_KNOTS)
-        )
+        wide = self._wide(kind, ANGLE_KNOTS)
+        return interpolate(distance, DISTANCE_KNOTS, near) + interpolate(angle, ANGLE_KNOTS, wide)
 
     def _wide(self, kind: str, knots: tuple[float, ...]) -> list[Tensor]:
         return [number(0.0), *(getattr(self, f"{kind}_a{k}") for k in range(1, len(knots)))]

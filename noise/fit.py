@@ -16,7 +16,8 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from acquisition import Recording
-from noise.cells import Batch, law_of, log_prob
+from noise.batch import Batch
+from noise.cells import law_of, log_prob
 from noise.law import Floats
 from noise.physical import PhysicalModel
 from noise.stack import CELLS, JITTER, LINK, NUISANCES, SPREAD, Key, Stack

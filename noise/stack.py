@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from noise.cells import Batch, CellNuisance
+from noise.batch import Batch
+from noise.cells import CellNuisance, direct_median, law_of
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.law import Floats
 from noise.physical import PhysicalModel
@@ -84,6 +86,15 @@ class Stack:
     def expected(self, batch: Batch) -> Floats:
         """Return the median reading that the law expects of each ping of a batch, m, (n,)."""
         return self.model.law(batch.ping, batch.past).quantile(0.5)
+
+    def direct(self, batch: Batch) -> tuple[Floats, Floats]:
+        """Return where the law expects the target's own echo to be read, m, and its variance, m^2, (n,) each.
+
+        Unlike `expected` it leaves aside what a law repeats of the reading before, and whatever else may answer.
+        """
+        with torch.no_grad():
+            middle, variance = direct_median(law_of(self.model, batch))
+        return middle.numpy(), variance.numpy()
 
     @property
     def model(self) -> PhysicalModel:

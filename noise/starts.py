@@ -9,7 +9,7 @@ import pandas as pd
 import torch
 from scipy.stats import qmc
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.effects import Parameter, Seen
 from noise.law import Floats
 from noise.robust import usual_deviation

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import Diagnosis
 from noise.discrepancy.residuals import pit
 from noise.law import CREDENCE_TOLERANCE, EchoLaw

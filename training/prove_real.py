@@ -15,7 +15,6 @@ from acquisition import SettingError
 from acquisition.files import write_text
 from noise import IdealModel
 from noise.discrepancy import diagnose
-from noise.threads import one_thread
 from training.commit import commit
 from training.progress import bar
 from training.proof.real import CASES, Case
@@ -40,7 +39,7 @@ def main(args: Args) -> None:
         names = ", ".join(case.name for case in CASES)
         raise SettingError(f"{args.recordings}: holds none of {names}")
     done: dict[str, Any] = _read(args.out / "real.json")
-    with one_thread(), bar("recordings", len(here)) as tell:
+    with bar("recordings", len(here)) as tell:
         for count, case in enumerate(here, start=1):
             if case.name not in done:
                 done[case.name] = diagnosed(case, args.recordings / case.name, args.seed)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom, poisson
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.law import EchoLaw, Floats
 from noise.stack import Stack
@@ -75,7 +75,7 @@ def company(stack: Stack, batch: Batch) -> Company:
     middle = stack.expected(batch)
     away = batch.astray(batch.reading.range - middle)
     if stack.model.remembers:  # a law that repeats readings repeats them to the digit: those are its own
-        away &= np.abs(batch.reading.range - batch.past.range) > 0.5 * batch.resolution
+        away &= ~batch.alike
     first, second = _pairs(batch, away)
     if not len(first):
         return Company(batch.blocks, 0, 0, 0.0, 0.0)

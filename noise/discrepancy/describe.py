@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LassoLarsIC
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.residuals import seen_alone
 from noise.discrepancy.scan import features
 from noise.law import Floats

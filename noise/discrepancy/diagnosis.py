@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from acquisition import Ping, Reading, Recording, SettingError
-from noise.cells import Batch, shared_scatter
+from noise.batch import Batch
+from noise.cells import shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.gained import gained, with_gained

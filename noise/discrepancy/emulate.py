@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
-from noise.cells import Batch, direct_median, law_of
+from noise.batch import Batch
 from noise.discrepancy.company import company
 from noise.discrepancy.held import still
 from noise.discrepancy.locate import ALARM
@@ -189,9 +188,7 @@ class Baseline:
 
 def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
     """Return by condition how far echoes of the target lie from the law's, as a median, m."""
-    with torch.no_grad():
-        middle = direct_median(law_of(stack.model, batch))[0].numpy()
-    error = batch.reading.range - middle
+    error = batch.reading.range - stack.direct(batch)[0]
     frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": batch.near(error)})
     mostly = frame.groupby("condition")["near"].mean() > 0.5
     median = frame[frame["near"]].groupby("condition")["error"].median()
@@ -259,9 +256,10 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: W
     split = Split.of(Batch.of(simulated), np.random.default_rng([seed, 6]))
     both = split.both.thin(EMULATOR_PINGS)
     bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
-    parts = (PLAIN, {**PLAIN, **WEAKENED}) if levels_tell(both) else (PLAIN,)
+    faint = levels_tell(both)
+    parts = (PLAIN, {**PLAIN, **WEAKENED}) if faint else (PLAIN,)
     starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in parts]
-    starts += in_company(bare[0], both) if levels_tell(both) else []
+    starts += in_company(bare[0], both) if faint else []
     climbs = workers.map(lambda s: maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS), starts)
     best = max(climbs, key=lambda fit: fit.nats)
     best = with_other_things(best, both, np.random.default_rng([seed, 12]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.search import Crossed, Search
 from noise.fit import Fit, covariance, each_counted, maximise
 from noise.stack import NUISANCES, Key, Stack

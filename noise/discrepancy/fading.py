@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm, rankdata, spearmanr
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.law import Floats

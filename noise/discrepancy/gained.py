@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from noise.cells import Batch, hearing, law_of
+from noise.batch import Batch
+from noise.cells import hearing, law_of
 from noise.discrepancy.locate import ALARM, Finding, bias_or_scale, describe, family, place_of
 from noise.discrepancy.residuals import EXTRA, Residuals
 from noise.discrepancy.scan import Blocks, Region, regions

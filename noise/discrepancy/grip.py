@@ -8,10 +8,9 @@ how far from the last reading the law expects the next.
 from __future__ import annotations
 
 import numpy as np
-import torch
 from scipy.stats import norm, rankdata
 
-from noise.cells import Batch, direct_median, law_of
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.law import Floats
 from noise.stack import Stack
@@ -31,9 +30,12 @@ def grip(stack: Stack, batch: Batch) -> Finding | None:
         stack: the law of single readings.
         batch: readings, whole stays.
     """
+    told = batch.reading.echo & batch.past.echo & (batch.count > 0) & ~batch.standing[batch.block]
+    same = batch.alike
+    if min((told & same).sum(), (told & ~same).sum()) < FEWEST:
+        return None
     apart, due = _apart(stack, batch)
-    told = batch.reading.echo & batch.past.echo & (batch.count > 0) & ~batch.standing[batch.block] & due
-    same = np.abs(batch.reading.range - batch.past.range) < 0.5 * batch.resolution
+    told &= due
     held, fresh = apart[told & same], apart[told & ~same]
     if min(len(held), len(fresh)) < FEWEST:
         return None
@@ -50,8 +52,7 @@ def _apart(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
 
     All readings of a stretch may be off by the same: what they usually are off by is expected too.
     """
-    with torch.no_grad():
-        middle, variance = (x.numpy() for x in direct_median(law_of(stack.model, batch)))
+    middle, variance = stack.direct(batch)
     error = batch.reading.range - middle
     near = batch.near(error)
     off = np.array([np.median(error[rows][near[rows]]) if near[rows].any() else 0.0 for rows in batch.stays])

@@ -87,16 +87,17 @@ def at_the_edge(search: Search, why: Explained) -> list[Finding]:
         search: its readings.
         why: the explanation.
     """
-    stack, batch = why.final.stack, search.both
+    stack = why.final.stack
     keys = [key for key in search.keys(why.chosen) if _extreme(stack.parameter(key), stack.get(key))]
-    keys = [key for key in keys if stack.parameter(key).unit != "s"]  # how long something lasts is no size
-    moved = [key for key in keys if stack.get(key) != search.base.get(key)]
-    told = [key for key in moved if fitting_value(stack, key, batch) is not None]
+    own = [key for key in keys if stack.get(key) != search.base.get(key)]
+    told = [key for key in own if fitting_value(stack, key, search.both) is not None]
     return [_edge(key, stack.get(key), stack.parameter(key).unit, why.gain) for key in told]
 
 
 def _extreme(p: Parameter, value: float) -> bool:
-    """Tell whether a value lies at one of its bounds, nothing at all being none."""
+    """Tell whether a size lies at one of its bounds, nothing at all being none; how long something lasts is no size."""
+    if p.unit == "s":
+        return False
     bounds = (bound for bound in (p.low, p.high) if bound != p.null)
     return any(abs(value - bound) < EDGE * (p.high - p.low) for bound in bounds)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.residuals import ASPECTS, EXTRA, Residuals, residuals
 from noise.discrepancy.scan import Blocks, Region, Scan, scan
 from noise.stack import Stack

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from acquisition import Ping
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.scan import flipped, regions
 from noise.law import Floats
 

@@ -18,7 +18,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.model_selection import GroupKFold
 from threadpoolctl import ThreadpoolController
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.residuals import seen_alone, seen_in_cell
 from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.scan import features

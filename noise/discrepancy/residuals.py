@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from acquisition import Reading
-from noise.cells import BANKS, Batch, bank_weights, law_of, marginal, sequential
+from noise.batch import Batch
+from noise.cells import BANKS, bank_weights, law_of, marginal, sequential
 from noise.law import EchoLaw, Floats
 from noise.physical import PhysicalLaw
 from noise.stack import Stack
@@ -113,6 +114,5 @@ def _repeats(law: EchoLaw, batch: Batch) -> tuple[Floats, Floats]:
     step = law.step(batch.past.range)
     expected = law.cdf_step(step) - law.cdf_step(step - 1)
     known = batch.past.echo & batch.reading.echo
-    same = np.abs(batch.past.range - batch.reading.range) < batch.resolution / 2.0
-    score = (same - expected) / np.sqrt(expected * (1.0 - expected) + SMALL)
+    score = (batch.alike - expected) / np.sqrt(expected * (1.0 - expected) + SMALL)
     return np.where(known, score, 0.0), np.where(known, _share(expected), 0.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.describe import Formula, formula
 from noise.discrepancy.fading import fading

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.law import Floats
 from noise.stack import Stack

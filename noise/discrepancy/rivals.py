@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from acquisition import Ping
-from noise.cells import BANKS, Batch, law_of, prior_offset
+from noise.batch import Batch
+from noise.cells import BANKS, law_of, prior_offset
 from noise.discrepancy.explanation import Explained
 from noise.discrepancy.search import Crossed, Search
 from noise.effects import CATALOGUE

@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.residuals import ASPECTS, Residuals
 from noise.law import Floats
 

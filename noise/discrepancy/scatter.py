@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.search import Crossed, Search

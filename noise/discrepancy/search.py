@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from noise.cells import Batch, silence
+from noise.batch import Batch, silence
 from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE

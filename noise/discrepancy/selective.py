@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.company import chance_astray
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.law import Floats

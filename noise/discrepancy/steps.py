@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rivals import SAME
 from noise.discrepancy.rules import spread_over_blocks

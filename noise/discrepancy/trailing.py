@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
+import pandas as pd
 from scipy.stats import t
 
-from noise.cells import Batch, direct_median, law_of
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.law import Floats
 from noise.robust import winsorised
@@ -63,15 +63,13 @@ def trailing(stack: Stack, batch: Batch) -> Trailing:
         stack: the law of single readings.
         batch: readings, whole stays.
     """
-    with torch.no_grad():
-        middle = direct_median(law_of(stack.model, batch))[0].numpy()  # a law that repeats would lean by itself
-    moved = np.r_[0.0, middle[:-1] - middle[1:]]  # towards where the target was
     told = batch.reading.echo & (batch.count > 0) & ~batch.standing[batch.block]
     if stack.model.remembers:  # what a law repeats is its own
-        told &= np.abs(batch.reading.range - batch.past.range) > 0.5 * batch.resolution
-    stretches = len(np.unique(batch.block[told]))
-    if stretches < FEWEST:
+        told &= ~batch.alike
+    if len(np.unique(batch.block[told])) < FEWEST:
         return Trailing(0.0, 0.0, 0, np.nan)
+    middle = stack.direct(batch)[0]  # a law that repeats would lean by itself
+    moved = np.r_[0.0, middle[:-1] - middle[1:]]  # towards where the target was
     error = winsorised((batch.reading.range - middle)[told], batch.resolution)
     return _slope(error - np.median(error), moved[told], batch.block[told], _interval(batch))
 
@@ -80,8 +78,8 @@ def _slope(error: Floats, moved: Floats, block: np.ndarray, interval_s: float) -
     """Return the slope of errors on movement, its standard error by blocks."""
     total = float((moved**2).sum())
     slope = float((error * moved).sum()) / total
-    pull = np.bincount(block, (error - slope * moved) * moved)
-    return Trailing(slope, float(np.sqrt((pull**2).sum())) / total, len(np.unique(block)), interval_s)
+    pull = pd.Series((error - slope * moved) * moved).groupby(block).sum()
+    return Trailing(slope, float(np.sqrt((pull**2).sum())) / total, len(pull), interval_s)
 
 
 def _interval(batch: Batch) -> float:

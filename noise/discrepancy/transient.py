@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.robust import winsorised
 

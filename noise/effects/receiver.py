@@ -196,7 +196,7 @@ class DecayingPath(Path):
         return -self.lateness(low) * torch.expm1(self._past(low) - self._past(high))
 
     def _past(self, z: Tensor) -> Tensor:
-        return torch.clamp(z - (self.length + self.lag), min=0.0) / torch.clamp(self.spread, min=FLOOR_M)
+        return torch.clamp(z - self._arrival, min=0.0) / torch.clamp(self.spread, min=FLOOR_M)
 
 
 class RingDown(Effect):

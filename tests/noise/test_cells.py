@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from acquisition import Ping, Reading, Recording, RecordingError
-from noise.cells import Batch, CellNuisance, law_of, log_prob, placement_scatter, shared_scatter
+from acquisition import Ping, Reading, Recording
+from noise.batch import Batch
+from noise.cells import CellNuisance, law_of, log_prob, placement_scatter, shared_scatter
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
-from noise.stays import BLOCK, cells_of
 
 STEP = 0.001
 
@@ -72,36 +72,6 @@ def test_a_repeating_cell_is_worth_about_one_reading():
     first = float(log_prob(law_of(model, batch), CellNuisance(), batch)[0])
     assert alone == pytest.approx(20 * first, rel=0.01)
     assert shared > 4 * first
-
-
-def test_conditions_that_never_repeat_are_cut_into_stretches():
-    recording = recording_of(np.linspace(1, 2, 110), np.linspace(1, 2, 110))
-    cell, block = cells_of(recording)
-    assert np.bincount(block).max() == BLOCK
-    assert np.array_equal(cell, block)
-
-
-def test_blocks_are_stays_of_one_session_in_one_cell():
-    distance = np.repeat(np.linspace(0.5, 3, 15), 4)
-    recording = recording_of(distance, distance, session=np.tile(["a", "a", "b", "b"], 15))
-    batch = Batch.of(recording)
-    assert batch.blocks == 30
-    assert set(np.bincount(batch.block)) == {2}
-
-
-def test_thinning_keeps_beginnings_of_all_blocks():
-    distance = np.repeat(np.linspace(0.5, 3, 20), 30)
-    batch = Batch.of(recording_of(distance, distance))
-    thin = batch.thin(100)
-    assert thin.blocks == 20
-    assert set(np.bincount(thin.block)) == {5}
-
-
-def test_a_dead_wire_is_left_out_and_a_dead_recording_refused():
-    table = recording_of(np.full(3, 1.0), [1.0, 1.0, 1.0]).table
-    assert len(Batch.of(Recording(table.assign(reading_mm=[1000.0, np.nan, 1000.0])))) == 2
-    with pytest.raises(RecordingError, match="no ping was answered"):
-        Batch.of(Recording(table.assign(reading_mm=np.nan)))
 
 
 def test_what_cells_share_scatters_only_by_what_the_simulation_does_not_know():

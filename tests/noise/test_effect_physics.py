@@ -8,7 +8,7 @@ import torch
 from scipy import stats
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.effects import CATALOGUE, Conditions, Seen
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity

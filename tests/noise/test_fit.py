@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.effects import CATALOGUE
 from noise.fit import Fit, _Objective, covariance, each_counted, fit, log_likelihood, maximise
 from noise.physical import PhysicalModel

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.effects import CATALOGUE, Seen
 from noise.fit import log_likelihood, maximise
 from noise.physical import PhysicalModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from acquisition import Recording
 from noise import IdealModel
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.diagnosis import prepared
 from noise.discrepancy.emulate import Baseline, baseline_of, free_of
 from noise.discrepancy.explanation import conclude, intervals

@@ -12,8 +12,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.model_selection import GroupKFold
 
 from acquisition import Recording
+from noise.batch import Batch
 from noise.beam import fit_beam
-from noise.cells import FLOOR, Batch
+from noise.cells import FLOOR
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.fit import log_likelihood, maximise

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.describe import formula
 from noise.stack import Stack
 

@@ -9,7 +9,7 @@ import torch
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import VERDICTS, diagnose
 from noise.discrepancy.diagnosis import prepared
 from noise.discrepancy.emulate import baseline_of

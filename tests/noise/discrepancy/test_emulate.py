@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.emulate import Baseline, emulated, in_company
 from noise.discrepancy.rules import SURE_OF_AIR, Rules
 from noise.discrepancy.splits import Split

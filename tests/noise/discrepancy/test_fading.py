@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.fading import fading
 from noise.discrepancy.rest import in_words

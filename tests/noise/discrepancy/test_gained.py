@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.explanation import Final, intervals
 from noise.discrepancy.gained import by_aspect, gained, with_gained
 from noise.discrepancy.locate import Finding

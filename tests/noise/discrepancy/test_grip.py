@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.grip import grip
 from noise.discrepancy.rest import in_words

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.held import Still, held, still
 from noise.discrepancy.rest import in_words

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.explanation import Explained, Final
 from noise.discrepancy.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
 from noise.discrepancy.locate import Finding

@@ -6,7 +6,7 @@ import torch
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.locate import locate
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.scan import Blocks, features, scan

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.matched import compare
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.rest import beyond
 from noise.effects import CATALOGUE

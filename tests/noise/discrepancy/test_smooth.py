@@ -9,7 +9,7 @@ import torch
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.rest import in_words
 from noise.discrepancy.smooth import smooth, wrong_form

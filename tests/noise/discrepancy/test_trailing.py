@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.trailing import trailing
 from noise.discrepancy.transient import transient
@@ -20,14 +20,14 @@ torch.set_num_threads(1)
 SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004), CATALOGUE["sensitivity"](loss_db=36.0)])
 
 
-def driven(robot, seed, late=0, n=600, sonar=SONAR, **more):
+def driven(robot, seed, late=0, n=600, sonar=SONAR):
     """Return a log in which each reading is of where the target was so many pings before."""
     rng = np.random.default_rng(seed)
     there = robot.way(rng, n + late)
     time = np.arange(n + late) * robot.pace_s
     reading = simulate(sonar, Ping.of(distance=there, time=time), rng)
     rows = slice(0, n)
-    return Recording.of(Ping.of(distance=there[late:], time=time[rows], **more), reading[rows])
+    return Recording.of(Ping.of(distance=there[late:], time=time[rows]), reading[rows])
 
 
 def seen(recording):

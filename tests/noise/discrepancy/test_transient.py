@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.cells import Batch
+from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.transient import SURE_P, transient, windowed
 from noise.effects import CATALOGUE
