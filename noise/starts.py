@@ -82,18 +82,22 @@ def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
     Exact where the expected reading is linear in the parameter: the least sum of absolute errors, which a few strays do
     not turn, is at the median of error over slope, weighted by slope. None where the parameter moves no reading.
     """
-    p, here = stack.parameter(key), stack.get(key)
-    step = 1e-3 * (p.high - p.low) * (1.0 if here < 0.5 * (p.low + p.high) else -1.0)
-    expected = _expected(stack, batch)
-    slope = (_expected(stack.put([key], [here + step]), batch) - expected) / step
-    error = batch.reading.range - expected
-    moves = batch.near(error) & (np.abs(slope) * (p.high - p.low) > LEAST_MOVE_M)
+    p, rate = stack.parameter(key), slope(stack, key, batch)
+    error = batch.reading.range - _expected(stack, batch)
+    moves = batch.near(error) & (np.abs(rate) * (p.high - p.low) > LEAST_MOVE_M)
     if not moves.any():
         return None
-    ratio, weight = error[moves] / slope[moves], np.abs(slope[moves])
+    ratio, weight = error[moves] / rate[moves], np.abs(rate[moves])
     order = np.argsort(ratio)
     middle = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
-    return float(here + ratio[order][middle])
+    return float(stack.get(key) + ratio[order][middle])
+
+
+def slope(stack: Stack, key: Key, batch: Batch) -> Floats:
+    """Return how much the target's echo moves with a parameter, m a unit, (n,)."""
+    p, here = stack.parameter(key), stack.get(key)
+    step = 1e-3 * (p.high - p.low) * (1.0 if here < 0.5 * (p.low + p.high) else -1.0)
+    return (_expected(stack.put([key], [here + step]), batch) - _expected(stack, batch)) / step
 
 
 def _expected(stack: Stack, batch: Batch) -> Floats:

@@ -18,6 +18,7 @@ from noise.discrepancy.judge import SURE_SCAN, at_the_edge, beyond_any_law, judg
 from noise.discrepancy.locate import ALARM, Finding, findings
 from noise.discrepancy.matched import Matched, compare
 from noise.discrepancy.next_measurement import Measurement, next_measurement
+from noise.discrepancy.pairs import with_pairs
 from noise.discrepancy.residuals import Residuals, residuals
 from noise.discrepancy.rest import check_rest, located, with_more
 from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
@@ -169,6 +170,7 @@ def _where(seen: Residuals, batch: Batch, peer: Blocks | None, rng: np.random.Ge
 def _explained(base: Baseline, search: Search) -> Explained:
     """Search, and leave out what only repairs the law that stands for the simulation."""
     chosen, without, cross = search.run()
+    chosen, cross = with_pairs(search, chosen, without, cross)
     chosen, cross = base.without_repairs(search, chosen, cross, without)
     return Explained(chosen, without, cross, conclude(search, cross, chosen))
 

@@ -326,6 +326,11 @@ class Search:
         chosen: list[str] = []
         if self.needs_a_threshold():
             chosen, current = self.with_threshold(current)
+        chosen, current = self.extended(chosen, current)
+        return chosen, base, current
+
+    def extended(self, chosen: list[str], current: Crossed) -> tuple[list[str], Crossed]:
+        """Return an explanation to which effects were added one by one while any is believed."""
         while len(chosen) < self.rules.most_effects:
             self.tell(f"searching, {len(chosen)} found", 0.1 + 0.6 * len(chosen) / (self.rules.most_effects + 1))
             found = self.round(chosen, current)
@@ -333,7 +338,7 @@ class Search:
                 break
             chosen, current = [*chosen, found[0]], found[1]
             chosen, current = self.prune(chosen, current)
-        return chosen, base, self.refreshed(chosen, current)
+        return chosen, self.refreshed(chosen, current)
 
     def refreshed(self, chosen: Sequence[str], current: Crossed) -> Crossed:
         """Fit each early effect afresh, now that what it had to stand in for is explained otherwise."""
