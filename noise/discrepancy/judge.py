@@ -12,7 +12,7 @@ from noise.discrepancy.search import Search
 from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import Named, Rest
 from noise.effects import Parameter
-from noise.stack import JITTER, Key
+from noise.stack import JITTER, Key, Stack
 from noise.starts import fitting_value
 
 SEEN = 0.05  # p-value of a scan, above which it bears out nothing; ours
@@ -87,7 +87,12 @@ def at_the_edge(search: Search, why: Explained) -> list[Finding]:
         search: its readings.
         why: the explanation.
     """
-    stack = why.final.stack
+    found = [_extreme_in(fit.stack, search, why) for fit in why.final.fits]
+    return list({finding.place: finding for each in found for finding in each}.values())
+
+
+def _extreme_in(stack: Stack, search: Search, why: Explained) -> list[Finding]:
+    """Return the same of one fit."""
     keys = [key for key in search.keys(why.chosen) if _extreme(stack.parameter(key), stack.get(key))]
     own = [key for key in keys if stack.get(key) != search.base.get(key)]
     told = [key for key in own if fitting_value(stack, key, search.both) is not None]

@@ -89,8 +89,11 @@ def _turned(excess: Floats, orders: NDArray[np.int64]) -> tuple[Floats, float]:
 
 
 def _excess(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
-    """Return each stay's strays beyond those of the law, in standard deviations, and whether it has any, (blocks,)."""
-    middle = stack.expected(batch)
+    """Return each stay's strays beyond those of the law, in standard deviations, and whether it has any, (blocks,).
+
+    A stray is none of the target's, heard or not: what a law reads where it hears no target is a stray still.
+    """
+    middle = stack.direct(batch)[0]
     stray = batch.astray(batch.reading.range - middle)
     p = np.clip(chance_astray(stack.model.law(batch.ping, batch.past), middle, batch.reach), 0.0, 1.0)
     count, expected, variance = (batch.per_block(x) for x in (stray.astype(np.float64), p, p * (1.0 - p)))

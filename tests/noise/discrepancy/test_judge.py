@@ -89,6 +89,9 @@ def test_no_cause_lies_at_the_edge_of_the_plausible(axial, edge):
     stack = base.put([("pivot_offset", "axial_m"), ("pivot_offset", "lateral_m")], [axial, 0.01])
     fit = Fit(stack, (), 0.0)
     crossed = Crossed(fit, fit, np.zeros(4))
-    found = at_the_edge(Search(base, batch, batch, batch), Explained(["pivot_offset"], crossed, crossed, Final((fit,))))
-    assert bool(found) == edge
+    inside = Fit(stack.put([("pivot_offset", "axial_m")], [-0.2]), (), 0.0)
+    for fits in ((fit,), (inside, fit), (fit, fit)):  # jointly with what cells share, or with every reading counted
+        why = Explained(["pivot_offset"], crossed, crossed, Final(fits))
+        found = at_the_edge(Search(base, batch, batch, batch), why)
+        assert len(found) == int(edge)
     assert not edge or "pivot_offset.axial_m of -0.35 m" in in_words(found[0])

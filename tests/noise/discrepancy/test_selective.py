@@ -89,3 +89,14 @@ def test_a_least_reading_goes_by_distance_on_the_way_too(robot):
     lifted = Recording.of(recording.ping, Reading.of(read))
     law = PhysicalModel([*SONAR.effects, CATALOGUE["stuck"](probability=0.1, value_m=0.8)])
     assert look(lifted, law).p_value < SURE_P
+
+
+def test_a_receiver_deaf_to_the_near_does_not_excuse_a_least_reading(robot):
+    """Where the law hears no target it expects the stuck reading alone: so many of them are strays all the same."""
+    recording = spell(robot, 1, 0, 0)
+    read = np.where(recording.reading.echo, np.maximum(recording.reading.range, 0.8), 0.0)
+    lifted = Recording.of(recording.ping, Reading.of(read))
+    deaf = CATALOGUE["rearm_dead_time"](deaf_m=0.81)
+    found = look(lifted, PhysicalModel([*SONAR.effects, stuck(0.006), deaf]))
+    assert found.p_value < SURE_P
+    assert found.place == ("distance_mm", 0.0)
