@@ -40,6 +40,7 @@ from noise.stack import CELLS, JITTER, NUISANCES, Stack
 from noise.starts import nuisance_starts
 from noise.threads import one_thread
 
+LASTING_SHARE = 0.8  # of the false alarms of a scan, for what lasts; the rest is for what a day may change; ours
 LEAST_P = 1e-12  # no p-value of a model of the world means more
 CRPS_LEVELS = np.linspace(0.025, 0.975, 20)
 
@@ -162,9 +163,10 @@ def _where(seen: Residuals, batch: Batch, peer: Blocks | None, rng: np.random.Ge
     """Return what a scan locates, and the p-value of what is not of the day in it."""
     scanned = scan(seen, batch, rng, peer)
     where = findings(seen, scanned, batch, peer)
+    lasting = scanned.lasting.p_value(scanned.lasting.best) / LASTING_SHARE
     # what one day may change is looked at besides, where it is more than a day changes
-    besides = [2.0 * finding.p_value for finding in where if not finding.carried]
-    return where, min(scanned.lasting.p_value(scanned.lasting.best), *besides, 1.0)
+    besides = [finding.p_value / (1.0 - LASTING_SHARE) for finding in where if not finding.carried]
+    return where, min(lasting, *besides, 1.0)
 
 
 def _explained(base: Baseline, search: Search) -> Explained:
@@ -190,7 +192,7 @@ def _beside(base: Baseline, search: Search, why: Explained) -> list[tuple[Named,
         return []
     scatter = None
     if JITTER not in search.never:
-        known = base.check.describes_simulation
+        known = base.check.wholly
         scatter = changed_scatter(base.stack, base.own.whole, search, why.chosen, why.cross, known)
     steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack, search.never)
     return [found for found in (scatter, steps) if found is not None]

@@ -25,7 +25,7 @@ from noise.law import Floats
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
 # what may change from day to day; how much of it is a mismatch, its size tells
 OF_THE_DAY = np.array([aspect in ("spread", "skew", "time_correlation", "repeat") for aspect in ASPECTS])
-FLIPS = 400
+FLIPS = 1000
 LEAST_BLOCKS = 6
 STEADY = 0.05  # share by which intervals between pings may vary and still be one pace; ours
 MM, DEG = 1e-3, np.pi / 180.0

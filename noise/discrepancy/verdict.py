@@ -90,14 +90,16 @@ class BaselineCheck:
     """Whether the law that stands for the simulation describes it.
 
     Attributes:
-        describes_simulation: whether a scan of held-out simulated cells finds nothing wrong.
+        describes_simulation: whether a scan of held-out simulated cells finds nothing wrong but in what air may change.
         p_value: of that scan; 1 where the given model is used as it is.
         note: in words.
+        wholly: whether nothing is wrong with how readings of one position scatter and hang together, either.
     """
 
     describes_simulation: bool
     p_value: float
     note: str
+    wholly: bool = True
 
 
 @dataclass(frozen=True)

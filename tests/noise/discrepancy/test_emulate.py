@@ -8,7 +8,7 @@ import torch
 
 from acquisition import Ping, Recording
 from noise.batch import Batch
-from noise.discrepancy.emulate import Baseline, emulated, in_company
+from noise.discrepancy.emulate import Baseline, checked, emulated, in_company
 from noise.discrepancy.rules import SURE_OF_AIR, Rules
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
@@ -54,6 +54,24 @@ def test_a_wall_that_answers_where_the_target_is_too_faint_is_part_of_the_simula
     stack = emulated(recording, None, 0).stack
     assert stack.get(("fixed_clutter", "range_m")) == pytest.approx(4.4, abs=0.02)
     assert log_likelihood(stack, fresh).mean() > log_likelihood(best, fresh).mean() - 0.4, "on positions it never met"
+
+
+@pytest.mark.parametrize(
+    ("off_m", "hangs", "good", "wholly"),
+    [(0.0, 0.0, True, True), (0.0, 1.0, True, False), (0.02, 0.0, False, False)],
+    ids=["right", "readings of one position hang together", "2 cm off"],
+)
+def test_a_law_describes_a_simulation_that_it_reads_right_whatever_its_air_does(off_m, hangs, good, wholly):
+    rng = np.random.default_rng(4)
+    distance, waits = np.repeat(rng.uniform(0.3, 3.0, 60), 12), np.tile(np.arange(12), 60)
+    swell = hangs * 0.02 * np.sin(waits / 2.0 + np.repeat(rng.uniform(0, 2 * np.pi, 60), 12))
+    law = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004)])
+    reading = simulate(law, Ping.of(distance=distance + swell + off_m), rng)
+    scatter = float(np.hypot(0.004, swell.std()))
+    stack = Stack.of(law).put([("travel_time_jitter", "sigma_m"), (CELLS, "placement_m")], [scatter, 0.0])
+    check = checked(stack, Batch.of(Recording.of(Ping.of(distance=distance), reading)), np.random.default_rng(0))
+    assert (check.describes_simulation, check.wholly) == (good, wholly)
+    assert ("but for how" in check.note) == (good and not wholly)
 
 
 def test_where_nothing_stands_out_nothing_else_is_tried():
