@@ -27,7 +27,7 @@ FEWEST = 12  # stays, below which two shifts are not told apart; ours
 PROMISING = 6.0  # nats, to first order, beyond the best single effect, to be fitted; ours
 FITTED = 6  # pairs that are fitted, of those that promise most
 CROSSED = 2  # of those, the ones that are cross-fitted
-TWINS = 0.999  # correlation of what two pairs come to, beyond which one of them is enough; ours
+TWINS = 0.05  # of what one pair comes to, by which another differs: less, and one of them is enough; ours
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,15 @@ def promising(found: Shifts, known: Sequence[str] = ()) -> list[Pair]:
     kept: list[Pair] = []
     tried = [found.solved(own)[2]] if (own := [name for name in known if name in found.slopes]) else []
     for pair in sorted(pairs, key=lambda each: -each.nats):
-        if len(kept) < FITTED and all(np.corrcoef(pair.work, work)[0, 1] < TWINS for work in tried):
+        if len(kept) < FITTED and not any(_alike(pair.work, work) for work in tried):
             kept.append(pair)
             tried.append(pair.work)
     return kept
+
+
+def _alike(one: Floats, other: Floats) -> bool:
+    """Tell whether two courses of shifts, m, (stays,), come to the same."""
+    return float(np.linalg.norm(one - other)) < TWINS * float(np.linalg.norm(other))
 
 
 def best_pair(
