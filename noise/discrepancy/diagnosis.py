@@ -291,7 +291,7 @@ def _verdict(
     unseen = base.own is not None and may_be_the_laws(gain, p_scan, matched)
     if not rest.present and (unseen or of_the_day(named, gain, p_scan)):
         named, gain = [], 0.0
-    p_gain = min(1.0, len(search.candidates()) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
+    p_gain = min(1.0, len(search.candidates()) ** len(named) * float(np.exp(-max(gain, 0.0)))) if named else 1.0
     if not named and not rest.present and p_scan <= SURE_SCAN and (matched is None or matched.differs):
         rest = located(where, p_scan)
     kind = judge(named, rest, gain, p_scan)
