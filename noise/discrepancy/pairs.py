@@ -25,6 +25,7 @@ from noise.starts import LEAST_MOVE_M, slope
 
 FEWEST = 12  # stays, below which two shifts are not told apart; ours
 PROMISING = 6.0  # nats, to first order, beyond the best single effect, to be fitted; ours
+KNOWN_M = 1e-4  # no closer is it known where a stay lies; ours
 FITTED = 6  # pairs that are fitted, of those that promise most
 CROSSED = 2  # of those, the ones that are cross-fitted
 TWINS = 0.05  # of what one pair comes to, by which another differs: less, and one of them is enough; ours
@@ -51,7 +52,7 @@ class Shifts:
         design = np.concatenate([self.slopes[name] for name in names], axis=1)
         sizes = np.linalg.lstsq(design, self.lie, rcond=1e-6)[0]
         work = design @ sizes
-        return float(((self.lie - work) ** 2).sum()), sizes, work
+        return float(((self.lie - work) ** 2).sum() + len(work) * KNOWN_M**2), sizes, work
 
     def applied(self, stack: Stack, pair: Pair) -> Stack:
         """Return a stack with a pair's parameters where they solve for where the stays lie."""
@@ -116,7 +117,7 @@ def promising(found: Shifts, known: Sequence[str] = ()) -> list[Pair]:
     pairs = []
     for names in combinations(found.slopes, 2):
         left, sizes, work = found.solved(names)
-        more = 0.5 * n * float(np.log(least / max(left, 1e-12)))
+        more = 0.5 * n * float(np.log(least / left))
         nats = more - sum(found.count[name] for name in names) + 1
         if nats > PROMISING and np.abs(sizes).max() <= 1.0:
             pairs.append(Pair(names, sizes, work, nats))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition import Ping, Recording
+from acquisition import Ping, Reading, Recording
 from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.pairs import best_pair, promising, shifts, with_pairs
@@ -82,6 +82,11 @@ def test_no_two_pairs_come_to_the_same_nor_to_what_is_tried_already():
     rest = found(recording, known=["sound_speed", "warm_up"])
     assert not any(set(p.names) & SHARES and set(p.names) & CONSTANTS for p in rest)
     assert found(recording, known=["zero_offset"]), "one alone, the same everywhere, does not come to what two do"
+
+
+def test_where_nothing_is_off_by_a_digit_no_pair_promises():
+    distance = np.repeat(np.linspace(0.4, 3.0, 60).round(2), 5)
+    assert found(Recording.of(Ping.of(distance=distance), Reading.of(distance))) == []
 
 
 def test_too_few_stays_tell_no_pair():
