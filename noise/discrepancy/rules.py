@@ -38,7 +38,7 @@ class Rules:
     least_nats: float = 6.0
     least_t: float = 2.0
     sweeping_nats: float = 30.0
-    sweeping_t: float = 2.0
+    sweeping_t: float = 2.5
     keep_nats: float = 2.0
     bounded_nats: float = 2.0
     tie_nats: float = 4.0
@@ -59,7 +59,7 @@ class Rules:
         without_best = total - gain.max(initial=0.0)
         looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
         sweeping = total >= self.sweeping_nats and CATALOGUE[name].strikes
-        least_t = self.sweeping_t if sweeping else self.least_t
+        least_t = min(self.sweeping_t, self.least_t) if sweeping else self.least_t
         sure = any(g.sum() > least_t * spread_over_blocks(g) for g in looks)
         return bool(total > enough and sure and without_best > 0.3 * enough)
 
