@@ -27,7 +27,7 @@ from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search
 from noise.discrepancy.splits import Split
-from noise.discrepancy.steps import coarser_steps
+from noise.discrepancy.steps import coarser_steps, cut_instead
 from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
@@ -174,6 +174,8 @@ def _explained(base: Baseline, search: Search) -> Explained:
     chosen, without, cross = search.run()
     chosen, cross = with_pairs(search, chosen, without, cross)
     chosen, cross = base.without_repairs(search, chosen, cross, without)
+    if base.own is not None:
+        chosen, cross = cut_instead(base.own.whole.resolution, search, chosen, cross)
     return Explained(chosen, without, cross, conclude(search, cross, chosen))
 
 
@@ -194,7 +196,7 @@ def _beside(base: Baseline, search: Search, why: Explained) -> list[tuple[Named,
     if JITTER not in search.never:
         known = base.check.wholly
         scatter = changed_scatter(base.stack, base.own.whole, search, why.chosen, why.cross, known)
-    steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack, search.never)
+    steps = coarser_steps(base.own.whole.resolution, search.both, why.final.stack, search.never, why.chosen)
     return [found for found in (scatter, steps) if found is not None]
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from noise.batch import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rivals import SAME
-from noise.discrepancy.rules import spread_over_blocks
+from noise.discrepancy.rules import Attempt, spread_over_blocks
+from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named
 from noise.fit import maximise
 from noise.law import Floats
@@ -20,7 +21,7 @@ CUT = ("truncation", "step_m")
 
 
 def coarser_steps(
-    simulated_step: float, recorded: Batch, stack: Stack, never: Collection[str] = ()
+    simulated_step: float, recorded: Batch, stack: Stack, never: Collection[str] = (), chosen: Collection[str] = ()
 ) -> tuple[Named, Floats] | None:
     """Return the steps as a named effect with its gain by block, or None where they are the simulation's.
 
@@ -33,13 +34,14 @@ def coarser_steps(
         recorded: readings.
         stack: the explanation of everything else.
         never: effects that are not to be named.
+        chosen: effects of the explanation that the search has found.
     """
     ratio = recorded.resolution / simulated_step
     if ratio < COARSER or not recorded.reading.echo.any():
         return None
     gain = np.log(ratio) * recorded.per_block(recorded.reading.echo.astype(np.float64))
     step, total = recorded.resolution, float(gain.sum())
-    names = tuple(name for name in _names(stack, recorded) if name not in never)
+    names = tuple(name for name in _names(stack, recorded, chosen) if name not in never)
     if not names:
         return None
     told = f"Readings come in steps of {1000 * step:.3g} mm; the simulation's in {1000 * simulated_step:.2g} mm."
@@ -49,10 +51,37 @@ def coarser_steps(
     return Named(names[0], names[1:], 1.0, parameters, total, spread_over_blocks(gain), told), gain
 
 
-def _names(stack: Stack, batch: Batch) -> tuple[str, ...]:
+def cut_instead(simulated_step: float, search: Search, chosen: list[str], cross: Crossed) -> tuple[list[str], Crossed]:
+    """Leave out a shift that is no more than readings cut down to coarser steps, which nobody rounded: half a step.
+
+    Args:
+        simulated_step: of the simulation's register, m.
+        search: its readings.
+        chosen: effects of the explanation.
+        cross: the explanation.
+
+    Returns:
+        The effects, and the explanation; its stacks cut readings down where that takes an effect's place.
+    """
+    if search.both.resolution / simulated_step < COARSER or CUT[0] in (*search.never, *chosen):
+        return chosen, cross
+    total = float(cross.nats.sum())
+    for name in chosen:
+        others = [other for other in chosen if other != name]
+        start = search.reset(cross.first.stack, name).put([CUT], [search.both.resolution])
+        cut = search.cross(start, others)
+        nats = float(cut.nats.sum())
+        if nats > total - search.rules.tie_nats:
+            told = f"readings cut down to {1000 * search.both.resolution:.3g} mm explain it as well"
+            search.attempts.append(Attempt(name, tuple(others), np.nan, total - nats, np.nan, told))
+            return others, cut
+    return chosen, cross
+
+
+def _names(stack: Stack, batch: Batch, chosen: Collection[str]) -> tuple[str, ...]:
     """Return what the steps may be, the likelier first: rounding, and cutting down unless the search has found that."""
     if CUT[0] in stack.values and stack.get(CUT) > 0:
-        return ("quantisation",)
+        return ("quantisation",) if CUT[0] in chosen else CUT[:1]
     cut = stack.put([CUT], [batch.resolution])
     rounded_nats, cut_nats = (maximise(each, SPREAD, batch, 30).nats for each in (stack, cut))
     order = ("truncation", "quantisation") if cut_nats > rounded_nats else ("quantisation", "truncation")

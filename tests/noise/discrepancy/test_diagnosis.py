@@ -267,6 +267,16 @@ def test_coarser_steps_are_named():
     assert step["parameters"]["step_m"]["value"] == pytest.approx(0.01)
 
 
+def test_readings_cut_down_to_coarser_steps_need_no_offset_besides():
+    """Half a step short on the mean is what cutting down does, and no zero of its own."""
+    fine, coarse = heard(23), heard(24)
+    cut = Recording.of(coarse.ping, Reading.of(np.floor(coarse.reading.range / 0.016) * 0.016))
+    verdict = diagnose(IdealModel(), cut, simulated=fine, seed=1).to_verdict()
+    assert [e["effect"] for e in verdict["effects"]] == ["truncation"]
+    assert verdict["effects"][0]["parameters"]["step_m"]["value"] == pytest.approx(0.016)
+    assert any("explain it as well" in attempt["decision"] for attempt in verdict["tried"])
+
+
 def test_what_is_ruled_out_is_never_named_however_it_is_found():
     fine, coarse = heard(21), heard(22)
     rounded = Recording.of(coarse.ping, Reading.of(np.round(coarse.reading.range, 2)))
