@@ -12,7 +12,6 @@ from noise.effects.receiver import (
     Quantisation,
     RangeGate,
     RearmDeadTime,
-    RingDown,
     Sensitivity,
     TimeWalk,
     TravelTimeJitter,
@@ -20,6 +19,7 @@ from noise.effects.receiver import (
     WarmUp,
     ZeroOffset,
 )
+from noise.effects.ringing import RingDown
 from noise.effects.target import (
     BackgroundReflector,
     EdgeDiffraction,

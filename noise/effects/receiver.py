@@ -10,7 +10,6 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from noise.effects.base import (
-    FLOOR_M,
     MARGIN_DB,
     Clutter,
     Effect,
@@ -19,9 +18,7 @@ from noise.effects.base import (
     Seen,
     Stage,
     State,
-    new_path,
     number,
-    wall_level_db,
 )
 
 BEHIND_M = 0.02  # of a gate behind the farthest echo, to begin from; ours
@@ -182,49 +179,6 @@ class CycleSlip(Effect):
     def statement(self) -> str:
         """Return how often."""
         return f"{self.summary}, {100 * self.values['probability']:.3g} % of echoes late."
-
-
-class DecayingPath(Path):
-    """A way whose arrivals begin at `length` and thin out over `spread`: 1 - exp(-(z - length) / spread)."""
-
-    def lateness(self, z: Tensor) -> Tensor:
-        """Return P(registered beyond z | detected)."""
-        return torch.exp(-self._past(z))
-
-    def between(self, low: Tensor, high: Tensor) -> Tensor:
-        """Return P(registered in (low, high] | detected)."""
-        return -self.lateness(low) * torch.expm1(self._past(low) - self._past(high))
-
-    def _past(self, z: Tensor) -> Tensor:
-        return torch.clamp(z - self._arrival, min=0.0) / torch.clamp(self.spread, min=FLOOR_M)
-
-
-class RingDown(Effect):
-    """The transducer still rings when listening begins: false near echoes from `range_m` on, thinning out."""
-
-    name = "ring_down"
-    stage = Stage.PATHS
-    strikes = True
-    summary = "The transducer's own ringing is read as a near echo"
-    parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 1.0, "ours", (0.2,)),
-        Parameter("range_m", "m", 0.1, 0.005, 0.8, "end of blanking to 0.8 m", (0.05, 0.25)),
-        Parameter("decay_m", "m", 0.047, 0.0005, 0.2, "c tau / 2, tau 220 to 460 us; wider: ours", (0.04,)),
-    )
-    probability: Tensor
-    range_m: Tensor
-    decay_m: Tensor
-
-    def apply(self, state: State) -> State:
-        """Add it as a way of its own."""
-        length = self.range_m + torch.zeros_like(state.conditions.distance)
-        path = vars(new_path("ring-down", length, wall_level_db(length), self.probability))
-        return state.with_path(DecayingPath(**{**path, "spread": self.decay_m}))
-
-    def statement(self) -> str:
-        """Return where and how often."""
-        v = self.values
-        return f"{self.summary} from {1000 * v['range_m']:.0f} mm on, in {100 * v['probability']:.3g} % of pings."
 
 
 class RearmDeadTime(Effect):

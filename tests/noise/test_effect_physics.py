@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Recording
@@ -182,6 +184,39 @@ def test_ring_down_begins_at_the_end_of_blanking_and_thins_out():
     law = PhysicalModel([ring], 1e-4).law(Ping.of(distance=[2.0] * 3))
     expected = 0.4 * (1 - np.exp(-np.array([0.0, 0.05, 0.10]) / 0.05))
     np.testing.assert_allclose(law.cdf(np.array([0.0999, 0.15, 0.20])), expected, atol=1e-3)
+
+
+def test_ringing_is_never_late_however_faint_an_echo_must_rise():
+    ring = CATALOGUE["ring_down"](probability=1.0, range_m=0.1, decay_m=0.001)
+    walks = [CATALOGUE["sensitivity"](loss_db=46.0), CATALOGUE["time_walk"](scale=1.0)]
+    alone = median([ring], distance=2.0)
+    assert median([ring, *walks], distance=2.0) == pytest.approx(alone, abs=1e-4)
+
+
+@given(
+    st.floats(0.02, 0.3),
+    st.sampled_from([0.0, 0.001, 0.02]),
+    st.sampled_from([0.001, 0.01]),
+    st.integers(0, 2**31),
+)
+@settings(max_examples=30, deadline=None)
+def test_a_fit_of_ringing_begins_where_every_near_reading_is_allowed(begins, decay, step, seed):
+    rng = np.random.default_rng(seed)
+    near = np.round((begins + rng.exponential(decay, 60)) / step) * step if decay else np.full(60, begins)
+    near = near[near < 0.8]
+    distance = np.full(len(near) + 20, 3.0)
+    seen = Seen(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    first, *_ = CATALOGUE["ring_down"].guesses(seen)
+    assert first["range_m"] < near.min()
+    assert near.min() - first["range_m"] <= 0.5 * max(step, 0.01)
+    assert first["probability"] == pytest.approx(len(near) / len(distance))
+    assert first["decay_m"] > 0.0
+
+
+def test_few_near_readings_tell_nothing_of_ringing():
+    distance = np.full(20, 2.0)
+    seen = Seen(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
+    assert CATALOGUE["ring_down"].guesses(seen) == []
 
 
 def test_quantised_readings_lie_on_the_steps():
