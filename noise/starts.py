@@ -82,8 +82,8 @@ def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
     Exact where the expected reading is linear in the parameter: the least sum of absolute errors, which a few strays do
     not turn, is at the median of error over slope, weighted by slope. None where the parameter moves no reading.
     """
-    p, rate = stack.parameter(key), slope(stack, key, batch)
-    error = batch.reading.range - _expected(stack, batch)
+    p, expected = stack.parameter(key), own_echo(stack, batch)
+    rate, error = slope(stack, key, batch, expected), batch.reading.range - expected
     moves = batch.near(error) & (np.abs(rate) * (p.high - p.low) > LEAST_MOVE_M)
     if not moves.any():
         return None
@@ -93,14 +93,14 @@ def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
     return float(stack.get(key) + ratio[order][middle])
 
 
-def slope(stack: Stack, key: Key, batch: Batch) -> Floats:
-    """Return how much the target's echo moves with a parameter, m a unit, (n,)."""
+def slope(stack: Stack, key: Key, batch: Batch, expected: Floats) -> Floats:
+    """Return how much the target's echo moves with a parameter, m a unit, (n,), from where `own_echo` expects it."""
     p, here = stack.parameter(key), stack.get(key)
     step = 1e-3 * (p.high - p.low) * (1.0 if here < 0.5 * (p.low + p.high) else -1.0)
-    return (_expected(stack.put([key], [here + step]), batch) - _expected(stack, batch)) / step
+    return (own_echo(stack.put([key], [here + step]), batch) - expected) / step
 
 
-def _expected(stack: Stack, batch: Batch) -> Floats:
+def own_echo(stack: Stack, batch: Batch) -> Floats:
     """Return where the register puts the target's own echo, m, (n,)."""
     with torch.no_grad():
         state = stack.model.state(batch.conditions)

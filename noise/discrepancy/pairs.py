@@ -14,14 +14,15 @@ from itertools import combinations
 
 import numpy as np
 
+from noise.batch import Batch
 from noise.discrepancy.rules import Attempt, spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import lying
-from noise.fit import Fit, maximise
+from noise.fit import ENOUGH
 from noise.law import Floats
 from noise.robust import winsorised
-from noise.stack import SPREAD, Key, Stack
-from noise.starts import LEAST_MOVE_M, slope
+from noise.stack import Key, Stack
+from noise.starts import LEAST_MOVE_M, own_echo, slope
 
 FEWEST = 12  # stays, below which two shifts are not told apart; ours
 PROMISING = 6.0  # nats, to first order, beyond the best single effect, to be fitted; ours
@@ -85,11 +86,14 @@ def shifts(search: Search, stack: Stack, chosen: Sequence[str]) -> Shifts | None
     told = ~np.isnan(lie)
     if told.sum() < FEWEST:
         return None
+    # what moves a stay shows at its first ping
+    first = batch.select(batch.count == 0)
+    expected = own_echo(stack, first)
     count, keys, slopes = dict[str, int](), dict[str, tuple[Key, ...]](), dict[str, Floats]()
     for name in search.candidates():
         if name in chosen:
             continue
-        own = {key: _moved(stack, key, search)[told] for key in search.keys([name])}
+        own = {key: _moved(stack, key, first, expected)[told] for key in search.keys([name])}
         own = {key: move for key, move in own.items() if np.abs(move).max() > LEAST_MOVE_M}
         if own:
             count[name] = len(search.keys([name]))
@@ -97,10 +101,10 @@ def shifts(search: Search, stack: Stack, chosen: Sequence[str]) -> Shifts | None
     return Shifts(winsorised(lie[told]), count, keys, slopes)
 
 
-def _moved(stack: Stack, key: Key, search: Search) -> Floats:
-    """Return by how much a parameter would move each stay between its bounds, were it linear, m, (stays,)."""
-    p, batch = stack.parameter(key), search.discover
-    return (p.high - p.low) * slope(stack, key, batch)[batch.starts]
+def _moved(stack: Stack, key: Key, batch: Batch, expected: Floats) -> Floats:
+    """Return by how much a parameter would move each ping between its bounds, were it linear, m, (n,)."""
+    p = stack.parameter(key)
+    return (p.high - p.low) * slope(stack, key, batch, expected)
 
 
 def promising(found: Shifts, known: Sequence[str] = ()) -> list[Pair]:
@@ -151,17 +155,12 @@ def best_pair(
         return None
     pairs = {pair.names: pair for pair in promising(found, known)}
     starts = {" + ".join(names): (names, found.applied(current.first.stack, pair)) for names, pair in pairs.items()}
-    fits = search.each(lambda one, _, start: _climbed(one, [*chosen, *start[0]], start[1]), starts)
+    fits = search.each(lambda one, _, start: one.screened(start[1], [*chosen, *start[0]], ENOUGH), starts)
     best = sorted(fits, key=lambda name: -fits[name].nats)[:CROSSED]
     tried = [([*chosen, *starts[name][0]], fits[name].stack) for name in best]
     met = [(effects, search.cross(stack, effects, near=current)) for effects, stack in tried]
     good = [(effects, crossed) for effects, crossed in met if _believed(search, effects, crossed, current)]
     return max(good, key=lambda each: float(each[1].nats.sum())) if good else None
-
-
-def _climbed(search: Search, effects: Sequence[str], start: Stack) -> Fit:
-    """Return effects fitted together on the screening batch."""
-    return maximise(start, (*search.keys(effects), *SPREAD), search.screen, 25, scales=search.scales(search.screen))
 
 
 def _believed(search: Search, effects: list[str], crossed: Crossed, current: Crossed) -> bool:

@@ -249,9 +249,11 @@ class Search:
         A quick climb from a coarse grid may stop short of the summit that the whole part shows, and a rival that cannot
         be told from what is chosen would look far off.
         """
-        free = (*self.keys(effects), *SPREAD)
-        again = maximise(crossed.first.stack, free, self.screen, 25, ROUGH, self.scales(self.screen))
-        return max(fit, again, key=lambda each: each.nats)
+        return max(fit, self.screened(crossed.first.stack, effects), key=lambda each: each.nats)
+
+    def screened(self, start: Stack, effects: Sequence[str], enough: float = ROUGH) -> Fit:
+        """Return effects fitted together on the screening batch; `enough` as in `maximise`."""
+        return maximise(start, (*self.keys(effects), *SPREAD), self.screen, 25, enough, self.scales(self.screen))
 
     def _as_it_is(self, stack: Stack) -> Fit:
         """Return a hypothesis without anything to fit on the smaller part."""
@@ -281,7 +283,7 @@ class Search:
         open_ = [name for name in self.candidates() if name not in chosen]
         grids = self.each(lambda search, name, at: search.points(at, name), dict.fromkeys(open_, stack))
         order = sorted(open_, key=lambda name: -grids[name][0][0])
-        start = maximise(stack, (*self.keys(chosen), *SPREAD), self.screen, 25, ROUGH, self.scales(self.screen))
+        start = self.screened(stack, chosen)
         # a grid sees no stray in a scatter that strays have stretched: what may have stretched it is fitted as well
         near = [n for k, n in enumerate(order) if k < self.rules.fitted or self.strays_stretch(stack, n)]
         fits = self.climbs({name: grids[name] for name in near}, chosen)

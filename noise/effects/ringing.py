@@ -81,4 +81,4 @@ class RingDown(Effect):
 def _step(value: Floats) -> float:
     """Return the least distance between different values, m, within what registers count in."""
     gaps = np.diff(np.unique(np.round(value, 6)))
-    return float(np.clip(gaps.min(initial=WIDEST_STEP_M), FINEST_STEP_M, WIDEST_STEP_M)) if len(gaps) else FINEST_STEP_M
+    return float(np.clip(gaps.min(), FINEST_STEP_M, WIDEST_STEP_M)) if len(gaps) else FINEST_STEP_M
