@@ -12,15 +12,18 @@ and then does so at random.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.stats import norm
 
 from noise.batch import Batch
 from noise.discrepancy.locate import Finding
+from noise.law import Floats
 from noise.robust import winsorised
 
-FEWEST = 12  # moves, below which signs say nothing; ours
+FEWEST = 8  # moves, below which signs say nothing; ours
+MANY = 12  # moves, from which on a sum of signed leans is as good as normal, and windows can be told; ours
 FEWEST_PINGS = 4  # of a stay, for its later half to tell where readings settle; ours
 APART_M = 0.05  # between two places, for the last reading of one to show in the other; ours
 DRAWS = 9999  # of what chance does
@@ -36,16 +39,13 @@ class Transient:
         moves: number of moves it rests on.
         statistic: studentised sum; positive towards the place before.
         size_m: median lean towards the place before, m.
+        p_value: of a lean this strong towards the place before, by chance.
     """
 
     moves: int
     statistic: float
     size_m: float
-
-    @property
-    def p_value(self) -> float:
-        """Of a lean this strong towards the place before, by chance."""
-        return float(norm.sf(self.statistic))
+    p_value: float
 
     @property
     def finding(self) -> Finding:
@@ -70,7 +70,15 @@ def transient(batch: Batch) -> Transient | None:
     lean = lean - np.median(lean)  # of every first reading, wherever it comes from
     leaning = winsorised(lean, batch.resolution) * np.sign(towards)
     spread = float(np.sqrt((leaning**2).sum()))
-    return Transient(len(known), float(leaning.sum()) / spread if spread > 0 else 0.0, float(np.median(leaning)))
+    statistic = float(leaning.sum()) / spread if spread > 0 else 0.0
+    p = float(norm.sf(statistic)) if len(known) >= MANY else _by_flips(leaning)
+    return Transient(len(known), statistic, float(np.median(leaning)), p)
+
+
+def _by_flips(leaning: Floats) -> float:
+    """Return the share of all ways to give leans their signs that lean as much: exact, however few they are."""
+    signs = np.array(list(product((1.0, -1.0), repeat=len(leaning))))
+    return float(np.mean(signs @ np.abs(leaning) >= leaning.sum() - 1e-9))
 
 
 def _lean(batch: Batch, rows: np.ndarray) -> tuple[float, float] | None:
@@ -102,7 +110,7 @@ def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
     counts = known[np.isfinite(known)]
     moves, total = len(counts), int(counts.sum())
     # numbers that are cut off agree with each other because they are
-    if moves < FEWEST or total < FEWEST or len(known) - moves > CUT_OFF * len(known):
+    if moves < MANY or total < MANY or len(known) - moves > CUT_OFF * len(known):
         return None
     # geometric numbers whose sum is known are multinomial with shares that are uniform on the simplex
     drawn = rng.multinomial(total, rng.dirichlet(np.ones(moves), DRAWS))

@@ -26,6 +26,11 @@ def heard(seed, change=lambda x: x):
     return Recording.of(Ping.of(distance=distance, time=time), Reading.of(np.round(change(reading.range), 4)))
 
 
+def stays(recording, count):
+    """Return the first so many stays of what `heard` returns."""
+    return Recording.of(recording.ping[: 8 * count], recording.reading[: 8 * count])
+
+
 def smoothed(x):
     """Return a running mean in which each new reading weighs a half."""
     out = x.copy()
@@ -72,9 +77,21 @@ def test_a_repeated_reading_is_no_lean():
     assert found is None or found.p_value > SURE_P
 
 
+@pytest.mark.parametrize("host", [smoothed, slewing, averaged])
+def test_ten_moves_that_all_lean_towards_the_place_before_are_memory(host):
+    found = transient(Batch.of(stays(heard(4, host), 11)))
+    assert found.moves < 12
+    assert 0.5**found.moves <= found.p_value < 4 * 0.5**found.moves  # of 2^n ways to give them signs
+
+
+def test_few_moves_are_weighed_exactly():
+    p = np.array([transient(Batch.of(stays(heard(seed), 11))).p_value for seed in range(100, 160)])
+    assert 0.35 < np.mean(p) < 0.65
+    assert np.mean(p <= 0.05) <= 0.15
+
+
 def test_too_few_moves_say_nothing():
-    recording = heard(3)
-    assert transient(Batch.of(Recording.of(recording.ping[:60], recording.reading[:60]))) is None
+    assert transient(Batch.of(stays(heard(3), 7))) is None
 
 
 def test_a_mean_of_readings_is_no_repeat():
