@@ -100,7 +100,7 @@ class Stuck(Effect):
     by_ping = True
     summary = "Now and then the sensor gives one and the same reading, whatever the target"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) CONSTANT; rate: ours", (0.02,)),
+        Parameter("probability", "1", 0.0, 0.0, 0.999, "Sharma et al. (2010) CONSTANT; rate: ours", (0.02,)),
         Parameter("value_m", "m", 1.0, 0.001, 20.0, "on the register; ours", (1.0,)),
     )
     probability: Tensor

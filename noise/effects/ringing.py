@@ -12,6 +12,9 @@ from noise.law import Floats
 FARTHEST_M = 0.8  # that ringing is read at; ours
 FEWEST = 4  # early readings, to begin from them; ours
 SHARES = (0.0, 0.1)  # of near readings that something else may have brought still nearer; ours
+NEAREST_M = 0.2  # up to which ringing is usually read at; ours
+ONE_PLACE_M = 0.005  # a wave of the carrier at the most, within which readings are one and the same place; ours
+MOST_OF_THEM = 0.5  # share of early readings that one place has; ours
 FINEST_STEP_M, WIDEST_STEP_M = 0.001, 0.01  # of a register, within which its values say how wide it is; ours
 
 
@@ -39,6 +42,7 @@ class RingDown(Effect):
     name = "ring_down"
     stage = Stage.PATHS
     strikes = True
+    passes_for = ("stuck",)
     summary = "The transducer's own ringing is read as a near echo"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 1.0, "ours", (0.2,)),
@@ -54,6 +58,15 @@ class RingDown(Effect):
         length = self.range_m + torch.zeros_like(state.conditions.distance)
         path = vars(new_path("ring-down", length, wall_level_db(length), self.probability))
         return state.with_path(DecayingPath(**{**path, "spread": self.decay_m}))
+
+    @classmethod
+    def hidden(cls, seen: Seen) -> bool:
+        """Tell whether most early readings are from one place that is near enough to be ringing."""
+        early = seen.early.range
+        if len(early) < FEWEST:
+            return False
+        usual = float(np.median(early))
+        return usual < NEAREST_M and float(np.mean(np.abs(early - usual) < ONE_PLACE_M)) > MOST_OF_THEM
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:

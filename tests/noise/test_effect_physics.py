@@ -213,6 +213,24 @@ def test_a_fit_of_ringing_begins_where_every_near_reading_is_allowed(begins, dec
     assert first["decay_m"] > 0.0
 
 
+@pytest.mark.parametrize(
+    ("near", "hidden"),
+    [
+        (np.full(40, 0.054), True),  # a stuck register may read that too
+        (np.r_[np.full(30, 0.054), np.full(10, 0.0583)], True),
+        (np.full(40, 0.7), False),
+        (np.linspace(0.05, 0.15, 40), False),
+        (np.full(3, 0.054), False),
+    ],
+)
+def test_ringing_that_is_read_at_one_near_place_passes_for_a_stuck_register(near, hidden):
+    distance = np.full(len(near) + 20, 3.0)
+    seen = Seen(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    ring = CATALOGUE["ring_down"]
+    assert "stuck" in ring.passes_for
+    assert ring.hidden(seen) == hidden
+
+
 def test_few_near_readings_tell_nothing_of_ringing():
     distance = np.full(20, 2.0)
     seen = Seen(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
