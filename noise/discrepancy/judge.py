@@ -23,7 +23,8 @@ MEMORY = ("transient", "trailing", "grip", "window", "still", "kept", "play")
 BEYOND_LAWS = (*MEMORY, "company", "form", "selective", "fading", "edge")
 # found by looks of their own, which no scan of conditions has to bear out
 OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
-SHAPES = ("skew", "spread")  # of what readings of one cell do among themselves: no cause is hidden by them
+# what readings of one cell do among themselves and after each other, which another day changes: hides no cause
+SHAPES = ("skew", "spread", "time_correlation")
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours
 # the same for what a learner makes of it: memory is not the shape of a law
 LEARNED_SHARE = {"conditions": 0.5, "memory": 0.02}

@@ -12,6 +12,7 @@ from noise.discrepancy.matched import Matched
 from noise.discrepancy.rest import in_words
 from noise.discrepancy.rules import SURE, SURE_OF_AIR
 from noise.discrepancy.search import Crossed, Search
+from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import Named, Rest
 from noise.effects import CATALOGUE
 from noise.fit import Fit
@@ -45,6 +46,22 @@ def test_a_scatter_that_no_day_brings_is_a_mismatch():
 
 def named(effect):
     return Named(effect, (), 0.9, {}, 20.0, 5.0, "so")
+
+
+@pytest.mark.parametrize(
+    ("aspect", "verdict"),
+    [("time_correlation", "named"), ("skew", "named"), ("spread", "named"), ("extra_mode", "unknown")],
+)
+def test_what_another_day_changes_hides_no_fault(aspect, verdict):
+    """How the air hangs together differs from day to day whether a register is stuck now and then or not."""
+    left = Rest(True, 0.001, "so", (Finding(aspect, {}, 0.3, "1", 0.001, 20.0),))
+    assert judge([named("stuck")], left, 250.0, 1e-6) == verdict
+
+
+@pytest.mark.parametrize("aspect", ["transient", "still", "window"])
+def test_memory_that_is_sure_makes_a_fault_unknown(aspect):
+    left = Rest(True, 0.001, "so", (Finding(aspect, {}, 0.3, "m", 0.5 * SURE_P, 2.0),))
+    assert judge([named("stuck")], left, 250.0, 1e-6) == "unknown"
 
 
 @pytest.mark.parametrize(
