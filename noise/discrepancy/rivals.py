@@ -125,14 +125,14 @@ class Contest:
     Attributes:
         cross, own: the explanation, cross-fitted and fitted to all open data.
         replica: readings that it draws; None where it remembers the readings before, which a replica cannot.
-        own_nats: log likelihood of its fit to them.
+        again: its fit to them.
         scales: of nuisances, measured on them.
     """
 
     cross: Crossed
     own: Fit
     replica: Batch | None = None
-    own_nats: float = np.nan
+    again: Fit | None = None
     scales: Scales = field(default_factory=dict)
 
     @classmethod
@@ -143,7 +143,7 @@ class Contest:
             return cls(why.cross, own)
         drawn = replica(own.stack, search.both, rng)
         again = maximise(own.stack, (*search.keys(why.chosen), *NUISANCES), drawn, 30, scales=scales)
-        return cls(why.cross, own, drawn, again.nats, scales)
+        return cls(why.cross, own, drawn, again, scales)
 
     def against(self, search: Search, rival: Rival, others: Sequence[str]) -> Rival:
         """Return a rival that was met on all open data: fitted there, and on unseen cells where it is no twin.
@@ -154,18 +154,40 @@ class Contest:
             others: the effects that it shares with the explanation.
         """
         effects = [*others, rival.effect]
-        batch, free = search.both, (*search.keys(effects), *NUISANCES)
-        other = maximise(rival.stack, free, batch, 30, scales=search.scales(batch))
-        expected = np.nan
-        if self.replica is not None and not rival.stack.model.remembers:
-            best = maximise(other.stack, free, self.replica, 30, scales=dict(self.scales))
-            expected = max(self.own_nats - best.nats, 0.0)
+        free = (*search.keys(effects), *NUISANCES)
+        other = self._fitted(search, rival, free)
+        expected = self._expected(search, replace(rival, stack=other.stack), free)
         met = replace(rival, observed=self.own.nats - other.nats + rival.more, expected=expected, stack=other.stack)
         if met.alike or met.observed >= TIE:
             return met
         # what fits as well where it was fitted may only be the more pliant: unseen cells tell
         crossed = search.cross(other.stack, effects, near=self.cross)
         return replace(met, observed=max(met.observed, float((self.cross.nats - crossed.nats).sum())))
+
+    def _fitted(self, search: Search, rival: Rival, free: Sequence[Key]) -> Fit:
+        """Return a rival's fit to all open data; one that loses begins once more where the explanation ended.
+
+        Another summit among the nuisances would exclude a twin.
+        """
+        batch = search.both
+        found = maximise(rival.stack, free, batch, 30, scales=search.scales(batch))
+        if self.own.nats - found.nats + rival.more < TIE:
+            return found
+        beside = _instead(search, self.own.stack, rival)
+        return max(found, maximise(beside, free, batch, 30, scales=search.scales(batch)), key=lambda fit: fit.nats)
+
+    def _expected(self, search: Search, rival: Rival, free: Sequence[Key]) -> float:
+        """Return by how many nats the replica prefers the explanation; nan where there is none, or no law for it."""
+        if self.replica is None or self.again is None or rival.stack.model.remembers:
+            return np.nan
+        best = maximise(_instead(search, self.again.stack, rival), free, self.replica, 30, scales=dict(self.scales))
+        return max(self.again.nats - best.nats, 0.0)
+
+
+def _instead(search: Search, stack: Stack, rival: Rival) -> Stack:
+    """Return an explanation's stack with a rival in the place of the effect, at the rival's own values."""
+    keys = search.keys([rival.effect])
+    return search.reset(stack, rival.replaces).put(keys, [rival.stack.get(key) for key in keys])
 
 
 def in_disguise(search: Search, names: Sequence[str], chosen: Sequence[str]) -> tuple[str, ...]:

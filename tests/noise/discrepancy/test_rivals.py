@@ -1,0 +1,63 @@
+"""Whether what could as well have been the cause is found, wherever the climb to it begins."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import lfilter
+
+from acquisition import Ping, Reading, Recording
+from noise.batch import Batch
+from noise.discrepancy.explanation import Explained, Final
+from noise.discrepancy.rivals import SAME, TIE, Contest, Rival
+from noise.discrepancy.search import Crossed, Search
+from noise.fit import maximise
+from noise.model import simulate
+from noise.physical import PhysicalModel
+from noise.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.starts import nuisance_start
+
+torch.set_num_threads(1)
+OFFSET, CLOCK = ("zero_offset", "offset_m"), ("clock_scale", "error")
+ELSEWHERE = {  # summits of what cells share that a climb may not come down from
+    (CELLS, "sharing"): 0.0,
+    (CELLS, "carry"): 0.6,
+    (CELLS, "kernel_m"): 0.02,
+    (CELLS, "hearing"): 0.05,
+    (CELLS, "placement_m"): 0.03,
+    (JITTER, "sigma_m"): 0.02,
+}
+
+
+def survey(spread_m, seed=1):
+    """Return 40 cells of 24 pings within a spread of distances, 12 mm too far, whose scatter hangs together."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(1.0 - spread_m, 1.0 + spread_m, 40), 24)
+    air = lfilter([1.0], [1.0, -0.8], rng.normal(0.0, 0.002, (40, 24)), axis=1).ravel()
+    off = 0.012 + np.repeat(rng.normal(0.0, 0.002, 40), 24) + air
+    reading = simulate(PhysicalModel(()), Ping.of(distance=distance + off), rng)
+    return Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(reading.range / 0.003) * 0.003)))
+
+
+def met(batch):
+    """Return a wrong clock as it meets a shift, from a place far off."""
+    base = nuisance_start(Stack.of(PhysicalModel(())), batch)
+    search = Search(base, batch, batch, batch)
+    own = maximise(base.put([OFFSET], [0.012]), (OFFSET, *NUISANCES), batch, 60)
+    crossed = Crossed(own, own, np.zeros(batch.blocks))
+    contest = Contest.of(search, Explained(["zero_offset"], crossed, crossed, Final((own,))), np.random.default_rng(2))
+    far = base.put(list(ELSEWHERE), list(ELSEWHERE.values())).put([CLOCK], [0.012])
+    return contest.against(search, Rival("clock_scale", "zero_offset", 0.0, np.nan, far), [])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_twin_is_found_from_wherever_its_climb_begins(seed):
+    found = met(survey(0.01, seed))
+    assert found.alike
+    assert abs(found.observed) < TIE
+    assert found.expected < 1.0
+
+
+def test_what_conditions_tell_apart_is_no_twin():
+    found = met(survey(0.7))
+    assert not found.alike
+    assert found.expected > SAME
