@@ -32,7 +32,7 @@ class BeamWidth(Effect):
     stage = Stage.MEDIUM
     summary = "The beam is narrower than assumed: echoes from the side are weaker"
     parameters = (
-        Parameter("ka", "1", 0.0, 0.0, 20.0, "piston; 4.8: Devantech's 55 deg at -6 dB; 17: Polaroid", (3.0, 4.8, 9.0)),
+        Parameter("ka", "1", 0.0, 0.0, 16.0, "piston; 4.8: Devantech's 55 deg at -6 dB; 15: 17 deg", (3.0, 4.8, 9.0)),
     )
     ka: Tensor
 
