@@ -224,7 +224,7 @@ def prepared(
     """Return the search, its base fitted in nuisances alone."""
     batch = split.discover.thin(4000)
     fitted = best_of(nuisance_starts(base.stack, batch), NUISANCES, batch, 80)
-    rules = base.rules(split.both.blocks)
+    rules = base.rules(split.both)
     parts = (split.discover, split.confirm, split.both)
     search = Search(fitted.stack, *parts, seed, rules, tell, never=never, workers=workers)
     return search, fitted

@@ -28,6 +28,7 @@ from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import smooth
 from noise.discrepancy.splits import Split
+from noise.discrepancy.struck import more_struck
 from noise.discrepancy.trailing import trailing
 from noise.discrepancy.verdict import BaselineCheck
 from noise.discrepancy.workers import ALONE, Workers
@@ -68,6 +69,8 @@ FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked 
 LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
 TILT_GAIN = 2.0  # nats, for each number of the tilt; ours
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
+FEW_BY_CHANCE = 0.1  # of so many stays with strays, below which they count beside what is gained: four to none; ours
+COUNTED_T = 1.5  # standard errors that are enough then: of five stays whose gains differ by as much as they are; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
 
@@ -88,7 +91,7 @@ class Baseline:
     check: BaselineCheck
     own: Split | None = None
 
-    def rules(self, blocks: int) -> Rules:
+    def rules(self, batch: Batch) -> Rules:
         """Return when to believe: an emulator errs too, by as much as its own readings are few.
 
         Twice the log likelihood ratio of what is the same in both grows by 1 + (blocks recorded / blocks simulated).
@@ -96,8 +99,14 @@ class Baseline:
         plain = Rules()
         if self.own is None:
             return plain
-        factor = 1.0 + blocks / max(self.own.both.blocks, 1)
-        return replace(plain, least_nats=factor * plain.least_nats, least_t=float(np.sqrt(factor)) * plain.least_t)
+        factor = 1.0 + batch.blocks / max(self.own.both.blocks, 1)
+        counted = more_struck(batch, self.own.both) < FEW_BY_CHANCE
+        return replace(
+            plain,
+            least_nats=factor * plain.least_nats,
+            least_t=float(np.sqrt(factor)) * plain.least_t,
+            sweeping_t=COUNTED_T if counted else plain.sweeping_t,
+        )
 
     def with_twins(self, batch: Batch) -> Batch:
         """Return a batch whose cells know how far the simulation's readings lie from this law in the same condition."""

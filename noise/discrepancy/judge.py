@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from noise.discrepancy.explanation import Explained
 from noise.discrepancy.locate import ALARM, Finding
 from noise.discrepancy.matched import Matched
-from noise.discrepancy.rules import AIR, SURE
+from noise.discrepancy.rules import AIR, SURE, TIE
 from noise.discrepancy.search import Search
 from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import Named, Rest
 from noise.effects import Parameter
-from noise.stack import JITTER, Key, Stack
+from noise.fit import Fit, maximise
+from noise.stack import JITTER, Key
 from noise.starts import fitting_value
 
 SEEN = 0.05  # p-value of a scan, above which it bears out nothing; ours
@@ -30,6 +31,8 @@ LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the 
 LEARNED_SHARE = {"conditions": 0.5, "memory": 0.02}
 SMALL_SHARE = 0.02  # of what was explained: less is the shape of a law, not another cause; ours
 EDGE = 0.01  # of the width of its bounds, within which a parameter lies at one; ours
+LESS = 0.2  # of a size at the edge, that is taken off it to see whether less would do; ours
+NEEDED = 0.05  # of the gain, that has to be lost then: a size that fits and is free loses a twenty-fifth of it; ours
 
 
 def of_the_day(named: Sequence[Named], gain: float, p_scan: float) -> bool:
@@ -82,22 +85,34 @@ def at_the_edge(search: Search, why: Explained) -> list[Finding]:
     """Return what an explanation needs that lies at the edge of the plausible, as findings everywhere.
 
     A cause that moves the target's echo, and would have to be as great as such a cause can be, is none: it stands in
-    for another of a form that it nearly has. What an emulator has found of the simulation by itself does not count.
+    for another of a form that it nearly has. Where a lesser one does nearly as well, nothing has to be: how steep a
+    beam is beyond the edge of hearing, no reading tells. What an emulator has found by itself does not count.
 
     Args:
         search: its readings.
         why: the explanation.
     """
-    found = [_extreme_in(fit.stack, search, why) for fit in why.final.fits]
+    found = [_extreme_in(fit, search, why) for fit in why.final.fits]
     return list({finding.place: finding for each in found for finding in each}.values())
 
 
-def _extreme_in(stack: Stack, search: Search, why: Explained) -> list[Finding]:
+def _extreme_in(fit: Fit, search: Search, why: Explained) -> list[Finding]:
     """Return the same of one fit."""
-    keys = [key for key in search.keys(why.chosen) if _extreme(stack.parameter(key), stack.get(key))]
+    stack = fit.stack
+    keys = [key for key in search.keys(why.chosen) if key in fit.free]
     own = [key for key in keys if stack.get(key) != search.base.get(key)]
-    told = [key for key in own if fitting_value(stack, key, search.both) is not None]
-    return [_edge(key, stack.get(key), stack.parameter(key).unit, why.gain) for key in told]
+    extreme = [key for key in own if _extreme(stack.parameter(key), stack.get(key))]
+    told = [key for key in extreme if fitting_value(stack, key, search.both) is not None]
+    needed = [key for key in told if _missed(fit, key, search) > max(TIE, NEEDED * why.gain)]
+    return [_edge(key, stack.get(key), stack.parameter(key).unit, why.gain) for key in needed]
+
+
+def _missed(fit: Fit, key: Key, search: Search) -> float:
+    """Return what is lost, nats, where a parameter is less by a fifth and the others may make up for it."""
+    here, null = fit.stack.get(key), fit.stack.parameter(key).null
+    others = [other for other in fit.free if other != key]
+    less = fit.stack.put([key], [here + LESS * (null - here)])
+    return fit.nats - maximise(less, others, search.both, 30, scales=search.scales(search.both)).nats
 
 
 def _extreme(p: Parameter, value: float) -> bool:

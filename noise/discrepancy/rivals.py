@@ -18,6 +18,7 @@ from acquisition import Ping
 from noise.batch import Batch
 from noise.cells import BANKS, law_of, prior_offset
 from noise.discrepancy.explanation import Explained
+from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
 from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, maximise
@@ -29,7 +30,6 @@ SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %
 NEAR = 20.0  # nats observed, beyond which a rival is lost whatever could be expected
 CLOSE = 3.0  # nats behind the chosen effect on the grid, within which another is fitted too; ours
-TIE = 3.0  # nats observed: less does not exclude anything
 
 
 @dataclass(frozen=True)

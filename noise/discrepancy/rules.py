@@ -12,6 +12,7 @@ from noise.stack import JITTER
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 SURE_OF_AIR = 100.0  # the same of livelier air that nothing is located by: a law's misfit of levels passes for it; ours
+TIE = 3.0  # nats observed: less does not exclude anything
 AIR = {JITTER: SURE, "scintillation": SURE_OF_AIR}  # what another day changes by itself, by less than so many nats
 
 

@@ -60,7 +60,7 @@ class Boresight(Effect):
     name = "boresight"
     stage = Stage.CONDITION
     summary = "The beam does not point along the axis that angles are counted from"
-    parameters = (Parameter("yaw_deg", "deg", 0.0, -15.0, 15.0, "0 to 3 deg; wider: ours", (-3.0, 3.0)),)
+    parameters = (Parameter("yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: ours", (-3.0, 3.0)),)
     yaw_deg: Tensor
 
     def apply(self, state: State) -> State:

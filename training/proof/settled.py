@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from noise.discrepancy.rivals import TIE
+from noise.discrepancy.rules import TIE
 from noise.discrepancy.verdict import CLAIMS
 from training.proof.score import TELLABLE, Line, Scored, at_least, quantile, share
 

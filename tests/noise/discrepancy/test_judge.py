@@ -5,6 +5,7 @@ import pytest
 
 from acquisition import Ping, Recording
 from noise.batch import Batch
+from noise.discrepancy import judge as judge_module
 from noise.discrepancy.explanation import Explained, Final
 from noise.discrepancy.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
 from noise.discrepancy.locate import Finding
@@ -15,10 +16,10 @@ from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import Named, Rest
 from noise.effects import CATALOGUE
-from noise.fit import Fit
+from noise.fit import maximise
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
+from noise.stack import NUISANCES, Stack
 from noise.starts import nuisance_start
 
 SOMETHING = Rest(True, 0.0025, "small misfits")
@@ -94,21 +95,40 @@ def test_what_is_faint_and_borne_out_by_nothing_may_be_the_laws_own_error(gain, 
     assert may_be_the_laws(gain, p_scan, matched) == law
 
 
+def weighed(law, effect, size, ping):
+    """Return the size that a fit to readings of a law comes to, what of it is told to lie at the edge, and its gain."""
+    batch = Batch.of(Recording.of(ping, simulate(law, ping, np.random.default_rng(1))))
+    stack = nuisance_start(Stack.of(PhysicalModel(())), batch)
+    own = [(effect, parameter.name) for parameter in CATALOGUE[effect].parameters]
+    fit = maximise(stack.put(own[:1], [size]), (*own, *NUISANCES), batch)
+    joint = maximise(stack.put(own[:1], [0.5 * size]), NUISANCES, batch)  # as if it had missed it
+    without = maximise(stack, NUISANCES, batch)
+    crossed = [Crossed(each, each, np.full(4, each.nats / 4)) for each in (without, fit)]
+    search = Search(stack, batch, batch, batch)
+    finals = [Final(fits) for fits in ((fit,), (joint, fit), (fit, fit))]  # the last: with every reading counted
+    found = [at_the_edge(search, Explained([effect], *crossed, final)) for final in finals]
+    return fit.stack.get(own[0]), found, fit.nats - without.nats
+
+
 @pytest.mark.parametrize(("axial", "edge"), [(-0.35, True), (-0.2, False)])
 def test_no_cause_lies_at_the_edge_of_the_plausible(axial, edge):
     """A pivot that would have to be 35 cm off the sensor stands in for something else."""
     rng = np.random.default_rng(1)
-    distance, angle = rng.uniform(0.5, 3.0, 200), rng.uniform(-0.6, 0.6, 200)
-    ping = Ping.of(distance=distance, angle=angle)
+    ping = Ping.of(distance=rng.uniform(0.5, 3.0, 200), angle=rng.uniform(-0.6, 0.6, 200))
     law = PhysicalModel([CATALOGUE["pivot_offset"](axial_m=axial), CATALOGUE["travel_time_jitter"](sigma_m=0.003)])
-    batch = Batch.of(Recording.of(ping, simulate(law, ping, rng)))
-    base = nuisance_start(Stack.of(PhysicalModel(())), batch)
-    stack = base.put([("pivot_offset", "axial_m"), ("pivot_offset", "lateral_m")], [axial, 0.01])
-    fit = Fit(stack, (), 0.0)
-    crossed = Crossed(fit, fit, np.zeros(4))
-    inside = Fit(stack.put([("pivot_offset", "axial_m")], [-0.2]), (), 0.0)
-    for fits in ((fit,), (inside, fit), (fit, fit)):  # jointly with what cells share, or with every reading counted
-        why = Explained(["pivot_offset"], crossed, crossed, Final(fits))
-        found = at_the_edge(Search(base, batch, batch, batch), why)
+    for found in weighed(law, "pivot_offset", axial, ping)[1]:
         assert len(found) == int(edge)
-    assert not edge or "pivot_offset.axial_m of -0.35 m" in in_words(found[0])
+        assert not edge or "pivot_offset.axial_m of -0.35 m" in in_words(found[0])
+
+
+@pytest.mark.parametrize(("share", "edge"), [(0.04, False), (0.06, True)])
+def test_what_lies_at_the_edge_is_plausible_where_less_would_do(share, edge, monkeypatch):
+    """How steep a beam is beyond the edge of hearing no reading tells, and a climb may end anywhere."""
+    rng = np.random.default_rng(1)
+    ping = Ping.of(distance=rng.uniform(0.5, 3.0, 200), angle=rng.uniform(-0.6, 0.6, 200))
+    law = PhysicalModel([CATALOGUE["pivot_offset"](axial_m=-0.35), CATALOGUE["travel_time_jitter"](sigma_m=0.003)])
+    size, found, gain = weighed(law, "pivot_offset", -0.35, ping)
+    assert size == pytest.approx(-0.35, abs=1e-3)
+    assert all(found)
+    monkeypatch.setattr(judge_module, "_missed", lambda *_: share * gain)
+    assert all(bool(each) == edge for each in weighed(law, "pivot_offset", -0.35, ping)[1])

@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 from acquisition import Ping, Reading, Recording
 from noise.batch import Batch
 from noise.discrepancy.explanation import Explained, Final
-from noise.discrepancy.rivals import SAME, TIE, Contest, Rival
+from noise.discrepancy.rivals import SAME, Contest, Rival
+from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
 from noise.fit import maximise
 from noise.model import simulate
