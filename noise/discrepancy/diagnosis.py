@@ -290,7 +290,7 @@ def _verdict(
     matched: Matched | None,
 ) -> Verdict:
     """Return the verdict, its held-out part still open."""
-    unseen = base.own is not None and may_be_the_laws(gain, p_scan, matched)
+    unseen = base.own is not None and may_be_the_laws(named, gain, p_scan, matched, search.rules.sweeping_nats)
     if not rest.present and (unseen or of_the_day(named, gain, p_scan)):
         named, gain = [], 0.0
     p_gain = min(1.0, len(search.candidates()) ** len(named) * float(np.exp(-max(gain, 0.0)))) if named else 1.0

@@ -70,6 +70,7 @@ LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; o
 TILT_GAIN = 2.0  # nats, for each number of the tilt; ours
 LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 FEW_BY_CHANCE = 0.1  # of so many stays with strays, below which they count beside what is gained: four to none; ours
+NONE_BY_CHANCE = 0.01  # the same, below which whatever is gained is enough: seven to none; ours
 COUNTED_T = 1.5  # standard errors that are enough then: of five stays whose gains differ by as much as they are; ours
 REPEATS = 4  # readings a condition that are drawn from a model to be emulated
 MOST_CONDITIONS = 600
@@ -100,12 +101,13 @@ class Baseline:
         if self.own is None:
             return plain
         factor = 1.0 + batch.blocks / max(self.own.both.blocks, 1)
-        counted = more_struck(batch, self.own.both) < FEW_BY_CHANCE
+        by_chance = more_struck(batch, self.own.both)
         return replace(
             plain,
             least_nats=factor * plain.least_nats,
             least_t=float(np.sqrt(factor)) * plain.least_t,
-            sweeping_t=COUNTED_T if counted else plain.sweeping_t,
+            sweeping_nats=factor * plain.least_nats if by_chance < NONE_BY_CHANCE else plain.sweeping_nats,
+            sweeping_t=COUNTED_T if by_chance < FEW_BY_CHANCE else plain.sweeping_t,
         )
 
     def with_twins(self, batch: Batch) -> Batch:

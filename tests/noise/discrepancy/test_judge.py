@@ -45,8 +45,8 @@ def test_a_scatter_that_no_day_brings_is_a_mismatch():
     assert judge([], Rest(True, 0.001, "so", (found,)), 0.0, 0.009) == "unknown"
 
 
-def named(effect):
-    return Named(effect, (), 0.9, {}, 20.0, 5.0, "so")
+def named(effect, gain=20.0, error=5.0):
+    return Named(effect, (), 0.9, {}, gain, error, "so")
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,24 @@ def test_livelier_air_that_nothing_is_located_by_is_another_day(effects, gain, p
     ],
 )
 def test_what_is_faint_and_borne_out_by_nothing_may_be_the_laws_own_error(gain, p_scan, matched, law):
-    assert may_be_the_laws(gain, p_scan, matched) == law
+    assert may_be_the_laws([named("zero_offset", gain, 0.5 * gain)], gain, p_scan, matched) == law
+
+
+@pytest.mark.parametrize(
+    ("effect", "gain", "error", "matched", "counted", "law"),
+    [
+        ("boresight", 16.0, 5.0, None, SURE, False),
+        ("boresight", 16.0, 6.0, None, SURE, True),
+        ("boresight", 12.0, 3.0, None, SURE, True),
+        ("boresight", 16.0, 5.0, Matched(30, 0.5, 0.0), SURE, True),
+        ("scintillation", 25.0, 5.0, None, SURE, True),
+        ("spike", 16.0, 9.0, None, 12.0, False),
+        ("spike", 10.0, 6.0, None, 12.0, True),
+        ("boresight", 16.0, 9.0, None, 12.0, True),
+    ],
+)
+def test_many_standard_errors_or_counted_stays_bear_a_faint_cause_out(effect, gain, error, matched, counted, law):
+    assert may_be_the_laws([named(effect, gain, error)], gain, 0.5, matched, counted) == law
 
 
 def weighed(law, effect, size, ping):

@@ -60,3 +60,4 @@ def test_fewer_standard_errors_are_enough_where_struck_stays_are_counted(strikes
     split = Split.of(stays(5), np.random.default_rng(0))
     base = Baseline(Stack.of(PhysicalModel(())), PhysicalModel(()), BaselineCheck(True, 1.0, ""), split)
     assert base.rules(stays(6, strikes)).sweeping_t == enough
+    assert (base.rules(stays(6, strikes)).sweeping_nats < Rules().sweeping_nats) == (strikes > 0)
