@@ -86,6 +86,9 @@ TICK_S = 1e-3  # times of pings are logged no finer
 MOST_TICKS = 1 << 21
 SURE_NATS = 5.0  # by which arrivals must keep to a clock better than to any by chance: 99 %
 SLOWEST_HZ, FASTEST_HZ = 0.5, 40.0  # of another sonar; ours
+LEAST_SPREAD = 0.01  # of the phases of asking and delay, squared: less is how coarsely both are logged; ours
+MOST_CLOCKS, NEARLY = 8, 0.8  # that are looked at closely, and how near they come to the best; ours
+SLOWER, ALL_OF = range(2, 20), 0.97  # times as slow a clock, if it is kept to by as many; ours
 
 
 class AsynchronousCrosstalk(Effect):
@@ -143,21 +146,30 @@ class AsynchronousCrosstalk(Effect):
 
 
 def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
-    """Return the frequency to which arrivals `since + late` keep, Hz, beyond what the times of asking bring along."""
+    """Return the frequency of the clock to which arrivals `since + late` keep, Hz.
+
+    Whoever asks by a clock of his own makes anything keep to it that comes soon after. What tells the other clock is
+    that the delay goes by the moment of asking: the correlation of their phases, at all frequencies at once. Those that
+    differ by the clock of the asking tell nearly the same, and of these the arrivals themselves choose.
+    """
     length = float(since.max() + late.max()) + 1.0
     tick = max(TICK_S, length / MOST_TICKS)
     size = next_fast_len(4 * (int(length / tick) + 1), real=True)
     arrived, asked, lag = (
-        rfft(np.bincount(np.rint(t / tick).astype(np.int64), minlength=size)) for t in _parts(since, late)
+        rfft(np.bincount(np.rint(t / tick).astype(np.int64), minlength=size)) / len(since)
+        for t in (since + late, since, late)
     )
-    height = np.abs(arrived - asked * lag / len(since))
-    frequency = np.arange(len(height)) / (size * tick)
-    height[(frequency < SLOWEST_HZ) | (frequency > FASTEST_HZ)] = 0.0
-    # every multiple of a clock's frequency is as high as the clock's own, and one may stand out of the asking better
-    top = max(float(frequency[int(np.argmax(height))]), SLOWEST_HZ)  # of a flat spectrum the first is the highest
-    fine = [_sharpened(top / k, since + late, length) for k in range(1, 7) if top / k >= SLOWEST_HZ]
-    most = max(kept for _, kept in fine)
-    return max(min(found for found, kept in fine if kept > 0.9 * most), SLOWEST_HZ)
+    spread = (1.0 - np.abs(asked) ** 2) * (1.0 - np.abs(lag) ** 2)
+    alike = np.abs(arrived - asked * lag) / np.sqrt(np.maximum(spread, LEAST_SPREAD))
+    frequency = np.arange(len(alike)) / (size * tick)
+    alike[(frequency < SLOWEST_HZ) | (frequency > FASTEST_HZ)] = 0.0
+    able = np.flatnonzero(alike >= NEARLY * alike.max())
+    best = able[np.argsort(np.abs(arrived[able]))[-MOST_CLOCKS:]]
+    top, most = max((_sharpened(f, since + late, length) for f in frequency[best]), key=lambda each: each[1])
+    # what keeps to a clock keeps to every faster one that beats in between: unless the asking does, it is the slowest
+    slower = [_sharpened(top / k, since + late, length) for k in SLOWER if top / k >= SLOWEST_HZ]
+    kept = [f for f, much in slower if much > ALL_OF * most and much > abs(np.exp(2j * np.pi * f * since).sum())]
+    return max(min(kept, default=top), SLOWEST_HZ)
 
 
 def _sharpened(frequency: float, arrival: NDArray[np.float64], length: float) -> tuple[float, float]:
@@ -165,7 +177,3 @@ def _sharpened(frequency: float, arrival: NDArray[np.float64], length: float) ->
     near = frequency + np.linspace(-1.0, 1.0, 401) / (2.0 * length)
     kept = np.abs(np.exp(2j * np.pi * near[:, None] * arrival).sum(axis=1))
     return float(near[np.argmax(kept)]), float(kept.max())
-
-
-def _parts(since: NDArray[np.float64], late: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    return since + late, since, late
