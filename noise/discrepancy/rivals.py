@@ -160,9 +160,11 @@ class Contest:
         met = replace(rival, observed=self.own.nats - other.nats + rival.more, expected=expected, stack=other.stack)
         if met.alike or met.observed >= TIE:
             return met
-        # what fits as well where it was fitted may only be the more pliant: unseen cells tell
-        crossed = search.cross(other.stack, effects, near=self.cross)
-        return replace(met, observed=max(met.observed, float((self.cross.nats - crossed.nats).sum())))
+        # what fits as well where it was fitted may only be the more pliant: unseen cells tell, if none of its summits
+        # does as well on them
+        crossed = (search.cross(other.stack, effects, near=near) for near in (self.cross, None))
+        lost = min(float((self.cross.nats - each.nats).sum()) for each in crossed)
+        return replace(met, observed=max(met.observed, lost))
 
     def _fitted(self, search: Search, rival: Rival, free: Sequence[Key]) -> Fit:
         """Return a rival's fit to all open data; one that loses begins once more where the explanation ended.

@@ -1,5 +1,7 @@
 """Whether what could as well have been the cause is found, wherever the climb to it begins."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -39,13 +41,14 @@ def survey(spread_m, seed=1):
     return Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(reading.range / 0.003) * 0.003)))
 
 
-def met(batch):
-    """Return a wrong clock as it meets a shift, from a place far off."""
+def met(batch, replicas=True):
+    """Return a wrong clock as it meets a shift, from a place far off; `replicas` tell whether they could be told apart."""
     base = nuisance_start(Stack.of(PhysicalModel(())), batch)
     search = Search(base, batch, batch, batch)
     own = maximise(base.put([OFFSET], [0.012]), (OFFSET, *NUISANCES), batch, 60)
     crossed = Crossed(own, own, np.zeros(batch.blocks))
     contest = Contest.of(search, Explained(["zero_offset"], crossed, crossed, Final((own,))), np.random.default_rng(2))
+    contest = contest if replicas else replace(contest, replica=None)
     far = base.put(list(ELSEWHERE), list(ELSEWHERE.values())).put([CLOCK], [0.012])
     return contest.against(search, Rival("clock_scale", "zero_offset", 0.0, np.nan, far), [])
 
@@ -62,3 +65,18 @@ def test_what_conditions_tell_apart_is_no_twin():
     found = met(survey(0.7))
     assert not found.alike
     assert found.expected > SAME
+
+
+@pytest.mark.parametrize(
+    ("beside", "alone", "survives"), [(-20.0, -1.0, True), (-1.0, -20.0, True), (-20.0, -20.0, False)]
+)
+def test_unseen_cells_exclude_a_rival_only_if_none_of_its_summits_does_well_on_them(
+    beside, alone, survives, monkeypatch
+):
+    batch = survey(0.01)
+
+    def cross(search, stack, chosen, near=None):
+        return Crossed(None, None, np.full(batch.blocks, (alone if near is None else beside) / batch.blocks))
+
+    monkeypatch.setattr(Search, "cross", cross)
+    assert met(batch, replicas=False).survives == survives
