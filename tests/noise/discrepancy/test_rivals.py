@@ -42,7 +42,7 @@ def survey(spread_m, seed=1):
 
 
 def met(batch, replicas=True):
-    """Return a wrong clock as it meets a shift, from a place far off; `replicas` tell whether they could be told apart."""
+    """Return a wrong clock as it meets a shift, from a place far off; without replicas nothing says they are alike."""
     base = nuisance_start(Stack.of(PhysicalModel(())), batch)
     search = Search(base, batch, batch, batch)
     own = maximise(base.put([OFFSET], [0.012]), (OFFSET, *NUISANCES), batch, 60)
