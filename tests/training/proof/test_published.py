@@ -35,7 +35,7 @@ def test_a_published_ledger_is_whole(name):
 @pytest.mark.parametrize("name", LEDGERS)
 def test_an_answer_changed_afterwards_is_found(name):
     lines = published(name)
-    opened = next(line for line in lines if line["event"] == "opened")
+    opened = next(line for line in lines if line["event"] == "opened" and line["answer"]["kind"] != "null")
     opened["answer"]["kind"] = "null"
     with pytest.raises(LedgerError):
         check(lines)
