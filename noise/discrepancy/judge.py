@@ -17,8 +17,8 @@ from noise.stack import JITTER, Key
 from noise.starts import fitting_value
 
 SEEN = 0.05  # p-value of a scan, above which it bears out nothing; ours
-# of an effect that nothing else bears out, and its standard errors: what simulations alone had found for them was at
-# most 18 nats on 2.7 standard errors and 11 nats on more, in 142 recordings that nothing was wrong with; ours
+# of an effect that nothing else bears out, and its standard errors: in 142 recordings that nothing was wrong with, none
+# that the scan did not see gained more than 17 nats on 2.7 standard errors, or 11 nats on 3 and more; ours
 PLAIN_NATS, PLAIN_T = 15.0, 3.0
 SURE_SCAN = 0.005  # p-value of a scan below which that is enough, whatever is left on unseen cells
 CATCH_ALL = ("spike", "noise_burst", "stale_repeat", "dropped_reading", "false_alarm", "stuck", "scintillation")
@@ -49,8 +49,8 @@ def may_be_the_laws(
 ) -> bool:
     """Tell whether what is named may be the error of a law that stands for a simulation: faint, borne out by nothing.
 
-    Positions that both files share bear it out or not. Where they share none, the scan does, or a gain that is many
-    standard errors over stays, which a law's error never was; or stays that it strikes, in numbers beyond chance.
+    Stays that it strikes, in numbers beyond chance, bear it out. Without them positions that both files share do or do
+    not; where they share none, the scan does, or a gain that is many standard errors over stays.
 
     Args:
         named: the effects.

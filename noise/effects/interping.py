@@ -148,11 +148,29 @@ class AsynchronousCrosstalk(Effect):
 def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
     """Return the frequency of the clock to which arrivals `since + late` keep, Hz.
 
-    Whoever asks by a clock of his own makes anything keep to it that comes soon after. What tells the other clock is
-    that the delay goes by the moment of asking: the correlation of their phases, at all frequencies at once. Those that
-    differ by the clock of the asking tell nearly the same, and of these the arrivals themselves choose.
+    Of those that the delay goes by, which differ by the clock of the asking and tell nearly the same, the arrivals
+    themselves choose.
     """
+    arrival = since + late
     length = float(since.max() + late.max()) + 1.0
+    frequency, alike, arrived = _going_along(since, late, length)
+    able = np.flatnonzero(alike >= NEARLY * alike.max())
+    best = able[np.argsort(arrived[able])[-MOST_CLOCKS:]]
+    top, most = max((_sharpened(f, arrival, length) for f in frequency[best]), key=lambda each: each[1])
+    # what keeps to a clock keeps to every faster one that beats in between: unless the asking does, it is the slowest
+    slower = [_sharpened(top / k, arrival, length) for k in SLOWER if top / k >= SLOWEST_HZ]
+    kept = [f for f, much in slower if much > ALL_OF * most and much > abs(np.exp(2j * np.pi * f * since).sum())]
+    return max(min(kept, default=top), SLOWEST_HZ)
+
+
+def _going_along(
+    since: NDArray[np.float64], late: NDArray[np.float64], length: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequencies, Hz, how far delays go by the moment of asking at each, and how far arrivals keep to it.
+
+    Whoever asks by a clock of his own makes anything keep to it that comes soon after. What tells the other clock is
+    the correlation of both phases, at all frequencies at once.
+    """
     tick = max(TICK_S, length / MOST_TICKS)
     size = next_fast_len(4 * (int(length / tick) + 1), real=True)
     arrived, asked, lag = (
@@ -163,13 +181,7 @@ def _beat(since: NDArray[np.float64], late: NDArray[np.float64]) -> float:
     alike = np.abs(arrived - asked * lag) / np.sqrt(np.maximum(spread, LEAST_SPREAD))
     frequency = np.arange(len(alike)) / (size * tick)
     alike[(frequency < SLOWEST_HZ) | (frequency > FASTEST_HZ)] = 0.0
-    able = np.flatnonzero(alike >= NEARLY * alike.max())
-    best = able[np.argsort(np.abs(arrived[able]))[-MOST_CLOCKS:]]
-    top, most = max((_sharpened(f, since + late, length) for f in frequency[best]), key=lambda each: each[1])
-    # what keeps to a clock keeps to every faster one that beats in between: unless the asking does, it is the slowest
-    slower = [_sharpened(top / k, since + late, length) for k in SLOWER if top / k >= SLOWEST_HZ]
-    kept = [f for f, much in slower if much > ALL_OF * most and much > abs(np.exp(2j * np.pi * f * since).sum())]
-    return max(min(kept, default=top), SLOWEST_HZ)
+    return frequency, alike, np.abs(arrived)
 
 
 def _sharpened(frequency: float, arrival: NDArray[np.float64], length: float) -> tuple[float, float]:
