@@ -72,7 +72,7 @@ def _strip(name: str, picture: Picture) -> Image.Image:
     scene = scene.resize((WIDTH, round(WIDTH * scene.height / scene.width)), Image.Resampling.LANCZOS)
     strip = Image.new("RGB", (WIDTH, scene.height + TITLE), PAPER)
     strip.paste(scene, (0, TITLE))
-    ImageDraw.Draw(strip).text((10, 5), f"{name} sonar", INK, ImageFont.load_default(15))
+    ImageDraw.Draw(strip).text((10, 5), f"sonar: {name}", INK, ImageFont.load_default(15))
     return strip
 
 

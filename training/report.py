@@ -129,14 +129,19 @@ def effect_facts(named: Named) -> dict[str, Any]:
         "summary": CATALOGUE[named.effect].summary,
         "alike": [plain(name) for name in named.indistinguishable_from],
         "percent": f"{100 * named.probability:.0f}",
-        "numbers": [(plain(name), interval(value)) for name, value in named.parameters.items()],
+        "numbers": [(parameter(name, value.unit), interval(value)) for name, value in named.parameters.items()],
         "gain": f"{named.gain_nats:.0f} ± {named.gain_se:.0f}",
     }
 
 
+def parameter(name: str, unit: str) -> str:
+    """Return a parameter's name as words, without the unit at its end, which is printed with its value."""
+    return plain(name.removesuffix("_" + unit.lower().replace("/", "_per_").replace("degc", "c")))
+
+
 def interval(value: Interval) -> str:
     """Return a value with its 90 % interval and unit."""
-    unit = "" if value.unit == "1" else f" {value.unit}"
+    unit = "" if value.unit == "1" else f" {value.unit.replace('degC', '°C')}"
     if value.unit == "m" and max(abs(value.low), abs(value.high)) < 1.0:
         return f"{1000 * value.value:.3g} mm ({1000 * value.low:.3g} to {1000 * value.high:.3g})"
     return f"{value.value:.3g}{unit} ({value.low:.3g} to {value.high:.3g})"

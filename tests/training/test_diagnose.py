@@ -17,7 +17,7 @@ from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
 from training.cli import main
 from training.diagnose import simulator_of
-from training.report import certainty, interval
+from training.report import certainty, interval, parameter
 
 
 def diagnose(*arguments):
@@ -126,9 +126,15 @@ def test_a_process_of_its_own_ends_with_code_2_and_no_traceback(tmp_path):
 
 def test_numbers_are_printed_with_their_unit():
     assert interval(Interval(0.0123, 0.01, 0.02, "m")) == "12.3 mm (10 to 20)"
-    assert interval(Interval(24.1, 23.6, 24.6, "degC")) == "24.1 degC (23.6 to 24.6)"
+    assert interval(Interval(24.1, 23.6, 24.6, "degC")) == "24.1 °C (23.6 to 24.6)"
     assert "one recording in 1,000" in certainty(0.001)
     assert "no larger than chance" in certainty(0.5)
+
+
+def test_a_unit_is_printed_once():
+    labels = {parameter(p.name, p.unit) for effect in CATALOGUE.values() for p in effect.parameters}
+    assert {"offset", "temperature", "rate", "sigma at 6m", "behind", "per metre"} <= labels
+    assert not [label for label in labels if label.split()[-1] in ("m", "s", "k", "db", "deg", "c", "h")]
 
 
 def test_a_function_of_ones_own_is_a_simulator(tmp_path, monkeypatch):
