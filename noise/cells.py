@@ -37,7 +37,8 @@ CARELESS = 0.1  # share of such cells; ours
 LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
-LEAST = 1e-9  # probability that is divided by
+LEAST = 1e-250  # probability that is divided by
+RARE = 1e-6  # probability of an echo, below which 1 - P(no echo) has lost its digits
 
 
 class CellNuisance(Effect):
@@ -154,25 +155,31 @@ def by_bank(own: Tensor, cells: CellNuisance, batch: Batch, last_step: int) -> T
 def _own(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
     """Return probabilities under the laws of both banks, (banks, n), that of hearing as earlier pings have it."""
     both = together(law, cells, batch)
-    silent, place = both.no_echo_tensor(), both.echo_tensor(both.step(batch.reading.range))
-    expected, given = hearing(silent, cells, batch)
-    told = given / torch.clamp(expected, min=LEAST)
-    return torch.where(torch.from_numpy(batch.reading.echo), place, silent) * told
+    echo, place = torch.from_numpy(batch.reading.echo), both.echo_tensor(both.step(batch.reading.range))
+    expected, given = hearing(both, cells, batch)
+    return torch.where(echo, place / torch.clamp(expected, min=LEAST), 1.0) * given
 
 
-def hearing(silent: Tensor, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+def hearing(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
     """Return the probability of what each ping was, echo or silence: alone, and given those before in its cell.
 
     Args:
-        silent: probability of no echo, (n,) or (banks, n), as is what is returned.
+        law: of each ping, whose probabilities are (n,) or (banks, n), as is what is returned.
         cells: how far a cell is heard as it was before.
         batch: readings.
     """
-    echo = torch.from_numpy(batch.reading.echo)
+    echo, silent = torch.from_numpy(batch.reading.echo), law.no_echo_tensor()
     count, heard = batch.heard
-    expected = torch.where(echo, 1.0 - silent, silent)
+    expected = torch.where(echo, _heard(law, silent, echo), silent)
     before = torch.where(echo, heard, count - heard)
     return expected, (expected + cells.hearing * before) / (1.0 + cells.hearing * count)
+
+
+def _heard(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:
+    """Return the probability of an echo, of pings that brought one: where it is rare, exactly, which costs more."""
+    likely = 1.0 - silent
+    rare = echo & (likely < RARE)
+    return torch.where(rare, law.heard_tensor(), likely) if bool(rare.any()) else likely
 
 
 def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:

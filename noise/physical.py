@@ -117,6 +117,14 @@ class PhysicalLaw(EchoLaw):
             out = (1.0 - atom.weight) * out + atom.weight * atom.no_echo
         return out
 
+    def heard_tensor(self) -> Tensor:
+        """Return P(echo), (n,): what 1 - P(no echo) is, but exact where it is rare."""
+        end = torch.full((len(self),), END, dtype=torch.float64)
+        out = self.between_tensor(self.register_to_range(-end), self.register_to_range(end))
+        for atom in self.state.atoms:
+            out = (1.0 - atom.weight) * out + atom.weight * (1.0 - atom.no_echo - atom.no_answer)
+        return out
+
     def echo_tensor(self, step: np.ndarray) -> Tensor:
         """Return P(the register holds a step), (n,)."""
         low, high = self._edges(step - 1), self._edges(step)

@@ -65,7 +65,7 @@ def starting_points(
         points += _on_slopes(stack.put(keys, row), keys, whole or batch)
     points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(seen_in(whole or batch))]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
-    points += [[_spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
+    points += [[spread(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
     return [stack.put(keys, point) for point in points]
 
 
@@ -121,7 +121,7 @@ def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[fl
     return list(dict.fromkeys([*starts, *lengths]))
 
 
-def _spread(p: Parameter, u: float) -> float:
+def spread(p: Parameter, u: float) -> float:
     """Return a value between the bounds: evenly, in the logarithm where they span more than two decades."""
     if p.low > 0 and p.high / p.low > 100.0:
         return float(p.low * (p.high / p.low) ** u)

@@ -17,6 +17,7 @@ import pandas as pd
 from acquisition import ModelError, Ping, Reading, Recording
 from noise.batch import Batch
 from noise.discrepancy.company import company
+from noise.discrepancy.emulator import emulator
 from noise.discrepancy.held import still
 from noise.discrepancy.locate import ALARM
 from noise.discrepancy.matched import conditions_of
@@ -32,43 +33,15 @@ from noise.discrepancy.struck import more_struck
 from noise.discrepancy.trailing import trailing
 from noise.discrepancy.verdict import BaselineCheck
 from noise.discrepancy.workers import ALONE, Workers
-from noise.empirical import DISTANCE_KNOTS, Flexible
-from noise.fit import Fit, log_likelihood, maximise
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.starts import extra_modes, nuisance_starts, starting_points, usual_scatter
+from noise.stack import CELLS, Stack
 
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500
 PEER_PINGS = 6000
 MOST_ASKED = 6000
-# what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
-PLAIN: dict[Key, float] = {
-    ("clock_scale", "error"): 0.0,
-    ("zero_offset", "offset_m"): 0.0,
-    ("dropped_reading", "probability"): 0.002,
-    ("spike", "probability"): 0.002,
-    ("cycle_slip", "probability"): 0.2,
-}
-LOSS: Key = ("sensitivity", "loss_db")
-WEAKENED: dict[Key, float] = {
-    LOSS: 38.0,
-    ("specular_loss", "strength"): 0.8,
-    ("beam_width", "ka"): 2.0,
-    ("time_walk", "scale"): 0.5,
-    ("reflectance_loss", "strength"): 0.5,
-}
-FAULTS = ("spike", "dropped_reading", "cycle_slip")  # of the emulator, that anything unexplained passes for
-LOSSES_DB = (30.0, 38.0, 42.0, 46.0, 50.0)  # to begin from where other things answer: no slope tells them apart; ours
-LOOSE: dict[Key, float] = {(CELLS, "placement_m"): 0.004, (CELLS, "sharing"): 0.3}  # to begin from; ours
-FEW_MISSED = 0.002  # share of pings that miss the target, below which nothing is known of a threshold; ours
-THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
-FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
-LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
-TILT_GAIN = 2.0  # nats, for each number of the tilt; ours
-LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
 FEW_BY_CHANCE = 0.1  # of so many stays with strays, below which they count beside what is gained: four to none; ours
 NONE_BY_CHANCE = 0.01  # the same, below which whatever is gained is enough: seven to none; ours
 COUNTED_T = 1.5  # standard errors that are enough then: of five stays whose gains differ by as much as they are; ours
@@ -265,16 +238,7 @@ def sampled(model: SonarModel, recording: Recording, seed: int) -> Recording:
 def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: Workers = ALONE) -> Baseline:
     """Return an emulator of a simulation, checked on cells it was not fitted to."""
     split = Split.of(Batch.of(simulated), np.random.default_rng([seed, 6]))
-    both = split.both.thin(EMULATOR_PINGS)
-    bare = nuisance_starts(Stack.of(PhysicalModel((), simulated.resolution)), both)
-    faint = levels_tell(both)
-    parts = (PLAIN, {**PLAIN, **WEAKENED}) if faint else (PLAIN,)
-    starts = [s.put(list(usual), list(usual.values())) for s in bare for usual in parts]
-    starts += in_company(bare[0], both) if faint else []
-    climbs = workers.map(lambda s: maximise(s, (*free_of(s), *NUISANCES), both, 40, LEAST_LOSS), starts)
-    best = max(climbs, key=lambda fit: fit.nats)
-    best = with_other_things(best, both, np.random.default_rng([seed, 12]))
-    stack = folded(_pruned(smoothed(best.stack, both), both))
+    stack = emulator(split.both.thin(EMULATOR_PINGS), seed, workers)
     plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
     return Baseline(stack, raw or plain, checked(stack, split.vault, np.random.default_rng([seed, 7])), split)
 
@@ -292,97 +256,3 @@ def checked(stack: Stack, unseen: Batch, rng: np.random.Generator) -> BaselineCh
     but = "" if wholly or not good else ", but for how those of one position hang together"
     note = f"a stand-in with a smooth part {words} the simulation's own held-out readings{but}"
     return BaselineCheck(good, p, note, good and wholly)
-
-
-def smoothed(stack: Stack, batch: Batch) -> Stack:
-    """Return a stack with a smooth part, fitted; with its tilt only where readings ask for it."""
-    smooth = replace(stack, extra={Flexible.name: Flexible})
-    fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
-    smooth = smooth.put(fine, [0.0] * len(fine))
-    tilt = [key for key in fine if key[1].startswith("tilt")]
-    free = tuple(key for key in (*free_of(smooth), *NUISANCES) if key not in tilt)
-    plain = maximise(smooth, free, batch, 80)
-    tilted = maximise(smooth, (*free, *tilt), batch, 80)
-    return tilted.stack if tilted.nats > plain.nats + TILT_GAIN * len(tilt) else plain.stack
-
-
-def levels_tell(batch: Batch) -> bool:
-    """Tell whether a simulation's readings depend on how loud an echo is: some are missed, or reflectors differ.
-
-    Where none is missed a threshold could stand anywhere below, and what it does to the moment of reading would hold it
-    where no recording can move it. A target is missed, too, where something behind it answers in its place.
-    """
-    missed = ~batch.reading.echo | (batch.error > batch.reach)
-    return float(np.mean(missed)) > FEW_MISSED or bool(np.ptp(batch.ping.reflectance) > 0.0)
-
-
-def in_company(bare: Stack, batch: Batch) -> list[Stack]:
-    """Return where to begin if something else answers wherever the target is too faint; nothing if nothing stands out.
-
-    Such echoes pass for spikes, losses and cells that repeat themselves, and no climb leads back from there: its own
-    parameters and the levels are climbed first, with faults as rare and cells as loose as they usually are.
-
-    Args:
-        bare: a law with nuisances and nothing else.
-        batch: the simulation's readings.
-    """
-    modes = [mode for mode in dict.fromkeys(extra_modes(batch)) if mode > 0.0]
-    if not modes:
-        return []
-    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): usual_scatter(batch), **LOOSE}
-    things = [thing for mode in modes for thing in _answering(mode)]
-    starts = [{**usual, LOSS: loss, **thing} for loss in LOSSES_DB for thing in things]
-    put = [bare.put(list(start), list(start.values())) for start in starts]
-    best = max(put, key=lambda stack: log_likelihood(stack, batch).sum())
-    free = tuple(key for key in free_of(best) if key[0] not in FAULTS)
-    return [maximise(best, (*free, *SPREAD), batch, 40, LEAST_LOSS).stack]
-
-
-def _answering(mode: float) -> tuple[dict[Key, float], dict[Key, float]]:
-    """Return things that nearly always answer at a length, m: behind the target, or in the room."""
-    behind, fixed = THINGS
-    backdrop = {(behind, "presence"): 0.9, (behind, "behind_m"): mode, (behind, "loss_db"): 5.0}
-    return backdrop, {(fixed, "presence"): 0.9, (fixed, "range_m"): mode, (fixed, "spread_m"): 0.02}
-
-
-def with_other_things(fit: Fit, batch: Batch, rng: np.random.Generator) -> Fit:
-    """Return a fit with what else answers in the simulation: not asked for it, the recording would seem to add it.
-
-    Args:
-        fit: of what simulated sonars usually have.
-        batch: the simulation's readings.
-        rng: for starting points.
-    """
-    if company(fit.stack, batch).agree < FEWEST_AGREE:
-        return fit
-    for name in THINGS:
-        start = max(starting_points(fit.stack, name, batch, rng), key=lambda s: log_likelihood(s, batch).sum())
-        found = maximise(start, (*free_of(start), *NUISANCES), batch, 40, LEAST_LOSS)
-        fit = found if found.nats > fit.nats + LEAST_GAIN else fit
-    return fit
-
-
-def _pruned(stack: Stack, batch: Batch) -> Stack:
-    """Drop what the readings do not speak for: under other conditions it would do harm that nobody asked for."""
-    for name in dict.fromkeys(key[0] for key in (*PLAIN, *WEAKENED) if key[0] in stack.values):
-        without = stack.without(name)
-        if log_likelihood(stack, batch).sum() - log_likelihood(without, batch).sum() < LEAST_LOSS:
-            stack = without
-    return stack
-
-
-def folded(stack: Stack) -> Stack:
-    """Return the stack with its scale and offset moved into the smooth part, which holds any line exactly.
-
-    A scale or offset that is named later then says by how much the recording differs from the simulation.
-    """
-    scale, offset = 1.0 + stack.get(("clock_scale", "error")), stack.get(("zero_offset", "offset_m"))
-    keys = [(Flexible.name, f"bias_d{k}") for k in range(len(DISTANCE_KNOTS))]
-    line = [scale * (d + stack.get(key)) + offset - d for d, key in zip(DISTANCE_KNOTS, keys, strict=True)]
-    return stack.put(keys, line).without("clock_scale").without("zero_offset")
-
-
-def free_of(stack: Stack) -> tuple[Key, ...]:
-    """Return every parameter of a stack but the nuisances': what an emulator is fitted in."""
-    keys = ((name, p.name) for name in stack.values for p in stack.known[name].parameters)
-    return tuple(key for key in keys if key not in NUISANCES)

@@ -106,7 +106,7 @@ def _log_hearing(stack: Stack, batch: Batch) -> Floats:
     """Return the log probability of echo or silence, whichever there was, given the cell's pings before, (n,)."""
     with torch.no_grad():
         model, cells = stack.build()
-        given = hearing(law_of(model, batch).no_echo_tensor(), cells, batch)[1]
+        given = hearing(law_of(model, batch), cells, batch)[1]
     return np.asarray(np.log(np.clip(given.numpy(), LEAST, 1.0)))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from noise.batch import Batch, silence
 from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
+from noise.discrepancy.unseen import unseen
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
 from noise.fit import Fit, Scales, log_likelihood, maximise
@@ -214,8 +215,8 @@ class Search:
         # how readings scatter and what cells share is a property of the sonar: the smaller part, a dozen cells at
         # times, would say it all too exactly, and be wrong of a single careless cell by dozens of nats
         second = maximise(start, keys, self.confirm) if keys else self._as_it_is(start)
-        on_discover = self.discover.per_block(log_likelihood(second.stack, self.discover))
-        on_confirm = self.confirm.per_block(log_likelihood(first.stack, self.confirm))
+        on_discover = unseen(second, keys, self.confirm, self.discover, first)
+        on_confirm = unseen(first, keys, self.discover, self.confirm, second)
         return Crossed(first, second, np.r_[on_discover, on_confirm])
 
     def crossed_with(self, stack: Stack, chosen: Sequence[str], name: str, current: Crossed) -> Crossed:

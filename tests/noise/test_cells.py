@@ -62,6 +62,36 @@ def test_every_prediction_sums_to_one(placement, carry, sharing, kernel, hearing
     assert float(p[2::3].sum()) == pytest.approx(1.0, abs=1e-6)
 
 
+def heard_or_missed(loss_db, range_):
+    model = PhysicalModel(
+        [CATALOGUE["travel_time_jitter"](sigma_m=0.005), CATALOGUE["sensitivity"](loss_db=loss_db)],
+        resolution=STEP,
+        max_range=4.0,
+    )
+    batch = Batch.of(recording_of(np.full(len(range_), 2.0), range_))
+    return law_of(model, batch), batch
+
+
+@pytest.mark.parametrize("loss_db", [20.0, 48.0, 60.0, 75.0, 79.0])
+def test_echo_and_silence_share_certainty_however_rare_either_is(loss_db):
+    law, _ = heard_or_missed(loss_db, np.full(1, 2.0))
+    path = law.state.direct
+    margin = float(path.level_db[0, 0] / law.state.width_db)
+    assert float(law.heard_tensor()[0]) == pytest.approx(stats.norm.cdf(margin), rel=1e-9)
+    assert float(law.no_echo_tensor()[0]) == pytest.approx(stats.norm.sf(margin), rel=1e-9)
+
+
+@pytest.mark.parametrize(("loss_db", "range_"), [(0.0, 0.0), (79.0, 2.0)])
+def test_a_cell_that_is_heard_or_missed_against_all_odds_surprises_once(loss_db, range_):
+    law, batch = heard_or_missed(loss_db, np.full(25, range_))
+    odds = law.no_echo_tensor() if range_ == 0.0 else law.heard_tensor()
+    assert float(odds[0]) < 1e-12
+    each = log_prob(law, CellNuisance(hearing=1.0, placement_m=0.002), batch).numpy()
+    assert each[0] < -7.0
+    # afterwards the cell is expected to go on: of 25 alike the others cost what a rule of succession takes
+    assert each[1:].sum() > -15.0
+
+
 def test_a_repeating_cell_is_worth_about_one_reading():
     # fifty readings at the same wrong place cost little more than the first once the urn is on
     batch = Batch.of(recording_of(np.full(20, 2.0), np.full(20, 1.0)))

@@ -5,7 +5,7 @@ import torch
 
 from acquisition import Ping
 from noise import load_model, save_model
-from noise.discrepancy.emulate import folded
+from noise.discrepancy.emulator import folded
 from noise.effects import CATALOGUE
 from noise.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, interpolate
 from noise.stack import Stack

@@ -14,7 +14,8 @@ from acquisition import Recording
 from noise import IdealModel
 from noise.batch import Batch
 from noise.discrepancy.diagnosis import prepared
-from noise.discrepancy.emulate import Baseline, baseline_of, free_of
+from noise.discrepancy.emulate import Baseline, baseline_of
+from noise.discrepancy.emulator import free_of
 from noise.discrepancy.explanation import conclude, intervals
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split

@@ -8,7 +8,8 @@ import torch
 
 from acquisition import Ping, Recording
 from noise.batch import Batch
-from noise.discrepancy.emulate import Baseline, checked, emulated, in_company
+from noise.discrepancy.emulate import Baseline, checked, emulated
+from noise.discrepancy.emulator import in_company
 from noise.discrepancy.rules import SURE_OF_AIR, Rules
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
