@@ -187,7 +187,7 @@ def error_map(seen: Seen, name: str, limit_mm: float) -> str:
         bar = axes.figure.colorbar(points, ax=axes, pad=0.02)
         bar.set_label("reading - expected (mm)")
         if lost.any():
-            axes.legend(loc="upper right", fontsize=9)
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0, fontsize=9)  # on no position
 
     return svg(draw, name)
 

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from noise.discrepancy import Diagnosis
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rest import in_words
-from noise.discrepancy.verdict import Named
+from noise.discrepancy.verdict import Named, Verdict
 from noise.effects import CATALOGUE
 from training.figures import all_figures
 
@@ -92,7 +92,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "recording": Path(diagnosis.recording).name,
         "pings": diagnosis.pings,
         "unanswered": diagnosis.unanswered,
-        "certainty": certainty(verdict.p_value),
+        "certainty": certainty(by_chance(verdict)),
         "effects": [effect_facts(named) for named in verdict.effects],
         "where": [in_words(finding) for finding in verdict.where],
         "rivals": rival_rows(diagnosis),
@@ -112,6 +112,11 @@ def matched(diagnosis: Diagnosis) -> str:
         f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.differs else "do not differ beyond chance"
     )
     return f"Compared directly, without any model, the {found.cells} positions that both files share {differ}."
+
+
+def by_chance(verdict: Verdict) -> float:
+    """Return the p-value of the difference: what no single place shows may show from one place to the next."""
+    return min(verdict.p_value, verdict.unknown.p_value) if verdict.unknown.present else verdict.p_value
 
 
 def certainty(p_value: float) -> str:

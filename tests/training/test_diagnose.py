@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -17,7 +18,7 @@ from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
 from training.cli import main
 from training.diagnose import simulator_of
-from training.report import certainty, interval, parameter
+from training.report import by_chance, certainty, interval, parameter
 
 
 def diagnose(*arguments):
@@ -129,6 +130,13 @@ def test_numbers_are_printed_with_their_unit():
     assert interval(Interval(24.1, 23.6, 24.6, "degC")) == "24.1 °C (23.6 to 24.6)"
     assert "one recording in 1,000" in certainty(0.001)
     assert "no larger than chance" in certainty(0.5)
+
+
+def test_what_only_neighbours_share_is_not_called_chance():
+    left = SimpleNamespace(present=True, p_value=4e-10)
+    assert "no larger than chance" not in certainty(by_chance(SimpleNamespace(p_value=0.27, unknown=left)))
+    none = SimpleNamespace(present=False, p_value=0.4)
+    assert "no larger than chance" in certainty(by_chance(SimpleNamespace(p_value=0.27, unknown=none)))
 
 
 def test_a_unit_is_printed_once():
