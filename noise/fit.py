@@ -28,6 +28,9 @@ STEP_SHARE = 0.02  # of what a climb must gain: a step that gains less ends it
 ROUGHEST = 0.05  # nats; no climb ends at a step that gains more
 ENOUGH = 0.05  # nats that a restart must gain for another to follow
 RESTARTS = 4
+HASTY = 2  # iterations, in which a climb that slopes promise more has met an edge and no summit; ours
+PROMISED = 1.0  # nats; ours
+SLIGHT = 0.03  # of a scale: a step by which no slope changes; ours
 RANKING = 1.0  # nats; a climb that need not gain more only ranks, and goes on with the scale that it met; ours
 CHANGE = (1e-4, 1e4)  # of curvature in one climb that is believed; ours
 REPEATED = (1.0, 0.3, 0.1, 0.03)  # of the share of what is new in a cell: the share of all its pings; ours
@@ -98,6 +101,27 @@ class _Objective:
         down = -self(x)[1]
         return not np.any(((down > 0) & (x < high)) | ((down < 0) & (x > low)))
 
+    def promise(self, x: Floats, scale: Floats) -> float:
+        """Return what a Newton step in each parameter by itself would gain, as far as its bounds let it, nats."""
+        low, high = self.bounds()
+        slope = self(x)[1]
+        step = np.clip(x - slope * scale**2, low, high) - x
+        return float(np.sum(-slope * step - 0.5 * (step / scale) ** 2))
+
+    def at_an_edge(self, x: Floats, scale: Floats) -> NDArray[np.bool_]:
+        """Tell which parameters lose by a slight step that their slopes call a gain, (p,).
+
+        The span of a uniform law ends at the farthest reading that it explains: no slope leads across.
+        """
+        low, high = self.bounds()
+        best, slope = self(x)
+        out = np.zeros(len(x), dtype=bool)
+        for j in np.flatnonzero(slope):
+            moved = x.copy()
+            moved[j] = np.clip(x[j] - np.sign(slope[j]) * SLIGHT * scale[j], low[j], high[j])
+            out[j] = self(moved)[0] > best
+        return out
+
     def bounds(self) -> tuple[Floats, Floats]:
         """Return least and greatest values, null included, (p,) each."""
         known = [self.stack.parameter(key) for key in self.free]
@@ -154,6 +178,7 @@ def maximise(
     best = objective(x)[0]
     left = iterations
     scale: Floats | None = None
+    held = np.zeros(len(x), dtype=bool)
     # curvatures change by orders of magnitude on the way up, so the scale is measured again after every climb
     for attempt in range(RESTARTS):
         if objective.is_flat(x):
@@ -162,12 +187,20 @@ def maximise(
             scale = objective.scale(x, scales if attempt == 0 else None)
         if scales is not None:
             scales.update({key: value for key, value in zip(free, scale, strict=True) if key in NUISANCES})
-        end = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST))
-        gain, left, scale = best - end.value, left - end.iterations, end.scale
+        end = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST), held)
+        gain, left = best - end.value, left - end.iterations
         if gain > 0:
             x, best = end.x, end.value
-        if gain < enough or left <= 0:
+        if left <= 0:
             break
+        if gain < enough:
+            hasty = not held.any() and end.iterations <= HASTY
+            if not hasty or objective.promise(x, scale) < max(PROMISED, enough):
+                break
+            held = objective.at_an_edge(x, scale)
+            if held.all() or not held.any():
+                break
+        scale = end.scale
     return Fit(stack.put(free, x), tuple(free), -best)
 
 
@@ -181,10 +214,14 @@ class _End:
     scale: Floats
 
 
-def _climb(objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float) -> _End:
-    """Climb; a step of `least` nats ends it."""
+def _climb(
+    objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float, held: NDArray[np.bool_]
+) -> _End:
+    """Climb; a step of `least` nats ends it, and what is held stays where it is."""
     start = objective(x0)[0]
     low, high = objective.bounds()
+    width = high - low
+    low, high = np.where(held, x0, low), np.where(held, x0, high)
 
     def scaled(y: Floats) -> tuple[float, Floats]:
         value, gradient = objective(np.clip(x0 + y * scale, low, high))
@@ -205,7 +242,7 @@ def _climb(objective: _Objective, x0: Floats, scale: Floats, iterations: int, le
     )
     x = np.clip(x0 + result.x * scale, low, high)
     change = np.sqrt(np.clip(np.diag(result.hess_inv @ np.eye(len(x))), *CHANGE))
-    return _End(x, float(result.fun), int(result.nit), _between(scale * change, high - low))
+    return _End(x, float(result.fun), int(result.nit), _between(scale * change, width))
 
 
 def _between(scale: Floats, width: Floats) -> Floats:

@@ -43,6 +43,27 @@ def test_gradient_is_the_slope():
         assert gradient[j] == pytest.approx(slope, rel=1e-3, abs=1e-2)
 
 
+def test_the_edge_of_a_uniform_law_does_not_end_a_climb():
+    # strays reach to 3 m: a span that ends there loses by any step that shortens it, whatever its slope says
+    rng = np.random.default_rng(5)
+    distance = np.repeat(rng.uniform(0.4, 1.0, 40), 6)
+    range_ = distance + rng.normal(0.01, 0.004, len(distance))
+    range_[::9] = np.linspace(1.2, 3.0, len(range_[::9]))
+    batch = Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(range_, 3))))
+    span, offset = ("spike", "span_m"), ("zero_offset", "offset_m")
+    free = (span, offset, ("spike", "probability"), ("travel_time_jitter", "sigma_m"))
+    start = nuisance_start(Stack.of(PhysicalModel()), batch).put([*free[:3]], [3.0 + batch.resolution / 2, 0.0, 0.1])
+    edge = _Objective(start, free, batch)
+    x = np.array([start.get(key) for key in free])
+    shorter = x - np.array([1e-4, 0.0, 0.0, 0.0])
+    assert edge(x)[1][0] > 0  # the slope calls it a gain
+    assert edge(shorter)[0] > edge(x)[0]
+    found, held = maximise(start, free, batch), maximise(start, free[1:], batch)
+    assert found.nats > held.nats - 0.1
+    assert found.stack.get(offset) == pytest.approx(0.01, abs=0.002)
+    assert maximise(start, free[:1], batch).stack.get(span) == start.get(span)  # nothing else to climb
+
+
 def test_known_parameters_are_found_with_honest_errors():
     recording = heard(1, clock_scale={"error": -0.01}, zero_offset={"offset_m": 0.012})
     found = fit(PhysicalModel([CATALOGUE["clock_scale"](), CATALOGUE["zero_offset"]()]), recording)
@@ -108,7 +129,7 @@ def test_the_share_of_strays_is_of_all_pings_where_cells_repeat_themselves(seed)
         batch,
         80,
     )
-    assert joint.stack.get(keys[0]) > 4.0 * stray.mean()  # strays are most of what is new in a cell
+    assert joint.stack.get(keys[0]) > 2.0 * stray.mean()  # strays are most of what is new in a cell
     assert each_counted(joint, keys, batch).stack.get(keys[0]) == pytest.approx(stray.mean(), rel=1.5)
 
 
