@@ -215,8 +215,8 @@ class Search:
         # how readings scatter and what cells share is a property of the sonar: the smaller part, a dozen cells at
         # times, would say it all too exactly, and be wrong of a single careless cell by dozens of nats
         second = maximise(start, keys, self.confirm) if keys else self._as_it_is(start)
-        on_discover = unseen(second, keys, self.confirm, self.discover, first)
-        on_confirm = unseen(first, keys, self.discover, self.confirm, second)
+        on_discover = unseen(second, keys, self.confirm, self.discover, first, self.seed)
+        on_confirm = unseen(first, keys, self.discover, self.confirm, second, self.seed)
         return Crossed(first, second, np.r_[on_discover, on_confirm])
 
     def crossed_with(self, stack: Stack, chosen: Sequence[str], name: str, current: Crossed) -> Crossed:

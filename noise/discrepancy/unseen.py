@@ -25,7 +25,7 @@ DRAWS = 64  # values of the parameters, a power of two; ours
 NEARLY = 8.0  # nats of a fit: what is worse than the best by more has no weight to speak of
 
 
-def unseen(fit: Fit, keys: Sequence[Key], fitted: Batch, batch: Batch, seen: Fit) -> Floats:
+def unseen(fit: Fit, keys: Sequence[Key], fitted: Batch, batch: Batch, seen: Fit, seed: int) -> Floats:
     """Return log likelihoods of the blocks of a batch under what was fitted to another, nats, (blocks,).
 
     Args:
@@ -34,12 +34,13 @@ def unseen(fit: Fit, keys: Sequence[Key], fitted: Batch, batch: Batch, seen: Fit
         fitted: the other batch.
         batch: to predict.
         seen: the same hypothesis fitted to `batch` itself, which tells where a prediction failed.
+        seed: of the values that are drawn.
     """
     plain = batch.per_block(log_likelihood(fit.stack, batch))
     if not keys or float((batch.per_block(log_likelihood(seen.stack, batch)) - plain).max()) < SURPRISE:
         return plain
     keys = (*keys, HEARING)
-    points = qmc.Sobol(len(keys), rng=np.random.default_rng(0)).random(DRAWS)
+    points = qmc.Sobol(len(keys), rng=np.random.default_rng(seed)).random(DRAWS)
     drawn = [[spread(fit.stack.parameter(key), u) for key, u in zip(keys, row, strict=True)] for row in points]
     stacks = [fit.stack, *(fit.stack.put(keys, row) for row in drawn)]
     weight = np.array([float(log_likelihood(stack, fitted).sum()) for stack in stacks])

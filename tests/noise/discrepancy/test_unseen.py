@@ -40,7 +40,7 @@ def test_one_value_of_many_that_fit_alike_is_not_taken_for_the_hypothesis(parts)
     few, other = parts
     drawn = fit_of(few, 62.0)
     assert plain(drawn, other).min() < -SURPRISE
-    found = unseen(drawn, [LOSS], few, other, fit_of(other, 45.0))
+    found = unseen(drawn, [LOSS], few, other, fit_of(other, 45.0), seed=1)
     assert found.min() > plain(drawn, other).min() + SURPRISE
     assert (found <= 0.0).all()
 
@@ -49,12 +49,12 @@ def test_what_was_told_exactly_is_still_held_against_it():
     exact, other = batch_of({1.0: True, 1.9: True, 2.0: False, 4.0: False}), batch_of({3.0: True, 3.5: True})
     levels = np.linspace(30.0, 70.0, 161)
     best = max((fit_of(exact, loss) for loss in levels), key=lambda fit: fit.nats)
-    found = unseen(best, [LOSS], exact, other, fit_of(other, 30.0))
+    found = unseen(best, [LOSS], exact, other, fit_of(other, 30.0), seed=1)
     assert found.sum() < -5.0
 
 
 def test_a_prediction_that_holds_is_left_as_it_is(parts):
     few, other = parts
     good = fit_of(few, 45.0)
-    np.testing.assert_array_equal(unseen(good, [LOSS], few, other, good), plain(good, other))
-    np.testing.assert_array_equal(unseen(good, [], few, other, good), plain(good, other))
+    np.testing.assert_array_equal(unseen(good, [LOSS], few, other, good, seed=1), plain(good, other))
+    np.testing.assert_array_equal(unseen(good, [], few, other, good, seed=1), plain(good, other))
