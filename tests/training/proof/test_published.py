@@ -16,7 +16,8 @@ LEDGERS = {  # and how many trials they hold at least
     "proof-ledger.jsonl.gz": 300,
     "proof-ledger-b558b2d.jsonl.gz": 150,
     "proof-ledger-f3a2a87.jsonl.gz": 250,
-    "proof-ledger-69130c0.jsonl.gz": 150,
+    "proof-ledger-69130c0.jsonl.gz": 184,
+    "proof-ledger-511b13d.jsonl.gz": 80,
 }
 
 
