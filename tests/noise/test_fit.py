@@ -125,11 +125,11 @@ def test_the_share_of_strays_is_of_all_pings_where_cells_repeat_themselves(seed)
     spike = {"probability": 0.1, "span_m": 8.0}
     joint = maximise(
         Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": spike, "cells": cells}),
-        (*keys, *NUISANCES),
+        (*keys, *(key for key in NUISANCES if key != ("cells", "sharing"))),  # that cells repeat themselves is given
         batch,
         80,
     )
-    assert joint.stack.get(keys[0]) > 2.0 * stray.mean()  # strays are most of what is new in a cell
+    assert joint.stack.get(keys[0]) > 4.0 * stray.mean()  # strays are most of what is new in a cell
     assert each_counted(joint, keys, batch).stack.get(keys[0]) == pytest.approx(stray.mean(), rel=1.5)
 
 
