@@ -6,13 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from noise.batch import Batch
 from noise.discrepancy.search import Crossed, Search
+from noise.effects.medium import LOGGED
 from noise.fit import Fit, covariance, each_counted, maximise
 from noise.stack import NUISANCES, Key, Stack
 
 Z90 = 1.6449  # two-sided 90 % of a normal
+AIR: Key = ("sound_speed", "temperature_c")
+AIR_SD_K = (
+    0.5  # of air that no thermometer was in: a heated room keeps to its setting within half a kelvin or one; ours
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,7 @@ def intervals(final: Final, batch: Batch, law: Stack, own: Batch | None) -> dict
 
     A law that only stands for a simulation errs, and is known no better than its readings are many: what it seems to
     find in them counts as nothing, and how surely it does adds to the interval. That holds for parameters that may
-    lie on either side of nothing.
+    lie on either side of nothing. Air that no thermometer was in adds what half a kelvin of it would have made of each.
 
     Args:
         final: the explanation.
@@ -91,8 +97,8 @@ def intervals(final: Final, batch: Batch, law: Stack, own: Batch | None) -> dict
     """
     out = {}
     for fitted in final.fits:
-        spread = np.sqrt(np.diag(covariance(fitted, batch)))
-        for key, sd in zip(fitted.free, spread, strict=True):
+        known = np.sqrt(np.diag(covariance(fitted, batch)))
+        for key, sd in zip(fitted.free, np.hypot(known, _by_air(fitted, batch)), strict=True):
             p, value = fitted.stack.parameter(key), fitted.stack.get(key)
             if own is not None and key not in NUISANCES and p.low < p.null < p.high:
                 found, error = _found_in(own, law, key)
@@ -100,6 +106,17 @@ def intervals(final: Final, batch: Batch, law: Stack, own: Batch | None) -> dict
             low, high = max(value - Z90 * sd, min(p.low, p.null)), min(value + Z90 * sd, max(p.high, p.null))
             out[key] = Interval(value, float(low), float(high), p.unit)
     return out
+
+
+def _by_air(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
+    """Return how far each free parameter goes with the temperature of air that nobody measured, one sd of it, (p,)."""
+    if LOGGED in batch.ping.covariates:
+        return np.zeros(len(fitted.free))
+    if AIR in fitted.free:  # it takes up all of what the air does
+        return np.array([AIR_SD_K if key == AIR else 0.0 for key in fitted.free])
+    warmer = fitted.stack.put([AIR], [fitted.stack.get(AIR) + AIR_SD_K])
+    again = maximise(warmer, fitted.free, batch, 40).stack
+    return np.array([again.get(key) - fitted.stack.get(key) for key in fitted.free])
 
 
 def _found_in(own: Batch, stack: Stack, key: Key) -> tuple[float, float]:

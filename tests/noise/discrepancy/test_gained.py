@@ -11,6 +11,7 @@ from noise.discrepancy.gained import by_aspect, gained, with_gained
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.residuals import residuals
 from noise.effects import CATALOGUE
+from noise.effects.medium import ASSUMED_TEMPERATURE_C
 from noise.fit import log_likelihood, maximise
 from noise.physical import PhysicalModel
 from noise.stack import NUISANCES, Stack
@@ -21,8 +22,11 @@ LAW = Stack({**SONAR, "cells": {"placement_m": 0.003}})
 KEY = ("zero_offset", "offset_m")
 
 
-def heard(seed, effects, cells=60, pings=8, beyond=0.0):
-    """Return readings of a sonar with effects, those that stand in nearer cells than `beyond` m without them."""
+def heard(seed, effects, cells=60, pings=8, beyond=0.0, measured=True):
+    """Return readings of a sonar with effects, those that stand in nearer cells than `beyond` m without them.
+
+    A thermometer is in the log where air was `measured`.
+    """
     rng = np.random.default_rng(seed)
     distance = np.repeat(rng.uniform(0.3, 3.0, cells), pings)
     moved = Ping.of(distance=distance + np.repeat(rng.normal(0, 0.003, cells), pings))
@@ -32,6 +36,8 @@ def heard(seed, effects, cells=60, pings=8, beyond=0.0):
     )
     range_ = np.where(distance > beyond, whole.range, plain.range)
     table = Recording.of(Ping.of(distance=distance), whole).table.assign(reading_mm=1e3 * range_)
+    if measured:
+        table = table.assign(temperature_c=20.0)
     return Batch.of(Recording(table))
 
 
@@ -118,5 +124,27 @@ def test_intervals_of_an_offset_cover_as_often_as_they_say():
     for seed in range(20):
         recorded = heard(100 + seed, {"zero_offset": {"offset_m": 0.01}}, 30, 4)
         interval = intervals(final_of(recorded), recorded, LAW, heard(200 + seed, {}, 30, 4))[KEY]
+        covered.append(interval.low < 0.01 < interval.high)
+    assert sum(covered) >= 15
+
+
+@pytest.mark.parametrize(
+    ("key", "a_kelvin"), [(("clock_scale", "error"), 1.71e-3), (("sound_speed", "temperature_c"), 1.0)]
+)
+def test_air_that_nobody_measured_adds_what_half_a_kelvin_of_it_would_have_made(key, a_kelvin):
+    measured, unknown = (heard(8, {}, measured=told) for told in (True, False))
+    final = Final((maximise(LAW, (key, *NUISANCES), unknown, 80),))
+    sd = [(i.high - i.low) / 2.0 / 1.6449 for i in (intervals(final, b, LAW, None)[key] for b in (measured, unknown))]
+    assert np.sqrt(sd[1] ** 2 - sd[0] ** 2) == pytest.approx(0.5 * a_kelvin, rel=0.15)
+
+
+def test_intervals_cover_on_days_on_which_the_air_was_another():
+    covered = []
+    for seed in range(20):
+        air = {"sound_speed": {"temperature_c": ASSUMED_TEMPERATURE_C + np.random.default_rng(seed).normal(0.0, 0.5)}}
+        recorded = heard(300 + seed, {"clock_scale": {"error": 0.01}, **air}, 30, 4, measured=False)
+        key = ("clock_scale", "error")
+        final = Final((maximise(LAW.put([key], [0.0]), (key, *NUISANCES), recorded, 80),))
+        interval = intervals(final, recorded, LAW, None)[key]
         covered.append(interval.low < 0.01 < interval.high)
     assert sum(covered) >= 15
