@@ -6,7 +6,7 @@ coordinates scaled by the curvature, from the starting points it is given (`nois
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -298,7 +298,12 @@ def _lost(stack: Stack, keys: Sequence[Key]) -> bool:
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:
     """Return the best of several climbs."""
-    return max((maximise(stack, free, batch, iterations) for stack in stacks), key=lambda fit: fit.nats)
+    return highest(maximise(stack, free, batch, iterations) for stack in stacks)
+
+
+def highest(fits: Iterable[Fit]) -> Fit:
+    """Return the fit of the highest likelihood, the first of equals."""
+    return max(fits, key=lambda fit: fit.nats)
 
 
 def fit(

@@ -69,6 +69,10 @@ class Stack:
             values.setdefault(key[0], {})[key[1]] = float(np.clip(number, min(p.low, p.null), max(p.high, p.null)))
         return replace(self, values=values)
 
+    def at(self, values: Mapping[Key, float]) -> Stack:
+        """Return the stack with these parameters at these values, clipped to their bounds."""
+        return self.put(list(values), values.values())
+
     def without(self, name: str) -> Stack:
         """Return the stack without an effect."""
         return replace(self, values={k: v for k, v in self.values.items() if k != name})

@@ -154,7 +154,7 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
     tight = {(JITTER, "sigma_m"): 0.5 * loose.get((JITTER, "sigma_m")), (CELLS, "sharing"): 1.5, (CELLS, "carry"): 0.5}
     tight |= {(CELLS, "kernel_m"): max(0.001, batch.resolution / 3.0), (CELLS, "hearing"): 0.5}
     present = [stack] if CELLS in stack.values else []
-    return [loose, loose.put(list(tight), list(tight.values())), *present]
+    return [loose, loose.at(tight), *present]
 
 
 def usual_scatter(batch: Batch) -> float:

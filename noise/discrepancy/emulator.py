@@ -6,7 +6,6 @@ and silent cells pass for a threshold until the smooth part is there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +15,7 @@ from noise.batch import Batch
 from noise.discrepancy.company import company
 from noise.discrepancy.workers import ALONE, Workers
 from noise.empirical import DISTANCE_KNOTS, Flexible
-from noise.fit import Fit, log_likelihood, maximise
+from noise.fit import Fit, highest, log_likelihood, maximise
 from noise.physical import PhysicalModel
 from noise.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.starts import extra_modes, nuisance_starts, starting_points, usual_scatter
@@ -58,21 +57,13 @@ def emulator(both: Batch, seed: int, workers: Workers = ALONE) -> Stack:
     """
     bare = nuisance_starts(Stack.of(PhysicalModel((), both.resolution)), both)
     climb = partial(_climbed, both)
-    tops = [_highest(workers.map(climb, [_with(stack, PLAIN) for stack in bare]))]
+    tops = [highest(workers.map(climb, [stack.at(PLAIN) for stack in bare]))]
     if levels_tell(both):
         # from where echoes are, and how far cells repeat themselves, a threshold is found that is not from elsewhere
-        faint = [_with(tops[0].stack, WEAKENED), *(_with(stack, {**PLAIN, **WEAKENED}) for stack in bare)]
-        tops.append(_highest(workers.map(climb, [*faint, *in_company(bare[0], both)])))
+        faint = [tops[0].stack.at(WEAKENED), *(stack.at({**PLAIN, **WEAKENED}) for stack in bare)]
+        tops.append(highest(workers.map(climb, [*faint, *in_company(bare[0], both)])))
     ends = workers.map(lambda top: smoothed(with_other_things(top, both, seed).stack, both), tops)
-    return folded(_pruned(_highest(ends).stack, both))
-
-
-def _with(stack: Stack, values: dict[Key, float]) -> Stack:
-    return stack.put(list(values), list(values.values()))
-
-
-def _highest(fits: Sequence[Fit]) -> Fit:
-    return max(fits, key=lambda fit: fit.nats)
+    return folded(_pruned(highest(ends).stack, both))
 
 
 def _climbed(batch: Batch, stack: Stack) -> Fit:
@@ -117,7 +108,7 @@ def in_company(bare: Stack, batch: Batch) -> list[Stack]:
     usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): usual_scatter(batch), **LOOSE}
     things = [thing for mode in modes for thing in _answering(mode)]
     starts = [{**usual, LOSS: loss, **thing} for loss in LOSSES_DB for thing in things]
-    put = [_with(bare, start) for start in starts]
+    put = [bare.at(start) for start in starts]
     best = max(put, key=lambda stack: log_likelihood(stack, batch).sum())
     free = tuple(key for key in free_of(best) if key[0] not in FAULTS)
     return [maximise(best, (*free, *SPREAD), batch, 40, LEAST_LOSS).stack]

@@ -21,7 +21,7 @@ from noise.discrepancy.explanation import Explained
 from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
 from noise.effects import CATALOGUE
-from noise.fit import Fit, Scales, maximise
+from noise.fit import Fit, Scales, highest, maximise
 from noise.law import Floats
 from noise.stack import NUISANCES, SPREAD, Key, Stack
 from noise.starts import seen_in
@@ -176,7 +176,7 @@ class Contest:
         if self.own.nats - found.nats + rival.more < TIE:
             return found
         beside = _instead(search, self.own.stack, rival)
-        return max(found, maximise(beside, free, batch, 30, scales=search.scales(batch)), key=lambda fit: fit.nats)
+        return highest((found, maximise(beside, free, batch, 30, scales=search.scales(batch))))
 
     def _expected(self, search: Search, rival: Rival, free: Sequence[Key]) -> float:
         """Return by how many nats the replica prefers the explanation; nan where there is none, or no law for it."""

@@ -22,7 +22,7 @@ from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.discrepancy.unseen import unseen
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
-from noise.fit import Fit, Scales, log_likelihood, maximise
+from noise.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.law import Floats
 from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.starts import nuisance_start, starting_points, usual_scatter
@@ -168,7 +168,7 @@ class Search:
         if self.strays_stretch(points[0][1], name):
             free = (*self.keys([*chosen, name]), *NUISANCES)
             fits.append(maximise(self.tight(points, name), free, batch, 25, ROUGH, self.scales(batch)))
-        return max(fits, key=lambda fit: fit.nats)
+        return highest(fits)
 
     def tight(self, points: Points, name: str) -> Stack:
         """Return the effect as it usually starts, with the scatter that most readings of a cell have.
