@@ -122,11 +122,17 @@ def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[Physic
     return [shifted(law, *prior_offset(cells, batch, wider)) for wider, _ in BANKS]
 
 
-def alone(law: PhysicalLaw, cells: CellNuisance) -> PhysicalLaw:
-    """Return one law of a single ping of whose cell nothing is known: what a simulator should sample."""
+def alone(law: PhysicalLaw, cells: CellNuisance, scale_sd: float = 0.0) -> PhysicalLaw:
+    """Return one law of a single ping of whose cell nothing is known: what a simulator should sample.
+
+    Args:
+        law: of pings.
+        cells: what pings of a cell share.
+        scale_sd: of a factor of all distances that nobody knows either, such as what the air of the day makes of them.
+    """
     middle, _ = direct_median(law)
     scatter = placement_scatter(1.0) * cells.placement_m
-    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + scatter**2)
+    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + scatter**2 + (scale_sd * middle) ** 2)
 
 
 def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:

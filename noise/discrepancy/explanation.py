@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 
 from noise.batch import Batch
 from noise.discrepancy.search import Crossed, Search
-from noise.effects.medium import LOGGED
+from noise.effects.medium import AIR_SD_K, LOGGED
 from noise.fit import Fit, covariance, each_counted, maximise
 from noise.stack import NUISANCES, Key, Stack
 
 Z90 = 1.6449  # two-sided 90 % of a normal
 AIR: Key = ("sound_speed", "temperature_c")
-AIR_SD_K = (
-    0.5  # of air that no thermometer was in: a heated room keeps to its setting within half a kelvin or one; ours
-)
 
 
 @dataclass(frozen=True)

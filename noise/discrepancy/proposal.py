@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from acquisition import Ping, Reading
 from noise.cells import FLOOR, alone
 from noise.discrepancy.rivals import SETTLED
+from noise.effects.medium import AIR_SCALE_SD
 from noise.law import EchoLaw, Floats
 from noise.stack import Stack
 
@@ -32,6 +33,7 @@ VARIED, FARTHER = 2.0, 2.0
 VARIED_DEG, MORE_DEG = 20.0, 10.0
 START_S = "start_s"  # how long the sensor has been on
 LATER_S = 7200.0  # by then every sensor is warm
+UNTRIED = 1.0 / 3.0  # of what a setting seems to tell that was the same in all of the recording; ours
 TOGETHER = 5  # conditions proposed at once, so that no single misplaced target decides
 DEG = np.pi / 180.0
 SLIGHTLY = 1e-6  # rad
@@ -78,6 +80,11 @@ class Setting:
     bearing: float = 1.0
     incidence: float = 1.0
     also: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def trust(self) -> float:
+        """Share of what it seems to tell that counts: what was never set otherwise is known from data sheets alone."""
+        return UNTRIED if self.also else 1.0
 
     def pings(self, seen: Ping | None = None) -> Ping:
         """Return the conditions that are considered: not far from what was recorded, where that is given."""
@@ -144,9 +151,10 @@ def propose(own: Stack, others: Sequence[Stack], seed: int, seen: Ping | None = 
     drifts = any("thermal_drift" in stack.values for stack in (own, *others))
     settings = SETTINGS if drifts else (*SETTINGS, LATER)
     looked = [_shortlist(own, others, setting, seed, seen) for setting in settings]
-    order = np.argsort([-nats for nats, _ in looked], kind="stable")[:2]
+    worth = [setting.trust * nats for setting, (nats, _) in zip(settings, looked, strict=True)]
+    order = np.argsort(-np.array(worth), kind="stable")[:2]
     closer = [_closer(own, others, settings[k], looked[k][1], seed) for k in order]
-    return max(closer, key=lambda found: found.nats)
+    return max(closer, key=lambda found: found.setting.trust * found.nats)
 
 
 def _shortlist(
@@ -191,9 +199,9 @@ def ratios(own: Stack, other: Stack, ping: Ping, change: Callable[[Stack], Stack
 
 
 def law(stack: Stack, ping: Ping) -> EchoLaw:
-    """Return the law of pings that each face a newly placed target."""
+    """Return the law of pings that each face a newly placed target, in the air of another day."""
     model, cells = stack.build()
-    return alone(model.law(ping), cells)
+    return alone(model.law(ping), cells, AIR_SCALE_SD)
 
 
 def floored(predicted: EchoLaw, reading: Reading) -> Floats:

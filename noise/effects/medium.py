@@ -26,6 +26,10 @@ def sound_speed(temperature_c: Tensor) -> Tensor:
 ASSUMED_TEMPERATURE_C = CELSIUS * ((ASSUMED_SPEED / SPEED_AT_0C) ** 2 - 1.0)  # 22.8 degC: where 58 us/cm is true
 
 
+AIR_SD_K = (
+    0.5  # of air that no thermometer was in: a heated room keeps to its setting within half a kelvin or one; ours
+)
+AIR_SCALE_SD = 0.5 * AIR_SD_K / (CELSIUS + ASSUMED_TEMPERATURE_C)  # what that makes of distances
 LOGGED = "temperature_c"  # covariate: a thermometer beside the sensor, degC
 REFERENCE_C = 20.0  # where `temperature_c` holds when a thermometer was logged
 MOST_STRETCH = 0.1  # of distance: what is farther off is no echo of the target; ours

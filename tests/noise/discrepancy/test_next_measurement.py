@@ -120,3 +120,26 @@ def test_nothing_is_asked_for_beyond_what_was_varied():
     # of one place alone nothing is told: one has to go farther
     alone = propose(own, [other], seed=0, seen=Ping.of(distance=np.full(40, 1.2))).ping
     assert np.ptp(alone.distance) > 0.0 or alone.distance[0] != 1.2
+
+
+def test_what_the_air_of_another_day_would_blur_is_asked_for_near():
+    own = Stack({**BASE, "zero_offset": {"offset_m": 0.012}})
+    warming = Stack({**BASE, "warm_up": {"offset_m": 0.014, "tau_s": 1500.0}})
+    assert propose(own, [warming], seed=0).ping.distance.max() <= 1.3
+
+
+def test_nothing_that_was_never_set_is_asked_for_where_placing_tells_as_much():
+    own, other = stacks("zero and clock")
+    assert propose(own, [other], seed=0).setting.also == ()
+    # silence has to be listened to for longer, or louder
+    own, other = stacks("gain and gate")
+    assert propose(own, [other], seed=0).setting.also != ()
+
+
+def test_air_blurs_a_law_the_farther_the_more():
+    near, far = (
+        law(Stack(BASE), Ping.of(distance=np.full(20_000, d))).sample(np.random.default_rng(0)) for d in (0.4, 4.0)
+    )
+    spread = [np.std(r.range[r.echo & (np.abs(r.range - d) < 0.1)]) for r, d in ((near, 0.4), (far, 4.0))]
+    # half a kelvin is 0.084 % of 4 m
+    assert np.sqrt(spread[1] ** 2 - spread[0] ** 2) == pytest.approx(0.0034, rel=0.2)
