@@ -72,10 +72,11 @@ class Flexible(Effect):
         return self._line("bias", state) + state.conditions.distance * tilt
 
     def apply(self, state: State) -> State:
-        """Move, widen and silence the direct path."""
+        """Move, widen and silence the direct path; what it is moved by stretches with it, as all does in cold air."""
         path = state.direct
+        stretched = path.length / torch.clamp(state.conditions.distance, min=1e-3)
         spread = torch.sqrt(path.spread**2 + self._line("spread", state) ** 2 + 1e-18) - 1e-9
-        state = state.with_direct(replace(path, length=path.length + self._bias(state), spread=spread))
+        state = state.with_direct(replace(path, length=path.length + stretched * self._bias(state), spread=spread))
         weight = torch.clamp(self._line("silence", state), 0.0, 0.999)
         return state.with_atom(Atom(weight, torch.zeros_like, number(1.0), number(0.0)))
 

@@ -2,11 +2,14 @@
 
 import numpy as np
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from acquisition import Ping
 from noise import load_model, save_model
 from noise.discrepancy.emulator import folded
 from noise.effects import CATALOGUE
+from noise.effects.medium import ASSUMED_TEMPERATURE_C, CELSIUS
 from noise.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, interpolate
 from noise.stack import Stack
 
@@ -38,6 +41,23 @@ def test_a_line_moves_into_the_smooth_part_and_changes_nothing():
     before, after = (s.model.law(ping).quantile(0.5) for s in (stack, folded(stack)))
     assert set(folded(stack).values) == {"flexible"}
     assert np.allclose(before, after, atol=0.0011)
+
+
+@given(
+    st.floats(-0.05, 0.05), st.lists(st.floats(-0.3, 0.3), min_size=len(DISTANCE_KNOTS), max_size=len(DISTANCE_KNOTS))
+)
+@settings(max_examples=20, deadline=None)
+def test_air_and_a_clock_do_the_same_to_what_stands_for_a_simulation(error, bias):
+    """Else a line that was folded in would tell one from the other, and no reading does without a thermometer."""
+    kelvin = (CELSIUS + ASSUMED_TEMPERATURE_C) / (1.0 + error) ** 2
+    line = {f"bias_d{k}": height for k, height in enumerate(bias)}
+    scales = {"clock_scale": {"error": error}}, {"sound_speed": {"temperature_c": kelvin - CELSIUS}}
+    ping = Ping.of(distance=np.linspace(0.5, 5.0, 30), angle=0.1)
+    clock, air = (
+        Stack({"flexible": line, **scale}, extra={"flexible": Flexible}).model.law(ping).quantile(0.5)
+        for scale in scales
+    )
+    assert np.allclose(clock, air, atol=0.0011)  # one step of the register
 
 
 def test_saved_and_loaded_it_is_the_same(tmp_path):
