@@ -17,7 +17,7 @@ LEDGERS = {  # and how many trials they hold at least
     "proof-ledger-b558b2d.jsonl.gz": 150,
     "proof-ledger-f3a2a87.jsonl.gz": 250,
     "proof-ledger-69130c0.jsonl.gz": 184,
-    "proof-ledger-511b13d.jsonl.gz": 80,
+    "proof-ledger-511b13d.jsonl.gz": 300,
 }
 
 
