@@ -27,7 +27,7 @@ from noise.discrepancy.scan import Blocks, scan
 from noise.discrepancy.scatter import SCATTER, changed_scatter
 from noise.discrepancy.search import Progress, Search
 from noise.discrepancy.splits import Split
-from noise.discrepancy.steps import coarser_steps, cut_instead
+from noise.discrepancy.steps import coarser_steps, cut_instead, steps_left
 from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
@@ -131,6 +131,9 @@ def diagnose(
     tell("weighing rivals", 0.8)
     named, all_rivals = _name(base, search, why, seed, believed=not beyond_any_law(rest))
     beside = _beside(base, search, why)
+    if base.own is not None:
+        names = [*why.chosen, *(one.effect for one, _ in beside)]
+        rest = with_more(rest, steps_left(base.own.whole.resolution, search.both, names))
     gain = why.gain + sum(float(nats.sum()) for _, nats in beside)
     matched = None if base.own is None else compare(base.own.whole, batch, np.random.default_rng([seed, 10]))
     verdict = _verdict(base, where, p_scan, [*named, *(one for one, _ in beside)], rest, gain, search, matched)

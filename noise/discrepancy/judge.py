@@ -26,7 +26,7 @@ MEMORY = ("transient", "trailing", "grip", "window", "still", "kept", "play")
 # what no law of single readings, or none of those named, holds
 BEYOND_LAWS = (*MEMORY, "company", "form", "selective", "fading", "edge")
 # found by looks of their own, which no scan of conditions has to bear out
-OWN_LOOKS = ("rhythm", "smooth", *BEYOND_LAWS)
+OWN_LOOKS = ("rhythm", "smooth", "steps", *BEYOND_LAWS)
 # what readings of one cell do among themselves and after each other, which another day changes: hides no cause
 SHAPES = ("skew", "spread", "time_correlation")
 LEFT_SHARE = 0.5  # of what was explained: what is left weighs too much for the explanation to be believed; ours

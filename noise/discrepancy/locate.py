@@ -26,7 +26,7 @@ class Finding:
     Attributes:
         aspect: one of "bias", "scale", "spread", "skew", "detection", "extra_mode", "time_correlation",
             "rhythm", "transient", "trailing", "grip", "window", "still", "kept", "play", "company", "smooth", "form",
-            "selective", "fading", "edge".
+            "selective", "fading", "edge", "steps".
         region: condition column -> (low, high) in the column's unit; empty is everywhere.
         size: how much, in `unit`.
         unit: "m" for bias, "1" for shares, ratios and correlations.

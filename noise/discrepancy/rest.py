@@ -58,6 +58,7 @@ _WORDS = {
     "fading": "echoes fail {often} as time goes on, by {percent:.0f} % of pings from the earlier half to the later",
     "selective": "strays, in {percent:.0f} % of stays, go by {along}, where a fault would strike anywhere",
     "edge": "nothing less than a {along} of {size:.3g} {unit} would do, which is the edge of what is plausible",
+    "steps": "readings come in steps of {mm:.3g} mm, which are coarser than the simulation's",
     "rhythm": "readings move to and fro by {mm:.1f} mm, once every {period:.4g} s",
 }
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from noise.batch import Batch
 from noise.discrepancy.explanation import Interval
+from noise.discrepancy.locate import Finding
 from noise.discrepancy.rivals import SAME
 from noise.discrepancy.rules import Attempt, spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
@@ -49,6 +50,21 @@ def coarser_steps(
         told = f"{told} They are cut down to them, and run short by {500 * step:.3g} mm on average."
     parameters = {"step_m": Interval(step, step, step, "m")}
     return Named(names[0], names[1:], 1.0, parameters, total, spread_over_blocks(gain), told), gain
+
+
+def steps_left(simulated_step: float, recorded: Batch, named: Collection[str]) -> list[Finding]:
+    """Return coarser steps that no name is left for, as a finding: they are seen, whatever is known not to make them.
+
+    Args:
+        simulated_step: of the simulation's register, m.
+        recorded: readings.
+        named: effects that are named.
+    """
+    ratio = recorded.resolution / simulated_step
+    if ratio < COARSER or not recorded.reading.echo.any() or {*named} & {CUT[0], "quantisation"}:
+        return []
+    nats = float(np.log(ratio) * recorded.reading.echo.sum())
+    return [Finding("steps", {}, recorded.resolution, "m", 0.0, nats)]
 
 
 def cut_instead(simulated_step: float, search: Search, chosen: list[str], cross: Crossed) -> tuple[list[str], Crossed]:

@@ -284,6 +284,9 @@ def test_what_is_ruled_out_is_never_named_however_it_is_found():
     verdict = diagnose(IdealModel(), rounded, simulated=fine, seed=1, without=never).to_verdict()
     told = [name for e in verdict["effects"] for name in (e["effect"], *e["indistinguishable_from"])]
     assert not set(told) & set(never)
+    # nor is it passed over
+    assert verdict["verdict"] == "unknown"
+    assert "steps of 10 mm" in verdict["unknown"]["description"]
 
 
 def test_bursts_show_where_the_other_readings_of_a_position_are_alike():
