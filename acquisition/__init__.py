@@ -16,8 +16,8 @@ from acquisition.errors import (
     UnknownModelError,
     UnpluggedError,
 )
+from acquisition.io.recording import Recording
 from acquisition.ping import EchoStatus, Ping, Reading, previous
-from acquisition.recording import Recording
 
 __all__ = [
     "BoardResetError",

@@ -95,7 +95,9 @@ def draws(name: str) -> str:
     """Return the checksum of 2,000 readings of a model, their credence and their probabilities."""
     rng = np.random.default_rng(5)
     ping = Ping.of(
-        distance=rng.uniform(0.1, 6.0, 2000), angle=rng.uniform(-0.9, 0.9, 2000), reflectance=rng.uniform(0.1, 0.9, 2000)
+        distance=rng.uniform(0.1, 6.0, 2000),
+        angle=rng.uniform(-0.9, 0.9, 2000),
+        reflectance=rng.uniform(0.1, 0.9, 2000),
     )
     law = noise.load_model(name).law(ping)
     reading = law.sample(np.random.default_rng(6))

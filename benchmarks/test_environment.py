@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 
 import sonar_gym
-from sonar_gym.driver import ParkingDriver, run_episode
+from sonar_gym.control.driver import ParkingDriver, run_episode
+from sonar_gym.parking.vector import SonarParkingVectorEnv, cores
 from sonar_gym.sb3 import SonarVecEnv
-from sonar_gym.vector import SonarParkingVectorEnv, cores
 
 SONARS = ("ideal", "gaussian", "srf08-mlp")
 ROUNDS, STEPS, EPISODES = 12, 100, 100

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from noise import load_model
-from training.draw_speed import LIMITS, Speed, of_models, of_paths, rows
+from training.noise.draw_speed import LIMITS, Speed, of_models, of_paths, rows
 
 SHIPPED = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
 AGREES = 0.01  # in total variation, beyond chance

@@ -16,13 +16,13 @@ import pytest
 import torch
 
 from acquisition import Recording
-from training import record
-from training.optimisers import OPTIMISERS
-from training.thesis_data import VALIDATION_SHARE, Samples
-from training.thesis_fit import BATCHED, Recipe, fit
-from training.thesis_networks import Network
-from training.thesis_numbers import A1_MINUTES
-from training.thesis_page import commit, markdown
+from training.recordings import record
+from training.thesis.data import VALIDATION_SHARE, Samples
+from training.thesis.fit import BATCHED, Recipe, fit
+from training.thesis.networks import Network
+from training.thesis.numbers import A1_MINUTES
+from training.thesis.optimisers import OPTIMISERS
+from training.thesis.page import commit, markdown
 
 NETWORK, ONLINE, ROUNDS, LIMIT_S = Network("mlp", 30), Recipe(epochs=20), 3, 15.0
 TORCH_STEPS = 3000

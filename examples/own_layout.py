@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 
 import sonar_gym  # noqa: F401 - registers the environment
-from sonar_gym.mounts import Mount
+from sonar_gym.sensing.mounts import Mount
 
 # A narrow one ahead that pings every 0.1 s, and two wide ones on the right that take turns.
 LAYOUT = [

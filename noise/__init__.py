@@ -13,11 +13,11 @@ from noise.store import load_model, model_names, save_model
 _LAZY = {
     "PhysicalModel": "noise.physical",
     "CATALOGUE": "noise.effects",
-    "LstmModel": "noise.recurrent",
-    "MlpModel": "noise.networks",
+    "LstmModel": "noise.learned.recurrent",
+    "MlpModel": "noise.learned.networks",
     "Faulty": "noise.faults",
     "diagnose": "noise.discrepancy",
-    "load_thesis_network": "noise.thesis",
+    "load_thesis_network": "noise.learned.thesis",
 }
 
 __all__ = [

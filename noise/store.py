@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from acquisition import ModelError, UnknownModelError
-from acquisition.files import whole_folder
+from acquisition.io.files import whole_folder
 from noise.model import SonarModel
 
 FORMAT = 1
@@ -27,13 +27,13 @@ BUILT_IN = {
 }
 KINDS = {
     "physical": ("noise.physical", "PhysicalModel"),
-    "empirical": ("noise.empirical", "EmpiricalModel"),
+    "empirical": ("noise.fitting.empirical", "EmpiricalModel"),
     "beam": ("noise.beam", "BeamModel"),
-    "mlp": ("noise.networks", "MlpModel"),
+    "mlp": ("noise.learned.networks", "MlpModel"),
     "ideal": ("noise.model", "IdealModel"),
     "gaussian": ("noise.model", "GaussianModel"),
     "faulty": ("noise.faults", "Faulty"),
-    "lstm": ("noise.recurrent", "LstmModel"),
+    "lstm": ("noise.learned.recurrent", "LstmModel"),
 }
 
 

@@ -10,16 +10,16 @@ from typing import Any
 
 import gymnasium
 
-from acquisition.house import check_noise
+from acquisition.name_check import check_noise
 
 ENV_ID = "SonarParking-v0"
 _LAZY = {
-    "SonarParkingEnv": "sonar_gym.parking",
-    "SonarParkingVectorEnv": "sonar_gym.vector",
-    "SonarObservation": "sonar_gym.wrappers",
-    "SonarVectorObservation": "sonar_gym.wrappers",
-    "ParkingDriver": "sonar_gym.driver",
-    "run_episode": "sonar_gym.driver",
+    "SonarParkingEnv": "sonar_gym.parking.environment",
+    "SonarParkingVectorEnv": "sonar_gym.parking.vector",
+    "SonarObservation": "sonar_gym.wrappers.observation",
+    "SonarVectorObservation": "sonar_gym.wrappers.observation",
+    "ParkingDriver": "sonar_gym.control.driver",
+    "run_episode": "sonar_gym.control.driver",
 }
 
 __all__ = [
@@ -36,8 +36,8 @@ check_noise()
 if ENV_ID not in gymnasium.registry:
     gymnasium.register(
         id=ENV_ID,
-        entry_point="sonar_gym.parking:SonarParkingEnv",
-        vector_entry_point="sonar_gym.vector:SonarParkingVectorEnv",
+        entry_point="sonar_gym.parking.environment:SonarParkingEnv",
+        vector_entry_point="sonar_gym.parking.vector:SonarParkingVectorEnv",
         max_episode_steps=400,
     )
 

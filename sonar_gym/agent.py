@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import ModelError, UnknownModelError
-from acquisition.files import whole_folder
-from noise.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
-from sonar_gym.memory import Memory, MemorySettings
+from acquisition.io.files import whole_folder
+from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
+from sonar_gym.control.memory import Memory, MemorySettings
 
 Singles = NDArray[np.float32]
 Layer = tuple[Singles, Singles]

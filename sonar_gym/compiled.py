@@ -18,16 +18,16 @@ HERE = Path(__file__).parent
 
 
 def drop_stale(folder: Path) -> list[Path]:
-    """Remove the indices of compiled kernels of a folder's modules that are older than any of these modules.
+    """Remove the indices of compiled kernels below a folder that are older than the source of any of them.
 
     Args:
-        folder: of the modules; Numba keeps its files in `__pycache__` below it.
+        folder: of the package; Numba writes to the `__pycache__` beside each module.
 
     Returns:
-        What was removed; without its index a compiled kernel is not found and made anew.
+        What was removed. Without its index, Numba compiles a kernel again.
     """
-    indices = list((folder / "__pycache__").glob("*.nbi"))
-    sources = _ages({folder / f"{index.name.split('.')[0]}.py" for index in indices})
+    indices = list(folder.glob("**/__pycache__/*.nbi"))
+    sources = _ages({index.parent.parent / f"{index.name.split('.')[0]}.py" for index in indices})
     newest = max((age for age in sources if age <= time.time()), default=0.0)  # a wrong clock must not undo every start
     stale = [index for index in indices for age in _ages([index]) if age < newest]
     for index in stale:

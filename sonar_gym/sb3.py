@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from acquisition import SettingError
-from sonar_gym.vector import SonarParkingVectorEnv
+from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
 Answer = tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]

@@ -11,31 +11,46 @@ from typing import Any
 import tyro
 
 from acquisition import MissingExtraError, SonarError
-from acquisition.house import check_noise
+from acquisition.name_check import check_noise
 
 # subcommand -> (module under `training` with `Args` and `main(args)`, what it does); imported only when it runs,
 # so that recording on a small machine needs none of the heavy packages
 COMMANDS = {
-    "demo": ("training.demo", "the whole chain in three minutes: record, diagnose, correct, drive"),
-    "record": ("training.record", "record a survey with a sonar, or with the waveform rig where there is none"),
-    "import": ("training.foreign", "turn a log of another program into a recording"),
-    "plot": ("training.plot", "draw a recording: credence surfaces, detection, readings, course of time"),
-    "train-noise": ("training.noise_model", "train a noise model on a recording"),
-    "train-agent": ("training.agent", "train an agent that parks, with the sonars that you choose"),
-    "evaluate-agent": ("training.evaluate_agent", "let agents drive the same streets, and say how often they park"),
-    "make-noise": ("training.make_noise", "make the shipped noise models again"),
-    "noise-report": ("training.noise_report", "write the page that puts all noise models side by side"),
-    "ship-agent": ("training.ship_agent", "score an agent on unseen streets, and write it out with its card"),
-    "sweep": ("training.sweep", "train agents of many seeds and settings on Ray Tune, on one machine or many"),
-    "transfer": ("training.transfer", "train agents with several sonars, and test all of them in the rig"),
-    "compare-noise": ("training.compare_noise", "score noise models beside baselines on recordings of other sensors"),
-    "compare-optimizers": ("training.compare_optimizers", "train the thesis's networks, beside its own tables"),
-    "compare-thesis": ("training.compare_thesis", "hold the rig against the networks of the thesis's own sonar"),
-    "compare-drivers": ("training.compare_drivers", "park with ideal and real sonars, with and without credence"),
-    "diagnose": ("training.diagnose", "say where a simulation and a recording differ, why, and correct the model"),
-    "prove": ("training.prove", "blind trials of the diagnosis on concealed effects: sealed, scored, published"),
-    "prove-real": ("training.prove_real", "diagnose real recordings with a column of theirs hidden"),
-    "effects": ("training.catalogue", "list the effects that a diagnosis can name"),
+    "demo": ("training.diagnosis.demo", "the whole chain in three minutes: record, diagnose, correct, drive"),
+    "record": (
+        "training.recordings.record",
+        "record a survey with a sonar, or with the waveform rig where there is none",
+    ),
+    "import": ("training.recordings.import_log", "turn a log of another program into a recording"),
+    "plot": ("training.recordings.plot", "draw a recording: credence surfaces, detection, readings, course of time"),
+    "train-noise": ("training.noise.train", "train a noise model on a recording"),
+    "train-agent": ("training.agents.train", "train an agent that parks, with the sonars that you choose"),
+    "evaluate-agent": (
+        "training.agents.evaluate_agent",
+        "let agents drive the same streets, and say how often they park",
+    ),
+    "make-noise": ("training.noise.make", "make the shipped noise models again"),
+    "noise-report": ("training.noise.report", "write the page that puts all noise models side by side"),
+    "ship-agent": ("training.agents.ship", "score an agent on unseen streets, and write it out with its card"),
+    "sweep": ("training.agents.sweep", "train agents of many seeds and settings on Ray Tune, on one machine or many"),
+    "transfer": ("training.agents.transfer", "train agents with several sonars, and test all of them in the rig"),
+    "compare-noise": ("training.noise.compare", "score noise models beside baselines on recordings of other sensors"),
+    "compare-optimizers": ("training.thesis.compare_optimizers", "train the thesis's networks, beside its own tables"),
+    "compare-thesis": ("training.thesis.compare_thesis", "hold the rig against the networks of the thesis's own sonar"),
+    "compare-drivers": (
+        "training.agents.compare_drivers",
+        "park with ideal and real sonars, with and without credence",
+    ),
+    "diagnose": (
+        "training.diagnosis.diagnose",
+        "say where a simulation and a recording differ, why, and correct the model",
+    ),
+    "prove": (
+        "training.diagnosis.prove",
+        "blind trials of the diagnosis on concealed effects: sealed, scored, published",
+    ),
+    "prove-real": ("training.diagnosis.prove_real", "diagnose real recordings with a column of theirs hidden"),
+    "effects": ("training.diagnosis.effects", "list the effects that a diagnosis can name"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.air import Floats
+from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.setup import Output
 from acquisition.bench.unit import Unit
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.air import Drift, Floats
+from acquisition.bench.acoustics.air import Drift, Floats
+from acquisition.bench.acoustics.interference import Ambient
+from acquisition.bench.disturbances import others
 from acquisition.bench.firmware import ECHOES, smoothed, to_codes
-from acquisition.bench.hearing import Conditions, Hearing, draw_flutter
-from acquisition.bench.interference import Ambient
-from acquisition.bench.others import others
+from acquisition.bench.reception import Conditions, Hearing, draw_flutter
 from acquisition.bench.registers import Registers, Truth
 from acquisition.bench.setup import Setup
 from acquisition.bench.unit import DEG, Unit
 from acquisition.bench.visits import Visits
 from acquisition.bench.wire import Link, faults, present, reset
+from acquisition.io.recording import Recording
 from acquisition.ping import Ping
-from acquisition.recording import Recording
 
 Progress = Callable[[int, int], None]
 

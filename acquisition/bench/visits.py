@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.air import Floats
-from acquisition.bench.arrivals import Integers
+from acquisition.bench.acoustics.air import Floats
+from acquisition.bench.acoustics.arrivals import Integers
 from acquisition.ping import Ping
 
 BATCH = 256  # pings worked on at once: about 10 MB of waveforms

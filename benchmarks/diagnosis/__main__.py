@@ -10,11 +10,11 @@ from pathlib import Path
 import pandas as pd
 import tyro
 
-from acquisition.files import write_text
+from acquisition.io.files import write_text
 from benchmarks.diagnosis.causes import BY_NAME
 from benchmarks.diagnosis.trials import SIZES, Outcome, row, run, schedule
-from noise.threads import one_thread
-from training.progress import bar
+from noise.fitting.threads import one_thread
+from training.common.progress import bar
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom, poisson
 
-from noise.batch import Batch
 from noise.discrepancy.locate import Finding
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.law import EchoLaw, Floats
-from noise.stack import Stack
 
 AGREE_M = 0.02  # strays of one stay this near to each other come from one thing; ours
 RARE = 1e-3  # chance of a stray anywhere that every law allows; ours

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 
 from acquisition import Ping, Reading, Recording, SettingError
-from noise.batch import Batch
-from noise.cells import shared_scatter
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.gained import gained, with_gained
@@ -32,13 +30,15 @@ from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
 from noise.effects.medium import CELSIUS
-from noise.empirical import EmpiricalModel
-from noise.fit import Fit, best_of, log_likelihood
+from noise.fitting.batch import Batch
+from noise.fitting.empirical import EmpiricalModel
+from noise.fitting.fit import Fit, best_of, log_likelihood
+from noise.fitting.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.fitting.starts import nuisance_starts
+from noise.fitting.threads import one_thread
+from noise.fitting.visit_effects import shared_scatter
 from noise.law import Floats
 from noise.model import SonarModel
-from noise.stack import CELLS, JITTER, NUISANCES, Stack
-from noise.starts import nuisance_starts
-from noise.threads import one_thread
 
 LASTING_SHARE = 0.8  # of the false alarms of a scan, for what lasts; the rest is for what a day may change; ours
 LEAST_P = 1e-12  # no p-value of a model of the world means more

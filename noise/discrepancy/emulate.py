@@ -1,7 +1,7 @@
 """The law that stands for the simulation in the search: the given model itself, or an emulator fitted to its readings.
 
 An emulator is a physical law with what sonars usually have, fitted to the simulation's own readings, plus a smooth
-part without a cause (`noise.empirical`). It is checked on simulated cells it was not fitted to. Its readings are their
+part without a cause (`noise.fitting.empirical`). It is checked on simulated cells it was not fitted to. Its readings are their
 own null: an effect that also improves held-out *simulated* cells repairs the emulator and says nothing about the real
 sonar.
 """
@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 
 from acquisition import ModelError, Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.company import company
 from noise.discrepancy.emulator import emulator
 from noise.discrepancy.held import still
@@ -33,10 +32,11 @@ from noise.discrepancy.struck import more_struck
 from noise.discrepancy.trailing import trailing
 from noise.discrepancy.verdict import BaselineCheck
 from noise.discrepancy.workers import ALONE, Workers
+from noise.fitting.batch import Batch
+from noise.fitting.stack import CELLS, Stack
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, Stack
 
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 EMULATOR_PINGS = 1500

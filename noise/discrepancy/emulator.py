@@ -11,14 +11,14 @@ from functools import partial
 
 import numpy as np
 
-from noise.batch import Batch
 from noise.discrepancy.company import company
 from noise.discrepancy.workers import ALONE, Workers
-from noise.empirical import DISTANCE_KNOTS, Flexible
-from noise.fit import Fit, highest, log_likelihood, maximise
+from noise.fitting.batch import Batch
+from noise.fitting.empirical import DISTANCE_KNOTS, Flexible
+from noise.fitting.fit import Fit, highest, log_likelihood, maximise
+from noise.fitting.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.starts import extra_modes, nuisance_starts, starting_points, usual_scatter
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.starts import extra_modes, nuisance_starts, starting_points, usual_scatter
 
 # what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
 PLAIN: dict[Key, float] = {

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.batch import Batch
 from noise.discrepancy.search import Crossed, Search
 from noise.effects.medium import AIR_SD_K, LOGGED
-from noise.fit import Fit, covariance, each_counted, maximise
-from noise.stack import NUISANCES, Key, Stack
+from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit, covariance, each_counted, maximise
+from noise.fitting.stack import NUISANCES, Key, Stack
 
 Z90 = 1.6449  # two-sided 90 % of a normal
 AIR: Key = ("sound_speed", "temperature_c")

@@ -12,9 +12,9 @@ from noise.discrepancy.search import Search
 from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import Named, Rest
 from noise.effects import CATALOGUE, Parameter
-from noise.fit import Fit, maximise
-from noise.stack import JITTER, Key
-from noise.starts import fitting_value
+from noise.fitting.fit import Fit, maximise
+from noise.fitting.stack import JITTER, Key
+from noise.fitting.starts import fitting_value
 
 SEEN = 0.05  # p-value of a scan, above which it bears out nothing; ours
 # of an effect that nothing else bears out, and its standard errors: in 142 recordings that nothing was wrong with, none

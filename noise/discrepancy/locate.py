@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.batch import Batch
 from noise.discrepancy.residuals import ASPECTS, EXTRA, Residuals, residuals
 from noise.discrepancy.scan import Blocks, Region, Scan, scan
-from noise.stack import Stack
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 
 SHADOWS = ("spread", "skew", "time_correlation")  # a bias bends them wherever it changes: told of after it
 LAST = 1e6

@@ -11,8 +11,8 @@ import numpy as np
 from acquisition import Ping
 from noise.discrepancy.proposal import DEG, Proposal, propose
 from noise.effects.medium import ASSUMED_TEMPERATURE_C
+from noise.fitting.stack import Stack
 from noise.law import Floats
-from noise.stack import Stack
 
 HOPELESS = 0.02  # nats per ping: more than 500 pings, whose errors under any law weigh more than what they tell; ours
 

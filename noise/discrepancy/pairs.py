@@ -14,15 +14,15 @@ from itertools import combinations
 
 import numpy as np
 
-from noise.batch import Batch
 from noise.discrepancy.rules import Attempt, spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import lying
-from noise.fit import ENOUGH
+from noise.fitting.batch import Batch
+from noise.fitting.fit import ENOUGH
+from noise.fitting.stack import Key, Stack
+from noise.fitting.starts import LEAST_MOVE_M, own_echo, slope
 from noise.law import Floats
-from noise.robust import winsorised
-from noise.stack import Key, Stack
-from noise.starts import LEAST_MOVE_M, own_echo, slope
+from noise.statistics import winsorised
 
 FEWEST = 12  # stays, below which two shifts are not told apart; ours
 PROMISING = 6.0  # nats, to first order, beyond the best single effect, to be fitted; ours

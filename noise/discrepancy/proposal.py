@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import Ping, Reading
-from noise.cells import FLOOR, alone
 from noise.discrepancy.rivals import SETTLED
 from noise.effects.medium import AIR_SCALE_SD
+from noise.fitting.stack import Stack
+from noise.fitting.visit_effects import FLOOR, alone
 from noise.law import EchoLaw, Floats
-from noise.stack import Stack
 
 DISTANCES = np.array([0.15, 0.25, 0.4, 0.6, 0.9, 1.3, 1.8, 2.5, 3.5, 4.5, 6.0])
 ANGLES_DEG = np.array([-20.0, 0.0, 5.0, 10.0, 20.0, 30.0])

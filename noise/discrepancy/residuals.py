@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from acquisition import Reading
-from noise.batch import Batch
-from noise.cells import BANKS, bank_weights, law_of, marginal, sequential
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
+from noise.fitting.visit_effects import BANKS, bank_weights, law_of, marginal, sequential
 from noise.law import EchoLaw, Floats
 from noise.physical import PhysicalLaw
-from noise.stack import Stack
 
 ASPECTS = ("bias", "scale", "spread", "skew", "detection", "early", "late", "time_correlation", "repeat")
 EXTRA = 1e-3  # share of echoes beyond which a reading counts as one of an extra mode

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise.batch import Batch
 from noise.discrepancy.company import USUAL, company
 from noise.discrepancy.describe import Formula, formula
 from noise.discrepancy.fading import fading
@@ -24,8 +23,9 @@ from noise.discrepancy.smooth import Smooth, smooth, wrong_form
 from noise.discrepancy.trailing import Trailing, trailing
 from noise.discrepancy.transient import transient, windowed
 from noise.discrepancy.verdict import Rest
-from noise.fit import Fit, each_counted
-from noise.stack import CELLS, Stack
+from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit, each_counted
+from noise.fitting.stack import CELLS, Stack
 
 LEVEL = 0.015  # of a false alarm of all looks together; ours
 # scans of either part, a beat, three of memory where the target stands and two where it moves, things that answer,

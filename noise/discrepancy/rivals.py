@@ -15,16 +15,16 @@ import numpy as np
 import torch
 
 from acquisition import Ping
-from noise.batch import Batch
-from noise.cells import BANKS, law_of, prior_offset
 from noise.discrepancy.explanation import Explained
 from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
 from noise.effects import CATALOGUE
-from noise.fit import Fit, Scales, highest, maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit, Scales, highest, maximise
+from noise.fitting.stack import NUISANCES, SPREAD, Key, Stack
+from noise.fitting.starts import seen_in
+from noise.fitting.visit_effects import BANKS, law_of, prior_offset
 from noise.law import Floats
-from noise.stack import NUISANCES, SPREAD, Key, Stack
-from noise.starts import seen_in
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %

@@ -18,8 +18,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.batch import Batch
 from noise.discrepancy.residuals import ASPECTS, Residuals
+from noise.fitting.batch import Batch
 from noise.law import Floats
 
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide

@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from noise.batch import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named
+from noise.fitting.batch import Batch
+from noise.fitting.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.fitting.starts import from_middle
 from noise.law import Floats
-from noise.stack import CELLS, JITTER, NUISANCES, Stack
-from noise.starts import from_middle
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 INNER = 0.8  # share of readings of a stay that say how it scatters; ours

@@ -17,15 +17,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from noise.batch import Batch, silence
 from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.discrepancy.unseen import unseen
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
-from noise.fit import Fit, Scales, highest, log_likelihood, maximise
+from noise.fitting.batch import Batch, silence
+from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
+from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.starts import nuisance_start, starting_points, usual_scatter
 from noise.law import Floats
-from noise.stack import JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.starts import nuisance_start, starting_points, usual_scatter
 
 Progress = Callable[[str, float], None]
 T = TypeVar("T")

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.batch import Batch
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.law import Floats
-from noise.robust import winsorised
-from noise.stack import Stack
+from noise.statistics import winsorised
 
 FEWEST = 20  # stays, below which neighbours tell nothing; ours
 WEIGHTS = np.array([1.0, 0.5, 0.25])  # of the first, second and third neighbour: waves may be short; ours

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise.batch import Batch
+from noise.fitting.batch import Batch
 
 DEAL = np.array([0, 0, 1, 2])  # of every four neighbouring cells: two discover, one confirms, one goes to the vault
 

@@ -6,16 +6,16 @@ from collections.abc import Collection
 
 import numpy as np
 
-from noise.batch import Batch
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.rivals import SAME
 from noise.discrepancy.rules import Attempt, spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named
-from noise.fit import maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import maximise
+from noise.fitting.stack import SPREAD, Stack
 from noise.law import Floats
-from noise.stack import SPREAD, Stack
 
 COARSER = 1.5  # times the simulation's step; ours
 CUT = ("truncation", "step_m")

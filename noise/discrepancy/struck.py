@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import binomtest
 
-from noise.batch import Batch
+from noise.fitting.batch import Batch
 
 FAR_M = 0.03  # from the middle of a stay: beyond what slips of a few waves, 9 mm each, do to one reading; ours
 FEWEST = 5  # echoes of a stay, for its middle to be that of the target; ours

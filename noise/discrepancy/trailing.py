@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t
 
-from noise.batch import Batch
 from noise.discrepancy.locate import Finding
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.law import Floats
-from noise.robust import winsorised
-from noise.stack import Stack
+from noise.statistics import winsorised
 
 FEWEST = 12  # stretches of a way, below which nothing is told; ours
 LEAST_PINGS = 0.1  # that readings may trail or lead: a law that errs a little does as much; ours

@@ -17,10 +17,10 @@ from itertools import product
 import numpy as np
 from scipy.stats import norm
 
-from noise.batch import Batch
 from noise.discrepancy.locate import Finding
+from noise.fitting.batch import Batch
 from noise.law import Floats
-from noise.robust import winsorised
+from noise.statistics import winsorised
 
 FEWEST = 8  # moves, below which signs say nothing; ours
 MANY = 12  # moves, from which on a sum of signed leans is as good as normal, and windows can be told; ours

@@ -9,7 +9,7 @@ from typing import TypeVar
 from loky import BrokenProcessPool, ProcessPoolExecutor, cpu_count, get_reusable_executor
 
 from acquisition import SettingError
-from noise.threads import keep_one_thread
+from noise.fitting.threads import keep_one_thread
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from noise.effects.base import Effect, Parameter, Path, Seen, Stage, State
 from noise.law import Floats
-from noise.robust import winsorised
+from noise.statistics import winsorised
 
 ASSUMED_SPEED = 344.83  # m/s; 58 us/cm, the constant of the HC-SR04 family and the working assumption for the SRF08
 CELSIUS = 273.15

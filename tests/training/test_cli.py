@@ -53,8 +53,6 @@ def test_a_real_log_is_imported(real_recordings, tmp_path):
 
 
 def test_recording_needs_no_learning_library():
-    code = (
-        "import sys, training.cli, training.record; print(sorted({'torch', 'gymnasium', 'scipy'} & set(sys.modules)))"
-    )
+    code = "import sys, training.cli, training.recordings.record; print(sorted({'torch', 'gymnasium', 'scipy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr

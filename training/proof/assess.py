@@ -12,7 +12,6 @@ import numpy as np
 
 from acquisition import Recording
 from noise import IdealModel
-from noise.batch import Batch
 from noise.discrepancy.diagnosis import prepared
 from noise.discrepancy.emulate import Baseline, baseline_of
 from noise.discrepancy.emulator import free_of
@@ -20,8 +19,9 @@ from noise.discrepancy.explanation import conclude, intervals
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.discrepancy.steps import coarser_steps
-from noise.fit import Fit, log_likelihood, maximise
-from noise.stack import NUISANCES, Stack
+from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit, log_likelihood, maximise
+from noise.fitting.stack import NUISANCES, Stack
 from training.proof.baselines import beam_nats, independent_name, process_nats, two_samples
 from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED

@@ -12,15 +12,15 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.model_selection import GroupKFold
 
 from acquisition import Recording
-from noise.batch import Batch
 from noise.beam import fit_beam
-from noise.cells import FLOOR
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
-from noise.fit import log_likelihood, maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.stack import CELLS, SPREAD, Stack
+from noise.fitting.visit_effects import FLOOR
+from noise.fitting.visits import cells_of
 from noise.model import MAX_RANGE
-from noise.stack import CELLS, SPREAD, Stack
-from noise.stays import cells_of
 
 Floats = NDArray[np.float64]
 FOLDS, SHUFFLES, MOST = 4, 200, 240

@@ -10,7 +10,7 @@ import numpy as np
 from acquisition import Ping, Reading, Recording
 from noise import PhysicalModel
 from noise.effects import CATALOGUE, Parameter
-from noise.stack import JITTER
+from noise.fitting.stack import JITTER
 from training.proof.surveys import Design
 from training.proof.world import Rng, visits
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from noise.credence import wilson
-from training.canvas import AFTER, BEFORE, SOFT, Axes, panels
+from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.proof.score import CLEAR, Band, Scored, by_separation
 
 LEAST, MOST = 1.0, 500.0  # nats, of the axis

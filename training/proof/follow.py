@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acquisition import Ping, Recording
-from acquisition.bench.receiver import GAINS
+from acquisition.bench.acoustics.receiver import GAINS
 from training.proof.mix import Trial
 from training.proof.surveys import MOVE_S, Design
 from training.proof.world import Rng, World, with_setup

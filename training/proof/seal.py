@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from acquisition import SonarError
-from acquisition.files import lock, sync_folder
+from acquisition.io.files import lock, sync_folder
 
 PROTOCOL = "2"
 FIRST = "0" * 64  # what stands for the line before the first

@@ -10,7 +10,7 @@ from noise.discrepancy import Diagnosis
 from noise.discrepancy.next_measurement import Measurement
 from noise.discrepancy.proposal import USUAL, Setting, floored, law
 from noise.discrepancy.rivals import Rival
-from noise.stack import Stack
+from noise.fitting.stack import Stack
 
 
 def told(found: Diagnosis, folder: Path) -> list[dict[str, Any]]:

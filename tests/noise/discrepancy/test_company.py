@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.company import USUAL, company
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 SONAR = (CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0))

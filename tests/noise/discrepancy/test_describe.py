@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.describe import formula
-from noise.stack import Stack
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 
 STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "cells": {"placement_m": 0.003}})
 

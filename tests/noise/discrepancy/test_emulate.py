@@ -7,18 +7,18 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.batch import Batch
 from noise.discrepancy.emulate import Baseline, checked, emulated
 from noise.discrepancy.emulator import in_company
 from noise.discrepancy.rules import SURE_OF_AIR, Rules
 from noise.discrepancy.splits import Split
 from noise.discrepancy.verdict import BaselineCheck
 from noise.effects import CATALOGUE
-from noise.fit import log_likelihood
+from noise.fitting.batch import Batch
+from noise.fitting.fit import log_likelihood
+from noise.fitting.stack import CELLS, Stack
+from noise.fitting.starts import nuisance_start
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, Stack
-from noise.starts import nuisance_start
 
 torch.set_num_threads(1)
 TARGET = {

@@ -4,15 +4,15 @@ import numpy as np
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.fading import fading
 from noise.discrepancy.rest import in_words
 from noise.discrepancy.transient import SURE_P
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 LOSS_DB, PINGS = 53.0, 8

@@ -5,16 +5,16 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.batch import Batch
 from noise.discrepancy.explanation import Final, intervals
 from noise.discrepancy.gained import by_aspect, gained, with_gained
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.residuals import residuals
 from noise.effects import CATALOGUE
 from noise.effects.medium import ASSUMED_TEMPERATURE_C
-from noise.fit import log_likelihood, maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.stack import NUISANCES, Stack
 from noise.physical import PhysicalModel
-from noise.stack import NUISANCES, Stack
 
 torch.set_num_threads(1)
 SONAR = {"travel_time_jitter": {"sigma_m": 0.004}, "sensitivity": {"loss_db": 33.0}}

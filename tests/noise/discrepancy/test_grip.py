@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.grip import grip
 from noise.discrepancy.rest import in_words
 from noise.discrepancy.transient import SURE_P
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003)])

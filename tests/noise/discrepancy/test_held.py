@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.held import Still, held, still
 from noise.discrepancy.rest import in_words
 from noise.discrepancy.transient import SURE_P
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 from training.proof.strangers import dead_band
 
 torch.set_num_threads(1)

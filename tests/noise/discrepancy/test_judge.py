@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Recording
-from noise.batch import Batch
 from noise.discrepancy import judge as judge_module
 from noise.discrepancy.explanation import Explained, Final
 from noise.discrepancy.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
@@ -16,11 +15,12 @@ from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.transient import SURE_P
 from noise.discrepancy.verdict import Named, Rest
 from noise.effects import CATALOGUE
-from noise.fit import maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import maximise
+from noise.fitting.stack import NUISANCES, Stack
+from noise.fitting.starts import nuisance_start
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import NUISANCES, Stack
-from noise.starts import nuisance_start
 
 SOMETHING = Rest(True, 0.0025, "small misfits")
 

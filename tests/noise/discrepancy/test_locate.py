@@ -6,14 +6,14 @@ import torch
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.locate import locate
 from noise.discrepancy.residuals import residuals
 from noise.discrepancy.scan import Blocks, features, scan
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "cells": {"placement_m": 0.003}})

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.matched import compare
+from noise.fitting.batch import Batch
 
 
 def survey(rng, distance, angle, shift=0.0, lost=0.0, placement=0.004, pings=10):

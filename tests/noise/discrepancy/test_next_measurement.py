@@ -6,7 +6,7 @@ import pytest
 from acquisition import Ping
 from noise.discrepancy.next_measurement import Measurement, merged, next_measurement
 from noise.discrepancy.proposal import LATER, at_random, floored, law, propose
-from noise.stack import Stack
+from noise.fitting.stack import Stack
 
 
 def test_the_same_measurement_is_asked_for_once():

@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.pairs import best_pair, promising, shifts, with_pairs
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import CELLS, Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, Stack
 
 torch.set_num_threads(1)
 SHARES = {"clock_scale", "sound_speed", "thermal_drift", "time_walk"}  # that lengthen by a share of distance, or nearly

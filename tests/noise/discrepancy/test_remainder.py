@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.remainder import Remainder, remainder
 from noise.discrepancy.rest import beyond
 from noise.effects import CATALOGUE
-from noise.fit import maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import maximise
+from noise.fitting.stack import CELLS, NUISANCES, SPREAD, Stack
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, NUISANCES, SPREAD, Stack
 
 PINGS = 12
 

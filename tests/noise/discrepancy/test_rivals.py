@@ -8,16 +8,16 @@ import torch
 from scipy.signal import lfilter
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.explanation import Explained, Final
 from noise.discrepancy.rivals import SAME, Contest, Rival
 from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
-from noise.fit import maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import maximise
+from noise.fitting.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.fitting.starts import nuisance_start
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import CELLS, JITTER, NUISANCES, Stack
-from noise.starts import nuisance_start
 
 torch.set_num_threads(1)
 OFFSET, CLOCK = ("zero_offset", "offset_m"), ("clock_scale", "error")

@@ -9,14 +9,14 @@ import torch
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.rest import in_words
 from noise.discrepancy.smooth import smooth, wrong_form
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0)])

@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.emulate import Baseline
 from noise.discrepancy.rules import Rules
 from noise.discrepancy.splits import Split
 from noise.discrepancy.struck import more_struck, struck
 from noise.discrepancy.verdict import BaselineCheck
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 
 def stays(seed, strikes=0, cells=60, pings=10, misplaced=0, lost=0, rate=0.0):

@@ -7,14 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.trailing import trailing
 from noise.discrepancy.transient import transient
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 torch.set_num_threads(1)
 SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004), CATALOGUE["sensitivity"](loss_db=36.0)])

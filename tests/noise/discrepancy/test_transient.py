@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy import diagnose
 from noise.discrepancy.transient import SURE_P, transient, windowed
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
 from noise.model import simulate
 from noise.physical import PhysicalModel
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.batch import Batch
 from noise.discrepancy.unseen import HEARING, SURPRISE, unseen
-from noise.fit import log_likelihood, maximise
+from noise.fitting.batch import Batch
+from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.stack import Stack
 from noise.physical import PhysicalModel
-from noise.stack import Stack
 
 LOSS = ("sensitivity", "loss_db")
 PINGS = 20

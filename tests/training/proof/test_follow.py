@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Recording
-from acquisition.bench.receiver import GAINS
+from acquisition.bench.acoustics.receiver import GAINS
 from training.proof.follow import changed, measure
 from training.proof.mix import make
 from training.proof.world import with_setup
@@ -57,7 +57,7 @@ def test_fresh_readings_speak_for_the_law_that_drew_them(tmp_path):
     from noise.discrepancy.next_measurement import next_measurement
     from noise.discrepancy.proposal import law
     from noise.discrepancy.rivals import Rival
-    from noise.stack import Stack
+    from noise.fitting.stack import Stack
     from training.proof.told import told
 
     usual = {"sensitivity": {"loss_db": 40.0}, "travel_time_jitter": {"sigma_m": 0.004}}

@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 
 import pytest
 
+from training.diagnosis.prove import Args, main
 from training.proof.crew import ENGINES
 from training.proof.desk import ROOT, Desk, DeskError
 from training.proof.seal import OPENED, SEALED, VERDICT, LedgerError, check, read
-from training.prove import Args, main
 
 pytest.importorskip("torch")
 
@@ -66,7 +66,7 @@ class Told:
 def told(monkeypatch):
     """Run on made-up answers, from one commit."""
     monkeypatch.setitem(ENGINES, "local", Told)
-    monkeypatch.setattr("training.prove.commit", lambda: "0123456789ab")
+    monkeypatch.setattr("training.diagnosis.prove.commit", lambda: "0123456789ab")
     monkeypatch.setattr(Told, "asked", [])
     monkeypatch.setattr(Told, "dies", {})
     return Told

@@ -9,8 +9,8 @@ import pytest
 
 from acquisition import Ping, Reading, Recording, SettingError
 from noise.effects.medium import ASSUMED_TEMPERATURE_C, CELSIUS
+from training.diagnosis.prove_real import Args, main, page
 from training.proof.real import CASES, against_air
-from training.prove_real import Args, main, page
 
 WEATHER = ("temp", "air", "humid", "rh_", "logger", "interval", "obs", "velocity", "sw_up")
 

@@ -1,0 +1,70 @@
+"""Arrivals: every way by which sound comes back, as a length and an amplitude, in groups that fluctuate together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition.bench.acoustics.air import Floats
+
+Complexes = NDArray[np.complex128]
+Integers = NDArray[np.int64]
+LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, SIDES, CLUTTER, OTHER = range(10)
+GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "sides", "clutter", "other")
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Ways of the sound in n scenes.
+
+    Attributes:
+        row: which scene each belongs to, (k,).
+        group: which of `GROUPS`, (k,).
+        length: half the way that the sound goes, m, (k,).
+        amplitude: pressure against that at 1 m from the transmitter on its axis, before the air takes its share, (k,).
+    """
+
+    row: Integers
+    group: Integers
+    length: Floats
+    amplitude: Complexes
+
+    @classmethod
+    def of(cls, row: ArrayLike, group: ArrayLike, length: ArrayLike, amplitude: ArrayLike) -> Arrivals:
+        """Build from one group's lengths and amplitudes, (m,) or (m, k), of m scenes; those without amplitude fall out.
+
+        Args:
+            row: numbers of the scenes, (m,).
+            group: of `GROUPS`, one for all or (m,).
+            length: m, broadcast against the amplitudes.
+            amplitude: broadcast against the lengths.
+        """
+        length, amplitude = np.broadcast_arrays(length, amplitude)
+        owner = np.nonzero(amplitude)
+        rows = np.asarray(row, dtype=np.int64)[owner[0]]
+        number = np.broadcast_to(group, (len(length),))[owner[0]]
+        return cls(rows, number, length[owner].astype(np.float64), amplitude[owner].astype(np.complex128))
+
+    @classmethod
+    def joined(cls, parts: Iterable[Arrivals]) -> Arrivals:
+        """Return all parts as one."""
+        parts = list(parts)
+        if not parts:
+            return cls(*(np.empty(0, dtype=t) for t in (np.int64, np.int64, np.float64, np.complex128)))  # type: ignore[arg-type]
+        names = ("row", "group", "length", "amplitude")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def __len__(self) -> int:
+        """Return the number of ways."""
+        return len(self.row)
+
+    def __getitem__(self, pick: NDArray[np.generic] | slice) -> Arrivals:
+        """Return the ways at a mask or at indices."""
+        return Arrivals(self.row[pick], self.group[pick], self.length[pick], self.amplitude[pick])
+
+    def only(self, group: int) -> Arrivals:
+        """Return the ways of one group."""
+        return self[self.group == group]

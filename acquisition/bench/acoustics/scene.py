@@ -1,0 +1,269 @@
+"""The ways of the sound between a unit and the reflectors of many visits, from geometry alone.
+
+Axes: x ahead of the housing, y to its left, z up, the sensor at the origin. Everything is worked out for n scenes at
+once, as arrays whose first axis they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from acquisition.bench.acoustics.air import CARRIER, Air, Floats
+from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, LEAK, Arrivals, Complexes, Integers
+from acquisition.bench.acoustics.shapes import Disc, Plate, Shape, Wall, outline, shape_of, subtended, surfaces_of
+from acquisition.bench.acoustics.transducer import directivity
+from acquisition.bench.setup import Setup
+from acquisition.bench.unit import Unit
+from acquisition.ping import Ping
+
+HOUSING = 0.043 * 0.020  # m^2, the sensor's own face, which sends an echo on its way again
+# a wall at 6 m in air of 1.29 dB/m just reaches the threshold at full gain
+REFERENCE = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)
+FAINT = 0.02  # of the threshold at full gain; what cannot reach it is not worked out
+
+
+def loudness(unit: Unit, supply: float = 1.0) -> float:
+    """Return what an amplitude of 1 (the pressure at 1 m) comes to over the threshold at full gain."""
+    return REFERENCE * supply * float(10.0 ** (unit.sensitivity_db / 20.0))
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where reflectors stand, each (n,).
+
+    Attributes:
+        distance: slant, to the centre, m.
+        bearing, incidence: rad; the normal points `bearing - incidence` to the left.
+        tilt: backwards, rad.
+        above: height of the centre over the sensor, m.
+    """
+
+    distance: Floats
+    bearing: Floats
+    incidence: Floats
+    tilt: Floats
+    above: Floats
+
+    @cached_property
+    def centre(self) -> Floats:
+        """Return the centres, m, (n, 3)."""
+        level = np.sqrt(np.maximum(self.distance**2 - self.above**2, 1e-6))
+        return np.stack([level * np.cos(self.bearing), level * np.sin(self.bearing), self.above], axis=-1)
+
+    @cached_property
+    def axes(self) -> tuple[Floats, Floats, Floats]:
+        """Return unit vectors along each plate's width, its height and its normal, (n, 3) each."""
+        yaw, none = self.bearing - self.incidence, np.zeros(len(self.tilt))
+        ahead = np.stack([np.cos(yaw), np.sin(yaw), none], axis=-1)
+        side = np.stack([-np.sin(yaw), np.cos(yaw), none], axis=-1)
+        cosine, sine = np.cos(self.tilt)[:, None], np.sin(self.tilt)[:, None]
+        up = np.array([0.0, 0.0, 1.0])
+        return side, cosine * up - sine * ahead, cosine * ahead + sine * up
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A unit in front of n reflectors, each in its own air.
+
+    Attributes:
+        unit, setup: as everywhere.
+        poses: of the reflectors.
+        reflectance: (n,).
+        air: of each.
+    """
+
+    unit: Unit
+    setup: Setup
+    poses: Poses
+    reflectance: Floats
+    air: Air
+
+    @classmethod
+    def of(cls, unit: Unit, setup: Setup, placed: Ping, air: Air) -> Scene:
+        """Build from pings as `Rig.place` returns them; air that gets warmer upwards bends the way to a reflector."""
+        lean = placed.covariates.get("tilt_back", np.zeros(len(placed)))
+        bend = setup.gradient.bend(air)
+        # where rays are straightened, the reflector stands higher and leans back (circles of curvature `bend`)
+        above = setup.above_m + 0.5 * bend * placed.distance**2
+        lean = lean + bend * placed.distance
+        return cls(
+            unit,
+            setup,
+            Poses(placed.distance, placed.angle, placed.incidence, lean, np.broadcast_to(above, lean.shape)),
+            placed.reflectance,
+            air.thicker(setup.extra_absorption_db),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of scenes."""
+        return len(self.reflectance)
+
+    @cached_property
+    def rows(self) -> Integers:
+        """Numbers of the scenes."""
+        return np.arange(len(self))
+
+    @cached_property
+    def wavelength(self) -> Floats:
+        """Of the carrier, m, (n,)."""
+        return self.air.speed / CARRIER
+
+    @cached_property
+    def ka(self) -> Floats:
+        """Wave number times radius of the pistons, (n,)."""
+        return 2.0 * np.pi * self.unit.radius / self.wavelength
+
+    @cached_property
+    def axis(self) -> Floats:
+        """Return the beam's axis, a unit vector (3,)."""
+        yaw, pitch = self.unit.yaw, self.unit.pitch
+        return np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
+
+    @cached_property
+    def surface(self) -> Floats:
+        """Amplitude factors of the reflectors for what they mirror, (n,); roughness takes its share (Ament 1953)."""
+        return surfaces_of(self.reflectance) * np.exp(-2.0 * self._unevenness**2)
+
+    @cached_property
+    def scattering(self) -> Floats:
+        """Share of the power that meets the reflectors which their roughness sends to all sides, (n,)."""
+        return surfaces_of(self.reflectance) ** 2 * -np.expm1(-4.0 * self._unevenness**2)
+
+    @cached_property
+    def _unevenness(self) -> Floats:
+        """Root mean square phase by roughness one way, rad, (n,)."""
+        return 2.0 * np.pi / self.wavelength * self.setup.roughness_m * np.cos(self.poses.incidence)
+
+    @cached_property
+    def kinds(self) -> list[tuple[Shape, Integers]]:
+        """Return each shape with the scenes that it stands in, those where it returns anything."""
+        if self.setup.reflector is not None:
+            return [(self.setup.reflector, np.flatnonzero(self.surface > 0.0))]
+        low = self.reflectance < 0.5
+        rows = [np.flatnonzero((self.surface > 0.0) & which) for which in (low, ~low)]
+        return [(shape_of(value), pick) for value, pick in zip((0.0, 1.0), rows, strict=True) if len(pick)]
+
+    @cached_property
+    def half(self) -> tuple[Floats, Floats]:
+        """Half width and half height of the rectangle of each reflector's area, m, (n,) each."""
+        wide, high = np.zeros(len(self)), np.zeros(len(self))
+        for shape, rows in self.kinds:
+            wide[rows], high[rows] = shape.half
+        return wide, high
+
+    def beam(self, points: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return one leg's directivity towards points (m, 3) or (m, k, 3) of some scenes."""
+        away = np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
+        return self.towards(points @ self.axis / away, rows)
+
+    def towards(self, cosine: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return one leg's directivity at angles off the axis of given cosines, (m,) or (m, k), of some scenes."""
+        ka = self.ka[rows]
+        straight = directivity(ka[:, None] if cosine.ndim == 2 else ka, cosine)
+        return straight if self.unit.spill == 0.0 else straight + self.unit.spill
+
+    def faint(self, amplitude: Floats, path: Floats, rows: Integers | slice = slice(None)) -> np.ndarray:
+        """Tell where pressures of a half length (m,) cannot be heard among others, in some scenes, (m,)."""
+        loss = 10.0 ** (-0.1 * self.air.absorption_db[rows] * path)
+        return loudness(self.unit, self.setup.supply) * np.abs(amplitude) * loss < FAINT
+
+    def near(self) -> Iterator[Arrivals]:
+        """Yield the leak, the reflectors' echoes, and these sent on their way a second and third time."""
+        delay = 0.5 * self.unit.leak_delay * self.air.speed
+        yield Arrivals.of(self.rows, LEAK, delay, 10.0 ** (self.unit.leak_db / 20.0) * np.ones(len(self)))
+        for shape, rows in self.kinds:
+            h, mirror, face = self._face(shape, rows)
+            yield face
+            yield from self._bounces(rows, h, mirror, face)
+
+    def _face(self, shape: Shape, rows: Integers) -> tuple[Floats, Floats, Arrivals]:
+        """Return distance and mirror echo of the planes of m reflectors, (m,) each, and all that their faces return."""
+        side, up, normal = (axis[rows] for axis in self.poses.axes)
+        centre = self.poses.centre[rows]
+        h = (centre * normal).sum(axis=-1)
+        ahead = np.maximum(h, 1e-9)
+        mirror = np.where(h > 0.0, self.surface[rows] * self.beam(normal, rows) ** 2 / (2.0 * ahead), 0.0)
+        if isinstance(shape, Wall):
+            return h, mirror, Arrivals.of(rows, FACE, h, mirror)
+        foot = -np.stack([(centre * side).sum(axis=-1), (centre * up).sum(axis=-1)], axis=-1)
+        held, length, edge = self._edge(shape, rows, np.where(h > 0.0, h, np.nan), foot)
+        mirror = mirror * held
+        return h, mirror, Arrivals.joined([Arrivals.of(rows, FACE, h, mirror), Arrivals.of(rows, FACE, length, edge)])
+
+    def _edge(self, shape: Disc | Plate, rows: Integers, h: Floats, foot: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return how often m outlines go round their feet, (m,), and half length and amplitude of each piece, (m, k).
+
+        Along a piece the phase grows by 2 pi times twice the difference of its ends' distances over the wavelength.
+        """
+        side, up, _ = (axis[rows] for axis in self.poses.axes)
+        points = outline(shape)
+        angle = subtended(points - foot[:, None])
+        ends = np.sqrt(h[:, None] ** 2 + ((points - foot[:, None]) ** 2).sum(axis=-1))
+        middle = 0.5 * (points[:-1] + points[1:])
+        length = np.sqrt(h[:, None] ** 2 + ((middle - foot[:, None]) ** 2).sum(axis=-1))
+        along = np.stack([side @ self.axis, up @ self.axis], axis=0)
+        cosine = ((self.poses.centre[rows] @ self.axis)[:, None] + along.T @ middle.T) / length
+        spread = np.sinc(2.0 * np.diff(ends, axis=1) / self.wavelength[rows, None])
+        strength = -self.surface[rows] * h / (4.0 * np.pi)
+        edge = strength[:, None] * self.towards(cosine, rows) ** 2 * angle * spread / length**2
+        return np.rint(angle.sum(axis=1) / (2.0 * np.pi)), length, np.nan_to_num(edge)
+
+    def _bounces(self, rows: Integers, h: Floats, mirror: Floats, face: Arrivals) -> Iterator[Arrivals]:
+        """Yield what the sensor's own face sends to the reflectors again."""
+        again, reach = np.zeros(len(self)), np.zeros(len(self))
+        again[rows] = mirror * HOUSING / self.wavelength[rows]
+        reach[rows] = h
+        again[self.faint(2.0 * again * np.abs(again) * self.wavelength / HOUSING, 2.0 * reach)] = 0.0
+        way = face[again[face.row] != 0.0]
+        strength, longer = again[way.row], reach[way.row]
+        yield Arrivals.of(way.row, BOUNCE, way.length + longer, way.amplitude * strength)
+        yield Arrivals.of(self.rows, BOUNCE, 3.0 * reach, again**3 * self.wavelength / HOUSING)
+
+    def shadow(self, points: Floats) -> Floats:
+        """Return what passes the reflectors on the way to points (n, k, 3), an amplitude one way, (n, k)."""
+        side, up, normal = self.poses.axes
+        reach = np.einsum("nkx,nx->nk", points, normal)
+        plane = (self.poses.centre * normal).sum(axis=-1)[:, None]
+        hidden = (self.surface[:, None] > 0.0) & (plane > 0.0) & (plane < reach)
+        share = np.where(hidden, plane / np.where(reach > 0.0, reach, 1.0), 0.5)
+        away = np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
+        near, far = share * away, (1.0 - share) * away
+        scale = np.sqrt(2.0 * away / (self.wavelength[:, None] * np.maximum(near * far, 1e-12)))
+        offset = share[..., None] * points - self.poses.centre[:, None]
+        covered = np.ones(reach.shape, dtype=np.complex128)
+        for axis, half in zip((side, up), self.half, strict=True):
+            covered *= strip(np.einsum("nkx,nx->nk", offset, axis), half[:, None], scale)
+        return np.where(hidden, np.abs(1.0 - covered), 1.0)
+
+
+def strip(offset: Floats, half: Floats, scale: Floats) -> Complexes:
+    """Return the share of a wave that a strip takes out of it (Fresnel's integrals).
+
+    Args:
+        offset: of the wave's foot from the strip's middle, m.
+        half: of the strip's width, m; may be infinite.
+        scale: of Fresnel's integrals, 1/m.
+    """
+    low, high = _fresnel((-half - offset) * scale), _fresnel((half - offset) * scale)
+    return (high - low) / (1.0 + 1.0j)
+
+
+FRESNEL_STEP, FRESNEL_LENGTH = 5e-4, 24_000
+
+
+def _fresnel(v: Floats) -> Complexes:
+    place = np.minimum(np.abs(v) / FRESNEL_STEP, FRESNEL_LENGTH - 1.0)
+    at = place.astype(np.int64)
+    table = _fresnel_table()
+    inside = table[at] + (place - at) * (table[at + 1] - table[at])
+    return np.sign(v) * np.where(np.abs(v) > FRESNEL_STEP * (FRESNEL_LENGTH - 1), 0.5 + 0.5j, inside)
+
+
+@lru_cache(maxsize=1)
+def _fresnel_table() -> Complexes:
+    wave = np.exp(0.5j * np.pi * (np.arange(FRESNEL_LENGTH + 1) * FRESNEL_STEP) ** 2)
+    return np.concatenate([[0.0], np.cumsum(0.5 * (wave[1:] + wave[:-1]) * FRESNEL_STEP)])

@@ -1,0 +1,104 @@
+"""Transducers: what a burst becomes on its way through both resonators, and how they favour the beam's axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.bench.acoustics.air import CARRIER, Floats
+from acquisition.bench.unit import Unit
+
+Complexes = NDArray[np.complex128]
+CYCLES = 8  # of the burst: 200 us at 40 kHz
+OMEGA = 2.0 * np.pi * CARRIER
+PERIOD = 1.0 / CARRIER  # s; also the step of every waveform here, so each step holds one period of the carrier
+FINE = 2  # steps a period in which arrivals are gathered, each shared by a cubic among four of them
+SMALL = PERIOD / 32  # s, the step at which a pulse is worked out
+LENGTH = 5.0e-3  # s, after which a pulse has rung down: by 70 dB even at Q = 58
+REFERENCE_C = 20.0
+
+
+def _resonator(t: Floats, f0: float, quality: float) -> Complexes:
+    """Return the impulse response of a second-order resonator about the carrier, at times t >= 0."""
+    rate = np.pi * f0 / quality
+    response = rate * np.exp((2j * np.pi * (f0 - CARRIER) - rate) * t)
+    response[0] *= 0.5  # trapezoidal rule
+    return response
+
+
+def pulse_at(unit: Unit, temperature_c: float, step: float) -> Complexes:
+    """Return the echo of a point at zero delay: the burst through both resonators, unit amplitude if it lasted.
+
+    The carrier is taken out: the voltage is the imaginary part of the pulse times exp(i 2 pi 40 kHz t).
+    """
+    t = np.arange(0.0, LENGTH, step)
+    size = 2 * len(t)
+    shift = unit.f_slope * (temperature_c - REFERENCE_C)
+    burst = (t < CYCLES * PERIOD - 0.5 * step).astype(np.complex128)
+    burst[0] = 0.5
+    burst[round(CYCLES * PERIOD / step)] = 0.5
+    parts = (burst, _resonator(t, unit.f_tx + shift, unit.q_tx), _resonator(t, unit.f_rx + shift, unit.q_rx))
+    spectrum = np.prod([np.fft.fft(part, size) for part in parts], axis=0)
+    return np.fft.ifft(spectrum)[: len(t)] * step**2
+
+
+@lru_cache(maxsize=256)
+def pulse_phases(unit: Unit, temperature_c: float) -> Complexes:
+    """Return the pulse for delays of j / FINE periods, (FINE, samples), one sample a period.
+
+    Scaled so that the nominal unit's echo peaks at 1: a poor or detuned resonator is heard as a weak one.
+    """
+    fine = pulse_at(unit, temperature_c, SMALL)[:: round(PERIOD / FINE / SMALL)] / reference_peak()
+    padded = np.concatenate([np.zeros(FINE, dtype=np.complex128), fine])
+    starts = np.arange(0, len(fine) - FINE, FINE)
+    return np.stack([padded[starts + FINE - j] for j in range(FINE)])
+
+
+@lru_cache(maxsize=1)
+def reference_peak() -> float:
+    """Return the peak of the nominal unit's pulse: 11.7 dB below what an endless burst would reach."""
+    return float(np.abs(pulse_at(Unit.nominal(), REFERENCE_C, SMALL)).max())
+
+
+def _bessel_j1(x: NDArray[np.floating]) -> Floats:
+    """Return the Bessel function J1 by its integral over [0, pi]; the midpoint rule converges geometrically."""
+    angle = (np.arange(64) + 0.5) * np.pi / 64
+    return np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1)
+
+
+@lru_cache(maxsize=64)
+def spectra(unit: Unit, temperature_c: float, size: int) -> Complexes:
+    """Return the discrete Fourier transforms of `pulse_phases`, (FINE, size)."""
+    return np.fft.fft(pulse_phases(unit, temperature_c), size, axis=1)
+
+
+@dataclass(frozen=True)
+class Piston:
+    """A round piston in a baffle: pressure against the axis is 2 J1(x)/x with x = k a sin(angle)."""
+
+    ka: float
+
+    def __call__(self, angle: Floats) -> Floats:
+        """Return the relative pressure at angles off the axis, rad; nothing is sent backwards."""
+        return directivity(np.float64(self.ka), np.cos(angle))
+
+
+def directivity(ka: Floats | np.float64, cosine: Floats) -> Floats:
+    """Return a piston's relative pressure where the angle off its axis has a given cosine; 0 behind it."""
+    place = np.minimum(ka / TABLE_STEP * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), TABLE_LENGTH - 1.0)
+    at = place.astype(np.int32)
+    table = _table()
+    value = table[at]
+    return np.where(cosine > 0.0, value + (place - at) * (table[at + 1] - value), 0.0)
+
+
+TABLE_STEP, TABLE_LENGTH = 2.5e-3, 12_000
+
+
+@lru_cache(maxsize=1)
+def _table() -> Floats:
+    x = np.arange(1, TABLE_LENGTH + 1) * TABLE_STEP
+    return np.concatenate([[1.0], 2.0 * _bessel_j1(x) / x])

@@ -1,0 +1,111 @@
+"""Survey plans from TOML files; errors name file, key, value and limit.
+
+Lists of values are written out, or as a span: `distances_mm = {from = 200, to = 3000, step = 200}`, both ends included.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquisition.errors import SettingError
+from acquisition.survey.plan import MOST_CELLS, PLANS, Plan
+
+KEYS = tuple(field.name for field in fields(Plan))
+REQUIRED = ("distances_mm", "angles_deg")
+LISTS = ("distances_mm", "angles_deg", "reflectances", "incidences_deg")
+SPAN = ("from", "to", "step")
+KINDS: dict[str, tuple[type, ...]] = {
+    "pings": (int,),
+    "seed": (int,),
+    "interval_s": (int, float),
+    "move_s": (int, float),
+    "facing": (bool,),
+    "order": (str,),
+}
+NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
+
+
+def find_plan(name: str) -> Plan:
+    """Return the plan of that name, or that a file of that path describes.
+
+    Raises:
+        SettingError: neither is there, or the file is no plan.
+    """
+    if name in PLANS:
+        return PLANS[name]
+    if not name.endswith(".toml"):
+        raise SettingError(f"plan {name!r}: expected one of {', '.join(PLANS)}, or the path of a .toml file")
+    return load_plan(Path(name))
+
+
+def load_plan(path: Path) -> Plan:
+    """Read a plan.
+
+    Raises:
+        SettingError: no such file, no TOML, an unknown key, or a value outside its limits.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = tomllib.load(file)
+    except OSError as error:
+        raise SettingError(f"{path}: {error.strerror}; give the path of a plan (TOML)") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingError(f"{path}: not TOML: {error}") from None
+    try:
+        return Plan(**_settings(content))
+    except SettingError as error:
+        raise SettingError(f"{path}, {error}") from None
+
+
+def _settings(content: dict[str, Any]) -> dict[str, Any]:
+    for key in content:
+        if key not in KEYS:
+            raise SettingError(f"{key}: no such key, expected one of {', '.join(KEYS)}")
+    for key in REQUIRED:
+        if key not in content:
+            raise SettingError(f"{key}: is missing; a plan needs {' and '.join(REQUIRED)}")
+    return {key: _value(key, value) for key, value in content.items()}
+
+
+def _value(key: str, value: Any) -> Any:
+    if key in LISTS:
+        return _axis(key, value)
+    if key == "sweep":
+        _expect(isinstance(value, dict), key, "a table of quantities", value)
+        return {name: _axis(f"sweep.{name}", values) for name, values in value.items()}
+    kinds = KINDS[key]
+    fits = isinstance(value, kinds) and isinstance(value, bool) == (bool in kinds)
+    _expect(fits, key, NAMES[kinds[-1]], value)
+    return value
+
+
+def _axis(key: str, value: Any) -> tuple[float, ...]:
+    """Return the values of a list or a span."""
+    if isinstance(value, dict):
+        return _span(key, value)
+    _expect(isinstance(value, list), key, "a list of numbers or {from, to, step}", value)
+    return tuple(_number(key, item) for item in value)
+
+
+def _span(key: str, span: dict[str, Any]) -> tuple[float, ...]:
+    _expect(set(span) == set(SPAN), key, "{from, to, step}", span)
+    start, stop, step = (_number(f"{key}.{name}", span[name]) for name in SPAN)
+    _expect(step > 0, f"{key}.step", "a number above 0", step)
+    count = int(np.floor((stop - start) / step + 1e-9)) + 1
+    _expect(1 <= count <= MOST_CELLS, key, f"a span of 1 to {MOST_CELLS} values", span)
+    return tuple(float(value) for value in np.round(start + step * np.arange(count), 9))
+
+
+def _number(key: str, value: Any) -> float:
+    _expect(isinstance(value, int | float) and not isinstance(value, bool), key, "a number", value)
+    return float(value)
+
+
+def _expect(fine: bool, key: str, expected: str, value: Any) -> None:
+    if not fine:
+        raise SettingError(f"{key}: expected {expected}, got {value!r}")

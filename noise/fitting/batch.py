@@ -1,0 +1,211 @@
+"""Answered pings in the order of their cells: what every likelihood and every look at readings is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from acquisition import Ping, Reading, Recording, RecordingError, previous
+from noise.effects import Conditions
+from noise.effects.base import reach
+from noise.fitting.visits import cells_of, last_echo
+
+MEMORY = 12  # readings of a cell that an urn looks back on; ours: past that a cell tells nothing new
+STANDS_M = 0.01  # by which the logged distance of a target that stands may change; ours
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Answered pings in the order of their cells, time running inside each.
+
+    Attributes:
+        ping: conditions, (n,).
+        past: the reading before each ping in its run, whatever its cell, (n,).
+        reading: (n,).
+        block: the uninterrupted stay in one cell that a ping belongs to, ascending, (n,).
+        cell: the cell of each ping, for splits, (n,).
+        resolution: step of the register, m.
+        last: latest echo before each ping in its run, and how far off its target stood, m, nan where there was none,
+            (n, 2).
+        timed: whether the time of each ping was logged.
+        twin: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
+    """
+
+    ping: Ping
+    past: Reading
+    reading: Reading
+    block: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    resolution: float
+    last: NDArray[np.float64]
+    timed: bool = True
+    twin: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of(cls, recording: Recording) -> Batch:
+        """Sort a recording into cells; rows without an answer are left out (they are faults, not readings).
+
+        Raises:
+            RecordingError: nothing was answered.
+        """
+        answered = recording.reading.answered
+        if not answered.any():
+            raise RecordingError(f"{recording.name}: no ping was answered, so there is nothing to compare: check wires")
+        cell, block = cells_of(recording)
+        order = np.lexsort((np.arange(len(recording)), block))
+        order = order[answered[order]]
+        past = previous(recording.reading, recording.run)
+        ping, reading = recording.ping[order], recording.reading[order]
+        label = np.unique(block[order], return_inverse=True)[1]
+        last, timed = last_echo(recording)[order], recording.has("time_s")
+        return cls(ping, past[order], reading, label, cell[order], recording.resolution, last, timed)
+
+    def __len__(self) -> int:
+        """Return the number of pings."""
+        return len(self.reading)
+
+    def select(self, mask: NDArray[np.bool_]) -> Batch:
+        """Return the pings at a mask; whole blocks or their beginnings, so that the past stays right."""
+        block = np.unique(self.block[mask], return_inverse=True)[1]
+        return replace(
+            self,
+            ping=self.ping[mask],
+            past=self.past[mask],
+            reading=self.reading[mask],
+            block=block,
+            cell=self.cell[mask],
+            last=self.last[mask],
+            twin=None if self.twin is None else self.twin[mask],
+        )
+
+    def thin(self, n: int) -> Batch:
+        """Return at most about n pings: the first few of every block, and if need be every k-th block."""
+        if len(self) <= n:
+            return self
+        stride = -(-2 * self.blocks // n)
+        # the first pings of a cell carry most of what it can tell, so blocks are shortened before any is left out
+        most = max(2, n * stride // self.blocks)
+        return self.select((self.block % stride == 0) & (self.count < most))
+
+    @cached_property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self.block[-1]) + 1
+
+    @cached_property
+    def first(self) -> NDArray[np.int64]:
+        """Row at which each ping's block begins, (n,)."""
+        return np.searchsorted(self.block, self.block)
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """Row at which each block begins, (blocks,)."""
+        return np.unique(self.first)
+
+    @property
+    def stays(self) -> list[NDArray[np.int64]]:
+        """Rows of each block."""
+        return np.split(np.arange(len(self)), self.starts[1:])
+
+    @property
+    def stops(self) -> list[NDArray[np.int64]]:
+        """Rows of each block in which the target stood."""
+        return [rows for rows, stood in zip(self.stays, self.standing, strict=True) if stood]
+
+    @cached_property
+    def standing(self) -> NDArray[np.bool_]:
+        """Whether the target stood through each block, rather than moved or was passed by, (blocks,)."""
+        distance = self.ping.distance
+        way = np.maximum.reduceat(distance, self.starts) - np.minimum.reduceat(distance, self.starts)
+        return way <= STANDS_M
+
+    @cached_property
+    def count(self) -> NDArray[np.int64]:
+        """Number of pings before each in its block, (n,)."""
+        return np.arange(len(self)) - self.first
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """Conditions and past as tensors."""
+        return Conditions.of(self.ping, self.past)
+
+    @cached_property
+    def twins(self) -> tuple[Tensor, Tensor]:
+        """Offset of the simulation in each ping's cell, m, 0 where unknown, and whether it is known (0 or 1), (n,)."""
+        twin = np.full(len(self), np.nan) if self.twin is None else self.twin
+        return torch.as_tensor(np.nan_to_num(twin)), torch.as_tensor((~np.isnan(twin)).astype(np.float64))
+
+    @cached_property
+    def error(self) -> NDArray[np.float64]:
+        """Reading minus true distance, m, (n,); 0 where there was no echo."""
+        return np.where(self.reading.echo, self.reading.range - self.ping.distance, 0.0)
+
+    @cached_property
+    def urn(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Look-back over the block, of `MEMORY` readings at most.
+
+        How far echoes lie from earlier ones, each distance once, m, (k,), and how many earlier ones lie so far from
+        each ping's, sparse (n, k); before silent pings, the number of silent ones, (n,); number of earlier ones, (n,).
+        """
+        lag = np.arange(1, MEMORY + 1)[:, None]
+        valid = lag <= self.count
+        row = np.maximum(np.arange(len(self)) - lag, 0)
+        echo = self.reading.echo
+        both = valid & echo & echo[row]
+        silent = valid & ~echo & ~echo[row]
+        apart = np.abs(self.error - self.error[row])[both]
+        # a register has few steps within reach: distances come again and again, but for rounding
+        once, which = np.unique(np.round(apart, 9), return_inverse=True)
+        at, tensor = np.stack([np.nonzero(both)[1], which]), torch.as_tensor
+        ones, shape = np.ones(at.shape[1]), (len(self), len(once))
+        often = torch.sparse_coo_tensor(tensor(at), tensor(ones), shape, check_invariants=True)
+        return (
+            tensor(once),
+            often.coalesce(),
+            tensor(silent.sum(axis=0).astype(np.float64)),
+            tensor(valid.sum(axis=0).astype(np.float64)),
+        )
+
+    @cached_property
+    def heard(self) -> tuple[Tensor, Tensor]:
+        """Number of pings before each in its block, and of those with an echo, (n,) each."""
+        echo = torch.from_numpy(self.reading.echo.astype(np.float64))
+        return torch.from_numpy(self.count.astype(np.float64)), self.before(echo)
+
+    @property
+    def reach(self) -> NDArray[np.float64]:
+        """How far from where it is expected an echo may lie and be the target's, m, (n,)."""
+        return reach(self.ping.distance)
+
+    def near(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which echoes are the target's, by how far they lie from where it is expected, m, (n,)."""
+        return self.reading.echo & (np.abs(error) < self.reach)
+
+    def astray(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which echoes are not the target's, by how far they lie from where it is expected, m, (n,)."""
+        return self.reading.echo & ~self.near(error)
+
+    def per_block(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return sums of a (n,) or (n, k) array over the blocks, (blocks,) or (blocks, k)."""
+        return np.add.reduceat(value, self.starts, axis=0)
+
+    @cached_property
+    def alike(self) -> NDArray[np.bool_]:
+        """Whether each echo is alike to the digit with the reading before it in its run, (n,)."""
+        same = np.abs(self.reading.range - self.past.range) < 0.5 * self.resolution
+        return same & self.reading.echo & self.past.echo
+
+    def before(self, value: Tensor) -> Tensor:
+        """Return sums over the pings before each in its block, (..., n)."""
+        total = torch.cumsum(value, dim=-1) - value
+        return total - total[..., torch.from_numpy(self.first)]
+
+
+def silence(batch: Batch) -> float:
+    """Return the share of answered pings without an echo."""
+    return float(np.mean(~batch.reading.echo))

@@ -1,0 +1,115 @@
+"""A learned law without memory: a perceptron from conditions to a mixture. Numpy alone at run time.
+
+Nothing is extrapolated silently: outside the conditions it was trained on a network is asked at the nearest one that
+it knows, its law is widened and mixed with ignorance, and `MixtureLaw.excess` says so. Where a covariate is not given,
+the law is that over all of its values, and `MixtureLaw.missing` says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquisition import ModelError, Ping, Reading
+from noise.law import Floats
+from noise.learned.inputs import Inputs
+from noise.learned.mixture import Head, MixtureLaw
+from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
+
+
+def dense(layers: Layers, x: Floats) -> Floats:
+    """Return what layers make of (n, in): tanh between them, none after the last."""
+    for weight, bias in layers[:-1]:
+        x = np.tanh(x @ weight.T + bias)
+    weight, bias = layers[-1]
+    return x @ weight.T + bias
+
+
+class MlpModel:
+    """A multilayer perceptron from a ping's conditions to its law.
+
+    Args:
+        inputs: what the network is told.
+        head: how its numbers are read.
+        layers: weights (out, in) and biases (out,) of each layer; tanh between them.
+        about: plain data on its making, kept in model.json.
+        card: text of the folder's README.md.
+    """
+
+    remembers = False
+
+    def __init__(
+        self,
+        inputs: Inputs,
+        head: Head,
+        layers: Layers,
+        about: dict[str, Any] | None = None,
+        card: str = "",
+    ) -> None:
+        self.inputs, self.head, self.about, self.card = inputs, head, about or {}, card
+        self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.head.resolution
+
+    def law(self, ping: Ping, past: Reading | None = None) -> MixtureLaw:
+        """Return the law of n pings; the past is not looked at."""
+        asked = self.inputs.features(ping)
+        return self.head.law(dense(self.layers, asked.feature), asked)
+
+    @property
+    def sizes(self) -> list[int]:
+        """Widths of all layers, the input first."""
+        return [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the weights as plain data."""
+        return {
+            "kind": "mlp",
+            "sizes": self.sizes,
+            "inputs": asdict(self.inputs),
+            "head": asdict(self.head),
+            "about": self.about,
+        }
+
+    def write_weights(self, folder: Path) -> None:
+        """Write the weights, and the card where there is one, into a folder."""
+        write_tensors(folder, tensors_of(self.layers), self.card)
+
+    @classmethod
+    def load(cls, folder: Path, data: dict[str, Any]) -> MlpModel:
+        """Read a saved network.
+
+        Args:
+            folder: that holds the weights.
+            data: its model.json.
+
+        Raises:
+            ModelError: model.json or the weights are damaged, or belong to something else.
+        """
+        inputs, head, sizes = read_shape(folder, data)
+        tensors, text = read_tensors(folder, shapes_of(sizes))
+        return cls(inputs, head, layers_of(tensors, len(sizes) - 1), data.get("about", {}), text)
+
+
+def read_shape(folder: Path, data: dict[str, Any]) -> tuple[Inputs, Head, list[int]]:
+    """Return inputs, head and widths of the layers of a perceptron that model.json describes.
+
+    Raises:
+        ModelError: it describes none.
+    """
+    path = folder / "model.json"
+    try:
+        inputs = Inputs.from_dict(data["inputs"])
+        head, sizes = Head(**data["head"]), [int(size) for size in data["sizes"]]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ModelError(f"{path}: does not describe a network ({error}); train it anew") from None
+    if len(sizes) < 2 or sizes[0] != inputs.width or sizes[-1] != head.width or min(sizes) < 1:
+        wanted = f"{inputs.width} features to {head.width} numbers"
+        raise ModelError(f"{path}: layers {sizes} do not lead from {wanted}; train it anew")
+    return inputs, head, sizes

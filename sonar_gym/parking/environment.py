@@ -1,0 +1,242 @@
+"""SonarParking-v0: a miniature car finds a space and parks in it by sonar alone (Esmi 2016, section 6.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition import SettingError
+from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
+from sonar_gym.parking.street import Street, StreetSettings
+from sonar_gym.parking.vehicle import Car, CarSettings
+from sonar_gym.parking.world import World
+from sonar_gym.sensing.mounts import Layout, Mount
+from sonar_gym.sensing.odometry import OdometryChoice
+from sonar_gym.sensing.sonar import SonarChoice
+
+__all__ = ["MAX_RANGE", "MAX_STEPS", "ODOMETRY_SPAN", "STEP_S", "RewardWeights", "SonarParkingEnv"]
+ONE = np.zeros(1, dtype=np.int64)  # the rows of a fleet of one
+
+
+class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
+    """A miniature car follows its lane past boxes, finds a space wide enough, and parks sideways in it.
+
+    ## Description
+
+    A car at 1:10 (0.45 m long, 0.20 m wide, turning radius 0.45 m) drives along a street. Boxes of unlike reflectance
+    stand on its right; most spaces between them are too short, one is wide enough. Eight sonars are all it has to see
+    with. The aim is to stand still in that space, parallel to the kerb, without touching anything: the scenario of
+    S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
+
+    What the sonars say is drawn from the law of a `noise.SonarModel`, given the true distance, bearing, incidence and
+    reflectance of the nearest point in each cone. The world does not depend on the model: the same seed gives the same
+    street for all of them.
+
+    ## Action Space
+
+    `Box(-1, 1, (2,), float32)`:
+
+    | Num | Action | -1 | 1 |
+    |---|---|---|---|
+    | 0 | steering angle wanted | 30 deg to the right | 30 deg to the left |
+    | 1 | speed wanted | 0.5 m/s backwards | 0.5 m/s forwards |
+
+    Servo and motor follow with lag and limited rate. Values beyond the limits are clipped; NaN and infinity are
+    refused with a `SettingError`.
+
+    ## Observation Space
+
+    `Dict` of float32 vectors; n sonars, in the order of `sonar_layout`:
+
+    | Key | Shape | Meaning |
+    |---|---|---|
+    | `ranges` | (n,) | reading over the maximum range of 3.01 m, 0 to 1; 1 without an echo |
+    | `credence` | (n,) | P(reading within 10 % of the truth), given the reading alone; 0 without an echo |
+    | `echo` | (n,) | 1 echo, 0 silence, -1 no answer (a dead wire) |
+    | `age` | (n,) | time since the ping that the reading answers, s, at most 1 |
+    | `ego` | (7,) | what wheel encoder, gyro and clock tell, see below |
+
+    `ego`: speed and steering angle as shares of the greatest; cosine and sine of the turn since the start; metres gone
+    along the first heading / 10 and across it / 2; time / 40 s.
+
+    ## Rewards
+
+    The sum of `info["reward_terms"]`: `progress` (metres by which the cost to go along a reference path falls),
+    `time` (-0.01 a step), `parked` (+10, once), `crashed` (-10, once). Weights are `RewardWeights`.
+
+    ## Starting State
+
+    The car stands at the beginning of its lane, some millimetres and degrees off it. Number, length, reflectance and
+    texture of boxes, number and length of spaces are drawn anew (`StreetSettings`).
+
+    ## Episode End
+
+    Terminated: the car stands in the gap (`info["is_success"]`): slower than 0.03 m/s, within 10 deg of the kerb's
+    direction, no more than 20 mm over the strip's line; or it touched something (`info["collision"]`), or left the
+    street by the open end behind it (`info["left_street"]`). Truncated after 400 steps (40 s) when made by
+    `gymnasium.make`.
+
+    ## Information
+
+    `info` holds what a car cannot know. Of the ping that each reading answers, each (n,): `distance` (m; 3.01 where the
+    cone is empty), `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause`, the reading's, by number of
+    `env.unwrapped.causes`; `credence_given_condition`, unless the model can only be drawn from. Of the car:
+    `is_success`, `collision`, `left_street`, `reward_terms`.
+
+    ## Arguments
+
+    ```python
+    gymnasium.make("SonarParking-v0", sonar="srf08-mlp", sonar_layout="eight in turn", difficulty="hard")
+    ```
+
+    - `sonar`: "ideal" (default), "gaussian", another name of `noise.model_names()`, the path of a saved model, or a
+      `SonarModel`.
+    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never together, and
+      readings come in 20 ms later), "four", or a list of `Mount` or mappings of their fields: place, cone, period,
+      phase and latency.
+    - `difficulty`: "easy", "normal" (default) or "hard": how tight the gap is, how many spaces are too short, how dark
+      boxes are, how far off the car starts.
+    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields; those of
+      a street take the place of the difficulty's.
+    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: how far off
+      what `ego` tells of the way gone is.
+    - `render_mode`: None, "rgb_array" or "human".
+
+    `reset(options=...)` fixes what is not to be drawn: `difficulty`; `street`, a mapping of fields of `StreetSettings`
+    or a `Street`; `boxes`, a list of mappings of `begin`, `length` and, where wanted, `recess`, `reflectance`,
+    `texture_deg`; `start`, the car's x, y, heading in m, m, rad.
+
+    ## Version History
+
+    - v0: the first.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 - as Gymnasium
+
+    def __init__(
+        self,
+        sonar: SonarChoice = "ideal",
+        sonar_layout: Layout = "eight",
+        street: StreetSettings | Mapping[str, Any] | None = None,
+        car: CarSettings | Mapping[str, Any] | None = None,
+        reward: RewardWeights | Mapping[str, Any] | None = None,
+        odometry: OdometryChoice = "exact",
+        render_mode: str | None = None,
+        difficulty: str = "normal",
+    ) -> None:
+        check_render_mode(render_mode)
+        self.render_mode = render_mode
+        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry)
+        self.max_range = MAX_RANGE
+        self._streams_seeded = False
+        self._renderer: Any = None
+        self.action_space: spaces.Space[Any] = self.fleet.action_space
+        self.observation_space = self.fleet.observation_space
+
+    # ---- world -------------------------------------------------------------------------------------------------------
+
+    @property
+    def world(self) -> World:
+        """The world as it is now."""
+        return self.fleet.world(0)
+
+    @property
+    def street(self) -> Street:
+        """The street of this episode."""
+        return self.world.street
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes of readings, by number: those of the scene, then the model's own faults."""
+        return self.fleet.causes
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """The sonars on the car."""
+        return self.fleet.mounts
+
+    @property
+    def car(self) -> Car:
+        """The car as it is now; another may be put in its place."""
+        return self.world.car
+
+    @car.setter
+    def car(self, car: Car) -> None:
+        self.fleet.worlds.car[0] = car.state
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draw a street and put the car at its beginning; `options` fixes what is not to be drawn."""
+        super().reset(seed=seed)
+        if seed is not None or not self._streams_seeded:
+            self.fleet.seed(self.np_random_seed if seed is None else seed)
+            self._streams_seeded = True
+        self.fleet.reset(ONE, [self.np_random], options)
+        self._show()
+        return self.fleet.observation(0), self._info()
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drive for 0.1 s towards the wanted steering and speed, then listen."""
+        self._check_begun("step")
+        self.fleet.step(ONE, self._checked(action))
+        self._show()
+        reward = sum(self.fleet.worlds.terms[0].tolist())
+        return self.fleet.observation(0), reward, any(self.fleet.worlds.ended[0].tolist()), False, self._info()
+
+    def _check_begun(self, call: str) -> None:
+        if self.fleet.worlds.steps[0] < 0:
+            raise gymnasium.error.ResetNeeded(f"SonarParking-v0: {call}() before the first reset(); call reset() first")
+
+    def _checked(self, action: ArrayLike) -> NDArray[np.float64]:
+        value = np.asarray(action, dtype=np.float64)
+        if value.shape != (2,):
+            raise SettingError(f"action has shape {value.shape}, expected (2,): steering and speed")
+        steering, speed = value.tolist()
+        if not math.isfinite(steering + speed):
+            raise SettingError(f"action must be finite, got steering {steering} and speed {speed}: check the policy")
+        return np.array([[min(max(steering, -1.0), 1.0), min(max(speed, -1.0), 1.0)]])
+
+    def _info(self) -> dict[str, Any]:
+        info = self.fleet.truth(0)
+        for name in ("is_success", "collision", "left_street"):
+            info[name] = bool(info[name])
+        info["reward_terms"] = {name: float(value) for name, value in info["reward_terms"].items()}
+        return info
+
+    # ---- pictures ----------------------------------------------------------------------------------------------------
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self.render()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the scene; an array (height, width, 3) of uint8 for "rgb_array", a window for "human"."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() needs a render_mode: gymnasium.make(..., render_mode='rgb_array')")
+            return None
+        self._check_begun("render")
+        if self._renderer is None:
+            from sonar_gym.parking.rendering import Renderer  # pygame is imported when it is first drawn
+
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+        picture: NDArray[np.uint8] | None = self._renderer.draw(self.world)
+        return picture
+
+    def close(self) -> None:
+        """Close the window, where there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def check_render_mode(mode: str | None) -> None:
+    """Refuse a render mode that there is not."""
+    if mode is not None and mode not in SonarParkingEnv.metadata["render_modes"]:
+        raise SettingError(f"render_mode {mode!r}: expected None, 'human' or 'rgb_array'")

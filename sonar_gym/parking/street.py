@@ -1,0 +1,283 @@
+"""The street of the parking task: boxes on the right, gaps between them, one of them wide enough.
+
+The lane's centre is the x axis, driven towards +x. The parking strip lies on the right, between its line and the
+kerb. Esmi (2016), section 6.1 and figure 6.1, tells the scenario; its measures are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition import SettingError
+from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing.scene import Box, Scene, box_faces
+
+Floats = NDArray[np.float64]
+REAR_ROOM = (0.02, 0.12)  # m; least and most left behind the car where the reference path ends
+TURN_ROOM = 0.27  # m; by so much a space must exceed the car to be entered in one move with nothing left behind it
+ARC_MARGIN = 1.1  # arcs of the reference path are this much wider than the tightest turn
+PATH_STEP = 0.01  # m between poses of the reference path
+
+
+@dataclass(frozen=True)
+class StreetSettings:
+    """What is drawn for each episode, and the fixed measures; pairs are the limits of a uniform draw.
+
+    Attributes:
+        gap: length of the space to park in, m.
+        decoy: length of the spaces too short to park in, m.
+        decoys: least and greatest number of those spaces.
+        box: length of a box, m.
+        recess: how far a box stands back from the strip's line, m.
+        reflectance: of a box, 0..1.
+        texture_deg: slope of the facets of a box's faces; see `scene.Wall`.
+        kerb_reflectance: of kerbs and of the wall that ends the street, 0..1.
+        line: from the lane's centre to the strip's line, m.
+        depth: of the strip, from its line to the kerb, m.
+        far_side: from the lane's centre to the kerb on the left, m.
+        lead: from the car's start to the first box, m.
+        tail: from the last box to the street's end, m.
+        start_offset: greatest offset of the start from the lane's centre, m.
+        start_heading_deg: greatest error of the start's heading.
+    """
+
+    gap: tuple[float, float] = (0.85, 1.15)
+    decoy: tuple[float, float] = (0.15, 0.45)
+    decoys: tuple[int, int] = (0, 2)
+    box: tuple[float, float] = (0.30, 0.70)
+    recess: tuple[float, float] = (0.0, 0.03)
+    reflectance: tuple[float, float] = (0.1, 0.9)
+    texture_deg: tuple[float, float] = (0.0, 10.0)
+    kerb_reflectance: float = 0.4
+    line: float = 0.30
+    depth: float = 0.35
+    far_side: float = 0.75
+    lead: float = 0.60
+    tail: float = 1.00
+    start_offset: float = 0.03
+    start_heading_deg: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Refuse pairs out of order, surfaces that cannot be, and a gap no wider than a decoy."""
+        for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
+            pair = tuple(getattr(self, name))
+            if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
+                raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
+            object.__setattr__(self, name, pair)
+        self._check_surfaces()
+        if self.gap[0] <= self.decoy[1]:
+            raise SettingError(
+                f"StreetSettings.gap must exceed decoy: least gap {self.gap[0]:g} m, greatest decoy {self.decoy[1]:g} m"
+            )
+
+    def _check_surfaces(self) -> None:
+        for name, value in (("reflectance", self.reflectance[1]), ("kerb_reflectance", self.kerb_reflectance)):
+            if not 0.0 <= value <= 1.0:
+                raise SettingError(f"StreetSettings.{name} must lie in [0, 1], got {value:g}")
+        if self.texture_deg[1] >= 90.0:
+            raise SettingError(f"StreetSettings.texture_deg must be < 90 deg, got {self.texture_deg[1]:g} deg")
+
+
+LEVELS: dict[str, StreetSettings] = {
+    "easy": StreetSettings(
+        gap=(1.10, 1.40),
+        decoys=(0, 0),
+        recess=(0.0, 0.0),
+        reflectance=(0.5, 0.9),
+        start_offset=0.01,
+        start_heading_deg=1.0,
+    ),
+    "normal": StreetSettings(),
+    "hard": StreetSettings(
+        gap=(0.75, 0.85),
+        decoy=(0.25, 0.60),
+        decoys=(1, 3),
+        recess=(0.0, 0.05),
+        reflectance=(0.05, 0.9),
+        start_offset=0.05,
+        start_heading_deg=5.0,
+    ),
+}
+
+
+def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
+    """Return the settings of a level, with some fields replaced, or those given whole.
+
+    >>> street_settings("hard", {"decoys": [0, 0]}).gap
+    (0.75, 0.85)
+    """
+    if difficulty not in LEVELS:
+        raise SettingError(f"difficulty {difficulty!r}: no such level; expected {', '.join(LEVELS)}")
+    if isinstance(given, StreetSettings):
+        return given
+    return replace(LEVELS[difficulty], **(given or {}))
+
+
+@dataclass(frozen=True, eq=False)
+class Street:
+    """One street.
+
+    Attributes:
+        settings: it was drawn from.
+        strip: the boxes on the strip, from the first met to the last, in rows of begin, length, recess, reflectance,
+            texture: m, m, m, 1, deg, (k, 5).
+        gap: where the space to park in begins and ends, m.
+        start: x, y, heading of the car's rear axle: m, m, rad, (3,).
+    """
+
+    settings: StreetSettings
+    strip: Floats
+    gap: tuple[float, float]
+    start: Floats
+
+    @property
+    def end(self) -> float:
+        """X of the wall that closes the street, m."""
+        return float(self.strip[-1, 0] + self.strip[-1, 1] + self.settings.tail)
+
+    @property
+    def line(self) -> float:
+        """Where the strip's line lies, y in m."""
+        return -self.settings.line
+
+    @property
+    def kerb(self) -> float:
+        """Where the kerb lies, y in m."""
+        return -self.settings.line - self.settings.depth
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """The boxes on the strip, from the first met to the last."""
+        kinds = self.strip[:, 3:]
+        return tuple(Box(*map(float, (*place, *kind))) for place, kind in zip(self._places(), kinds, strict=True))
+
+    def _places(self) -> Floats:
+        """Return centre, length, width and heading of the boxes, as `box_faces` wants them."""
+        begin, length, recess = self.strip[:, :3].T
+        width = self.settings.depth - recess
+        return np.column_stack([begin + 0.5 * length, self.line - recess - 0.5 * width, length, width, 0.0 * begin])
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Everything that reflects and stops: the boxes, the kerb on the right, the end, the kerb on the left."""
+        kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
+        walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
+        kinds = np.concatenate([np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3])
+        owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
+        return Scene.of(np.concatenate([box_faces(self._places()), walls]), kinds, owner)
+
+
+BEHIND = 1.5  # m of street behind the start
+
+
+def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
+    """Draw a street; the same state of `rng` gives the same street."""
+    count = int(rng.integers(settings.decoys[0], settings.decoys[1] + 1))
+    spaces = rng.uniform(*settings.decoy, size=count + 1)
+    place = int(rng.integers(0, count + 1))
+    spaces[place] = rng.uniform(*settings.gap)
+    lengths = rng.uniform(*settings.box, size=count + 2)
+    begins = settings.lead + np.cumsum(np.concatenate([[0.0], lengths[:-1] + spaces]))
+    low, high = np.array([settings.recess, settings.reflectance, settings.texture_deg]).T
+    kinds = low + (high - low) * rng.random((count + 2, 3))
+    gap = (float(begins[place] + lengths[place]), float(begins[place + 1]))
+    sideways, turned = rng.uniform(-1.0, 1.0, size=2)
+    start = np.array([0.0, sideways * settings.start_offset, np.radians(turned * settings.start_heading_deg)])
+    return Street(settings, np.column_stack([begins, lengths, kinds]), gap, start)
+
+
+BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0}
+
+
+def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) -> Street:
+    """Return a street with boxes where they are wanted; the widest space between two of them is the gap.
+
+    Args:
+        settings: of everything else; the car starts in the lane's middle.
+        boxes: mappings of begin and length, m, and, where wanted, recess, reflectance and texture_deg.
+
+    >>> street = street_of(StreetSettings(), [{"begin": 0.6, "length": 0.4}, {"begin": 2.0, "length": 0.4}])
+    >>> street.gap
+    (1.0, 2.0)
+    """
+    unknown = [name for box in boxes for name in box if name not in BOX_FIELDS]
+    if unknown:
+        raise SettingError(f"boxes: no field {unknown[0]!r}; expected {', '.join(BOX_FIELDS)}")
+    if len(boxes) < 2 or any(name not in box for box in boxes for name in ("begin", "length")):
+        raise SettingError(f"boxes must be two or more, each with begin and length in m, got {list(boxes)}")
+    rows = [[box.get(name, usual) for name, usual in BOX_FIELDS.items()] for box in boxes]
+    strip = np.array(sorted(rows), dtype=np.float64)
+    spaces = strip[1:, 0] - strip[:-1, :2].sum(axis=1)
+    if np.min(spaces) < 0.0:
+        raise SettingError(f"boxes overlap: a space between two of them is {np.min(spaces):g} m long")
+    widest = int(np.argmax(spaces))
+    gap = (float(strip[widest, :2].sum()), float(strip[widest + 1, 0]))
+    street = Street(settings, strip, gap, np.zeros(3))
+    _ = street.boxes  # refuses what no box can be
+    return street
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the reference path leads, and how.
+
+    Attributes:
+        x, y: of the rear axle at its end, m.
+        turn: of each of its two arcs, rad.
+        ready_x: where they begin on the lane, m.
+    """
+
+    x: float
+    y: float
+    turn: float
+    ready_x: float
+
+    @classmethod
+    def of(cls, street: Street, car: CarSettings) -> Goal:
+        """Return the middle of the strip, as far from the gap's first box as a single move allows."""
+        spare = street.gap[1] - street.gap[0] - car.length - TURN_ROOM
+        x = street.gap[0] + car.rear_overhang + min(max(spare, REAR_ROOM[0]), REAR_ROOM[1])
+        y, radius = 0.5 * (street.line + street.kerb), arc_radius(car)
+        turn = float(np.arccos(min(max(1.0 + y / (2.0 * radius), -1.0), 1.0)))
+        return cls(x, y, turn, float(x + 2.0 * radius * np.sin(turn)))
+
+
+def arc_radius(car: CarSettings) -> float:
+    """Return the radius of the arcs of the reference path, m."""
+    return ARC_MARGIN * car.turning_radius
+
+
+def arc_table(car: CarSettings) -> Floats:
+    """Return poses along an arc: angle, way along x, way along y, way along the arc: rad, m, m, m, (k, 4)."""
+    radius = arc_radius(car)
+    angle = np.arange(0.0, np.pi, PATH_STEP / radius)
+    return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])
+
+
+def reference_path(street: Street, car: CarSettings) -> Floats:
+    """Return a path by which the street can be mastered: along the lane, then back in two equal arcs.
+
+    Args:
+        street: to park in.
+        car: that parks.
+
+    Returns:
+        Rows x, y, heading of the rear axle and m left to the end, (k, 4).
+    """
+    goal, radius, arc = Goal.of(street, car), arc_radius(car), arc_table(car)
+    angle, along, across, way = np.vstack([arc[arc[:, 0] < goal.turn], _arc_end(radius, goal.turn)]).T
+    arcs, lane_x = 2.0 * radius * goal.turn, np.arange(-BEHIND, goal.ready_x, PATH_STEP)
+    lane = np.column_stack([lane_x, 0 * lane_x, 0 * lane_x, arcs + goal.ready_x - lane_x])
+    first = np.column_stack([goal.ready_x - along, -across, angle, arcs - way])
+    second = np.column_stack([goal.x + along, goal.y + across, angle, way])[::-1]
+    return np.vstack([lane, first, second])
+
+
+def _arc_end(radius: float, turn: float) -> Floats:
+    return np.array([[turn, radius * np.sin(turn), radius * (1.0 - np.cos(turn)), radius * turn]])

@@ -1,0 +1,131 @@
+"""The miniature car: a kinematic bicycle about its rear axle, at 1:10."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition import SettingError
+from sonar_gym.sensing import kernels
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CarSettings:
+    """Measures of the car; those of the miniature cars of Esmi (2016) are about a tenth of a real car's.
+
+    Attributes:
+        length, width: of the body, m.
+        wheelbase: between the axles, m.
+        rear_overhang: of the body behind the rear axle, m.
+        max_steering: greatest steering angle to either side, rad.
+        max_speed: greatest speed forwards and backwards, m/s.
+        steering_rate: greatest change of the steering angle, rad/s.
+        steering_lag: time constant of the servo, s.
+        acceleration: greatest change of speed, m/s^2.
+        speed_lag: time constant of the motor, s.
+    """
+
+    length: float = 0.45
+    width: float = 0.20
+    wheelbase: float = 0.26
+    rear_overhang: float = 0.09
+    max_steering: float = np.radians(30.0)
+    max_speed: float = 0.5
+    steering_rate: float = np.radians(240.0)
+    steering_lag: float = 0.05
+    acceleration: float = 2.0
+    speed_lag: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse measures that no car can have."""
+        for name in ("length", "width", "wheelbase", "max_steering", "max_speed", "steering_rate", "acceleration"):
+            if not getattr(self, name) > 0.0:
+                raise SettingError(f"CarSettings.{name} must be > 0, got {getattr(self, name):g}")
+        if self.max_steering >= np.pi / 2:
+            raise SettingError(f"CarSettings.max_steering must be < pi/2 rad, got {self.max_steering:g} rad")
+
+    @property
+    def turning_radius(self) -> float:
+        """Least radius of the rear axle's path, m."""
+        return float(self.wheelbase / np.tan(self.max_steering))
+
+    @property
+    def centre(self) -> float:
+        """How far the body's centre lies before the rear axle, m."""
+        return 0.5 * self.length - self.rear_overhang
+
+    @cached_property
+    def body(self) -> Floats:
+        """The body's rectangle in the car's frame: rear, right, front, left, m, (4,)."""
+        front = self.length - self.rear_overhang
+        return np.array([-self.rear_overhang, -0.5 * self.width, front, 0.5 * self.width])
+
+    @cached_property
+    def dynamics(self) -> Floats:
+        """What the kernels want to know of the drive, (7,)."""
+        follow = (self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag)
+        return np.array([self.wheelbase, *follow, self.max_steering, self.max_speed])
+
+
+@dataclass(frozen=True)
+class Car:
+    """A car at one moment.
+
+    Attributes:
+        settings: its measures.
+        state: x, y, heading of the rear axle, speed, steering angle: m, m, rad, m/s, rad, (5,).
+    """
+
+    settings: CarSettings
+    state: Floats
+
+    @classmethod
+    def at(cls, settings: CarSettings, x: float, y: float, heading: float) -> Car:
+        """Return a car that stands with straight wheels."""
+        return cls(settings, np.array([x, y, heading, 0.0, 0.0]))
+
+    @property
+    def pose(self) -> Floats:
+        """x, y, heading of the rear axle: m, m, rad, (3,)."""
+        return self.state[:3]
+
+    @property
+    def speed(self) -> float:
+        """Forwards, m/s."""
+        return float(self.state[3])
+
+    @property
+    def steering(self) -> float:
+        """Steering angle, positive to the left, rad."""
+        return float(self.state[4])
+
+    def drive(self, steering: float, speed: float, segments: Floats, dt: float, parts: int = 5) -> tuple[Car, int]:
+        """Drive for dt s.
+
+        Args:
+            steering: wanted, as a share of the greatest, -1 (right) to 1 (left).
+            speed: wanted, as a share of the greatest, -1 to 1.
+            segments: what must not be touched, m, (m, 4).
+            dt: duration, s.
+            parts: equal parts in which contact is looked for.
+
+        Returns:
+            The car after dt, and the number of the segment it ran into, or -1.
+        """
+        s = self.settings
+        state, hit = kernels.drive(
+            self.state, steering * s.max_steering, speed * s.max_speed, s.dynamics, s.body, segments, dt, parts
+        )
+        return Car(s, state), hit
+
+    def corners(self) -> Floats:
+        """The body's corners in the world: front left, rear left, rear right, front right, m, (4, 2)."""
+        rear, right, front, left = self.settings.body
+        local = np.array([[front, left], [rear, left], [rear, right], [front, right]])
+        c, s = np.cos(self.state[2]), np.sin(self.state[2])
+        return local @ np.array([[c, s], [-s, c]]) + self.state[:2]

@@ -1,0 +1,370 @@
+"""The SRF08's driver over its twin: the same code that talks to a real bus."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from smbus2 import i2c_msg
+
+from acquisition import DeviceError, GarbledError, NoAnswerError, Ping, SettingError, StaleError
+from acquisition.bench import Rig, Room, Setup, Unit
+from acquisition.drivers import DRIVERS, Srf02, Srf08, Srf10, fire_all
+from acquisition.twins.devantech import BadWire, Srf02Twin, Srf08Twin, Srf10Twin
+
+QUIET = Setup(placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, drift_c=0.0, post=None)
+
+
+def pair(wire=None, setup=QUIET, **settings):
+    twin = Srf08Twin(Rig(Unit.nominal(), setup), np.random.default_rng(0), wire=wire or BadWire())
+    settings = {"gain": 20, "range_register": 140, **settings}
+    return twin, Srf08(twin, sleep=twin.clock.sleep, clock=twin.clock, **settings)
+
+
+class Scripted:
+    """A bus that logs writes and reads what it is told."""
+
+    def __init__(self, block=bytes(34), revision=10, fail=None):
+        self.log, self.block, self.revision, self.fail = [], block, revision, fail
+        self.address, self.busy = 0x70, 0
+
+    def write_byte_data(self, i2c_addr, register, value):
+        self.log.append((i2c_addr, register, value))
+        if self.fail:
+            raise self.fail
+        if register == 0 and value in (0x50, 0x51, 0x52):
+            self.busy = 2  # looks
+        if register == 0 and value >= 0xE0:
+            self.address = value >> 1
+
+    def read_byte_data(self, i2c_addr, register):
+        if i2c_addr != self.address or self.fail:
+            raise OSError(121, "Remote I/O error")
+        self.busy -= 1
+        return 77 if register else 0xFF if self.busy >= 0 else self.revision
+
+    def close(self):
+        pass
+
+    def i2c_rdwr(self, *messages):
+        pointer, answer = messages
+        self.log.append(("pointer", list(pointer), answer.len))
+        for k, byte in enumerate(self.block):
+            answer.buf[k] = bytes([byte])
+
+
+def on(bus, **settings):
+    return Srf08(bus, sleep=lambda s: None, clock=iter(np.arange(0.0, 1e4, 0.01)).__next__, **settings)
+
+
+def test_ping_writes_gain_then_range_then_command_each_on_its_own():
+    bus = Scripted()
+    on(bus, gain=14, range_register=140, output="us").ping()
+    assert bus.log == [(0x70, 1, 14), (0x70, 2, 140), (0x70, 0, 0x52), ("pointer", [2], 34)]
+
+
+def test_echoes_are_unsigned_big_endian_and_end_at_the_first_zero():
+    block = bytes([0x00, 0x85, 0x01, 0x9E, 0x04, 0x10, 0, 0]) + bytes(26)
+    heard = on(Scripted(block)).ping()
+    assert heard.ranges == pytest.approx((1.33, 4.14, 10.40))
+    assert heard.light == 77
+
+
+def test_seventeen_echoes_all_come_through():
+    block = np.arange(1, 18).astype(">u2").tobytes()
+    assert len(on(Scripted(block)).ping().ranges) == 17
+
+
+@pytest.mark.parametrize(("output", "metres"), [("cm", 1.0), ("inch", 2.54), ("us", 100 / 5800)])
+def test_units(output, metres):
+    block = (100).to_bytes(2, "big") + bytes(32)
+    assert on(Scripted(block), output=output).ping().ranges[0] == pytest.approx(metres)
+
+
+def test_address_change_is_a0_aa_a5_new():
+    bus = Scripted()
+    sonar = on(bus)
+    sonar.move(0x79)
+    assert [value for _, _, value in bus.log] == [0xA0, 0xAA, 0xA5, 0xF2]
+    assert sonar.address == 0x79
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"gain": 49},
+            r"SRF08 gain must be a whole number from 0 to 31, got 49 \(code; the manual's table ends at 31\)",
+        ),
+        ({"gain": -1}, r"SRF08 gain must be a whole number from 0 to 31, got -1"),
+        ({"range_register": 256}, r"SRF08 range register must be .* 0 to 255, got 256 \(steps of 43 mm\)"),
+        ({"address": 0xE0}, r"SRF08 address must lie from 0x70 to 0x7F \(7 bits\), got 0xE0: halve an 8-bit address"),
+        ({"output": "mm"}, "SRF08 output must be one of inch, cm, us, got 'mm'"),
+    ],
+)
+def test_settings_are_refused_with_limit_value_and_unit(settings, message):
+    with pytest.raises(SettingError, match=message):
+        Srf08(Scripted(), **settings)
+
+
+def test_nobody_there_is_no_answer_after_three_tries():
+    bus = Scripted(fail=OSError(121, "Remote I/O error"))
+    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x70: no acknowledge in 3 tries 1 ms apart; no sonar's"):
+        on(bus).ping()
+    assert len(bus.log) == 3
+
+
+def test_a_broken_bus_is_a_device_error_not_silence():
+    with pytest.raises(DeviceError, match="the bus failed: No such device"):
+        on(Scripted(fail=OSError(19, "No such device"))).ping()
+
+
+@pytest.mark.parametrize("revision", [0xFF, 0])
+def test_waiting_is_bounded(revision):
+    with pytest.raises(NoAnswerError, match="still busy 136 ms after a ping"):
+        on(Scripted(revision=revision), range_register=140).ping()
+
+
+def test_open_line_in_the_registers_is_no_answer():
+    with pytest.raises(NoAnswerError, match="0xFFFF"):
+        on(Scripted(b"\xff" * 34)).ping()
+
+
+def test_missing_bus_is_told(monkeypatch):
+    with pytest.raises(DeviceError, match=r"/dev/i2c-987: .*; switch I2C on"):
+        DRIVERS["srf08"].open("/dev/i2c-987")
+
+
+def test_driver_measures_through_the_twin():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert sonar.ping().ranges[0] == pytest.approx(1.01, abs=0.02)
+    twin.place(Ping.of(distance=5.9, reflectance=0.1))
+    assert sonar.ping().ranges == ()
+    assert sonar.revision() == 10
+    assert sonar.light() == Unit.nominal().light
+
+
+def test_twin_and_rig_agree_on_the_registers():
+    twin, sonar = pair(output="us")
+    twin.place(Ping.of(distance=1.5, reflectance=0.9))
+    readings = [sonar.ping().ranges[0] for _ in range(20)]
+    setup = replace(QUIET, gain=20, output="us")
+    ping = Ping.of(distance=1.5, reflectance=0.9, time=np.arange(20) * 2.4)
+    reading = Rig(Unit.nominal(), setup).ping(ping, np.random.default_rng(1)).reading(setup)
+    assert np.median(readings) == pytest.approx(np.median(reading.range), abs=0.005)
+
+
+@pytest.mark.parametrize("ones", [True, False], ids=["0xFF", "NACK"])
+def test_busy_lasts_as_long_as_listening(ones):
+    twin, _ = pair()
+    twin.busy_reads_ones = ones
+    twin.write_byte_data(0x70, 2, 140)
+    twin.write_byte_data(0x70, 0, 0x51)
+    twin.clock.sleep(0.036)
+    if ones:
+        assert twin.read_byte_data(0x70, 0) == 0xFF
+    else:
+        with pytest.raises(OSError, match="Remote I/O"):
+            twin.read_byte_data(0x70, 0)
+    twin.clock.sleep(0.002)
+    assert twin.read_byte_data(0x70, 0) == 10
+
+
+def test_twin_gives_way_to_another_address_only_in_order():
+    twin, sonar = pair()
+    for value in (0xA5, 0xAA, 0xA0, 0xF2):
+        twin.write_byte_data(0x70, 0, value)
+    assert twin.address == 0x70
+    sonar.move(0x79)
+    assert twin.address == 0x79
+    assert sonar.revision() == 10
+    with pytest.raises(NoAnswerError):
+        Srf08(twin, address=0x70, sleep=twin.clock.sleep, clock=twin.clock).revision()
+
+
+def test_settings_survive_a_brown_out_because_each_ping_writes_them():
+    twin, sonar = pair(gain=3)
+    sonar.ping()
+    twin.power_cycle()
+    assert twin.gain == 31
+    sonar.ping()
+    assert (twin.gain, twin.range_register) == (3, 140)
+
+
+def test_faults_of_the_wire_reach_the_caller_as_what_they_are():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert sonar.ping().ranges
+    twin.wire.lost_write = 1.0
+    twin.place(Ping.of(distance=2.0, reflectance=0.9))
+    with pytest.raises(StaleError, match="the command was lost"):
+        sonar.ping()
+    twin.wire = BadWire(stuck=True)
+    with pytest.raises(NoAnswerError, match="still busy"):
+        sonar.ping()
+    twin.wire = BadWire(nack=1.0)
+    with pytest.raises(NoAnswerError, match="no acknowledge"):
+        sonar.ping()
+    twin.wire = BadWire()
+    assert sonar.ping().ranges[0] == pytest.approx(2.02, abs=0.03)
+
+
+def test_a_few_missing_acknowledges_are_survived():
+    twin, sonar = pair(wire=BadWire(nack=0.1))
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert all(len(sonar.ping().ranges) for _ in range(20))
+
+
+def test_general_call_starts_the_sonar():
+    twin, _ = pair()
+    twin.write_byte_data(0, 0, 0x51)
+    with pytest.raises(OSError, match="Remote I/O"):
+        twin.read_byte_data(0x70, 0)
+    with pytest.raises(OSError, match="Remote I/O"):
+        twin.read_byte_data(0, 0)
+
+
+def test_twin_speaks_i2c_messages():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    sonar.ping()
+    answer = i2c_msg.read(0x70, 4)
+    twin.i2c_rdwr(i2c_msg.write(0x70, [0]), answer)
+    assert list(answer)[:2] == [10, Unit.nominal().light]
+
+
+def test_twin_still_hears_the_ping_before():
+    """Fired again after 32 ms, a twin before a far wall reads it near; after 2 s it does not."""
+    unit = replace(Unit.nominal(), sensitivity_db=25.0, leak_db=-300.0, noise=0.01)
+    setup = replace(QUIET, room=Room(None, None, 8.0))
+    twin = Srf08Twin(Rig(unit, setup), np.random.default_rng(0))
+    sonar = Srf08(twin, gain=31, range_register=120, sleep=twin.clock.sleep, clock=twin.clock)
+    began = twin.clock()
+    assert sonar.ping().ranges == ()
+    again = sonar.ping().ranges
+    interval = 0.032  # listening and reading out
+    assert twin.clock() - began == pytest.approx(2 * interval, abs=0.004)
+    assert again[0] == pytest.approx(8.0 - 0.5 * 343.36 * interval, abs=0.15)
+    twin.clock.sleep(2.0)
+    assert sonar.ping().ranges == ()
+
+
+def test_a_wrong_address_is_told_with_the_one_found():
+    twin, _ = pair()
+    wrong = Srf08(twin, address=0x72, sleep=twin.clock.sleep, clock=twin.clock)
+    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x72: .* found 0x70 instead"):
+        wrong.ping()
+
+
+def test_address_is_not_changed_while_another_sonar_listens():
+    class Two(Scripted):
+        def read_byte_data(self, i2c_addr, register):
+            if i2c_addr not in (0x70, 0x74):
+                raise OSError(121, "Remote I/O error")
+            return 10
+
+    bus = Two()
+    with pytest.raises(SettingError, match="must be alone on the bus, also found 0x74"):
+        on(bus).move(0x79)
+    assert bus.log == []
+
+
+def test_ann_mode_sets_the_gate_of_the_wall():
+    """A wall at 2.00 m comes back after 11.65 ms, in the sixth gate of 2.048 ms."""
+    twin, sonar = pair(output="us")
+    twin.place(Ping.of(distance=2.0, reflectance=0.9))
+    gates = sonar.gates()
+    assert gates.first == pytest.approx(2.0, abs=0.05)
+    assert len(gates.heard) == 32
+    assert next(k for k, heard in enumerate(gates.heard) if heard) == 5
+    assert twin.range_register == 255
+
+
+def test_general_call_then_fetch_gives_the_same_wall():
+    twin, sonar = pair(range_register=255, gain=31)
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    fire_all([sonar])
+    assert sonar.fetch().ranges[0] == pytest.approx(1.01, abs=0.03)
+
+
+@pytest.mark.parametrize(("kind", "twin_kind"), [(Srf10, Srf10Twin), (Srf02, Srf02Twin)])
+def test_siblings_give_one_echo(kind, twin_kind):
+    twin = twin_kind(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+    sonar = kind(twin, sleep=twin.clock.sleep, clock=twin.clock)
+    twin.place(Ping.of(distance=1.5, reflectance=0.9))
+    assert sonar.ping().ranges == pytest.approx((1.51,), abs=0.03)
+    assert sonar.ping().light is None
+
+
+def test_srf02_tells_its_shortest_range():
+    twin = Srf02Twin(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+    assert Srf02(twin, sleep=twin.clock.sleep, clock=twin.clock).shortest() == pytest.approx(0.16)
+
+
+def test_srf10_knows_17_gains():
+    with pytest.raises(SettingError, match="SRF10 gain must be a whole number from 0 to 16, got 17"):
+        Srf10(Scripted(), gain=17)
+
+
+def test_an_echo_from_beyond_what_was_listened_to_is_no_reading():
+    """What a sensor gives that was reset to range 255 behind our back."""
+    block = (1000).to_bytes(2, "big") + bytes(32)
+    with pytest.raises(GarbledError, match=r"echo at 10.00 m, but it was told to listen up to 6\.6.* m"):
+        on(Scripted(block), range_register=140).ping()
+
+
+def test_a_general_call_that_one_sonar_missed_is_told():
+    twin, sonar = pair()
+    sonar.ping()
+    twin.wire.lost_write = 1.0
+    with pytest.raises(StaleError, match="the command was lost"):
+        fire_all([sonar])
+
+
+def test_a_general_call_has_one_unit():
+    with pytest.raises(SettingError, match="all with the same output"):
+        fire_all([on(Scripted()), on(Scripted(), output="us")])
+
+
+def test_a_lost_ann_command_is_told():
+    twin, sonar = pair()
+    sonar.ping()
+    twin.wire.lost_write = 1.0
+    with pytest.raises(StaleError, match="the command was lost"):
+        sonar.gates()
+
+
+class Dawdling:
+    """A bus on a host that is busy with other things: the first looks at a sensor come late."""
+
+    def __init__(self, twin, late):
+        self.twin, self.late = twin, late
+
+    def read_byte_data(self, i2c_addr, register):
+        if register == 0 and self.late:
+            self.late -= 1
+            self.twin.clock.sleep(0.05)
+        return self.twin.read_byte_data(i2c_addr, register)
+
+    def __getattr__(self, name):
+        return getattr(self.twin, name)
+
+
+def test_a_host_that_looks_too_late_fires_again_rather_than_call_a_good_echo_old():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    sonar.bus = Dawdling(twin, 2)
+    assert sonar.ping().ranges
+    assert twin.clock() > 2 * 0.065
+    sonar.bus = Dawdling(twin, 1000)
+    with pytest.raises(NoAnswerError, match=r"3 times too slow to see whether it took a ranging command.* 36 ms only"):
+        sonar.ping()
+
+
+def test_a_slow_host_takes_no_lost_command_for_an_echo():
+    twin, sonar = pair()
+    sonar.ping()
+    twin.wire.lost_write = 1.0
+    sonar.bus = Dawdling(twin, 2)
+    with pytest.raises(StaleError, match="the command was lost"):
+        sonar.ping()

@@ -1,0 +1,222 @@
+"""What a recording is worth after SIGKILL, a full disk, Ctrl-C and a second writer."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from acquisition import Recording, RecordingError
+from acquisition.bench import Rig
+from acquisition.io.files import lock
+from acquisition.io.journal import Journal
+from acquisition.io.recording import unfinished
+from acquisition.survey.plan import Plan
+from acquisition.survey.session import Session
+from acquisition.survey.sources import RigSource
+
+PLAN = Plan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
+SOURCE = RigSource(Rig(), seed=5)
+ROWS = pd.DataFrame({"time_s": [0.0, 1.0], "session": "0", "sensor": "0", "distance_mm": 1.0})
+posix = pytest.mark.skipif(sys.platform == "win32", reason="needs signals and fork: Linux or macOS")
+
+
+def killed(folder, kills, seed):
+    script = Path(__file__).with_name("kill_sessions.py")
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    done = subprocess.run(
+        [sys.executable, str(script), str(folder), str(kills), str(seed)],
+        capture_output=True,
+        text=True,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def check(result, kills):
+    assert result["kills"] == kills
+    assert {name: result[name] for name in ("corrupt", "lost_cells", "unreadable")} == {
+        "corrupt": 0,
+        "lost_cells": 0,
+        "unreadable": 0,
+    }
+
+
+@posix
+def test_ten_kills_lose_and_spoil_nothing(tmp_path):
+    check(killed(tmp_path, 10, 0), 10)
+
+
+@posix
+@pytest.mark.slow
+def test_two_hundred_kills_lose_and_spoil_nothing(tmp_path):
+    result = killed(tmp_path, 200, 1)
+    print(f"\n{result}")
+    check(result, 200)
+
+
+def test_every_torn_tail_is_mended_to_the_byte(tmp_path):
+    """A power cut may tear anywhere: cut at every byte of the last cell and resume what is left."""
+    whole = Session(PLAN, SOURCE, tmp_path / "whole.csv").run().read_bytes()
+    lines = whole.splitlines(keepends=True)
+    path = tmp_path / "r.csv"
+    for keep in range(len(whole) - sum(map(len, lines[-6:])), len(whole), 41):
+        path.write_bytes(whole[:keep])
+        Session(PLAN, SOURCE, path, resume=True).run()
+        assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("text", ["my notes", "a,b\n1,2\n", "distance_mm,angle_deg,reading_mm\n1,2,3\n" * 20])
+def test_resuming_never_touches_a_file_of_others(tmp_path, text):
+    path = tmp_path / "notes.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match="was not begun by a session; give another file, nothing in it was change"):
+        Session(PLAN, SOURCE, path, resume=True).run()
+    assert path.read_text() == text
+
+
+def test_lines_that_somebody_put_in_are_told_and_left(tmp_path):
+    path = Session(PLAN, SOURCE, tmp_path / "r.csv").run()
+    lines = path.read_text().splitlines(keepends=True)
+    text = "".join([*lines[:4], "1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20\n", *lines[4:]])
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=r"was not written by a session alone: .* line 5"):
+        Session(PLAN, SOURCE, path, resume=True).run()
+    assert path.read_text() == text
+
+
+def full_after(monkeypatch, good, code):
+    """Let a disk take some bytes and then fail, as a full one does: with a short write first."""
+    left, write = [good], os.write
+
+    def some(handle, data):
+        if left[0] <= 0:
+            raise OSError(code, os.strerror(code))
+        count = min(len(data), left[0])
+        left[0] -= count
+        return write(handle, data[:count])
+
+    monkeypatch.setattr(os, "write", some)
+
+
+@pytest.mark.parametrize("good", [0, 10, 500, 900])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_a_full_or_broken_disk_leaves_whole_cells_and_says_what_to_do(tmp_path, monkeypatch, good, code):
+    whole = Session(PLAN, SOURCE, tmp_path / "whole.csv").run().read_bytes()
+    path = tmp_path / "r.csv"
+    with monkeypatch.context() as patched:
+        full_after(patched, good, code)
+        with pytest.raises(RecordingError, match=r"cannot be written: .* \d conditions are on disk") as told:
+            Session(PLAN, SOURCE, path).run()
+    assert ("make room" if code == errno.ENOSPC else "check the disk") in str(told.value)
+    assert "go on with --resume" in str(told.value)
+    left = path.read_bytes()
+    assert whole.startswith(left)
+    assert max(left.count(b"\n") - 1, 0) % PLAN.pings == 0
+    Session(PLAN, SOURCE, path, resume=True).run()
+    assert path.read_bytes() == whole
+
+
+@posix
+def test_the_system_itself_refuses_to_let_the_file_grow(tmp_path):
+    code = (
+        "import resource, sys; from pathlib import Path; resource.setrlimit(resource.RLIMIT_FSIZE, (1200, 1200));"
+        "from acquisition.survey.plan import Plan; from acquisition.survey.session import Session;"
+        "from acquisition.survey.sources import RigSource; from acquisition.bench import Rig;"
+        "plan = Plan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2);"
+        "Session(plan, RigSource(Rig(), 5), Path(sys.argv[1])).run()"
+    )
+    path = tmp_path / "r.csv"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, env=environment)
+    assert "cannot be written: File too large" in done.stderr
+    assert 0 < path.stat().st_size <= 1200
+    assert len(Recording.load(path)) % PLAN.pings == 0
+
+
+def test_a_second_writer_is_turned_away(tmp_path):
+    path = tmp_path / "r.csv"
+    with Journal.open(path, 2, resume=False) as journal:
+        journal.begin({})
+        journal.append(ROWS)
+        before = path.read_bytes()
+        with pytest.raises(RecordingError, match=r"another session is writing to it; wait for it, stop it, or give"):
+            Session(PLAN, SOURCE, path, resume=True).run()
+        assert path.read_bytes() == before
+    with open(path, "rb+") as file:
+        assert lock(file.fileno())  # free again
+
+
+def test_interrupting_between_write_and_sync_takes_the_cell_back(tmp_path, monkeypatch):
+    path = tmp_path / "r.csv"
+    with Journal.open(path, 2, resume=False) as journal:
+        journal.begin({})
+        journal.append(ROWS)
+        before = path.read_bytes()
+        fsync = os.fsync
+
+        def interrupted(handle):
+            monkeypatch.setattr(os, "fsync", fsync)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(os, "fsync", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            journal.append(ROWS)
+        assert path.read_bytes() == before
+        assert journal.cells == 1
+
+
+def test_taking_the_last_cell_back(tmp_path):
+    path = tmp_path / "r.csv"
+    with Journal.open(path, 2, resume=False) as journal:
+        journal.begin({})
+        journal.append(ROWS)
+        before = path.read_bytes()
+        journal.append(ROWS)
+        journal.drop_last()
+        assert path.read_bytes() == before
+        journal.drop_last()
+        assert (path.read_bytes(), journal.cells) == (b"", 0)
+        journal.append(ROWS)
+        assert path.read_bytes() == before
+
+
+def test_what_is_no_place_for_a_file_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match=r"cannot be written: .*; give another place"):
+        Session(PLAN, SOURCE, tmp_path / "file" / "r.csv").run()
+
+
+def heed_interrupts():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs are started deaf to it
+
+
+@posix
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, number, code):
+    path, whole = tmp_path / "r.csv", tmp_path / "whole.csv"
+    command = [sys.executable, "-m", "training.cli", "record", "--pings", "20", "--interval-s", "1", "--out"]
+    root = Path(__file__).parents[3]
+    process = subprocess.Popen(
+        [*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root, preexec_fn=heed_interrupts
+    )
+    while not (path.exists() and path.stat().st_size > 10_000):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(number)
+    error = process.communicate()[1]
+    assert process.returncode == code
+    if number == signal.SIGINT:
+        assert "of 120 conditions are on disk, go on with --resume" in error
+        assert "Traceback" not in error
+    assert unfinished(path).exists()
+    for arguments in ([str(path), "--resume"], [str(whole)]):
+        subprocess.run([*command, *arguments], check=True, capture_output=True, cwd=root)
+    assert path.read_bytes() == whole.read_bytes()

@@ -1,0 +1,356 @@
+"""What each effect does to the law, held against published numbers and what can be reckoned by hand."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from acquisition import Ping, Recording
+from noise.effects import CATALOGUE, Conditions, Seen
+from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
+from noise.effects.mounting import directivity
+from noise.effects.receiver import HALF_WAVE
+from noise.fitting.batch import Batch
+from noise.fitting.fit import best_of, log_likelihood
+from noise.fitting.stack import Stack
+from noise.fitting.starts import starting_points
+from noise.physical import PhysicalModel
+
+torch.set_num_threads(1)
+
+
+def median(effects, **condition):
+    return float(PhysicalModel(effects, 1e-5, 11.008).law(Ping.of(**condition)).quantile(0.5)[0])
+
+
+def test_sound_speed_scales_by_temperature():
+    assert float(sound_speed(torch.tensor(0.0))) == pytest.approx(331.3)
+    assert pytest.approx(22.8, abs=0.05) == ASSUMED_TEMPERATURE_C
+    # dry air of 19 degC: +0.60 %, physics of c = 331.3 sqrt(1 + T / 273.15) against 58 us/cm
+    read = median([CATALOGUE["sound_speed"](temperature_c=19.0)], distance=6.0)
+    assert read == pytest.approx(6.0 * 1.0065, abs=0.003)
+    assert read == pytest.approx(6.0 * ASSUMED_SPEED / float(sound_speed(torch.tensor(19.0))), abs=2e-5)
+    sentence = CATALOGUE["sound_speed"](temperature_c=31.2).statement()
+    assert sentence.startswith("Readings run short by 1.4 % of distance: the air was at 31.2 degC")
+
+
+def test_thermal_drift_of_one_kelvin_is_ten_millimetres_at_six_metres():
+    drift = CATALOGUE["thermal_drift"](rate_k_per_h=1.0)
+    assert median([drift], distance=6.0, time=3600.0) == pytest.approx(6.0 - 0.0101, abs=3e-4)
+    assert median([drift], distance=6.0, time=0.0) == pytest.approx(6.0, abs=1e-5)
+
+
+def level(effects, **condition):
+    state = PhysicalModel(effects).state(Conditions.of(Ping.of(**condition)))
+    return state.direct.level_db[0].numpy()
+
+
+def test_absorption_takes_15_db_at_6_m():
+    clean, humid = level([], distance=6.0), level([CATALOGUE["air_absorption"](alpha_db_per_m=1.29)], distance=6.0)
+    assert clean - humid == pytest.approx(15.48)
+
+
+def test_a_beam_of_ka_4_8_has_the_published_two_way_losses():
+    angle = np.radians([5.0, 10.0, 15.0, 20.0, 22.5, 25.0, 30.0])
+    loss = level([CATALOGUE["beam_width"](ka=4.80)], distance=1.0, angle=angle) - level([], distance=1.0)
+    np.testing.assert_allclose(loss, [-0.4, -1.5, -3.5, -6.2, -7.9, -9.9, -14.5], atol=0.06)
+    assert "55 deg" in CATALOGUE["beam_width"](ka=4.80).statement()
+
+
+def test_directivity_is_that_of_bessel():
+    from scipy.special import j1
+
+    x = np.linspace(1e-3, 8.0, 50)
+    np.testing.assert_allclose(directivity(torch.tensor(x)).numpy(), 2 * j1(x) / x, atol=1e-12)
+
+
+def test_boresight_turns_the_beam():
+    stack = [CATALOGUE["beam_width"](ka=4.8), CATALOGUE["boresight"](yaw_deg=10.0)]
+    on_beam, mirrored = level(stack, distance=1.0, angle=np.radians([10.0, -10.0]))
+    assert on_beam == pytest.approx(60.0)
+    assert mirrored == pytest.approx(60.0 - 6.2, abs=0.06)
+
+
+def test_pivot_of_300_mm_adds_88_mm_at_45_degrees():
+    pivot = CATALOGUE["pivot_offset"](axial_m=0.3)
+    assert median([pivot], distance=1.0, incidence=np.radians(45)) == pytest.approx(1.088, abs=5e-4)
+
+
+def test_parallax_of_25_mm_is_two_and_a_half_millimetres_at_30_mm():
+    parallax = CATALOGUE["baseline_parallax"](spacing_m=0.025)
+    assert median([parallax], distance=0.030) == pytest.approx(0.0325, abs=1e-4)
+    assert median([parallax], distance=0.5) == pytest.approx(0.50016, abs=2e-5)
+
+
+def test_specular_loss_is_that_of_a_plate():
+    lost = CATALOGUE["specular_loss"](strength=1.0, half_width_m=0.1)
+    angle = np.radians([0.0, 5.0, 10.0, 15.0, 20.0])
+    loss = level([lost], distance=1.0, incidence=angle) - level([], distance=1.0)
+    # Kirchhoff integrals of a disc and a plate of that size at 1 m: 0, -5/-7, -20/-21, -27/-23, -30/-23 dB
+    np.testing.assert_allclose(loss, [0.0, -6.0, -20.5, -25.0, -26.5], atol=3.5)
+
+
+def test_tilted_face_reads_its_perpendicular_foot_while_it_is_seen():
+    foot = CATALOGUE["perpendicular_foot"](share=1.0)
+    assert median([foot], distance=1.0, incidence=np.radians(5)) == pytest.approx(1 - 0.0038, abs=4e-4)
+    assert median([foot], distance=1.0, incidence=np.radians(40)) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_edge_echo_is_36_mm_early_at_22_5_degrees_and_33_db_weaker_at_1_m():
+    edge = CATALOGUE["edge_diffraction"](presence=1.0)
+    state = PhysicalModel([edge]).state(Conditions.of(Ping.of(distance=1.0, incidence=[0.0, np.radians(22.5)])))
+    assert float(state.paths[1].length[1]) == pytest.approx(1 - 0.036, abs=3e-3)
+    assert float(state.paths[1].level_db[0, 0] - state.paths[0].level_db[0, 0]) == pytest.approx(-33.6, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        ({"background_reflector": {"presence": 1.0, "behind_m": 0.3}}, 2.3),
+        ({"multipath": {"presence": 1.0, "height_m": 1.5}}, 2.80),
+        ({"repeated_bounce": {"presence": 1.0}}, 4.0),
+        ({"fixed_clutter": {"presence": 1.0, "range_m": 3.25}}, 3.25),
+        ({"synchronous_crosstalk": {"presence": 1.0, "other_m": 2.6}}, 2.3),
+        ({"previous_ping": {"presence": 1.0, "far_m": 14.0}}, 14.0 - ASSUMED_SPEED * 0.065 / 2),
+    ],
+    ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
+)
+def test_the_way_behind_is_read_when_the_reflector_is_missed(effect, expected):
+    stack = [CATALOGUE[name](**values) for name, values in effect.items()]
+    law = PhysicalModel(stack).law(Ping.of(distance=2.0))
+    if expected > 2.0:  # first echo wins
+        assert law.quantile(0.5)[0] == pytest.approx(2.0)
+    gone = [CATALOGUE["specular_loss"](strength=2.0), CATALOGUE["sensitivity"](loss_db=10.0)]
+    law = PhysicalModel([*stack, *gone]).law(Ping.of(distance=2.0, incidence=np.radians(60)))
+    assert law.quantile(0.5)[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_wall_behind_answers_at_every_angle_and_a_post_only_in_the_beam():
+    beam, angle = CATALOGUE["beam_width"](ka=4.8), np.radians([0.0, 20.0])
+    loss = []
+    for follow in (0.0, 1.0):
+        behind = CATALOGUE["background_reflector"](presence=1.0, behind_m=0.4, follow=follow)
+        state = PhysicalModel([beam, behind]).state(Conditions.of(Ping.of(distance=[2.0] * 2, angle=angle)))
+        loss.append(float(state.paths[1].level_db[0].diff()[0]))
+    np.testing.assert_allclose(loss, [0.0, -6.2], atol=0.06)  # two-way loss of the beam at 20 deg
+
+
+def test_warm_air_stretches_the_way_of_a_previous_ping_but_not_the_interval():
+    stack = [CATALOGUE["previous_ping"](presence=1.0, far_m=12.0), CATALOGUE["sound_speed"](temperature_c=0.0)]
+    law = PhysicalModel(stack).law(Ping.of(distance=5.0, interval_s=0.06))
+    assert law.quantile(0.5)[0] == pytest.approx(12.0 * ASSUMED_SPEED / 331.3 - ASSUMED_SPEED * 0.03, abs=0.001)
+
+
+def test_no_previous_ping_no_ghost():
+    ghost = CATALOGUE["previous_ping"](presence=1.0, far_m=12.0)
+    law = PhysicalModel([ghost]).law(Ping.of(distance=5.0, interval_s=[0.0, 0.2]))
+    np.testing.assert_allclose(law.quantile(0.5), 5.0)
+
+
+def test_time_walk_follows_its_table():
+    walk = CATALOGUE["time_walk"](scale=1.0)
+    for margin, late in ((20.0, 0.0135), (2.0, 0.044), (12.0, 0.022)):
+        loss = CATALOGUE["sensitivity"](loss_db=60.0 - margin)
+        assert median([walk, loss], distance=1.0) == pytest.approx(1.0 + late, abs=5e-5)
+
+
+def test_cycle_slip_is_a_comb():
+    law = PhysicalModel([CATALOGUE["cycle_slip"](probability=0.3)], 1e-5).law(Ping.of(distance=[1.0] * 3))
+    at = 1.0 + HALF_WAVE * np.arange(3)
+    np.testing.assert_allclose(law.cdf(at + 1e-4) - law.cdf(at - 1e-4), [0.7, 0.21, 0.09], atol=1e-9)
+
+
+def test_scintillation_softens_detection_as_a_wider_normal():
+    # a normal level of spread s over a threshold of spread w is one of spread sqrt(s^2 + w^2)
+    loss = CATALOGUE["sensitivity"](loss_db=43.0)
+    air = CATALOGUE["scintillation"](sigma_at_6m_db=2.0)
+    margin = 60.0 - 43.0 - 20 * math.log10(6.0)
+    echo = PhysicalModel([loss, air]).law(Ping.of(distance=6.0)).echo[0]
+    assert echo == pytest.approx(stats.norm.cdf(margin / math.hypot(2.0, 1.5)), abs=2e-3)
+
+
+def test_false_alarms_come_before_the_echo_only():
+    law = PhysicalModel([CATALOGUE["false_alarm"](per_metre=0.05)]).law(Ping.of(distance=[2.0, 4.0]))
+    np.testing.assert_allclose(law.cdf(np.array([1.9, 3.9])), 1 - np.exp(-0.05 * np.array([1.9005, 3.9005])), atol=1e-9)
+    np.testing.assert_allclose(law.cdf(np.array([2.1, 4.1])), 1.0)
+
+
+def test_ring_down_begins_at_the_end_of_blanking_and_thins_out():
+    ring = CATALOGUE["ring_down"](probability=0.4, range_m=0.1, decay_m=0.05)
+    law = PhysicalModel([ring], 1e-4).law(Ping.of(distance=[2.0] * 3))
+    expected = 0.4 * (1 - np.exp(-np.array([0.0, 0.05, 0.10]) / 0.05))
+    np.testing.assert_allclose(law.cdf(np.array([0.0999, 0.15, 0.20])), expected, atol=1e-3)
+
+
+def test_ringing_is_never_late_however_faint_an_echo_must_rise():
+    ring = CATALOGUE["ring_down"](probability=1.0, range_m=0.1, decay_m=0.001)
+    walks = [CATALOGUE["sensitivity"](loss_db=46.0), CATALOGUE["time_walk"](scale=1.0)]
+    alone = median([ring], distance=2.0)
+    assert median([ring, *walks], distance=2.0) == pytest.approx(alone, abs=1e-4)
+
+
+@given(
+    st.floats(0.02, 0.3),
+    st.sampled_from([0.0, 0.001, 0.02]),
+    st.sampled_from([0.001, 0.01]),
+    st.integers(0, 2**31),
+)
+@settings(max_examples=30, deadline=None)
+def test_a_fit_of_ringing_begins_where_every_near_reading_is_allowed(begins, decay, step, seed):
+    rng = np.random.default_rng(seed)
+    near = np.round((begins + rng.exponential(decay, 60)) / step) * step if decay else np.full(60, begins)
+    near = near[near < 0.8]
+    distance = np.full(len(near) + 20, 3.0)
+    seen = Seen(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    first, *_ = CATALOGUE["ring_down"].guesses(seen)
+    assert first["range_m"] < near.min()
+    assert near.min() - first["range_m"] <= 0.5 * max(step, 0.01) + 1e-9
+    assert first["probability"] == pytest.approx(len(near) / len(distance))
+    assert first["decay_m"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("near", "hidden"),
+    [
+        (np.full(40, 0.054), True),  # a stuck register may read that too
+        (np.r_[np.full(30, 0.054), np.full(10, 0.0583)], True),
+        (np.full(40, 0.7), False),
+        (np.linspace(0.05, 0.15, 40), False),
+        (np.full(3, 0.054), False),
+    ],
+)
+def test_ringing_that_is_read_at_one_near_place_passes_for_a_stuck_register(near, hidden):
+    distance = np.full(len(near) + 20, 3.0)
+    seen = Seen(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    ring = CATALOGUE["ring_down"]
+    assert "stuck" in ring.passes_for
+    assert ring.hidden(seen) == hidden
+
+
+def test_few_near_readings_tell_nothing_of_ringing():
+    distance = np.full(20, 2.0)
+    seen = Seen(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
+    assert CATALOGUE["ring_down"].guesses(seen) == []
+
+
+def test_quantised_readings_lie_on_the_steps():
+    model = PhysicalModel([CATALOGUE["quantisation"](step_m=0.01), CATALOGUE["travel_time_jitter"](sigma_m=0.02)])
+    drawn = model.law(Ping.of(distance=np.full(500, 1.234))).sample(np.random.default_rng(1))
+    np.testing.assert_allclose(drawn.range * 100, np.rint(drawn.range * 100), atol=1e-9)
+    assert drawn.range.mean() == pytest.approx(1.234, abs=0.003)
+
+
+def test_cut_readings_lie_on_the_steps_and_run_half_a_step_short():
+    model = PhysicalModel([CATALOGUE["truncation"](step_m=0.01), CATALOGUE["zero_offset"](offset_m=0.002)])
+    law = model.law(Ping.of(distance=[1.2379, 1.2381, 1.2479]))
+    np.testing.assert_allclose(law.quantile(0.5), [1.23, 1.24, 1.24], atol=1e-9)
+    spread = np.random.default_rng(3).uniform(1.0, 3.0, 4000)
+    drawn = PhysicalModel([CATALOGUE["truncation"](step_m=0.01)]).law(Ping.of(distance=spread)).sample
+    assert np.mean(drawn(np.random.default_rng(4)).range - spread) == pytest.approx(-0.005, abs=3e-4)
+
+
+def test_a_sensor_without_a_thermometer_reads_warm_air_short_by_the_log():
+    stack = [CATALOGUE["sound_speed"](temperature_c=20.0, logged_share=1.0)]
+    logged = np.array([0.0, 20.0, 40.0])
+    law = PhysicalModel(stack, 1e-5).law(Ping.of(distance=[3.0] * 3, temperature_c=logged))
+    expected = 3.0 * ASSUMED_SPEED / sound_speed(torch.tensor(logged)).numpy()
+    np.testing.assert_allclose(law.quantile(0.5), expected, atol=2e-5)
+    assert "for every kelvin that the thermometer rises" in stack[0].statement()
+    assert "-0.17 %" in stack[0].statement()  # half of 1 / 293 K
+
+
+def test_a_parameter_counts_where_its_covariate_was_logged_and_varies():
+    share = CATALOGUE["sound_speed"].parameters[1]
+    assert share.tellable({"temperature_c": np.array([18.0, 22.0])})
+    assert not share.tellable({"temperature_c": np.array([18.0, 18.5])})
+    assert not share.tellable({})
+
+
+def test_gate_silences_what_lies_beyond():
+    law = PhysicalModel([CATALOGUE["range_gate"](listen_m=3.0)]).law(Ping.of(distance=[2.9, 3.1]))
+    np.testing.assert_allclose(law.echo, [1.0, 0.0])
+
+
+def test_warm_up_dies_away():
+    warm = CATALOGUE["warm_up"](offset_m=0.02, tau_s=100.0)
+    law = PhysicalModel([warm], 1e-5).law(Ping.of(distance=1.0, time=[0.0, 100.0, 5000.0]))
+    np.testing.assert_allclose(law.quantile(0.5), [1.02, 1.0 + 0.02 / math.e, 1.0], atol=2e-5)
+
+
+def test_reflectance_of_a_tenth_costs_20_db():
+    soft = CATALOGUE["reflectance_loss"](strength=1.0)
+    assert level([soft], distance=1.0, reflectance=0.1) == pytest.approx(40.0)
+
+
+def test_deaf_ears_lose_what_is_near_but_not_what_follows():
+    late = CATALOGUE["rearm_dead_time"](deaf_m=0.5)
+    law = PhysicalModel([late]).law(Ping.of(distance=[0.45, 0.55]))
+    np.testing.assert_allclose(law.echo, [0.0, 1.0])
+    behind = CATALOGUE["background_reflector"](presence=1.0, behind_m=0.3, loss_db=10.0)
+    assert PhysicalModel([late, behind]).law(Ping.of(distance=0.45)).quantile(0.5)[0] == pytest.approx(0.75)
+
+
+def test_deaf_ears_hear_no_false_alarm_either():
+    stack = [CATALOGUE["rearm_dead_time"](deaf_m=0.5), CATALOGUE["false_alarm"](per_metre=0.2)]
+    law = PhysicalModel(stack).law(Ping.of(distance=[2.0, 2.0]))
+    np.testing.assert_allclose(law.cdf(np.array([0.499, 1.5])), [0.0, 1 - np.exp(-0.2)], atol=2e-4)
+
+
+def test_another_clock_is_early_by_what_the_intervals_differ():
+    other = CATALOGUE["asynchronous_crosstalk"](presence=1.0, period_s=0.07, first_s=0.01, spread_m=0.002)
+    law = PhysicalModel([other]).law(Ping.of(distance=[5.0] * 4, time=[0.0, 0.001, 0.065, 0.0701]))
+    expected = ASSUMED_SPEED / 2 * np.array([0.01, 0.009, 0.015, 0.0099])
+    np.testing.assert_allclose(law.quantile(0.5), expected, atol=0.001)
+
+
+def test_a_wrong_bit_moves_the_count_by_a_power_of_two():
+    model = PhysicalModel([CATALOGUE["corrupted_byte"](probability=0.5, unit_m=0.01)], 0.01, 11.0)
+    drawn = model.law(Ping.of(distance=np.full(2000, 1.5))).sample(np.random.default_rng(2))
+    off = np.abs(np.rint(drawn.range * 100) - 150)
+    moved = off[(off > 1) & (off < 900)]  # the register ends at 11 m
+    nearest = 2.0 ** np.rint(np.log2(moved))
+    assert np.mean(np.abs(moved - nearest) <= 1) > 0.98
+    # of 16 bits up and 8 down, none below zero, the lowest hide in the rounding and the highest in the register's end
+    assert len(moved) / len(drawn) == pytest.approx(0.5 * 16 / 24, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("rearm_dead_time", {"deaf_m": 0.62}),
+        ("asynchronous_crosstalk", {"presence": 0.6, "period_s": 0.0917, "first_s": 0.031, "spread_m": 0.02}),
+        ("corrupted_byte", {"probability": 0.08, "unit_m": 0.01}),
+        ("range_gate", {"listen_m": 2.408}),
+    ],
+)
+def test_what_was_put_in_is_found_again(name, values):
+    rng = np.random.default_rng(5)
+    scatter = CATALOGUE["travel_time_jitter"](sigma_m=0.004)
+    ping = Ping.of(distance=rng.uniform(0.3, 4.0, 900), time=np.cumsum(rng.uniform(0.09, 0.11, 900)))
+    heard = PhysicalModel([scatter, CATALOGUE[name](**values)]).law(ping).sample(rng)
+    batch = Batch.of(Recording.of(ping, heard))
+    plain = Stack.of(PhysicalModel([scatter]))
+    keys = [(name, p.name) for p in CATALOGUE[name].parameters]
+    starts = sorted(starting_points(plain, name, batch, rng), key=lambda s: -log_likelihood(s, batch).sum())
+    found = best_of(starts[:2], keys, batch)
+    for key, value in values.items():
+        assert found.stack.get((name, key)) == pytest.approx(value, rel=0.25, abs=0.001)
+
+
+@pytest.mark.parametrize("pause", [0.0, 60.0, 1e6])
+def test_a_clock_is_guessed_within_its_bounds_however_few_early_readings_there_are(pause):
+    time = pause * np.arange(9.0)
+    seen = Seen(np.full(9, 4.0), time, np.full(9, 1.0))
+    for guess in CATALOGUE["asynchronous_crosstalk"].guesses(seen):
+        CATALOGUE["asynchronous_crosstalk"](**guess)
+
+
+@pytest.mark.parametrize(("early", "times", "hidden"), [(9, 1.0, True), (60, 1.0, False), (60, 0.0, True)])
+def test_few_early_readings_keep_to_some_clock_by_chance_and_untimed_ones_to_every(early, times, hidden):
+    seen = Seen(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
+    assert CATALOGUE["asynchronous_crosstalk"].hidden(seen) == hidden
+    assert not CATALOGUE["false_alarm"].hidden(seen)

@@ -1,0 +1,95 @@
+"""Where fits begin: what moves readings begins where the readings are."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition import Ping, Recording
+from noise.effects import CATALOGUE, Seen
+from noise.fitting.batch import Batch
+from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.stack import NUISANCES, Stack
+from noise.fitting.starts import fitting_value, nuisance_start, starting_points
+from noise.physical import PhysicalModel
+
+torch.set_num_threads(1)
+
+
+def heard(strays=0.0, seed=0, cells=40, **effects):
+    """Return cells of 5 readings with a scatter of 2 mm, a share of them anywhere."""
+    rng = np.random.default_rng(seed)
+    ping = Ping.of(distance=np.repeat(rng.uniform(0.3, 4.0, cells), 5), time=np.arange(5 * cells) * 10.0)
+    stack = {"travel_time_jitter": {"sigma_m": 0.002}, "spike": {"probability": strays}, **effects}
+    model = PhysicalModel([CATALOGUE[name](**values) for name, values in stack.items()])
+    return Batch.of(Recording.of(ping, model.law(ping).sample(rng)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(error=st.floats(-0.04, 0.04), strays=st.sampled_from([0.0, 0.2]))
+def test_a_clock_begins_at_its_error_whatever_strays(error, strays):
+    batch = heard(strays, clock_scale={"error": error})
+    found = fitting_value(Stack.of(PhysicalModel()), ("clock_scale", "error"), batch)
+    assert found == pytest.approx(error, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"), [("zero_offset", "offset_m", 0.05), ("warm_up", "offset_m", 0.0)]
+)
+def test_an_offset_begins_where_readings_are(name, parameter, value):
+    batch = heard(zero_offset={"offset_m": value})
+    assert fitting_value(Stack.of(PhysicalModel()), (name, parameter), batch) == pytest.approx(value, abs=0.003)
+
+
+def test_what_moves_no_echo_has_no_such_beginning():
+    assert fitting_value(Stack.of(PhysicalModel()), ("spike", "probability"), heard()) is None
+
+
+@pytest.mark.parametrize("period_s", [200.0, 900.0])
+def test_a_swing_of_the_air_begins_at_its_period(period_s):
+    batch = heard(thermal_drift={"sine_k": 4.0, "cosine_k": -3.0, "period_s": period_s})
+    seen = Seen(batch.ping.distance, batch.ping.time, batch.reading.range)
+    first = CATALOGUE["thermal_drift"].guesses(seen)[0]
+    assert first["period_s"] == pytest.approx(period_s, rel=0.1)
+    assert np.hypot(first["sine_k"], first["cosine_k"]) == pytest.approx(5.0, abs=1.5)
+
+
+def test_noise_that_comes_and_goes_begins_where_early_readings_do():
+    batch = heard(false_alarm={"per_metre": 5.0, "share": 0.3, "from_m": 0.25})
+    seen = Seen(batch.ping.distance, batch.ping.time, batch.reading.range)
+    guess, steady = CATALOGUE["false_alarm"].guesses(seen)
+    assert guess["from_m"] == pytest.approx(0.25, abs=0.05)
+    assert guess["share"] == pytest.approx(0.3, abs=0.12)
+    assert 2.0 < guess["per_metre"] < 12.0
+    assert steady["share"] == 1.0
+    assert steady["per_metre"] < guess["per_metre"]
+
+
+def test_steady_noise_is_found_from_where_a_fit_begins():
+    """What begins at the null of one parameter is not nothing: noise in all pings, from the start, is usual."""
+    truth = {"per_metre": 0.03, "share": 1.0, "from_m": 0.0}
+    batch = heard(cells=300, false_alarm=truth)
+    *_, steady = CATALOGUE["false_alarm"].guesses(Seen(batch.ping.distance, batch.ping.time, batch.reading.range))
+    assert steady["per_metre"] == pytest.approx(0.03, rel=0.35)
+    stack = nuisance_start(Stack.of(PhysicalModel((), batch.resolution)), batch)
+    starts = starting_points(stack, "false_alarm", batch, np.random.default_rng(0))
+    best = max(starts, key=lambda start: log_likelihood(start, batch).sum())
+    keys = [("false_alarm", name) for name in truth]
+    fitted = maximise(best, (*keys, *NUISANCES), batch)
+    known = maximise(best.put(keys, list(truth.values())), (*keys, *NUISANCES), batch)
+    assert fitted.nats > known.nats - 3.0
+    rate, share, begun = (fitted.stack.get(key) for key in keys)
+    assert share * -np.expm1(-rate * (2.0 - begun)) == pytest.approx(-np.expm1(-0.03 * 2.0), rel=0.4)
+
+
+def test_a_stuck_register_is_guessed_to_the_digit():
+    rng = np.random.default_rng(0)
+    distance = rng.uniform(0.8, 3.0, 300)
+    value = np.where(
+        rng.random(300) < 0.1, 0.3327, np.where(rng.random(300) < 0.1, rng.uniform(0.1, 0.6, 300), distance)
+    )
+    (guess, *_) = CATALOGUE["stuck"].guesses(Seen(distance, np.zeros(300), value))
+    assert guess["value_m"] == 0.3327
+    assert guess["probability"] == pytest.approx(0.1, abs=0.04)
+    assert CATALOGUE["stuck"].guesses(Seen(distance, np.zeros(300), distance)) == []

@@ -1,0 +1,163 @@
+"""Agents as they are saved, loaded and driven; and the one that is shipped."""
+
+import json
+from itertools import pairwise
+
+import gymnasium
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from acquisition import ModelError, UnknownModelError
+from sonar_gym.agent import AgentDriver, Agents, Policy, agent_names, load_agent, load_policy
+from sonar_gym.control.driver import run_episode
+from sonar_gym.control.memory import Memory, MemorySettings
+from sonar_gym.parking.vector import SonarParkingVectorEnv
+
+
+def policy(seed=0, repeat=2, **memory):
+    settings = MemorySettings(**memory)
+    rng, sizes = np.random.default_rng(seed), [Memory(1, settings=settings).size, 16, 2]
+    layers = [
+        (rng.normal(size=(b, a)).astype(np.float32) / np.float32(np.sqrt(a)), rng.normal(size=b).astype(np.float32))
+        for a, b in pairwise(sizes)
+    ]
+    return Policy(layers, settings, repeat, {"seed": seed}, "# card\n")
+
+
+def test_what_is_saved_is_what_is_loaded(tmp_path):
+    first = policy(lags=2)
+    again = Policy.load(first.save(tmp_path / "agent"))
+    shown = np.random.default_rng(1).normal(size=(5, first.sizes[0])).astype(np.float32)
+    assert np.array_equal(first.act(shown), again.act(shown))
+    assert (again.memory, again.repeat, again.about, again.card) == (first.memory, 2, {"seed": 0}, "# card\n")
+    assert sorted(path.name for path in (tmp_path / "agent").iterdir()) == [
+        "README.md",
+        "agent.json",
+        "weights.safetensors",
+    ]
+
+
+def test_a_policy_is_a_perceptron_with_tanh():
+    one = policy()
+    shown = np.random.default_rng(1).normal(size=(3, one.sizes[0])).astype(np.float32)
+    (w1, b1), (w2, b2) = one.layers
+    expected = [np.clip(w2 @ np.tanh(w1 @ row + b1) + b2, -1.0, 1.0) for row in shown.astype(np.float64)]
+    assert one.act(shown) == pytest.approx(np.array(expected), abs=1e-5)
+
+
+def test_saving_over_an_agent_replaces_it_and_over_anything_else_is_refused(tmp_path):
+    policy(0).save(tmp_path / "agent")
+    policy(1).save(tmp_path / "agent")
+    assert Policy.load(tmp_path / "agent").about == {"seed": 1}
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "mine.txt").write_text("keep")
+    with pytest.raises(ModelError, match="holds something else than an agent"):
+        policy().save(tmp_path / "notes")
+    assert (tmp_path / "notes" / "mine.txt").read_text() == "keep"
+
+
+def damaged(folder, kind):
+    text, tensors = folder / "agent.json", folder / "weights.safetensors"
+    said = json.loads(text.read_text())
+    if kind == "no description":
+        text.unlink()
+    elif kind == "no json":
+        text.write_text("{")
+    elif kind == "other version":
+        text.write_text(json.dumps({**said, "format": 99}))
+    elif kind == "other memory":
+        text.write_text(json.dumps({**said, "memory": {"lags": 3}}))
+    elif kind == "unknown field":
+        text.write_text(json.dumps({**said, "memory": {"depth": 3}}))
+    elif kind == "no weights":
+        tensors.unlink()
+    elif kind == "cut weights":
+        tensors.write_bytes(tensors.read_bytes()[:-8])
+    elif kind == "not finite":
+        save_file({name: np.full_like(value, np.nan) for name, value in load_file(tensors).items()}, tensors)
+    elif kind == "other size":
+        save_file({"x": np.zeros(1, dtype=np.float32)}, tensors)
+    else:
+        save_file({f"x{name}": value for name, value in load_file(tensors).items()}, tensors)
+
+
+KINDS = {
+    "no description": "holds no agent.json",
+    "no json": "damaged",
+    "other version": "another version",
+    "other memory": "train it anew",
+    "unknown field": "does not describe an agent",
+    "no weights": "is missing",
+    "cut weights": "damaged or foreign",
+    "not finite": "not finite",
+    "other size": "damaged or foreign",
+    "other tensors": "other tensors",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_damaged_agent_is_refused(tmp_path, kind):
+    folder = policy().save(tmp_path / "agent")
+    damaged(folder, kind)
+    with pytest.raises(ModelError, match=KINDS[kind]):
+        Policy.load(folder)
+
+
+def test_an_unknown_name_is_told_with_those_that_are_known():
+    with pytest.raises(UnknownModelError, match=r"agent 'nobody': no such name or folder; known names: .*parking"):
+        load_agent("nobody")
+
+
+def test_layers_that_lead_nowhere_are_refused():
+    one = policy()
+    with pytest.raises(ModelError, match="do not lead"):
+        Policy(one.layers[:1], one.memory)
+
+
+def test_many_cars_are_driven_as_each_alone():
+    """And those whose episodes begin at other times do not disturb each other."""
+    n, one = 4, policy(repeat=2)
+    envs, crew, alone = SonarParkingVectorEnv(n, threads=1), Agents(one, n), [AgentDriver(one) for _ in range(n)]
+    seen, _ = envs.reset(seed=0)
+    crew.forget(np.arange(n))
+    for step in range(30):
+        rows = np.arange(n) if step % 3 else np.array([0, 2])
+        if step == 10:
+            crew.forget(np.array([1]))
+            alone[1].reset()
+        together = crew.act({name: value[rows] for name, value in seen.items()}, rows)
+        for k, row in enumerate(rows):
+            action = alone[row].act({name: value[row] for name, value in seen.items()})
+            assert together[k] == pytest.approx(action, abs=1e-6)
+        seen, *_ = envs.step(np.tile([0.0, 0.4], (n, 1)))
+    envs.close()
+
+
+def test_an_action_is_held_for_as_long_as_it_was_learned():
+    one, env = policy(repeat=3), gymnasium.make("SonarParking-v0")
+    driver, actions = AgentDriver(one), []
+    driver.reset()
+    seen, _ = env.reset(seed=0)
+    for _ in range(12):
+        actions.append(driver.act(seen).copy())
+        seen, *_ = env.step(np.array([0.1, 0.5], dtype=np.float32))
+    groups = np.array(actions).reshape(4, 3, 2)
+    assert np.all(groups == groups[:, :1])
+    assert len(np.unique(groups[:, 0], axis=0)) == 4
+
+
+def test_the_shipped_agent_has_a_card_and_no_pickle():
+    assert "parking" in agent_names()
+    shipped = load_policy("parking")
+    assert "## Data" in shipped.card
+    assert "## Scores" in shipped.card
+    assert sum(weight.size + bias.size for weight, bias in shipped.layers) < 200_000
+
+
+@pytest.mark.parametrize("sonar", ["ideal", "srf08-mlp"])
+def test_the_shipped_agent_parks(sonar):
+    env, driver = gymnasium.make("SonarParking-v0", sonar=sonar), load_agent("parking")
+    episodes = [run_episode(env, driver, seed) for seed in range(20)]
+    assert np.mean([episode.success for episode in episodes]) >= 0.9
+    assert np.mean([episode.collision for episode in episodes]) <= 0.05

@@ -1,0 +1,115 @@
+"""Streets, scenes and layouts: what is drawn keeps its stated limits, what is wrong is refused by name."""
+
+import numpy as np
+import pytest
+
+from acquisition import SettingError
+from sonar_gym.parking.street import StreetSettings, draw_street, reference_path
+from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing.kernels import touches
+from sonar_gym.sensing.mounts import LAYOUTS, Mount, in_world, layout, mount_arrays
+from sonar_gym.sensing.scene import EMPTY_M, Box, Scene, Wall
+
+STREETS = [draw_street(StreetSettings(), np.random.default_rng(seed)) for seed in range(200)]
+
+
+def spaces(street):
+    ends = np.array([(b.x - 0.5 * b.length, b.x + 0.5 * b.length) for b in street.boxes])
+    return ends[1:, 0] - ends[:-1, 1]
+
+
+def test_each_street_has_one_space_that_is_wide_enough():
+    for street in STREETS:
+        lengths = spaces(street)
+        wide = lengths >= 0.85
+        assert wide.sum() == 1
+        assert np.all(lengths[~wide] <= 0.45 + 1e-9)
+        assert street.gap[1] - street.gap[0] == pytest.approx(lengths[wide][0])
+
+
+def test_streets_differ_in_all_that_is_drawn():
+    assert {len(street.boxes) for street in STREETS} == {2, 3, 4}
+    reflectance = np.array([box.reflectance for street in STREETS for box in street.boxes])
+    assert reflectance.min() < 0.15
+    assert reflectance.max() > 0.85
+    assert np.ptp([street.start[1] for street in STREETS]) > 0.05
+
+
+def test_reference_path_can_be_driven_without_touching():
+    car = CarSettings()
+    for street in STREETS[:100]:
+        path = reference_path(street, car)
+        turn, moved = np.abs(np.diff(path[:, 2])), np.hypot(*np.diff(path[:, :2], axis=0).T)
+        assert np.all(turn <= moved / car.turning_radius + 1e-9)
+        assert np.all(np.diff(path[:, 3]) <= 0)
+        assert path[-1, 3] == 0.0
+        on_street = path[path[:, 0] > street.start[0]]
+        assert all(touches(pose, car.body, street.scene.segments) == -1 for pose in on_street[:, :3].copy())
+
+
+def test_same_generator_state_same_street():
+    a, b = (draw_street(StreetSettings(), np.random.default_rng(7)) for _ in range(2))
+    assert a.boxes == b.boxes
+    assert np.array_equal(a.scene.segments, b.scene.segments)
+
+
+def test_gap_no_wider_than_a_decoy_is_refused():
+    with pytest.raises(SettingError, match=r"gap must exceed decoy: least gap 0.4 m, greatest decoy 0.45 m"):
+        StreetSettings(gap=(0.4, 1.0))
+
+
+def test_pair_out_of_order_is_refused():
+    with pytest.raises(SettingError, match=r"StreetSettings\.box must be two numbers"):
+        StreetSettings(box=(0.7, 0.3))
+
+
+def test_box_faces_close_and_bear_its_reflectance():
+    box = Box(1.0, 2.0, 0.4, 0.2, 0.3, reflectance=0.7)
+    assert np.allclose(box.faces[:, 2:], np.roll(box.faces[:, :2], -1, axis=0))
+    assert np.allclose(box.corners.mean(axis=0), [1.0, 2.0])
+    hits = Scene([Wall(-1, -1, -1, 1), box]).cast(np.array([[1.0, 0.0, np.pi / 2]]), np.array([0.3]), 3.0)
+    assert (hits.reflectance[0], hits.thing[0]) == (0.7, 1)
+
+
+@pytest.mark.parametrize("make", [lambda r: Wall(0, 0, 1, 0, r), lambda r: Box(0, 0, 1, 1, 0, r)])
+def test_reflectance_outside_its_limits_is_refused(make):
+    with pytest.raises(SettingError, match=r"reflectance must lie in \[0, 1\], got 1.5"):
+        make(1.5)
+
+
+def test_box_without_extent_is_refused():
+    with pytest.raises(SettingError, match="Box sides must be > 0 m"):
+        Box(0, 0, 0.0, 1.0)
+
+
+def test_empty_scene_is_silent_everywhere():
+    hits = Scene([]).cast(np.zeros((2, 3)), np.array([0.3, 0.4]), 3.0)
+    assert not hits.seen.any()
+    ping = hits.ping(1.5)
+    assert np.all(ping.distance == EMPTY_M)
+    assert np.all(ping.time == 1.5)
+
+
+def test_mounts_turn_with_the_car():
+    poses, half = mount_arrays([Mount("side", 0.2, -0.1, -90.0, 40.0)])
+    world = in_world(poses, np.array([1.0, 2.0, np.pi / 2]))
+    assert world[0] == pytest.approx([1.1, 2.2, 0.0])
+    assert np.degrees(half[0]) == pytest.approx(20.0)
+
+
+def test_layouts_by_name_by_mounts_and_by_mappings():
+    assert len(layout("eight")) == 8
+    assert layout([{"name": "nose", "x": 0.3, "y": 0.0, "heading_deg": 0.0}])[0] == Mount("nose", 0.3, 0.0, 0.0)
+    assert layout(LAYOUTS["four"]) == LAYOUTS["four"]
+    with pytest.raises(SettingError, match="sonar_layout 'five': no such layout; expected eight, eight in turn, four"):
+        layout("five")
+    with pytest.raises(SettingError, match="sonar_layout holds 0 mounts"):
+        layout([])
+    with pytest.raises(SettingError, match=r"cone_deg of 'x' must lie in \(0, 180\) deg, got 180 deg"):
+        Mount("x", 0, 0, 0, 180.0)
+
+
+@pytest.mark.parametrize("field", ["length", "wheelbase", "max_speed"])
+def test_car_measures_are_checked(field):
+    with pytest.raises(SettingError, match=f"CarSettings.{field} must be > 0, got 0"):
+        CarSettings(**{field: 0.0})

@@ -1,0 +1,206 @@
+"""Cones in highway-env's scenes: walls by hand, shapely as a second opinion, and the world left alone."""
+
+import gymnasium
+import numpy as np
+import pytest
+from shapely import Point, Polygon
+from shapely.geometry import box as rectangle
+
+from acquisition import SettingError
+from sonar_gym import SonarObservation, SonarVectorObservation
+from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
+from sonar_gym.sensing.scene import box_faces
+from sonar_gym.wrappers.highway import ROAD_LAYOUT, places, solid_things, upright
+
+highway_env = pytest.importorskip("highway_env")
+AHEAD = [Mount("front", 2.5, 0.0, 0.0), Mount("left", 0.0, 1.0, 90.0), Mount("right", 0.0, -1.0, -90.0)]
+
+
+ROW = np.zeros(1, dtype=np.int64)
+
+
+def parking(sonar="ideal", **settings):
+    return SonarObservation(gymnasium.make("parking-v0"), sonar, **settings)
+
+
+def look(env):
+    """What the cones meet on the road as it is now, (s,) each."""
+    met = env.source.meet(ROW, None, {}, env.sonar.rngs)
+    return met._replace(**{name: part[0] for name, part in met._asdict().items()})
+
+
+def bodies_of(things):
+    return [Polygon(faces[:, :2]) for faces in box_faces(places(things)).reshape(-1, 4, 4)]
+
+
+def put(env, x, y, heading):
+    """Stand the car somewhere, in highway-env's own frame."""
+    vehicle = env.unwrapped.vehicle
+    vehicle.position, vehicle.heading = np.array([x, y], dtype=float), heading
+
+
+def test_wall_ahead_is_seen_though_its_centre_is_far():
+    env = parking(sonar_layout=AHEAD)
+    env.reset(seed=0)
+    put(env, 20.0, -16.0, -np.pi / 2)  # nose to the upper wall, whose face lies at y = -20.5 and centre 20 m away
+    hits = look(env)
+    assert hits.distance[0] == pytest.approx(20.5 - 16.0 - 2.5)
+    assert hits.incidence[0] == pytest.approx(0.0, abs=1e-9)
+    put(env, 0.0, 0.0, 0.0)
+    assert not look(env).seen.any()
+
+
+def test_left_is_left():
+    env = parking(sonar_layout=AHEAD)
+    env.reset(seed=0)
+    put(env, 0.0, -17.0, 0.0)  # driving right along the upper wall: the wall is on the left
+    hits = look(env)
+    assert list(hits.seen) == [False, True, False]
+    assert hits.distance[1] == pytest.approx(20.5 - 17.0 - 1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_cones_agree_with_shapely_on_a_crowded_road(seed):
+    env = SonarObservation(gymnasium.make("highway-v0", config={"vehicles_density": 3}), max_range=30.0)
+    env.reset(seed=seed)
+    base = env.unwrapped
+    hits, (local, half) = look(env), mount_arrays(ROAD_LAYOUT)
+    poses = in_world(local, upright(base.vehicle))
+    bodies = bodies_of(solid_things(base.road, base.vehicle))
+    for i, (pose, opening) in enumerate(zip(poses, half, strict=True)):
+        angles = np.linspace(pose[2] - opening, pose[2] + opening, 400)
+        arc = np.column_stack([pose[0] + 30.0 * np.cos(angles), pose[1] + 30.0 * np.sin(angles)])
+        inside = [body.intersection(Polygon([pose[:2], *arc])) for body in bodies]
+        near = [Point(pose[:2]).distance(part) for part in inside if not part.is_empty]
+        assert hits.seen[i] == bool(near)
+        if near:
+            assert hits.distance[i] == pytest.approx(min(near), abs=1e-3)
+
+
+def test_boxes_of_the_road_have_its_measures():
+    env = parking()
+    env.reset(seed=0)
+    walls = solid_things(env.unwrapped.road, env.unwrapped.vehicle)
+    assert sorted(max(wall.LENGTH, wall.WIDTH) for wall in walls) == [42, 42, 70, 70]  # the landmark is not solid
+    upper = bodies_of(walls)[0]
+    assert upper.symmetric_difference(rectangle(-35.0, 20.5, 35.0, 21.5)).area == pytest.approx(0.0, abs=1e-9)
+
+
+LIDAR = {"observation": {"type": "LidarObservation", "cells": 16}}
+GRID = {"observation": {"type": "OccupancyGrid"}}
+FEW = {"vehicles_count": 8}
+CASES = {
+    "goal": ("parking-v0", {}, {"achieved_goal", "desired_goal", "observation"}),
+    "own row": ("highway-v0", FEW, {"base"}),
+    "lidar": ("highway-v0", {**FEW, **LIDAR}, set()),
+    "lidar in the car park": ("parking-v0", LIDAR, set()),
+    "grid": ("highway-v0", {**FEW, **GRID}, set()),
+    "exit": ("exit-v0", FEW, {"base"}),
+    "merge": ("merge-v0", {}, {"base"}),
+    "crossing": ("intersection-v0", {}, {"base"}),
+    "roundabout": ("roundabout-v0", {}, {"base"}),
+    "attributes": ("lane-keeping-v0", {}, {"state", "derivative", "reference_state"}),
+}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # highway-env's own
+@pytest.mark.parametrize(("name", "config", "kept"), CASES.values(), ids=CASES)
+def test_what_tells_of_the_vehicle_is_kept_and_what_tells_of_others_is_replaced(name, config, kept):
+    env = SonarObservation(gymnasium.make(name, config=config), "gaussian")
+    env.action_space.seed(0)
+    observation, _ = env.reset(seed=0)
+    for _ in range(2):
+        assert set(observation) == set(env.observation_space.spaces) == kept | {"ranges", "credence", "echo", "age"}
+        for part in ("ranges", "credence", "echo", "age"):
+            assert observation[part] in env.observation_space[part]
+        observation, _, terminated, _, info = env.step(env.action_space.sample())
+        assert np.all(observation["echo"][~info["sonar"]["in_cone"]] == 0.0)
+        if terminated:
+            break
+
+
+def test_first_row_of_kinematics_is_the_vehicle_s_own():
+    env, bare = (gymnasium.make("highway-v0", config=FEW) for _ in range(2))
+    observation, _ = SonarObservation(env).reset(seed=4)
+    assert np.array_equal(observation["base"], bare.reset(seed=4)[0][0])
+
+
+def test_all_or_nothing_may_be_kept():
+    env = gymnasium.make("highway-v0", config=FEW)
+    assert SonarObservation(env, keep="all").reset(seed=0)[0]["base"].shape == (5, 5)
+    assert set(SonarObservation(env, keep="nothing").reset(seed=0)[0]) == {"ranges", "credence", "echo", "age"}
+    with pytest.raises(SettingError, match="keep must be one of own, all, nothing, got 'some'"):
+        SonarObservation(env, keep="some")
+
+
+def test_a_road_may_be_a_model_at_one_to_ten():
+    """1 m of road is 0.1 m of the sonar: ten times as far in the world, the same reading."""
+    full, scaled = parking(sonar_layout=AHEAD), parking(sonar_layout=AHEAD, metres_per_unit=0.1, max_range=3.0)
+    for env in (full, scaled):
+        env.reset(seed=0)
+    put(scaled, 0.0, 0.0, -np.pi / 2)
+    assert look(scaled).distance[0] == pytest.approx(0.1 * (20.5 - 2.5))
+    put(full, 0.0, 0.0, -np.pi / 2)
+    assert not look(full).seen.any()
+
+
+def test_clock_is_the_policy_s():
+    env = parking(sonar_layout=AHEAD)
+    env.reset(seed=0)
+    assert env.source.step_s == pytest.approx(0.2)  # 5 Hz
+    slow = parking(sonar_layout=[{**vars(mount), "period_s": 0.5} for mount in AHEAD])
+    slow.reset(seed=0)
+    age = [slow.step(np.zeros(2))[0]["age"][0] for _ in range(5)]
+    assert age == pytest.approx([0.2, 0.4, 0.1, 0.3, 0.0], abs=1e-6)
+
+
+def test_material_stays_through_an_episode_and_changes_with_the_next():
+    env = parking(sonar_layout=AHEAD)
+    seen = []
+    for _ in range(2):
+        env.reset(seed=0 if not seen else None)
+        put(env, 20.0, -16.0, -np.pi / 2)
+        seen.append([look(env).reflectance[0] for _ in range(2)])
+    assert seen[0][0] == seen[0][1] != seen[1][0] == seen[1][1]
+
+
+def test_each_of_many_is_wrapped():
+    envs = gymnasium.make_vec("parking-v0", 2, vectorization_mode="sync", wrappers=[SonarObservation])
+    observation, _ = envs.reset(seed=7)
+    alone, _ = parking().reset(seed=8)
+    assert observation["ranges"].shape == (2, 8)
+    assert np.array_equal(observation["ranges"][1], alone["ranges"])
+    with pytest.raises(SettingError, match="hears no roads: wrap each"):
+        SonarVectorObservation(gymnasium.make_vec("parking-v0", 2, vectorization_mode="sync"))
+
+
+def test_world_is_the_same_with_and_without():
+    bare, wrapped = gymnasium.make("parking-v0"), parking(sonar="gaussian")
+    for seed in (1, None):
+        first, second = bare.reset(seed=seed)[0], wrapped.reset(seed=seed)[0]
+        assert np.array_equal(first["observation"], second["observation"])
+        assert np.array_equal(first["desired_goal"], second["desired_goal"])
+
+
+def test_same_seed_same_readings():
+    first, second = (parking(sonar="gaussian").reset(seed=9)[0]["ranges"] for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_spec_goes_through_json():
+    env = parking(sonar="gaussian", sonar_layout=AHEAD, max_range=4.0)
+    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.get_wrapper_attr("source").mounts == tuple(AHEAD)
+    assert again.observation_space["ranges"].shape == (3,)
+
+
+def test_several_vehicles_and_no_range_are_refused():
+    with pytest.raises(SettingError, match=r"max_range must be > 0 m, got 0 m"):
+        parking(max_range=0.0)
+    many = {
+        "controlled_vehicles": 2,
+        "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}},
+        "observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
+    }
+    with pytest.raises(SettingError, match="listens for one vehicle"):
+        SonarObservation(gymnasium.make("highway-v0", config=many))

@@ -1,0 +1,171 @@
+"""SonarVectorObservation: environment i hears what it would hear alone, in all three autoreset modes."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from acquisition import Ping, SettingError
+from noise import CATALOGUE, GaussianModel, PhysicalModel
+from noise.learned.inputs import Inputs
+from noise.learned.mixture import Head
+from noise.learned.recurrent import ANCHORS, LINKS, Cell, LstmModel
+from sonar_gym import SonarObservation, SonarVectorObservation
+
+N, STEPS = 3, 14
+SETTINGS = {"indices": [0, 1], "metres_per_unit": 0.01, "incidence": "tilt", "reflectance": (0.2, 0.9)}
+TIMES = {"period_s": [0.0, 0.25], "phase_s": [0.0, 0.05], "latency_s": [0.12, 0.05]}
+
+
+class Walk(gymnasium.Env):
+    """Two ranges in cm and a number beside them, all drawn anew at every step; it ends after three to six steps."""
+
+    observation_space = gymnasium.spaces.Box(np.float32([0, 0, -1]), np.float32([1000, 1000, 1]))
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def _see(self):
+        row = np.array([*self.np_random.uniform(30.0, 500.0, 2), self.np_random.uniform(-1, 1)], dtype=np.float32)
+        return row, {"tilt": self.np_random.uniform(0.0, 0.3, 2)}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.left = int(self.np_random.integers(3, 7))
+        return self._see()
+
+    def step(self, action):
+        self.left -= 1
+        observation, info = self._see()
+        return observation, 1.0, self.left == 0, False, info
+
+
+def lstm():
+    rng = np.random.default_rng(3)
+    names = ("distance", "angle", "incidence", "reflectance")
+    learned_on = Ping.of(distance=[0.1, 2.0, 5.5], angle=[0.0, 0.2, 0.6], incidence=[0.1, 0.0, 0.6], reflectance=0.5)
+    inputs, state = Inputs.of(learned_on, names), 6
+    head = Head(3, 2, 0.01, 6.0, anchored=ANCHORS, fails=True)
+    told = inputs.width + LINKS
+    cell = Cell(*(rng.normal(size=shape) for shape in ((4 * state, told), (4 * state, state), (4 * state,))))
+    return LstmModel(inputs, head, cell, [(rng.normal(size=(head.width, told + state)), rng.normal(size=head.width))])
+
+
+MODELS = {
+    "gaussian": lambda: GaussianModel(sigma=0.03, miss=0.1),
+    "stale": lambda: PhysicalModel([CATALOGUE["stale_repeat"](probability=0.5)]),
+    "lstm": lstm,
+}
+
+
+def same(said, alone):
+    assert set(said) == set(alone)
+    for name, value in said.items():
+        assert np.array_equal(value, alone[name]), name
+
+
+def alike(many, i, alone):
+    same({name: value[i] for name, value in many.items()}, alone)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("times", [{}, TIMES], ids=["at once", "timed"])
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_each_hears_what_it_would_hear_alone(mode, times, model):
+    model = model()
+    envs = SonarVectorObservation(SyncVectorEnv([Walk] * N, autoreset_mode=mode), model, **SETTINGS, **times)
+    singles = [SonarObservation(Walk(), model, **SETTINGS, **times) for _ in range(N)]
+    observation, _ = envs.reset(seed=5)
+    over = np.zeros(N, dtype=bool)
+    for i, single in enumerate(singles):
+        alike(observation, i, single.reset(seed=5 + i)[0])
+    for _ in range(STEPS):
+        if mode is AutoresetMode.DISABLED and over.any():
+            observation, _ = envs.reset(options={"reset_mask": over.copy()})
+            for i in np.flatnonzero(over):
+                alike(observation, i, singles[i].reset()[0])
+            over[:] = False
+        observation, _, terminated, _, info = envs.step(np.zeros((N, 1), dtype=np.float32))
+        assert observation in envs.observation_space
+        for i, single in enumerate(singles):
+            if mode is AutoresetMode.NEXT_STEP and over[i]:
+                alike(observation, i, single.reset()[0])
+                continue
+            alone, _, ended, _, truth = single.step(np.zeros(1, dtype=np.float32))
+            assert ended == terminated[i]
+            if mode is AutoresetMode.SAME_STEP and ended:
+                same(info["final_obs"][i], alone)
+                final = info["final_info"]["sonar"]
+                assert final["_distance"][i]
+                assert np.array_equal(final["distance"][i], truth["sonar"]["distance"])
+                alone, truth = single.reset()
+            alike(observation, i, alone)
+            assert np.array_equal(info["sonar"]["distance"][i], truth["sonar"]["distance"])
+        over = terminated.copy()
+    assert envs.sonar.model.remembers == singles[0].sonar.model.remembers
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_streets_are_heard_as_each_alone(mode):
+    how = {"latency_s": 0.05, "period_s": 0.2}
+    inner = gymnasium.make_vec("SonarParking-v0", N, sonar="gaussian", autoreset_mode=mode, max_episode_steps=6)
+    envs = SonarVectorObservation(inner, "srf08-mlp", **how)
+    assert set(envs.single_observation_space.spaces) == {"ranges", "credence", "echo", "age", "ego"}
+    singles = [
+        SonarObservation(gymnasium.make("SonarParking-v0", max_episode_steps=6), "srf08-mlp", **how) for _ in range(N)
+    ]
+    observation, _ = envs.reset(seed=2)
+    for i, single in enumerate(singles):
+        alike(observation, i, single.reset(seed=2 + i)[0])
+    rng = np.random.default_rng(0)
+    for step in range(1, 7):
+        actions = rng.uniform(-1, 1, (N, 2)).astype(np.float32)
+        observation, _, _, truncated, info = envs.step(actions)
+        for i, single in enumerate(singles):
+            alone = single.step(actions[i])[0]
+            if step == 6 and mode is AutoresetMode.SAME_STEP:
+                same(info["final_obs"][i], alone)
+                alone = single.reset()[0]
+            alike(observation, i, alone)
+        assert truncated.all() == (step == 6)
+
+
+def test_ranges_in_a_dict_and_infinite_ones():
+    class Keyed(Walk):
+        observation_space = gymnasium.spaces.Dict(
+            {"rays": gymnasium.spaces.Box(0.0, np.inf, (2, 2)), "pose": gymnasium.spaces.Box(-1.0, 1.0, (3,))}
+        )
+
+        def _see(self):
+            rays = self.np_random.uniform(0.5, 3.0, (2, 2)).astype(np.float32)
+            rays[0, 1] = np.inf
+            return {"rays": rays, "pose": np.zeros(3, dtype=np.float32)}, {}
+
+    envs = SonarVectorObservation(SyncVectorEnv([Keyed] * 2), "ideal", key="rays")
+    observation, info = envs.reset(seed=0)
+    assert observation["ranges"].shape == (2, 4)
+    assert list(observation["echo"][0]) == [1.0, 0.0, 1.0, 1.0]
+    assert observation["pose"].shape == (2, 3)
+    assert 6.0 * observation["ranges"][1, 0] == pytest.approx(info["sonar"]["distance"][1, 0], abs=1e-3)
+    assert info["_sonar"].all()
+    assert observation in envs.observation_space
+
+
+def test_seeds_may_be_given_one_by_one():
+    envs = SonarVectorObservation(SyncVectorEnv([Walk] * 2), "gaussian", **SETTINGS)
+    first, _ = envs.reset(seed=[4, 9])
+    alone, _ = SonarObservation(Walk(), "gaussian", **SETTINGS).reset(seed=9)
+    alike(first, 1, alone)
+
+
+def test_a_layout_that_pings_in_turn_is_refused():
+    inner = gymnasium.make_vec("SonarParking-v0", 2, sonar_layout="eight in turn")
+    with pytest.raises(SettingError, match="needs the truth at every step"):
+        SonarVectorObservation(inner)
+
+
+def test_single_wrappers_go_through_json_into_vector_forms():
+    spec = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", period_s=0.2).spec
+    again = gymnasium.envs.registration.EnvSpec.from_json(spec.to_json())
+    envs = gymnasium.make_vec(again, num_envs=2, vectorization_mode="sync")
+    alone = gymnasium.make(again)
+    observation, _ = envs.reset(seed=3)
+    alike(observation, 1, alone.reset(seed=4)[0])

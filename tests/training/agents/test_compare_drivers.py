@@ -1,0 +1,80 @@
+"""Comparisons on the same streets: McNemar's numbers, faults on the sonar alone, and what the command prints."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition import SettingError
+from noise import Faulty
+from training.agents import compare_drivers
+from training.agents.compare_drivers import Args, compare, sonar_of
+from training.cli import main
+from training.common.paired import Paired
+
+bits = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60)
+
+
+@settings(deadline=None)  # other work on the machine is no failure
+@given(bits)
+def test_difference_is_that_of_the_shares_and_lies_in_its_interval_s_reach(pairs):
+    first, second = np.array(pairs).T
+    paired = Paired.of(first, second)
+    assert paired.difference == pytest.approx(second.mean() - first.mean())
+    low, high = paired.interval
+    assert -1.0 <= low < high <= 1.0
+    again = Paired.of(second, first)
+    assert (again.p, again.difference) == pytest.approx((paired.p, -paired.difference))
+    assert again.interval == pytest.approx((-high, -low))
+
+
+def test_interval_holds_the_truth_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    first, second = rng.random((2000, 150)) < 0.9, rng.random((2000, 150)) < 0.8
+    intervals = np.array([Paired.of(a, b).interval for a, b in zip(first, second, strict=True)])
+    held = (intervals[:, 0] <= -0.1) & (intervals[:, 1] >= -0.1)
+    assert held.mean() == pytest.approx(0.95, abs=0.015)
+
+
+def test_mcnemar_s_known_answer():
+    assert Paired(gained=1, lost=9, scenes=50).p == pytest.approx(22 / 1024)  # 2 (1 + 10) / 2^10
+    assert Paired(gained=0, lost=0, scenes=50).p == 1.0
+
+
+def test_only_real_sonars_have_faults():
+    assert isinstance(sonar_of("gaussian", 0.1), Faulty)
+    assert not isinstance(sonar_of("ideal", 0.1), Faulty)
+    assert not isinstance(sonar_of("gaussian", 0.0), Faulty)
+
+
+def test_all_arms_drive_on_the_same_streets():
+    arms = compare(Args(sonars=("gaussian",), episodes=2))
+    assert [(arm.sonar, arm.perception) for arm in arms] == [
+        ("ideal", "survey"),
+        ("ideal", "fusion"),
+        ("gaussian", "survey"),
+        ("gaussian", "fusion"),
+    ]
+    assert all(arm.success.all() for arm in arms)
+
+
+def test_command_prints_a_table_and_keeps_episodes(tmp_path, capsys):
+    path = tmp_path / "episodes.csv"
+    main(["compare-drivers", "--sonars", "gaussian", "--episodes", "1", "--seed", "3", "--out", str(path)])
+    out = capsys.readouterr().out
+    assert "streets of seeds 3 to 3" in out
+    assert "| gaussian | fusion | 1 of 1 | 0 |" in out
+    rows = pd.read_csv(path)
+    assert list(rows.seed) == [3] * 4
+    assert rows.success.all()
+    assert [p.name for p in tmp_path.iterdir()] == ["episodes.csv"]
+
+
+def test_impossible_settings_are_refused(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["compare-drivers", "--episodes", "0"])
+    assert stopped.value.code == 2
+    assert "--episodes must be >= 1, got 0" in capsys.readouterr().err
+    with pytest.raises(SettingError, match=r"--faults must lie in \[0, 0.5\], got 0.6"):
+        compare_drivers.main(Args(faults=0.6))

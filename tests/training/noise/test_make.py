@@ -1,0 +1,152 @@
+"""The corpus, the making of the shipped models, and the page on them, all in small."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition import Recording
+from noise import load_model
+from noise.store import WEIGHTS
+from training.cli import main
+from training.noise import corpus, draw_paths, draw_speed, make, memory_gain, report
+from training.noise.corpus import NOTHING, STAND, WALL, Sessions, drive, record, record_unit, survey, thinned
+
+SMALL = Sessions((5, 6), surveys=2, drives=1, visits=8, pings=10)
+QUICK = replace(corpus.QUICK, angles_deg=(0.0,), distances_mm=(400.0, 900.0, 1500.0), pings=8)
+TINY = {
+    "train": SMALL,
+    "validation": replace(SMALL, units=(9,)),
+    "faulty": replace(SMALL, faulty=True),
+    "faulty-validation": replace(SMALL, units=(9,), faulty=True),
+    "known": (replace(QUICK, pings=12), (5, 6), 1),
+    "cells": (QUICK, (5, 6), 2),
+    "units": (QUICK, (7, 8), 3),
+    "fresh-cells": replace(SMALL, seed=4),
+    "fresh-units": replace(SMALL, units=(7,), seed=4),
+}
+
+
+def test_a_sensor_is_recorded_alike_in_every_process():
+    here, there = record_unit(SMALL, 6), record(replace(SMALL, units=(6,)), jobs=2)
+    np.testing.assert_array_equal(here["reading_mm"].to_numpy(), there.table["reading_mm"].to_numpy())
+
+
+def test_surveys_meet_stands_walls_and_nothing_for_a_few_pings_each():
+    course = survey(4000, np.random.default_rng(0))
+    first = np.flatnonzero(np.r_[True, np.diff(course.ping.time) > 1.0])
+    assert len(first) == 4000
+    share = np.bincount(course.scene[first]) / 4000
+    np.testing.assert_allclose(share[[STAND, WALL, NOTHING]], (0.82, 0.10, 0.08), atol=0.02)
+    assert np.diff(first).mean() == pytest.approx(np.dot(corpus.PINGS, corpus.PINGS_SHARE), rel=0.05)
+    ping, wall, nothing = course.ping, course.scene == WALL, course.scene == NOTHING
+    assert np.all(ping.incidence[wall] == 0.0)
+    assert np.all(ping.distance[nothing] > 6.0)
+    assert np.all(ping.distance[~nothing] <= 6.0)
+    within = np.diff(ping.time)
+    assert np.all((np.abs(within - 0.1) < 1e-9) | (within >= 19.9))
+
+
+def test_drives_meet_another_condition_at_every_ping():
+    course = drive(60, np.random.default_rng(1))
+    assert len(np.unique(course.ping.distance)) == 60
+    assert np.abs(np.diff(course.ping.distance)).max() < 1.2
+    assert len(np.unique(course.scene)) == 1
+
+
+def test_thinning_keeps_the_first_pings_of_each_visit():
+    heard = record(replace(SMALL, units=(5,)))
+    keep = thinned(heard, 2)
+    visits = len(np.unique(np.stack([heard.run, heard.cell]), axis=1).T)
+    assert visits < keep.sum() < 2 * visits
+    assert keep[0]
+
+
+def test_nothing_is_next_to_silent_and_loose_wires_lose_answers():
+    heard = record(replace(SMALL, units=(5,), surveys=6))
+    nothing = heard.ping.distance > 6.3
+    assert nothing.any()
+    assert heard.reading.echo[nothing].mean() < 0.2
+    assert heard.reading.answered.all()
+    faulty = record(replace(SMALL, units=(5,), surveys=6, faulty=True))
+    assert not faulty.reading.answered.all()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (corpus, make, report):
+            patch.setattr(module, "RECORDINGS", TINY)
+        patch.setattr(make, "PLANS", {law: {"epochs": 2} for law in make.PLANS})
+        world = {"nothing": memory_gain.World()}
+        patch.setattr(report, "WORLDS", world)
+        patch.setattr(report, "PATHS", {"numpy": draw_paths.PATHS["numpy"]})
+        patch.setattr(draw_speed, "REPEATS", dict.fromkeys(draw_speed.LIMITS, (1, 1)))
+        patch.setattr(draw_speed, "DRAWS", 1000)
+        patch.setattr(report, "CredencePlan", lambda depth: make_plan(depth))
+        main(["make-noise", "--out", str(folder / "weights"), "--data", str(folder / "corpus")])
+        models = [str(folder / "weights" / f"srf08-{law}") for law in make.PLANS]
+        command = ["noise-report", "--data", str(folder / "corpus"), "--docs", str(folder / "docs"), "--sessions", "4"]
+        main([*command, "--models", *models])
+    return folder
+
+
+def make_plan(depth):
+    from training.noise.recent_credence import Plan
+
+    return Plan(depth, epochs=1)
+
+
+def test_one_command_makes_all_three(made):
+    for law in ("mlp", "lstm", "hybrid"):
+        model = load_model(made / "weights" / f"srf08-{law}")
+        assert "sonar-gym make-noise" in model.card
+        assert model.about["seed"] == 0
+        assert set(model.about["scores"]) == {"ideal", "Gaussian, fitted", "network"}
+        assert model.inputs.covariates == ("temperature_c",)
+    assert model.base is not None
+
+
+def test_one_command_writes_the_page(made):
+    page = (made / "docs" / "noise-models.md").read_text()
+    for row in (
+        "each condition as recorded",
+        "physics, fitted",
+        "beam model, by EM",
+        "srf08-hybrid",
+        "Bayes over",
+        "nothing",
+        "95 % of the way",
+        "| numpy |",
+    ):
+        assert row in page
+    assert "$" not in page
+    assert (made / "docs" / "images" / "noise-credence.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_what_is_recorded_is_not_recorded_again(made):
+    before = (made / "corpus" / "units.csv").stat().st_mtime_ns
+    corpus.written(made / "corpus", "units")
+    assert (made / "corpus" / "units.csv").stat().st_mtime_ns == before
+    assert set(Recording.load(made / "corpus" / "units.csv").table["sensor"]) == {"7", "8"}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_the_shipped_models_are_made_again_to_within_0_03_nats(tmp_path):
+    args = make.Args(tmp_path / "weights", tmp_path / "corpus")
+    make.main(args)
+    for law in args.laws:
+        again, shipped = (load_model(folder / f"srf08-{law}") for folder in (args.out, WEIGHTS))
+        one, two = (model.about["scores"]["network"]["log_likelihood_per_ping"] for model in (again, shipped))
+        assert one == pytest.approx(two, abs=0.03)
+
+
+def test_shipped_weights_are_small_and_carry_their_cards():
+    folders = [WEIGHTS / f"srf08-{law}" for law in make.PLANS]
+    assert sum(path.stat().st_size for folder in folders for path in folder.iterdir()) < 5e6
+    for folder in folders:
+        card = (folder / "README.md").read_text()
+        assert "sonar-gym make-noise" in card
+        assert "Limits" in card

@@ -1,0 +1,100 @@
+"""The whole chain in three minutes: conceal an effect, record, diagnose, correct, and park with what was learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from acquisition import Recording, SettingError
+from acquisition.bench import Rig, Setup, Unit
+from acquisition.survey.plan import Plan
+from acquisition.survey.session import Session
+from acquisition.survey.sources import RigSource
+from noise.discrepancy import Diagnosis
+from sonar_gym.agent import load_agent
+from training.common.progress import bar
+from training.diagnosis import diagnose
+from training.diagnosis.demo_page import Shown, gif, render
+from training.diagnosis.drive import Drive, drive
+from training.diagnosis.envelope import CONCEALED, Envelope, conceal
+
+PLAN = Plan(
+    angles_deg=(0.0, 9.0, 18.0, 27.0),
+    distances_mm=(150.0, 250.0, 350.0, 500.0, 700.0, 900.0, 1200.0, 1500.0, 1800.0, 2100.0, 2400.0, 2700.0, 3000.0),
+    pings=20,
+    facing=True,
+)
+HIDDEN = ["temperature_c", "humidity_pct"]  # what would give the answer away
+SONARS = ("ideal", "srf08-mlp")
+AGENT = "srf08-mlp, trained agent"
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym demo`."""
+
+    out: Path = Path("demo")
+    """Folder to write: report.html, parking.gif, both recordings, the diagnosis, the corrected model."""
+    seed: int = 12
+    """Same seed, same everything."""
+    conceal: str | None = None
+    """Effect to conceal (sound_speed, zero_offset, dropped_reading); drawn from the seed where none is given."""
+
+
+def main(args: Args) -> None:
+    """Run the chain and say where the pictures are."""
+    if args.conceal is not None and args.conceal not in CONCEALED:
+        raise SettingError(f"--conceal {args.conceal}: not one of {', '.join(CONCEALED)}")
+    console = Console(highlight=False, soft_wrap=True)
+    setup = Setup(gain=31)
+    changed, envelope = conceal(setup, np.random.default_rng([args.seed, 0]), args.conceal)
+    console.print(
+        f"[bold]1[/] something is wrong with the sonar; the sealed answer has SHA-256 {envelope.seal[:16]}..."
+    )
+    simulated = record(setup, args.out / "simulated.csv", args.seed, 1)
+    recorded = record(changed, args.out / "recorded.csv", args.seed, 2)
+    console.print(f"[bold]2[/] recorded {len(recorded)} pings of it on the rig, and {len(simulated)} of the simulator")
+    diagnosis = diagnose.examine(
+        diagnose.Args(args.out / "recorded.csv", args.out / "diagnosis", simulated=args.out / "simulated.csv")
+    )
+    console.print("[bold]3[/] " + "\n  ".join(diagnose.summary(diagnosis, args.out / "diagnosis")))
+    drives = park(args)
+    for name, one in drives.items():
+        console.print(f"[bold]4[/] {name}: {one.told}")
+    finish(args, envelope, diagnosis, drives)
+    console.print(f"[bold]5[/] envelope opened: {envelope.told} ({envelope.effect})")
+    console.print(f"look at {args.out / 'report.html'} and {args.out / 'parking.gif'}")
+
+
+def record(setup: Setup, path: Path, seed: int, stream: int) -> Recording:
+    """Survey one unit on the rig; the columns that would tell are left out."""
+    path.unlink(missing_ok=True)
+    with bar(f"recording {path.name}", PLAN.pings * len(PLAN)) as tell:
+        Session(PLAN, RigSource(Rig(Unit.nominal(), setup), seed * 10 + stream), path).run(tell)
+    recording = Recording.load(path)
+    recording = replace(recording, table=recording.table.drop(columns=HIDDEN))
+    recording.save(path)
+    return recording
+
+
+def park(args: Args) -> dict[str, Drive]:
+    """Park with ideal, learned and corrected sonar on the same street; the shipped agent with the learned one."""
+    sonars = {name: name for name in SONARS} | {"corrected": str(args.out / "diagnosis" / "corrected")}
+    with bar("parking", len(sonars) + 1) as tell:
+        drives = {}
+        for k, (name, sonar) in enumerate(sonars.items()):
+            drives[name] = drive(sonar, args.seed)
+            tell(k + 1, len(sonars) + 1)
+        drives[AGENT] = drive(SONARS[-1], args.seed, load_agent())
+    return drives
+
+
+def finish(args: Args, envelope: Envelope, diagnosis: Diagnosis, drives: dict[str, Drive]) -> None:
+    """Open the envelope, write the film and the page."""
+    envelope.save(args.out / "envelope.json")
+    film = gif({name: one.frames for name, one in drives.items()}, args.out / "parking.gif")
+    shown = Shown(envelope, diagnosis, drives, film, args.seed)
+    render(shown, args.out / "report.html")

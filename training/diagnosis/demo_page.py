@@ -1,0 +1,94 @@
+"""The demonstration's film and its one self-contained page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from acquisition.io.files import write_bytes, write_text
+from noise.discrepancy import Diagnosis
+from training.diagnosis.drive import Drive
+from training.diagnosis.envelope import Envelope
+from training.diagnosis.figures import all_figures
+from training.diagnosis.report import TEMPLATES, facts
+
+Picture = NDArray[np.uint8]
+WIDTH = 620  # px of a film strip
+SCENE = (0.08, 0.735)  # what share of a picture, from the top, is street
+FRAME_MS, LAST_MS = 160, 2500
+INK, PAPER = (29, 39, 51), (247, 246, 241)
+TITLE = 26  # px
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the page tells of."""
+
+    envelope: Envelope
+    diagnosis: Diagnosis
+    drives: Mapping[str, Drive]
+    film: Path
+    seed: int
+
+
+def gif(films: Mapping[str, Sequence[Picture]], path: Path) -> Path:
+    """Write films one above the other, each under its name; those that end early stand still.
+
+    Args:
+        films: pictures of each drive, (height, width, 3) uint8.
+        path: of the GIF.
+    """
+    length = max(map(len, films.values()))
+    frames = [_stack({name: film[min(k, len(film) - 1)] for name, film in films.items()}) for k in range(length)]
+    palette = frames[length // 2].quantize(96)
+    small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    buffer = io.BytesIO()
+    durations = [FRAME_MS] * (length - 1) + [LAST_MS]
+    small[0].save(buffer, "GIF", save_all=True, append_images=small[1:], duration=durations, loop=0, optimize=True)
+    return write_bytes(path, buffer.getvalue())
+
+
+def _stack(pictures: Mapping[str, Picture]) -> Image.Image:
+    strips = [_strip(name, picture) for name, picture in pictures.items()]
+    height = sum(strip.height for strip in strips)
+    whole = Image.new("RGB", (WIDTH, height), PAPER)
+    for k, strip in enumerate(strips):
+        whole.paste(strip, (0, sum(s.height for s in strips[:k])))
+    return whole
+
+
+def _strip(name: str, picture: Picture) -> Image.Image:
+    top, bottom = (round(share * picture.shape[0]) for share in SCENE)
+    scene = Image.fromarray(picture[top:bottom])
+    scene = scene.resize((WIDTH, round(WIDTH * scene.height / scene.width)), Image.Resampling.LANCZOS)
+    strip = Image.new("RGB", (WIDTH, scene.height + TITLE), PAPER)
+    strip.paste(scene, (0, TITLE))
+    ImageDraw.Draw(strip).text((10, 5), f"sonar: {name}", INK, ImageFont.load_default(15))
+    return strip
+
+
+def render(shown: Shown, path: Path) -> Path:
+    """Write the page: envelope, verdict, before and after, film, all inside one file."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
+    )
+    figures = {name: Markup(text) for name, text in all_figures(shown.diagnosis).items()}
+    film = base64.b64encode(shown.film.read_bytes()).decode()
+    page = environment.get_template("demo.html").render(
+        **facts(shown.diagnosis),
+        envelope=shown.envelope,
+        drives=shown.drives,
+        figures=figures,
+        film=film,
+        seed=shown.seed,
+    )
+    return write_text(path, page)

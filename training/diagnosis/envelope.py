@@ -1,0 +1,72 @@
+"""A concealed effect in a sealed envelope: what is wrong with a sonar is written, hashed, and opened at the end."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.bench import Setup
+from acquisition.io.files import write_text
+
+Change = Callable[[Setup, np.random.Generator], tuple[Setup, str]]
+
+
+def _warm_hall(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
+    celsius = round(rng.uniform(29.0, 36.0), 1)
+    return replace(setup, temperature_c=celsius), f"the hall was at {celsius} degC, not at {setup.temperature_c} degC"
+
+
+def _moved_zero(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
+    metres = round(rng.uniform(0.02, 0.04), 3)
+    return replace(setup, zero_m=metres), f"the sensor stood {1000 * metres:.0f} mm behind the mark"
+
+
+def _dropped(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
+    share = round(rng.uniform(0.08, 0.15), 2)
+    return replace(
+        setup, bus=replace(setup.bus, dropped=share)
+    ), f"{100 * share:.0f} % of readings were lost on the bus"
+
+
+CONCEALED: dict[str, Change] = {"sound_speed": _warm_hall, "zero_offset": _moved_zero, "dropped_reading": _dropped}
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What was concealed.
+
+    Attributes:
+        effect: id in the catalogue.
+        told: in plain English.
+        salt: random text, so that the hash cannot be guessed from a list of effects.
+    """
+
+    effect: str
+    told: str
+    salt: str
+
+    @property
+    def content(self) -> str:
+        """What is written in it, as JSON."""
+        return json.dumps({"effect": self.effect, "told": self.told, "salt": self.salt}, sort_keys=True)
+
+    @property
+    def seal(self) -> str:
+        """SHA-256 of the content: anyone can check afterwards that it was not exchanged."""
+        return hashlib.sha256(self.content.encode()).hexdigest()
+
+    def save(self, path: Path) -> None:
+        """Write the content."""
+        write_text(path, self.content + "\n")
+
+
+def conceal(setup: Setup, rng: np.random.Generator, effect: str | None = None) -> tuple[Setup, Envelope]:
+    """Change a setup by one effect, drawn unless it is given, and put the answer into an envelope."""
+    name = effect or str(rng.choice(list(CONCEALED)))
+    changed, told = CONCEALED[name](setup, rng)
+    return changed, Envelope(name, told, rng.bytes(16).hex())

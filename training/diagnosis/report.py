@@ -1,0 +1,174 @@
+"""One self-contained page for people: what differs, where, how much, what else was considered, what to do next."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from noise.discrepancy import Diagnosis
+from noise.discrepancy.explanation import Interval
+from noise.discrepancy.rest import in_words
+from noise.discrepancy.verdict import Named, Verdict
+from noise.effects import CATALOGUE
+from training.diagnosis.figures import all_figures
+
+TEMPLATES = Path(__file__).parent / "templates"
+BADGES = {
+    "none": ("No difference found", "good"),
+    "named": ("Cause found", "found"),
+    "confounded": ("Cause narrowed down", "found"),
+    "named_with_rest": ("Cause found, something remains", "partly"),
+    "unknown": ("Difference without a known cause", "open"),
+}
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict in one or two sentences of plain English, with the number that matters."""
+    verdict = diagnosis.verdict
+    if silent(diagnosis):
+        first = "check the sensor's power, gain and range setting, and what it points at, before anything else"
+        return f"Not one of {diagnosis.pings:,} pings brought an echo: {first}."
+    if verdict.verdict == "none":
+        held = verdict.held_out
+        return f"The model agrees with the recording: its readings are {held.before.crps_mm:.1f} mm off on average."
+    if verdict.verdict == "unknown":
+        what = verdict.unknown.description or "; ".join(in_words(f) for f in verdict.where[:1])
+        what = what.split(";")[0].replace(" (a description, not a cause)", "")
+        return f"The recording differs from the model, and no known effect explains it: {what}."
+    told = " ".join(named.statement for named in verdict.effects[:2])
+    alike = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
+    others = len(verdict.effects) - 2
+    more = "" if others < 1 else f" And {others} smaller effect{'s' if others > 1 else ''}."
+    doubt = f" These data cannot tell this from {_list(alike)}." if verdict.verdict == "confounded" else ""
+    rest = " Something smaller remains unexplained." if verdict.verdict == "named_with_rest" else ""
+    return told + more + doubt + rest
+
+
+def silent(diagnosis: Diagnosis) -> bool:
+    """Tell whether no ping of the recording brought an echo."""
+    return not diagnosis.split.whole.reading.echo.any()
+
+
+def _list(names: list[str]) -> str:
+    words = [plain(name) for name in names]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def plain(name: str) -> str:
+    """Return an effect's id as words."""
+    return name.replace("_", " ")
+
+
+def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
+    """Return the page as HTML.
+
+    Args:
+        diagnosis: to tell of.
+        corrected: where the corrected model is saved, for the instructions.
+        seed: of randomised PIT values.
+    """
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
+    )
+    figures = {name: Markup(text) for name, text in all_figures(diagnosis, seed).items()}
+    page = environment.get_template("report.html").render(**facts(diagnosis), figures=figures, corrected=corrected)
+    return re.sub(r"\n\s*\n+", "\n", page)
+
+
+def facts(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return everything that the page prints, ready to be printed."""
+    verdict = diagnosis.verdict
+    badge, kind = BADGES[verdict.verdict]
+    return {
+        "headline": headline(diagnosis),
+        "badge": badge,
+        "kind": kind,
+        "verdict": verdict,
+        "recording": Path(diagnosis.recording).name,
+        "pings": diagnosis.pings,
+        "unanswered": diagnosis.unanswered,
+        "certainty": certainty(by_chance(verdict)),
+        "effects": [effect_facts(named) for named in verdict.effects],
+        "where": [in_words(finding) for finding in verdict.where],
+        "rivals": rival_rows(diagnosis),
+        "tried": tried_rows(diagnosis),
+        "catalogue": len(CATALOGUE),
+        "silent": silent(diagnosis),
+        "matched": matched(diagnosis),
+    }
+
+
+def matched(diagnosis: Diagnosis) -> str:
+    """Return what positions that both files share say without any model; nothing where they share too few."""
+    found = diagnosis.verdict.matched
+    if found is None:
+        return ""
+    differ = (
+        f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.differs else "do not differ beyond chance"
+    )
+    return f"Compared directly, without any model, the {found.cells} positions that both files share {differ}."
+
+
+def by_chance(verdict: Verdict) -> float:
+    """Return the p-value of the difference: what no single place shows may show from one place to the next."""
+    return min(verdict.p_value, verdict.unknown.p_value) if verdict.unknown.present else verdict.p_value
+
+
+def certainty(p_value: float) -> str:
+    """Return a p-value as a roboticist would say it."""
+    if p_value > 0.05:
+        return "The difference is no larger than chance."
+    return f"Chance alone would do this in fewer than one recording in {int(1 / max(p_value, 1e-6)):,}."
+
+
+def effect_facts(named: Named) -> dict[str, Any]:
+    """Return what is printed of one named effect."""
+    return {
+        **asdict(named),
+        "title": plain(named.effect),
+        "summary": CATALOGUE[named.effect].summary,
+        "alike": [plain(name) for name in named.indistinguishable_from],
+        "percent": f"{100 * named.probability:.0f}",
+        "numbers": [(parameter(name, value.unit), interval(value)) for name, value in named.parameters.items()],
+        "gain": f"{named.gain_nats:.0f} ± {named.gain_se:.0f}",
+    }
+
+
+def parameter(name: str, unit: str) -> str:
+    """Return a parameter's name as words, without the unit at its end, which is printed with its value."""
+    return plain(name.removesuffix("_" + unit.lower().replace("/", "_per_").replace("degc", "c")))
+
+
+def interval(value: Interval) -> str:
+    """Return a value with its 90 % interval and unit."""
+    unit = "" if value.unit == "1" else f" {value.unit.replace('degC', '°C')}"
+    if value.unit == "m" and max(abs(value.low), abs(value.high)) < 1.0:
+        return f"{1000 * value.value:.3g} mm ({1000 * value.low:.3g} to {1000 * value.high:.3g})"
+    return f"{value.value:.3g}{unit} ({value.low:.3g} to {value.high:.3g})"
+
+
+def rival_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """Return one row for each effect that was tried in the place of a named one."""
+    rows = []
+    for rival in diagnosis.rivals:
+        reason = "cannot be excluded" if rival.survives else f"fits worse by {rival.observed:.0f} nats"
+        if not rival.survives and rival.observed > 10.8:
+            reason += ": excluded"
+        rows.append({"rival": plain(rival.effect), "instead": plain(rival.replaces), "why": reason})
+    return rows
+
+
+def tried_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """Return one row for each effect that was fitted in the search and judged on unseen cells."""
+    rows = []
+    for attempt in diagnosis.verdict.attempts:
+        if attempt.gain_nats == attempt.gain_nats:
+            given = ", ".join(plain(name) for name in attempt.given) or "nothing"
+            gain = f"{attempt.gain_nats:+.1f} ± {attempt.gain_se:.1f}"
+            rows.append({"effect": plain(attempt.effect), "given": given, "gain": gain, "decision": attempt.decision})
+    return rows

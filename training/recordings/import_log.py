@@ -1,0 +1,81 @@
+"""Turn the log of another program, or a ROS bag, into a recording, units stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from acquisition import EchoStatus, Recording, SettingError
+from acquisition.io.bags import Truth, import_bag, is_bag
+from acquisition.io.foreign import ColumnMap, import_table, parse_constants
+from training.common.progress import bar
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym import`.
+
+    Example:
+        sonar-gym import log.csv --out rec.csv
+        --columns distance_mm=true_cm:cm reading_mm=measured_cm:cm session=file --constants angle_deg=0
+    """
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """CSV file, or ROS bag (.bag, .mcap, .db3, ROS 2 folder) with sensor_msgs/Range."""
+    out: Path
+    """Recording to write."""
+    columns: tuple[str, ...] = ()
+    """CSV: which of their columns become ours: ours=theirs:unit, units mm cm m in us deg rad s ms min h date
+    text; us is an echo's time, 58 us a cm; date is ISO 8601; time_s is made to begin at 0."""
+    constants: tuple[str, ...] = ()
+    """Columns that are the same in every row: ours=value, for example angle_deg=0."""
+    no_echo: float | None = None
+    """CSV: value (in their unit) that means no echo, besides 0; for example 400 for a sensor that reads full scale."""
+    skip_bad_rows: bool = False
+    """CSV: leave faulty rows out, and say which, rather than refuse the file."""
+    topics: tuple[str, ...] = ()
+    """Bag: topics of the sonars; all of sensor_msgs/Range that are no infrared if none is given."""
+    truth_topic: str = ""
+    """Bag: topic that tells the true distance: a laser's sensor_msgs/Range, or a position (see truth_point)."""
+    truth_point: tuple[float, float, float] | None = None
+    """Bag: where the reflector stands, m, in the frame of truth_topic's position."""
+    truth_csv: Path | None = None
+    """Bag: CSV with time_s (since the first ping) or stamp_s (the bag's clock), distance_m, and angle_deg if known."""
+    longest_gap_s: float = 0.5
+    """Bag: truths further apart than this are not interpolated; pings between them are left out."""
+
+
+def main(args: Args) -> None:
+    """Import one file and say what came in."""
+    recording, notes = (_bag if is_bag(args.source) else _table)(args)
+    recording.save(args.out)
+    status, cells, runs = recording.reading.status, recording.cell.max() + 1, recording.run.max() + 1
+    print(
+        f"{args.out}: {len(recording)} pings in {cells} conditions and {runs} runs; "
+        f"{(status == EchoStatus.NO_ECHO).sum()} without echo, {(status == EchoStatus.NO_ANSWER).sum()} without answer"
+    )
+    for note in notes:
+        print(note)
+
+
+def _table(args: Args) -> tuple[Recording, list[str]]:
+    if not args.columns:
+        raise SettingError(f"{args.source}: --columns is needed, for example distance_mm=true_cm:cm reading_mm=got:cm")
+    columns = [ColumnMap.parse(text) for text in args.columns]
+    constants = parse_constants(args.constants)
+    recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows)
+    return recording, [f"left out: {fault}" for fault in recording.rejected]
+
+
+def _bag(args: Args) -> tuple[Recording, list[str]]:
+    truth = Truth(args.truth_topic, args.truth_point, args.truth_csv, args.longest_gap_s)
+    with bar(f"reading {args.source.name}", 1) as tell:
+        imported = import_bag(args.source, args.topics, truth, parse_constants(args.constants), tell)
+    notes = {
+        f"left out: {imported.left_out} pings without a truth": imported.left_out,
+        f"too close to measure (REP 117), kept as no answer: {imported.too_close}": imported.too_close,
+    }
+    return imported.recording, [note for note, count in notes.items() if count]
