@@ -94,7 +94,7 @@ class CredenceTable:
             tolerance: half width of "right", as a share of the true distance.
         """
         law = model.law(ping)
-        if not law.tells:
+        if not law.has_probabilities:
             return cls.counted(law, edges, tolerance)
         every = np.repeat(edges[:, None], len(ping), axis=1)
         right_only = np.clip(every, ping.distance * (1 - tolerance), ping.distance * (1 + tolerance))

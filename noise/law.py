@@ -28,10 +28,10 @@ class EchoLaw(ABC):
         distance: true distances, m, (n,).
         resolution: step of the register, m.
         max_range: of the register's last step, m.
-        tells: whether it knows probabilities, or can only be drawn from.
+        has_probabilities: whether it knows probabilities, or can only be drawn from.
     """
 
-    tells = True
+    has_probabilities = True
 
     def __init__(self, distance: Floats, resolution: float, max_range: float) -> None:
         self.distance = distance

@@ -25,7 +25,7 @@ SIMULATED = Setup(gain=31, placement_m=0.0, placement_deg=0.0, tilt_deg=0.0)
 class RigLaw(EchoLaw):
     """What n pings would read, to be drawn from and nothing else."""
 
-    tells = False
+    has_probabilities = False
 
     def __init__(self, model: RigModel, ping: Ping) -> None:
         super().__init__(ping.distance, model.resolution, model.max_range)

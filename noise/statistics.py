@@ -10,7 +10,7 @@ NORMAL = 1.4826  # standard deviations of a normal in its median absolute deviat
 USUAL = 3.0  # usual deviations, beyond which a value is pulled in; ours
 
 
-def usual_deviation(error: Floats) -> float:
+def robust_std(error: Floats) -> float:
     """Return the standard deviation of errors about zero as their median size has it; of none, nan.
 
     Args:
@@ -27,5 +27,5 @@ def winsorised(value: Floats, more: float = 1e-6) -> Floats:
         more: allowed besides, in the unit of the values.
     """
     middle = float(np.median(value))
-    limit = USUAL * usual_deviation(value - middle) + more
+    limit = USUAL * robust_std(value - middle) + more
     return np.clip(value, middle - limit, middle + limit)

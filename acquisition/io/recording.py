@@ -208,7 +208,7 @@ class Recording:
         return self.table.groupby(keys, sort=False).ngroup().to_numpy().astype(np.int64)
 
     @cached_property
-    def cell(self) -> NDArray[np.int64]:
+    def condition(self) -> NDArray[np.int64]:
         """Number of the condition (distance, angles, reflectance) of each ping, (n,); equal conditions share it."""
         keys = [self.table[name] for name in CONDITION[1:] if self.has(name)]
         return self.table.groupby(keys, sort=False).ngroup().to_numpy().astype(np.int64)

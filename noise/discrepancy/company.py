@@ -30,14 +30,14 @@ class Company:
     """Strays of one stay that agree with each other.
 
     Attributes:
-        stays: stays in all.
+        n_visits: stays in all.
         told: stays with two strays or more.
         agree: of these, stays in which the first two agree.
         foreseen: number of stays in which they would by the law.
         nats: what the agreement is worth.
     """
 
-    stays: int
+    n_visits: int
     told: int
     agree: int
     foreseen: float
@@ -46,7 +46,7 @@ class Company:
     @property
     def usual(self) -> float:
         """Share of stays in which strays agree though no law says so; Laplace's, so never nothing."""
-        return (max(self.agree - self.foreseen, 0.0) + 1.0) / (self.stays + 2.0)
+        return (max(self.agree - self.foreseen, 0.0) + 1.0) / (self.n_visits + 2.0)
 
     def p_value(self, usual: float) -> float:
         """Return the chance that as many stays agree, where beside the law a share `usual` of them does.
@@ -56,12 +56,12 @@ class Company:
         if self.told < FEWEST or self.foreseen >= HALF * self.agree:
             return 1.0
         by_law = np.arange(self.told + 1)
-        more = poisson.sf(self.agree - by_law - 1, self.stays * usual)
+        more = poisson.sf(self.agree - by_law - 1, self.n_visits * usual)
         return float(binom.pmf(by_law, self.told, self.foreseen / self.told) @ more)
 
     def finding(self, usual: float) -> Finding:
         """Return it as a finding everywhere; its size is the share of stays in which something else answers."""
-        share = (self.agree - self.foreseen) / max(self.stays, 1)
+        share = (self.agree - self.foreseen) / max(self.n_visits, 1)
         return Finding("company", {}, share, "1", self.p_value(usual), self.nats)
 
 
@@ -73,16 +73,16 @@ def company(stack: Stack, batch: Batch) -> Company:
         batch: readings, whole stays.
     """
     middle = stack.expected(batch)
-    away = batch.astray(batch.reading.range - middle)
+    away = batch.is_outlier(batch.reading.range - middle)
     if stack.model.remembers:  # a law that repeats readings repeats them to the digit: those are its own
-        away &= ~batch.alike
+        away &= ~batch.repeats
     first, second = _pairs(batch, away)
     if not len(first):
-        return Company(batch.blocks, 0, 0, 0.0, 0.0)
+        return Company(batch.n_visits, 0, 0, 0.0, 0.0)
     chance = _chance(stack, batch, second, middle[second], batch.reading.range[first])
     agree = np.abs(batch.reading.range[first] - batch.reading.range[second]) < AGREE_M
     nats = float(-np.log(chance[agree]).sum())
-    return Company(batch.blocks, len(first), int(agree.sum()), float(chance.sum()), nats)
+    return Company(batch.n_visits, len(first), int(agree.sum()), float(chance.sum()), nats)
 
 
 def chance_astray(law: EchoLaw, middle: Floats, near: Floats) -> Floats:
@@ -93,7 +93,7 @@ def chance_astray(law: EchoLaw, middle: Floats, near: Floats) -> Floats:
 def _pairs(batch: Batch, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of the first and of the second stray of every stay that has two."""
     rows = np.flatnonzero(away)
-    begins = np.flatnonzero(np.diff(batch.block[rows], prepend=-1))
+    begins = np.flatnonzero(np.diff(batch.visit[rows], prepend=-1))
     two = begins[np.append(np.diff(begins), len(rows) - begins[-1]) > 1] if len(begins) else begins
     return rows[two], rows[two + 1]
 

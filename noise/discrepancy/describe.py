@@ -66,11 +66,11 @@ def formula(stack: Stack, batch: Batch, rng: np.random.Generator) -> Formula | N
     u, law = seen_alone(stack, batch, rng)
     error = (batch.reading.range - law.quantile(0.5)) / MM
     near = ~np.isnan(u) & (np.abs(error) < 100.0 * batch.ping.distance + 50.0)
-    count = batch.per_block(near.astype(np.float64))
+    count = batch.visit_sums(near.astype(np.float64))
     kept = count >= 2
     if kept.sum() < FEWEST:
         return None
-    target = (batch.per_block(np.where(near, error, 0.0)) / np.maximum(count, 1.0))[kept]
+    target = (batch.visit_sums(np.where(near, error, 0.0)) / np.maximum(count, 1.0))[kept]
     names, table = candidates(batch, kept)
     return _stable(names, table, target, rng) if names else None
 
@@ -78,7 +78,7 @@ def formula(stack: Stack, batch: Batch, rng: np.random.Generator) -> Formula | N
 def candidates(batch: Batch, kept: NDArray[np.bool_]) -> tuple[list[str], Floats]:
     """Return names and values of the candidate terms, (blocks, terms)."""
     size = np.diff(np.r_[batch.starts, len(batch)])
-    column = {name: (batch.per_block(value) / size)[kept] for name, value in features(batch).items()}
+    column = {name: (batch.visit_sums(value) / size)[kept] for name, value in features(batch).items()}
     out: dict[str, Floats] = {}
     if "distance_mm" in column:
         d = column["distance_mm"] * MM

@@ -328,7 +328,7 @@ def _held_out(raw: SonarModel, corrected: SonarModel, before: Stack, after: Stac
     Likelihoods are of readings given those before in their cell; CRPS is of single readings under the two models.
     """
     nats = [log_likelihood(stack, vault) for stack in (before, after)]
-    gain = vault.per_block(nats[1] - nats[0])
+    gain = vault.visit_sums(nats[1] - nats[0])
     error = spread_over_blocks(gain)
     plain, n = gain.sum() / len(vault), len(vault)
     scores = [crps_mm(model, vault.ping, vault.past, vault.reading) for model in (raw, corrected)]

@@ -73,7 +73,7 @@ class Baseline:
         plain = Rules()
         if self.own is None:
             return plain
-        factor = 1.0 + batch.blocks / max(self.own.both.blocks, 1)
+        factor = 1.0 + batch.n_visits / max(self.own.both.n_visits, 1)
         by_chance = more_struck(batch, self.own.both)
         return replace(
             plain,
@@ -89,11 +89,11 @@ class Baseline:
             return batch
         found = _offsets(self.stack, self.own.whole)
         twin = np.array([found.get(key, np.nan) for key in conditions_of(batch.ping)])
-        return batch if np.isnan(twin).all() else replace(batch, twin=twin)
+        return batch if np.isnan(twin).all() else replace(batch, simulated_offset=twin)
 
     def untied(self, batch: Batch) -> Batch | None:
         """Return the simulation's readings where no position of a batch is held against them; None for a given law."""
-        return self.own.whole if self.own is not None and batch.twin is None else None
+        return self.own.whole if self.own is not None and batch.simulated_offset is None else None
 
     def peer(self, seed: int) -> Blocks | None:
         """Return how the simulation's own readings score under the law; None for a model that is used as it is."""
@@ -173,7 +173,7 @@ class Baseline:
 def _offsets(stack: Stack, batch: Batch) -> dict[tuple[float, ...], float]:
     """Return by condition how far echoes of the target lie from the law's, as a median, m."""
     error = batch.reading.range - stack.direct(batch)[0]
-    frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": batch.near(error)})
+    frame = pd.DataFrame({"condition": conditions_of(batch.ping), "error": error, "near": batch.is_target(error)})
     mostly = frame.groupby("condition")["near"].mean() > 0.5
     median = frame[frame["near"]].groupby("condition")["error"].median()
     return {key: value for key, value in zip(median.index, median.to_list(), strict=True) if mostly[key]}
@@ -225,7 +225,7 @@ def asked(simulator: Simulator, recording: Recording, seed: int) -> Recording:
 
 def sampled(model: SonarModel, recording: Recording, seed: int) -> Recording:
     """Return readings of a model on a recording's own conditions."""
-    rows = np.unique(recording.cell, return_index=True)[1]
+    rows = np.unique(recording.condition, return_index=True)[1]
     rng = np.random.default_rng([seed, 5])
     if len(rows) > MOST_CONDITIONS:
         rows = np.sort(rng.choice(rows, MOST_CONDITIONS, replace=False))

@@ -17,7 +17,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.empirical import DISTANCE_KNOTS, Flexible
 from noise.fitting.fit import Fit, highest, log_likelihood, maximise
 from noise.fitting.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.fitting.starts import extra_modes, nuisance_starts, starting_points, usual_scatter
+from noise.fitting.starts import extra_modes, nuisance_starts, starting_points, robust_scatter
 from noise.physical import PhysicalModel
 
 # what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
@@ -105,7 +105,7 @@ def in_company(bare: Stack, batch: Batch) -> list[Stack]:
     modes = [mode for mode in dict.fromkeys(extra_modes(batch)) if mode > 0.0]
     if not modes:
         return []
-    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): usual_scatter(batch), **LOOSE}
+    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): robust_scatter(batch), **LOOSE}
     things = [thing for mode in modes for thing in _answering(mode)]
     starts = [{**usual, LOSS: loss, **thing} for loss in LOSSES_DB for thing in things]
     put = [bare.at(start) for start in starts]

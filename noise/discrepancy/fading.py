@@ -30,16 +30,16 @@ def fading(stack: Stack, batch: Batch) -> Finding | None:
         batch: readings, whole stays.
     """
     columns = by_block(batch)
-    if not batch.timed or batch.blocks < FEWEST or "time_s" not in columns:
+    if not batch.timed or batch.n_visits < FEWEST or "time_s" not in columns:
         return None
     time = columns.pop("time_s")
     if any(_ordered(time, column) for column in columns.values()):
         return None
     silent = np.where(batch.reading.echo, 0.0, 1.0) - np.clip(stack.model.law(batch.ping, batch.past).no_echo, 0.0, 1.0)
-    share = batch.per_block(silent) / batch.per_block(np.ones(len(batch)))
+    share = batch.visit_sums(silent) / batch.visit_sums(np.ones(len(batch)))
     if np.ptp(share) == 0.0:
         return None
-    order = rankdata(time) / batch.blocks - 0.5
+    order = rankdata(time) / batch.n_visits - 0.5
     order -= order.mean()
     pull = (share - share.mean()) * order
     z = float(pull.sum() / np.sqrt((pull**2).sum()))

@@ -55,9 +55,9 @@ def gained(
         return None
     aspect = max(total, key=lambda name: total[name])
     nats = total[aspect]
-    where = _region(batch, batch.per_block(shares[aspect]), rng)
+    where = _region(batch, batch.visit_sums(shares[aspect]), rng)
     if aspect == "extra_mode":
-        inside = where[1][batch.block]
+        inside = where[1][batch.visit]
         rows = inside & (shares[aspect] > 0.0)
         return Finding(aspect, where[0], float(rows.sum() / inside.sum()), "1", p, nats, place_of(batch, rows))
     if aspect == "bias":
@@ -92,7 +92,7 @@ def by_aspect(before: Stack, after: Stack, batch: Batch) -> dict[str, Floats]:
     moved = np.median(np.abs(after.expected(batch) - middle)[heard]) if heard.any() else 0.0
     how = "bias" if moved > 0.5 * batch.resolution else "spread"
     barred = heard & (lying > -np.log(EXTRA))
-    astray = batch.astray(batch.reading.range - middle)
+    astray = batch.is_outlier(batch.reading.range - middle)
     if how == "spread" and barred.sum() < FEW * heard.sum():
         astray |= barred
     return {

@@ -30,8 +30,8 @@ def grip(stack: Stack, batch: Batch) -> Finding | None:
         stack: the law of single readings.
         batch: readings, whole stays.
     """
-    told = batch.reading.echo & batch.past.echo & (batch.count > 0) & ~batch.standing[batch.block]
-    same = batch.alike
+    told = batch.reading.echo & batch.past.echo & (batch.count > 0) & ~batch.stationary[batch.visit]
+    same = batch.repeats
     if min((told & same).sum(), (told & ~same).sum()) < FEWEST:
         return None
     apart, due = _apart(stack, batch)
@@ -41,7 +41,7 @@ def grip(stack: Stack, batch: Batch) -> Finding | None:
         return None
     # ranks, against which rows repeat; stretches are the witnesses, since repeats of one hang together
     rank = rankdata(apart[told]) / told.sum()
-    pull = np.bincount(batch.block[told], (rank - rank.mean()) * (same[told] - same[told].mean()))
+    pull = np.bincount(batch.visit[told], (rank - rank.mean()) * (same[told] - same[told].mean()))
     z = -float(pull.sum()) / float(np.sqrt((pull**2).sum()))
     p = max(float(norm.sf(z)), 1e-300)
     return Finding("grip", {}, float(np.quantile(held, MOST)), "m", p, -float(np.log(p)))
@@ -54,7 +54,7 @@ def _apart(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
     """
     middle, variance = stack.direct(batch)
     error = batch.reading.range - middle
-    near = batch.near(error)
-    off = np.array([np.median(error[rows][near[rows]]) if near[rows].any() else 0.0 for rows in batch.stays])
-    apart = np.abs(middle + off[batch.block] - batch.past.range)
+    near = batch.is_target(error)
+    off = np.array([np.median(error[rows][near[rows]]) if near[rows].any() else 0.0 for rows in batch.visit_rows])
+    apart = np.abs(middle + off[batch.visit] - batch.past.range)
     return apart, apart > np.maximum(LEAST_M, PLAIN * np.sqrt(variance) + batch.resolution)

@@ -35,11 +35,11 @@ class Still:
     """How many stays show no change at all.
 
     Attributes:
-        stays: those with enough echoes to show one.
+        n_visits: those with enough echoes to show one.
         still: those of them whose echoes are alike to the digit.
     """
 
-    stays: int
+    n_visits: int
     still: int
 
     def p_value(self, usual: Still | None) -> float:
@@ -48,10 +48,10 @@ class Still:
         Args:
             usual: the same of the simulation; None where it is not known by its readings.
         """
-        if usual is None or min(self.stays, usual.stays) < FEWEST_STAYS or self.still < STILL * self.stays:
+        if usual is None or min(self.n_visits, usual.n_visits) < FEWEST_STAYS or self.still < STILL * self.n_visits:
             return 1.0
-        odds = CALMER * (usual.still + 1.0) / (usual.stays - usual.still + 1.0)
-        return float(binom.sf(self.still - 1, self.stays, odds / (1.0 + odds)))
+        odds = CALMER * (usual.still + 1.0) / (usual.n_visits - usual.still + 1.0)
+        return float(binom.sf(self.still - 1, self.n_visits, odds / (1.0 + odds)))
 
 
 def still(batch: Batch, step: float) -> Still:
@@ -86,8 +86,8 @@ def held(stack: Stack, batch: Batch, usual: Still | None) -> Finding:
 
 def _echoes(batch: Batch) -> list[Floats]:
     """Return the echoes of every stay, m; none of one in which the target moved."""
-    heard = batch.reading.echo & batch.standing[batch.block]
-    return [batch.reading.range[rows[heard[rows]]] for rows in batch.stays]
+    heard = batch.reading.echo & batch.stationary[batch.visit]
+    return [batch.reading.range[rows[heard[rows]]] for rows in batch.visit_rows]
 
 
 def _kept(stack: Stack, batch: Batch) -> tuple[float, float]:
@@ -119,7 +119,7 @@ def _leaning(stack: Stack, batch: Batch) -> tuple[float, float]:
     """
     offset = lying(stack, batch)
     distance, stood = batch.ping.distance[batch.starts], batch.last[batch.starts, 1]
-    use = ~np.isnan(offset) & (np.abs(stood - distance) > MOVED_M) & batch.standing
+    use = ~np.isnan(offset) & (np.abs(stood - distance) > MOVED_M) & batch.stationary
     side = np.sign(stood - distance)[use]
     if len(side) < 3 * FEWEST_STAYS or min((side > 0).sum(), (side < 0).sum()) < FEWEST_STAYS:
         return 0.0, 1.0

@@ -96,10 +96,10 @@ def findings(
 
 def bias_or_scale(aspect: str, where: Region, seen: Residuals, batch: Batch) -> str:
     """Return which of the two leaves less over, block by block: the same error everywhere, or a share of distance."""
-    rows = _typical(seen, batch, where[1][batch.block])
+    rows = _typical(seen, batch, where[1][batch.visit])
     if aspect not in ("bias", "scale") or rows.sum() < 4:
         return aspect
-    block, distance = batch.block[rows], batch.ping.distance[rows]
+    block, distance = batch.visit[rows], batch.ping.distance[rows]
     error = (batch.reading.range - seen.middle)[rows]
     count = np.maximum(np.bincount(block), 1)
     e, d = np.bincount(block, error) / count, np.bincount(block, distance) / count
@@ -119,9 +119,9 @@ def describe(
     """Return a finding with its size in plain units: beyond what a simulation's own readings do there, with a peer."""
     nats = statistic**2 / 2.0
     kind = {"early": "extra_mode", "late": "extra_mode", "repeat": "time_correlation"}.get(aspect, aspect)
-    size, unit, place = _SIZES[kind](seen, batch, where[1][batch.block])
+    size, unit, place = _SIZES[kind](seen, batch, where[1][batch.visit])
     if peer is not None:
-        usual = _SIZES[kind](peer.seen, peer.batch, peer.inside(where[0])[peer.batch.block])[0]
+        usual = _SIZES[kind](peer.seen, peer.batch, peer.inside(where[0])[peer.batch.visit])[0]
         size = size / max(usual, LEAST_SPREAD) if kind == "spread" else size - usual
     return Finding(kind, where[0], size, unit, p, nats, place)
 
@@ -131,7 +131,7 @@ Size = tuple[float, str, tuple[str, float] | None]
 
 def _typical(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Tell which echoes inside are near enough to the expected range to speak of bias."""
-    return inside & batch.near(batch.reading.range - seen.middle)
+    return inside & batch.is_target(batch.reading.range - seen.middle)
 
 
 def _bias(seen: Residuals, batch: Batch, inside: NDArray[np.bool_]) -> Size:

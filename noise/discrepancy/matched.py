@@ -63,7 +63,7 @@ def compare(simulated: Batch, recorded: Batch, rng: np.random.Generator) -> Matc
     first = np.flatnonzero(recorded.count == 0)
     keys = pd.Index(conditions_of(recorded.ping[first]), tupleize_cols=False)
     kept = keys.isin(shared) & ~keys.duplicated()
-    part = recorded.select(np.isin(recorded.block, np.flatnonzero(kept)))
+    part = recorded.select(np.isin(recorded.visit, np.flatnonzero(kept)))
     difference = (other.loc[keys[kept]] - own.loc[keys[kept]]).to_numpy(dtype=np.float64)
     shift = float(np.nanmedian(difference[:, 0])) if np.isfinite(difference[:, 0]).any() else 0.0
     scanned = flipped(_bounded(difference), np.zeros_like(difference), regions(part), rng)
@@ -79,7 +79,7 @@ def _bounded(difference: Floats) -> Floats:
 
 def _by_condition(batch: Batch) -> pd.DataFrame:
     """Return median error, share of answers and share of strays of each condition."""
-    near = batch.near(batch.error)
+    near = batch.is_target(batch.error)
     frame = pd.DataFrame(
         {
             "place": np.where(near, batch.error, np.nan),

@@ -82,7 +82,9 @@ class Pair:
 def shifts(search: Search, stack: Stack, chosen: Sequence[str]) -> Shifts | None:
     """Return what every effect that was not chosen does to where stays lie; None where too few tell."""
     batch = search.discover
-    lie = lying(stack, batch) - (0.0 if batch.twin is None else np.nan_to_num(batch.twin[batch.starts]))
+    lie = lying(stack, batch) - (
+        0.0 if batch.simulated_offset is None else np.nan_to_num(batch.simulated_offset[batch.starts])
+    )
     told = ~np.isnan(lie)
     if told.sum() < FEWEST:
         return None

@@ -45,13 +45,13 @@ class Remainder:
         nats: across unseen blocks; at most 0 where it learned nothing.
         error: its standard error over blocks.
         of: "conditions" or "memory".
-        blocks: number of them.
+        n_visits: number of them.
     """
 
     nats: float
     error: float
     of: str
-    blocks: int = 0
+    n_visits: int = 0
 
     @property
     def p_value(self) -> float:
@@ -75,13 +75,13 @@ def remainder(stack: Stack, batch: Batch, rng: np.random.Generator) -> Remainder
         batch: readings.
         rng: for randomised PIT values.
     """
-    if batch.blocks < LEAST_BLOCKS or batch.reading.echo.sum() < 4 * LEAST_BLOCKS:
+    if batch.n_visits < LEAST_BLOCKS or batch.reading.echo.sum() < 4 * LEAST_BLOCKS:
         return NOTHING
     alone, law = seen_alone(stack, batch, rng)
     own, _ = seen_in_cell(stack, batch, rng)
     place = np.stack([np.zeros(len(batch)), *features(batch).values()], axis=1)
     # all pings of a cell share its offset: of its place, they are one witness
-    once = 1.0 / np.bincount(batch.block)[batch.block]
+    once = 1.0 / np.bincount(batch.visit)[batch.visit]
     before, elsewhere = _memory(batch, law.quantile(0.5))
     both = (
         _gained(place, alone, once, batch, "conditions"),
@@ -104,17 +104,17 @@ def _memory(batch: Batch, middle: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 def _gained(x: Floats, u: Floats, weight: Floats, batch: Batch, of: str) -> Remainder:
     """Return what trees gain on classes of residuals of unseen blocks, over how often each class is."""
     rows = np.flatnonzero(~np.isnan(u))
-    x, weight, block = x[rows], weight[rows], batch.block[rows]
+    x, weight, block = x[rows], weight[rows], batch.visit[rows]
     label = np.minimum((u[rows] * CLASSES).astype(np.int64), CLASSES - 1)
     if len(np.unique(block)) < LEAST_BLOCKS:
-        return Remainder(0.0, 0.0, of, batch.blocks)
+        return Remainder(0.0, 0.0, of, batch.n_visits)
     gain = np.zeros(len(rows))
     with THREADS.limit(limits=1):  # threads of so small a task wait for each other, for minutes where a machine is busy
         for train, test in GroupKFold(FOLDS, shuffle=True, random_state=0).split(x, label, block):
             if len(np.unique(label[train])) == CLASSES:
                 gain[test] = _nats(x, label, weight, train, test)
-    each = np.asarray(np.bincount(block, weight * gain, minlength=batch.blocks), dtype=np.float64)
-    return Remainder(float(each.sum()), spread_over_blocks(each), of, batch.blocks)
+    each = np.asarray(np.bincount(block, weight * gain, minlength=batch.n_visits), dtype=np.float64)
+    return Remainder(float(each.sum()), spread_over_blocks(each), of, batch.n_visits)
 
 
 def _nats(

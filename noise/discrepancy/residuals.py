@@ -114,5 +114,5 @@ def _repeats(law: EchoLaw, batch: Batch) -> tuple[Floats, Floats]:
     step = law.step(batch.past.range)
     expected = law.cdf_step(step) - law.cdf_step(step - 1)
     known = batch.past.echo & batch.reading.echo
-    score = (batch.alike - expected) / np.sqrt(expected * (1.0 - expected) + SMALL)
+    score = (batch.repeats - expected) / np.sqrt(expected * (1.0 - expected) + SMALL)
     return np.where(known, score, 0.0), np.where(known, _share(expected), 0.0)

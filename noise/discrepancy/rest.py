@@ -141,9 +141,9 @@ def beside_scans(
 
 def beyond(found: Remainder, usual: Remainder | None) -> Remainder:
     """Return a remainder less what the same learner gains on as many blocks of the simulation itself."""
-    if usual is None or usual.nats <= 0.0 or usual.blocks == 0:
+    if usual is None or usual.nats <= 0.0 or usual.n_visits == 0:
         return found
-    own = usual.nats * found.blocks / usual.blocks
+    own = usual.nats * found.n_visits / usual.n_visits
     return replace(found, nats=found.nats - own, error=float(np.hypot(found.error, usual.error)))
 
 

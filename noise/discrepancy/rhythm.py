@@ -64,19 +64,19 @@ def rhythm(stack: Stack, batch: Batch) -> Rhythm | None:
     if not batch.timed or len(batch) < LEAST_PINGS:
         return None
     error = batch.reading.range - stack.expected(batch)
-    few = batch.near(error) & (batch.count < MOST_IN_BLOCK)
+    few = batch.is_target(error) & (batch.count < MOST_IN_BLOCK)
     error = _without_means(error, few, batch)
     # every block counts alike, however much its readings scatter
-    usual = batch.per_block(np.abs(error)) / np.maximum(batch.per_block(few.astype(np.float64)), 1.0)
-    score = np.clip(error / (usual + LEAST_STEPS * batch.resolution)[batch.block], -FAR, FAR)
-    seen = Beat(batch.ping.time[few], _without_means(score, few, batch)[few], error[few], batch.block[few])
+    usual = batch.visit_sums(np.abs(error)) / np.maximum(batch.visit_sums(few.astype(np.float64)), 1.0)
+    score = np.clip(error / (usual + LEAST_STEPS * batch.resolution)[batch.visit], -FAR, FAR)
+    seen = Beat(batch.ping.time[few], _without_means(score, few, batch)[few], error[few], batch.visit[few])
     return seen.strongest(_longest_period(batch))
 
 
 def _without_means(value: Floats, known: NDArray[np.bool_], batch: Batch) -> Floats:
     """Return the values less their block's mean; 0 where they are not known."""
-    mean = batch.per_block(np.where(known, value, 0.0)) / np.maximum(batch.per_block(known.astype(np.float64)), 1.0)
-    return np.where(known, value - mean[batch.block], 0.0)
+    mean = batch.visit_sums(np.where(known, value, 0.0)) / np.maximum(batch.visit_sums(known.astype(np.float64)), 1.0)
+    return np.where(known, value - mean[batch.visit], 0.0)
 
 
 def _longest_period(batch: Batch) -> float:
@@ -93,7 +93,7 @@ class Beat:
     time: Floats
     score: Floats
     error: Floats
-    block: NDArray[np.int64]
+    visit: NDArray[np.int64]
 
     def strongest(self, longest_s: float) -> Rhythm | None:
         """Return the strongest beat with a period up to `longest_s`."""
@@ -122,7 +122,7 @@ class Beat:
     def _own_power(self, place: NDArray[np.int64], size: int) -> Floats:
         """Return the sum of the blocks' own powers at every frequency: the transform of lags inside blocks."""
         lagged = np.zeros(size)
-        starts = np.searchsorted(self.block, np.unique(self.block))
+        starts = np.searchsorted(self.visit, np.unique(self.visit))
         for at, score in zip(np.split(place, starts[1:]), np.split(self.score, starts[1:]), strict=True):
             lag = np.abs(at[:, None] - at[None, :]) % size
             np.add.at(lagged, lag.ravel(), np.outer(score, score).ravel())
@@ -135,12 +135,12 @@ class Beat:
         """
         size = 4.0 * float(np.median(np.abs(self.error))) + 1e-9
         error = np.clip(self.error, -size, size)
-        count = np.bincount(self.block)[self.block]
+        count = np.bincount(self.visit)[self.visit]
         misfit, amplitude = np.empty(len(near)), np.empty(len(near))
         for k, frequency in enumerate(near):
             phase = 2.0 * np.pi * frequency * self.time
             waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-            waves -= np.stack([np.bincount(self.block, w)[self.block] / count for w in waves.T], axis=1)
+            waves -= np.stack([np.bincount(self.visit, w)[self.visit] / count for w in waves.T], axis=1)
             weight = np.linalg.lstsq(waves, error, rcond=None)[0]
             misfit[k], amplitude[k] = ((error - waves @ weight) ** 2).sum(), np.hypot(*weight)
         # aliases that fit as well within chance: the slowest is told

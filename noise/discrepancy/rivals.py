@@ -68,8 +68,8 @@ def replica(stack: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     model, cells = stack.build()
     with torch.no_grad():
         middle, variance = (x.numpy()[batch.starts] for x in prior_offset(cells, batch))
-    wider = rng.choice([wide for wide, _ in BANKS], batch.blocks, p=[share for _, share in BANKS])
-    offset = rng.normal(middle, wider * np.sqrt(variance))[batch.block]
+    wider = rng.choice([wide for wide, _ in BANKS], batch.n_visits, p=[share for _, share in BANKS])
+    offset = rng.normal(middle, wider * np.sqrt(variance))[batch.visit]
     ping: Ping = replace(batch.ping, distance=np.maximum(batch.ping.distance + offset, 1e-3))
     with torch.no_grad():
         moved = replace(batch, ping=ping)

@@ -68,7 +68,7 @@ Region = tuple[dict[str, tuple[float, float]], NDArray[np.bool_]]
 def regions(batch: Batch, most_features: int = 6) -> list[Region]:
     """Return regions as (limits by column, mask over blocks): everything, intervals, and pairs of intervals."""
     columns = dict(list(by_block(batch).items())[:most_features])
-    out: list[Region] = [({}, np.ones(batch.blocks, dtype=bool))]
+    out: list[Region] = [({}, np.ones(batch.n_visits, dtype=bool))]
     for name, value in columns.items():
         out += [({name: (low, high)}, mask) for low, high, mask in _intervals(value, 6) if not mask.all()]
     for one, two in combinations(columns, 2):
@@ -76,13 +76,13 @@ def regions(batch: Batch, most_features: int = 6) -> list[Region]:
             for low2, high2, mask2 in _intervals(columns[two], 4):
                 if not mask.all() and not mask2.all():
                     out.append(({one: (low, high), two: (low2, high2)}, mask & mask2))
-    return [region for region in out if region[1].sum() >= min(LEAST_BLOCKS, batch.blocks)]
+    return [region for region in out if region[1].sum() >= min(LEAST_BLOCKS, batch.n_visits)]
 
 
 def by_block(batch: Batch) -> dict[str, Floats]:
     """Return the means of condition features over blocks, (blocks,) each."""
-    size = batch.per_block(np.ones(len(batch)))
-    return {name: batch.per_block(value) / size for name, value in features(batch).items()}
+    size = batch.visit_sums(np.ones(len(batch)))
+    return {name: batch.visit_sums(value) / size for name, value in features(batch).items()}
 
 
 @dataclass(frozen=True)
@@ -100,17 +100,17 @@ class Blocks:
     @cached_property
     def score(self) -> Floats:
         """Scores of blocks, (blocks, aspects)."""
-        return self.batch.per_block(self.seen.score)
+        return self.batch.visit_sums(self.seen.score)
 
     @cached_property
     def least(self) -> Floats:
         """Variance below which no block's score is trusted to vary, (blocks, aspects)."""
-        return self.batch.per_block(self.seen.variance)
+        return self.batch.visit_sums(self.seen.variance)
 
     @cached_property
     def pings(self) -> Floats:
         """Number of pings in each block, (blocks,)."""
-        return self.batch.per_block(np.ones(len(self.batch)))
+        return self.batch.visit_sums(np.ones(len(self.batch)))
 
     @cached_property
     def columns(self) -> dict[str, Floats]:

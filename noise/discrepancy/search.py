@@ -24,7 +24,7 @@ from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch, silence
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.fitting.starts import nuisance_start, starting_points, usual_scatter
+from noise.fitting.starts import nuisance_start, starting_points, robust_scatter
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]
@@ -91,7 +91,7 @@ class Search:
         self.discover = self.discover.thin(self.rules.full_pings)
         self.confirm = self.confirm.thin(self.rules.full_pings)
         self.both = self.both.thin(self.rules.full_pings)
-        self.usual_m = usual_scatter(self.discover)
+        self.usual_m = robust_scatter(self.discover)
 
     def each(self, job: Callable[[Search, str, T], R], items: Mapping[str, T]) -> dict[str, R]:
         """Return what a job makes of every item, by name, each with a search of its own: in any order, on any machine.
@@ -119,7 +119,7 @@ class Search:
     def _uses_time(self, name: str) -> bool:
         """Tell whether an effect looks at the clock, which says nothing where no time was logged."""
         if name not in self._clocked:
-            few = self.grid.select(self.grid.block < 2)
+            few = self.grid.select(self.grid.visit < 2)
             conditions = replace(few.conditions, time=few.conditions.time.requires_grad_())
             state = Stack({name: {}}, extra=self.base.extra).model.state(conditions)
             moved = [state.offset, *(part for path in state.paths for part in (path.length, path.lag))]
@@ -130,7 +130,7 @@ class Search:
         """Return the parameters of effects that these readings can tell."""
         logged = self.both.ping.covariates
         known = ((name, p) for name in names for p in self.base.known[name].parameters)
-        return tuple((name, p.name) for name, p in known if p.tellable(logged))
+        return tuple((name, p.name) for name, p in known if p.identifiable(logged))
 
     def tell(self, message: str, share: float) -> None:
         """Report progress, where anybody listens."""

@@ -41,7 +41,7 @@ def selective(stack: Stack, batch: Batch, chosen: Sequence[str], rng: np.random.
         chosen: effects of the explanation.
         rng: for the shuffles.
     """
-    if not set(chosen) & set(FAULTS) or batch.blocks < FEWEST:
+    if not set(chosen) & set(FAULTS) or batch.n_visits < FEWEST:
         return None
     excess, struck = _excess(stack, batch)
     if struck.sum() < FEWEST_STRUCK:
@@ -51,7 +51,7 @@ def selective(stack: Stack, batch: Batch, chosen: Sequence[str], rng: np.random.
     if not columns:
         return None
     orders = np.array([np.argsort(column, kind="stable") for column in columns.values()])
-    driven = np.mean(batch.standing) < MOSTLY
+    driven = np.mean(batch.stationary) < MOSTLY
     rank, p = _turned(excess, orders) if driven else _shuffled(excess, orders, rng)
     along = list(columns)[int(np.argmin(rank))]
     return Finding("selective", {}, float(struck.mean()), "1", p, -float(np.log(p)), (along, 0.0))
@@ -94,9 +94,9 @@ def _excess(stack: Stack, batch: Batch) -> tuple[Floats, np.ndarray]:
     A stray is none of the target's, heard or not: what a law reads where it hears no target is a stray still.
     """
     middle = stack.direct(batch)[0]
-    stray = batch.astray(batch.reading.range - middle)
+    stray = batch.is_outlier(batch.reading.range - middle)
     p = np.clip(chance_astray(stack.model.law(batch.ping, batch.past), middle, batch.reach), 0.0, 1.0)
-    count, expected, variance = (batch.per_block(x) for x in (stray.astype(np.float64), p, p * (1.0 - p)))
+    count, expected, variance = (batch.visit_sums(x) for x in (stray.astype(np.float64), p, p * (1.0 - p)))
     return (count - expected) / np.sqrt(variance + LEAST), count > 0.0
 
 

@@ -33,13 +33,13 @@ class Smooth:
     """How much neighbours in a condition agree.
 
     Attributes:
-        stays: number of them.
+        n_visits: number of them.
         share: of the variance of where stays lie, that neighbours share, by condition.
         size_m: standard deviation of where stays lie, m.
         tied: whether each lies so far from the simulation's own under the same condition, where no law errs.
     """
 
-    stays: int
+    n_visits: int
     share: dict[str, float]
     size_m: float
     tied: bool = False
@@ -54,7 +54,7 @@ class Smooth:
         if not excess:
             return Finding("smooth", {}, 0.0, "m", 1.0, 0.0)
         name = max(excess, key=lambda each: excess[each])
-        z = excess[name] * float(np.sqrt(self.stays) * WEIGHTS.sum() / np.linalg.norm(WEIGHTS))
+        z = excess[name] * float(np.sqrt(self.n_visits) * WEIGHTS.sum() / np.linalg.norm(WEIGHTS))
         size = self.size_m * float(np.sqrt(np.clip(excess[name], 0.0, 1.0)))
         p = min(1.0, len(excess) * float(norm.sf(z))) if size >= LEAST_M else 1.0
         return Finding("smooth", {}, size, "m", p, 0.5 * max(z, 0.0) ** 2, (name, 0.0))
@@ -63,7 +63,7 @@ class Smooth:
         """Return what the law's own errors make of this variance: they are so many mm, whatever else scatters."""
         if usual is None or self.tied or self.size_m == 0.0:
             return 0.0
-        own = max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.stays, 1)
+        own = max(usual.share.get(name, 0.0), 0.0) + KNOTS / max(usual.n_visits, 1)
         # their square, were they known exactly; but nulls of targets put down with less care then stand out too often
         return own * min(usual.size_m / self.size_m, 1.0)
 
@@ -109,13 +109,13 @@ def smooth(stack: Stack, batch: Batch) -> Smooth:
 
 def _twins(batch: Batch) -> Floats:
     """Return how far the simulation's own readings lie from its law under each stay's condition, m, nan if unknown."""
-    return np.full(batch.blocks, np.nan) if batch.twin is None else batch.twin[batch.starts]
+    return np.full(batch.n_visits, np.nan) if batch.simulated_offset is None else batch.simulated_offset[batch.starts]
 
 
 def _one_a_cell(value: Floats, batch: Batch) -> Floats:
     """Return means over the stays of each cell, at its first stay that has a value, nan elsewhere, (blocks,)."""
     out, told = np.full(len(value), np.nan), np.flatnonzero(~np.isnan(value))
-    _, first, cell = np.unique(batch.cell[batch.starts][told], return_index=True, return_inverse=True)
+    _, first, cell = np.unique(batch.condition[batch.starts][told], return_index=True, return_inverse=True)
     out[told[first]] = np.bincount(cell, value[told]) / np.bincount(cell)
     return out
 
@@ -123,8 +123,8 @@ def _one_a_cell(value: Floats, batch: Batch) -> Floats:
 def lying(stack: Stack, batch: Batch) -> Floats:
     """Return how far each stay lies from where a law expects it, m, nan where less than two echoes tell, (blocks,)."""
     error = batch.reading.range - stack.expected(batch)
-    near = batch.near(error)
-    rows = (stay[near[stay]] for stay in batch.stays)
+    near = batch.is_target(error)
+    rows = (stay[near[stay]] for stay in batch.visit_rows)
     return np.array([np.median(error[row]) if len(row) > 1 else np.nan for row in rows])
 
 

@@ -24,7 +24,7 @@ class Split:
     @classmethod
     def of(cls, batch: Batch, rng: np.random.Generator) -> Split:
         """Deal cells, sorted by distance and angle, so that every part covers the field alike."""
-        cells, index = np.unique(batch.cell, return_inverse=True)
+        cells, index = np.unique(batch.condition, return_inverse=True)
         count = np.bincount(index)
         distance = np.bincount(index, batch.ping.distance) / count
         angle = np.bincount(index, np.abs(batch.ping.angle)) / count

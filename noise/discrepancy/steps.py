@@ -40,7 +40,7 @@ def coarser_steps(
     ratio = recorded.resolution / simulated_step
     if ratio < COARSER or not recorded.reading.echo.any():
         return None
-    gain = np.log(ratio) * recorded.per_block(recorded.reading.echo.astype(np.float64))
+    gain = np.log(ratio) * recorded.visit_sums(recorded.reading.echo.astype(np.float64))
     step, total = recorded.resolution, float(gain.sum())
     names = tuple(name for name in _names(stack, recorded, chosen) if name not in never)
     if not names:

@@ -18,7 +18,7 @@ FEWEST = 5  # echoes of a stay, for its middle to be that of the target; ours
 
 def struck(batch: Batch) -> tuple[int, int]:
     """Return the number of stays in which some echoes stray from most, and that of echoes that could have."""
-    stays = [batch.error[rows[batch.reading.echo[rows]]] for rows in batch.stops]
+    stays = [batch.error[rows[batch.reading.echo[rows]]] for rows in batch.stationary_rows]
     stays = [error for error in stays if len(error) >= FEWEST]
     return sum(_strays(error) for error in stays), sum(len(error) for error in stays)
 
@@ -29,7 +29,7 @@ def more_struck(recorded: Batch, simulated: Batch) -> float:
     Two Poisson counts whose sum is known: the first is binomial, with the share that its echoes have. Stays are counted
     over the same number of pings in both, since longer ones are struck oftener, but not in proportion.
     """
-    usual = min(int(np.median(np.bincount(batch.block))) for batch in (recorded, simulated))
+    usual = min(int(np.median(np.bincount(batch.visit))) for batch in (recorded, simulated))
     (hit, echoes), (own, others) = (struck(batch.select(batch.count < usual)) for batch in (recorded, simulated))
     if hit + own == 0 or echoes == 0:
         return 1.0

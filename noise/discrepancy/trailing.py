@@ -63,15 +63,15 @@ def trailing(stack: Stack, batch: Batch) -> Trailing:
         stack: the law of single readings.
         batch: readings, whole stays.
     """
-    told = batch.reading.echo & (batch.count > 0) & ~batch.standing[batch.block]
+    told = batch.reading.echo & (batch.count > 0) & ~batch.stationary[batch.visit]
     if stack.model.remembers:  # what a law repeats is its own
-        told &= ~batch.alike
-    if len(np.unique(batch.block[told])) < FEWEST:
+        told &= ~batch.repeats
+    if len(np.unique(batch.visit[told])) < FEWEST:
         return Trailing(0.0, 0.0, 0, np.nan)
     middle = stack.direct(batch)[0]  # a law that repeats would lean by itself
     moved = np.r_[0.0, middle[:-1] - middle[1:]]  # towards where the target was
     error = winsorised((batch.reading.range - middle)[told], batch.resolution)
-    return _slope(error - np.median(error), moved[told], batch.block[told], _interval(batch))
+    return _slope(error - np.median(error), moved[told], batch.visit[told], _interval(batch))
 
 
 def _slope(error: Floats, moved: Floats, block: np.ndarray, interval_s: float) -> Trailing:

@@ -62,7 +62,7 @@ def transient(batch: Batch) -> Transient | None:
     Args:
         batch: readings, whole stays.
     """
-    pairs = [_lean(batch, rows) for rows in batch.stops]
+    pairs = [_lean(batch, rows) for rows in batch.stationary_rows]
     known = np.array([pair for pair in pairs if pair is not None])
     if len(known) < FEWEST:
         return None
@@ -105,7 +105,7 @@ def windowed(batch: Batch, rng: np.random.Generator) -> Finding | None:
         batch: readings, whole stays.
         rng: for draws of what chance does.
     """
-    left = [_left_behind(batch, rows) for rows in batch.stops]
+    left = [_left_behind(batch, rows) for rows in batch.stationary_rows]
     known = np.array([count for count in left if count is not None])
     counts = known[np.isfinite(known)]
     moves, total = len(counts), int(counts.sum())

@@ -36,8 +36,8 @@ def unseen(fit: Fit, keys: Sequence[Key], fitted: Batch, batch: Batch, seen: Fit
         seen: the same hypothesis fitted to `batch` itself, which tells where a prediction failed.
         seed: of the values that are drawn.
     """
-    plain = batch.per_block(log_likelihood(fit.stack, batch))
-    if not keys or float((batch.per_block(log_likelihood(seen.stack, batch)) - plain).max()) < SURPRISE:
+    plain = batch.visit_sums(log_likelihood(fit.stack, batch))
+    if not keys or float((batch.visit_sums(log_likelihood(seen.stack, batch)) - plain).max()) < SURPRISE:
         return plain
     keys = (*keys, HEARING)
     points = qmc.Sobol(len(keys), rng=np.random.default_rng(seed)).random(DRAWS)
@@ -45,6 +45,6 @@ def unseen(fit: Fit, keys: Sequence[Key], fitted: Batch, batch: Batch, seen: Fit
     stacks = [fit.stack, *(fit.stack.put(keys, row) for row in drawn)]
     weight = np.array([float(log_likelihood(stack, fitted).sum()) for stack in stacks])
     close = [k for k in range(len(stacks)) if weight[k] > weight[0] - NEARLY]
-    told = np.stack([batch.per_block(log_likelihood(stacks[k], batch)) for k in close])
+    told = np.stack([batch.visit_sums(log_likelihood(stacks[k], batch)) for k in close])
     share = weight[close] - logsumexp(weight[close])
     return np.asarray(logsumexp(told + share[:, None], axis=0))

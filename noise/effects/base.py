@@ -66,7 +66,7 @@ class Parameter:
     covariate: str = ""
     span: float = 0.0
 
-    def tellable(self, covariates: Mapping[str, NDArray[np.float64]]) -> bool:
+    def identifiable(self, covariates: Mapping[str, NDArray[np.float64]]) -> bool:
         """Return whether readings under these covariates, (n,) each, can say anything of the parameter."""
         if not self.covariate:
             return True

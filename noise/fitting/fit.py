@@ -128,9 +128,9 @@ class _Objective:
         low = np.array([min(p.low, p.null) for p in known])
         return low, np.array([max(p.high, p.null) for p in known])
 
-    def blocks(self, x: Floats) -> Floats:
+    def visit_nats(self, x: Floats) -> Floats:
         """Return the log likelihood of each block at x, nats."""
-        return self.batch.per_block(log_likelihood(self.stack.put(self.free, x), self.batch))
+        return self.batch.visit_sums(log_likelihood(self.stack.put(self.free, x), self.batch))
 
     def scale(self, x: Floats, known: Scales | None = None) -> Floats:
         """Return the step in each parameter that costs about half a nat, from finite differences of the gradient.
@@ -172,7 +172,7 @@ def maximise(
         enough: nats that a climb must gain for another to follow it.
         scales: of nuisances, as an earlier fit to the same readings measured them; what is measured here is added.
     """
-    free = [key for key in free if key != LINK or batch.twin is not None]
+    free = [key for key in free if key != LINK or batch.simulated_offset is not None]
     objective = _Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
     best = objective(x)[0]
@@ -367,7 +367,7 @@ def _sandwich(objective: _Objective, x: Floats, inside: NDArray[np.int64], scale
         step[j] = min(0.5 * scale[j], 0.5 * (x[j] - low[j]), 0.5 * (high[j] - x[j]))
         difference = objective(x + step)[1] - objective(x - step)[1]
         curvature.append(difference[inside] / (2.0 * step[j]) * scale[j] * scale[inside])
-        above, below = (objective.blocks(x + sign * step) for sign in (1, -1))
+        above, below = (objective.visit_nats(x + sign * step) for sign in (1, -1))
         score.append((above - below) / (2.0 * step[j]) * scale[j])
     prior = np.diag((scale / (0.5 * (high - low)))[inside] ** 2)
     matrix = (np.stack(curvature) + np.stack(curvature).T) / 2.0 + prior

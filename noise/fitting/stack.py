@@ -12,7 +12,7 @@ from torch import Tensor
 
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
-from noise.fitting.visit_effects import CellNuisance, direct_median, law_of
+from noise.fitting.visit_effects import VisitEffects, direct_median, law_of
 from noise.law import Floats
 from noise.physical import PhysicalModel
 
@@ -31,7 +31,7 @@ class Stack:
     """A physical model and its nuisances as numbers.
 
     Attributes:
-        values: effect id -> parameter -> value; "cells" holds the nuisances of `CellNuisance`.
+        values: effect id -> parameter -> value; "cells" holds the nuisances of `VisitEffects`.
         resolution, max_range: of the register, m.
         extra: effects that are known beyond the catalogue (the flexible part of an emulator), by id.
     """
@@ -51,7 +51,7 @@ class Stack:
     @cached_property
     def known(self) -> dict[str, type[Effect]]:
         """Every effect that the stack may hold, by id."""
-        return {**CATALOGUE, **self.extra, CELLS: CellNuisance}
+        return {**CATALOGUE, **self.extra, CELLS: VisitEffects}
 
     def parameter(self, key: Key) -> Parameter:
         """Return what is known of a parameter."""
@@ -77,13 +77,13 @@ class Stack:
         """Return the stack without an effect."""
         return replace(self, values={k: v for k, v in self.values.items() if k != name})
 
-    def build(self, keys: Sequence[Key] = (), numbers: Tensor | None = None) -> tuple[PhysicalModel, CellNuisance]:
+    def build(self, keys: Sequence[Key] = (), numbers: Tensor | None = None) -> tuple[PhysicalModel, VisitEffects]:
         """Return model and nuisances; the parameters at `keys` are taken from a tensor, so gradients flow."""
         values: dict[str, dict[str, float | Tensor]] = {name: dict(v) for name, v in self.values.items()}
         for k, key in enumerate(keys):
             assert numbers is not None
             values.setdefault(key[0], {})[key[1]] = numbers[k]
-        cells = CellNuisance(**values.pop(CELLS, {}))
+        cells = VisitEffects(**values.pop(CELLS, {}))
         effects = [self.known[name](**inner) for name, inner in values.items()]
         return PhysicalModel(effects, self.resolution, self.max_range), cells
 

@@ -13,7 +13,7 @@ from noise.effects import Parameter, Seen
 from noise.fitting.batch import Batch
 from noise.fitting.stack import CELLS, JITTER, LINK, Key, Stack
 from noise.law import Floats
-from noise.statistics import usual_deviation
+from noise.statistics import robust_std
 
 LEAST_SCATTER_M = 5e-4  # that a climb begins with; ours
 LEAST_MOVE_M = 1e-3  # that a parameter must move the target's echo between its bounds to be put by its readings; ours
@@ -55,7 +55,7 @@ def starting_points(
     every = stack.known[name].parameters
     stack = stack.put([(name, p.name) for p in every], [stack.get((name, p.name)) for p in every])
     logged = (whole or batch).ping.covariates
-    keys = [(name, p.name) for p in every if p.tellable(logged)]
+    keys = [(name, p.name) for p in every if p.identifiable(logged)]
     columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
     first = [column[0] for column in columns]
     points = [[stack.get(key) for key in keys], first]
@@ -84,7 +84,7 @@ def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
     """
     p, expected = stack.parameter(key), own_echo(stack, batch)
     rate, error = slope(stack, key, batch, expected), batch.reading.range - expected
-    moves = batch.near(error) & (np.abs(rate) * (p.high - p.low) > LEAST_MOVE_M)
+    moves = batch.is_target(error) & (np.abs(rate) * (p.high - p.low) > LEAST_MOVE_M)
     if not moves.any():
         return None
     ratio, weight = error[moves] / rate[moves], np.abs(rate[moves])
@@ -138,12 +138,12 @@ def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     middle = np.zeros(len(batch)) if not echo.any() else stack.expected(batch)
     known = echo & (middle > 0)
     error = (batch.reading.range - middle)[known]
-    robust = usual_deviation(error) if len(error) else 0.005
+    robust = robust_std(error) if len(error) else 0.005
     size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
     wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (CELLS, "placement_m"): 0.5 * size}
     shared = {(CELLS, "sharing"): 0.02, (CELLS, "carry"): 0.1, (CELLS, "kernel_m"): max(0.004, batch.resolution / 3.0)}
     shared[(CELLS, "hearing")] = 0.05
-    shared[LINK] = 0.0 if batch.twin is None else 0.5
+    shared[LINK] = 0.0 if batch.simulated_offset is None else 0.5
     start = {**wide, **shared}
     return stack.put(list(start), np.minimum(list(start.values()), 0.19))
 
@@ -157,14 +157,14 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
     return [loose, loose.at(tight), *present]
 
 
-def usual_scatter(batch: Batch) -> float:
+def robust_scatter(batch: Batch) -> float:
     """Return the scatter of most readings about the middle of their stay, m, at least a fifth of a register's step."""
     away = from_middle(batch)
-    usual = usual_deviation(away) if len(away) else batch.resolution
+    usual = robust_std(away) if len(away) else batch.resolution
     return max(usual, 0.2 * batch.resolution, LEAST_SCATTER_M)
 
 
 def from_middle(batch: Batch) -> Floats:
     """Return how far each echo lies from the median of its stay, m, (echoes,)."""
     error = pd.Series(batch.error[batch.reading.echo])
-    return (error - error.groupby(batch.block[batch.reading.echo]).transform("median")).to_numpy()
+    return (error - error.groupby(batch.visit[batch.reading.echo]).transform("median")).to_numpy()

@@ -41,7 +41,7 @@ LEAST = 1e-250  # probability that is divided by
 RARE = 1e-6  # probability of an echo, below which 1 - P(no echo) has lost its digits
 
 
-class CellNuisance(Effect):
+class VisitEffects(Effect):
     """What pings of one cell share beyond their condition. It leaves the law of a single ping alone."""
 
     name = "cells"
@@ -81,14 +81,14 @@ def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:
     return middle, torch.broadcast_to(variance, middle.shape)
 
 
-def prior_offset(cells: CellNuisance, batch: Batch, wider: float | Tensor = 1.0) -> tuple[Tensor, Tensor]:
+def prior_offset(cells: VisitEffects, batch: Batch, wider: float | Tensor = 1.0) -> tuple[Tensor, Tensor]:
     """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each or (banks, n)."""
-    twin, known = batch.twins
+    twin, known = batch.simulated_offset_tensors
     spread = (wider * cells.placement_m) ** 2 * (1.0 - (cells.link * known) ** 2) + (wider * LEAST_M) ** 2
     return cells.link * twin, spread
 
 
-def predicted_offset(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+def predicted_offset(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (banks, n) each."""
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
@@ -112,17 +112,17 @@ def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
 
 
-def sequential(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
+def sequential(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
     """Return the law of each ping given the readings before it in its cell, one a bank: carefully placed, or not."""
     return [shifted(law, *offset) for offset in zip(*predicted_offset(law, cells, batch), strict=True)]
 
 
-def marginal(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> list[PhysicalLaw]:
+def marginal(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
     """Return the law of a ping in a cell that has not been heard of yet, one a bank."""
     return [shifted(law, *prior_offset(cells, batch, wider)) for wider, _ in BANKS]
 
 
-def alone(law: PhysicalLaw, cells: CellNuisance, scale_sd: float = 0.0) -> PhysicalLaw:
+def alone(law: PhysicalLaw, cells: VisitEffects, scale_sd: float = 0.0) -> PhysicalLaw:
     """Return one law of a single ping of whose cell nothing is known: what a simulator should sample.
 
     Args:
@@ -141,24 +141,24 @@ def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
     return torch.log_softmax(prior + batch.before(log_likelihood), dim=0)
 
 
-def together(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> PhysicalLaw:
+def together(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> PhysicalLaw:
     """Return the laws of `sequential` as one, whose `log_prob_tensor` is (banks, n): one pass through the physics."""
     mean, variance = predicted_offset(law, cells, batch)
     return shifted(law, mean[:, None], variance[:, None])
 
 
-def by_bank(own: Tensor, cells: CellNuisance, batch: Batch, last_step: int) -> Tensor:
+def by_bank(own: Tensor, cells: VisitEffects, batch: Batch, last_step: int) -> Tensor:
     """Return log probabilities with floor and urn in them, nats, (banks, n), of a law's own probabilities."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
     floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
-    apart, often, none, seen = batch.urn
+    apart, often, none, seen = batch.look_back
     half = batch.resolution / 2.0
     upper = torch.special.ndtr((apart + half) / cells.kernel_m) - torch.special.ndtr((apart - half) / cells.kernel_m)
     repeats = cells.sharing * (torch.sparse.mm(often, upper[:, None])[:, 0] + none)
     return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(cells.sharing * seen)
 
 
-def _own(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
+def _own(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> Tensor:
     """Return probabilities under the laws of both banks, (banks, n), that of hearing as earlier pings have it."""
     both = together(law, cells, batch)
     echo, place = torch.from_numpy(batch.reading.echo), both.echo_tensor(both.step(batch.reading.range))
@@ -166,7 +166,7 @@ def _own(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
     return torch.where(echo, place / torch.clamp(expected, min=LEAST), 1.0) * given
 
 
-def hearing(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor, Tensor]:
+def hearing(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
     """Return the probability of what each ping was, echo or silence: alone, and given those before in its cell.
 
     Args:
@@ -175,7 +175,7 @@ def hearing(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> tuple[Tensor
         batch: readings.
     """
     echo, silent = torch.from_numpy(batch.reading.echo), law.no_echo_tensor()
-    count, heard = batch.heard
+    count, heard = batch.echo_counts
     expected = torch.where(echo, _heard(law, silent, echo), silent)
     before = torch.where(echo, heard, count - heard)
     return expected, (expected + cells.hearing * before) / (1.0 + cells.hearing * count)
@@ -188,14 +188,14 @@ def _heard(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:
     return torch.where(rare, law.heard_tensor(), likely) if bool(rare.any()) else likely
 
 
-def log_prob(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> Tensor:
+def log_prob(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> Tensor:
     """Return the prequential log probability of each reading, nats, (n,), differentiable."""
     own = _own(law, cells, batch)
     each = by_bank(own, cells, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
 
 
-def bank_weights(law: PhysicalLaw, cells: CellNuisance, batch: Batch) -> NDArray[np.float64]:
+def bank_weights(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> NDArray[np.float64]:
     """Return the probability of each bank given the readings before in the cell, (banks, n)."""
     with torch.no_grad():
         own = _own(law, cells, batch)
@@ -207,7 +207,7 @@ def placement_scatter(placement_m: float) -> float:
     return placement_m * float(np.sqrt(sum(share * wider**2 for wider, share in BANKS)))
 
 
-def shared_scatter(cells: CellNuisance, batch: Batch) -> float:
+def shared_scatter(cells: VisitEffects, batch: Batch) -> float:
     """Return the standard deviation of what a batch's cells share, careless placement included, m."""
     with torch.no_grad():
         priors = [(share, *prior_offset(cells, batch, wider)) for wider, share in BANKS]

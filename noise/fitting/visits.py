@@ -20,21 +20,21 @@ def last_echo(recording: Recording) -> NDArray[np.float64]:
     return heard.groupby(run).ffill().groupby(run).shift().to_numpy()
 
 
-def cells_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the cell of each ping, and the block (stay in one cell during one run), each (n,).
 
     Where conditions hardly repeat, or hardly change, runs are cut into stretches of `BLOCK` pings instead.
     """
     n = len(recording)
-    pair = np.unique(np.stack([recording.cell, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
-    crowded = np.bincount(recording.cell)
+    pair = np.unique(np.stack([recording.condition, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
+    crowded = np.bincount(recording.condition)
     if crowded.mean() < 2.0 and n > 2 * FEW_CELLS:
         stretch = _stretches(recording.run)
         return stretch, stretch
     block = pair
     if len(np.unique(pair)) < FEW_CELLS:
         block = np.unique(pair * (n + 1) + _stretches(pair), return_inverse=True)[1]
-    cell = recording.cell if len(crowded) >= FEW_CELLS else block
+    cell = recording.condition if len(crowded) >= FEW_CELLS else block
     return cell, block
 
 

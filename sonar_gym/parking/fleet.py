@@ -330,7 +330,7 @@ class Fleet:
             "cause": w.cause[which].copy(),
             "reward_terms": dict(zip(TERMS, w.terms[which].copy().T, strict=True)),
         }
-        if self.sonar.tells_credence:
+        if self.sonar.has_credence:
             out["credence_given_condition"] = pings[step_kernel.GIVEN_CONDITION]
         return out
 

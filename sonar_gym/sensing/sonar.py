@@ -180,7 +180,7 @@ class Sonar:
         self.edges, self.tables = bin_edges(max_range), np.stack([table.values for table in tables])
         self.rngs = [np.random.default_rng() for _ in range(copies)]
         self.at_once = copies > 1 and draws_alike(self.model)
-        self.tells_credence = True  # until a law says that it cannot
+        self.has_credence = True  # until a law says that it cannot
         self.causes = tuple(getattr(self.model, "causes", ("none",)))[1:]
         self._past = np.zeros(copies * count), np.full(copies * count, EchoStatus.NO_ANSWER, dtype=np.uint8)
         self._seats = np.arange(copies * count)
@@ -233,8 +233,8 @@ class Sonar:
 
     def _given(self, law: EchoLaw) -> Floats | None:
         """Return credence given the condition; None where a law can only be drawn from."""
-        self.tells_credence = law.tells
-        return law.credence() if law.tells else None
+        self.has_credence = law.has_probabilities
+        return law.credence() if law.has_probabilities else None
 
     def _before(self, place: slice | NDArray[np.int64]) -> Reading | None:
         """Return the readings before, or None where nothing is known of any and no memory says since when."""

@@ -185,6 +185,6 @@ class Listener:
             "reflectance": columns[REFLECTANCE],
             "in_cone": columns[SEEN] > 0.0,
         }
-        if self.sonar.tells_credence:
+        if self.sonar.has_credence:
             out["credence_given_condition"] = columns[GIVEN_CONDITION]
         return out

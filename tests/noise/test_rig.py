@@ -60,7 +60,7 @@ def test_an_empty_cone_is_silent_and_a_dead_wire_is_not():
 
 def test_it_knows_no_probabilities_and_says_so():
     law = load_model("rig").law(conditions(3))
-    assert not law.tells
+    assert not law.has_probabilities
     for ask in (law.credence, lambda: law.no_answer, lambda: law.log_prob(law.sample(np.random.default_rng(0)))):
         with pytest.raises(SampleOnlyError, match=r"draw readings with `sample\(rng\)`"):
             ask()

@@ -24,7 +24,7 @@ class RealLaw(EchoLaw):
     def __init__(self, heard: EchoLaw, believed: EchoLaw) -> None:
         super().__init__(believed.distance, believed.resolution, believed.max_range)
         self.heard, self.believed = heard, believed
-        self.tells = believed.tells
+        self.has_probabilities = believed.has_probabilities
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z), as it is believed."""
@@ -66,7 +66,7 @@ class RealModel:
 
 def tells(sonar: str) -> bool:
     """Return whether a sonar knows probabilities, or can only be drawn from."""
-    return load_model(sonar).law(Ping.of(distance=[1.0])).tells
+    return load_model(sonar).law(Ping.of(distance=[1.0])).has_probabilities
 
 
 def heard_as(sonar: str, believed: str | None) -> str | SonarModel:

@@ -165,7 +165,7 @@ def calibration(before: Seen, after: Seen, seed: int) -> str:
 def error_map(seen: Seen, name: str, limit_mm: float) -> str:
     """Median error over distance and angle; cells where most pings were silent are marked."""
     batch, error = seen.batch, seen.error_mm
-    cell = np.unique(batch.cell, return_inverse=True)[1]
+    cell = np.unique(batch.condition, return_inverse=True)[1]
     count = np.bincount(cell)
     distance = np.bincount(cell, batch.ping.distance) / count
     angle = np.bincount(cell, batch.ping.angle) / count / DEG

@@ -97,7 +97,7 @@ class CellModel:
         """Collect the readings of each condition."""
         answered = recording.reading.answered
         ping, reading = recording.ping[answered], recording.reading[answered]
-        _, cell = np.unique(recording.cell[answered], return_inverse=True)
+        _, cell = np.unique(recording.condition[answered], return_inverse=True)
         first = np.unique(cell, return_index=True)[1]
         off = reading.range - ping.distance
         each = tuple(np.sort(off[(cell == k) & reading.echo]) for k in range(len(first)))

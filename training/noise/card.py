@@ -101,7 +101,7 @@ def card(
         fixed=model.head.fixed,
         recording=recording.name if " and " in recording.name else Path(recording.name).name,
         pings=len(recording),
-        cells=int(recording.cell.max()) + 1,
+        cells=int(recording.condition.max()) + 1,
         step=f"{1e3 * model.resolution:g}",
         no_answer=f"{model.head.no_answer:.3g}",
         note=note,

@@ -126,7 +126,7 @@ def compare(test: Recording, models: dict[str, SonarModel]) -> Compared:
 def place(recording: Recording) -> NDArray[np.int64]:
     """Return the number of the condition, as met by one sensor, of each ping, (n,)."""
     sensor = recording.table["sensor"] if recording.has("sensor") else pd.Series(0, recording.table.index)
-    both = np.stack([recording.cell, pd.factorize(sensor)[0]])
+    both = np.stack([recording.condition, pd.factorize(sensor)[0]])
     return np.unique(both, axis=1, return_inverse=True)[1].ravel()
 
 

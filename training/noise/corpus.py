@@ -191,7 +191,7 @@ def _each(sessions: Sessions, jobs: int) -> Iterator[pd.DataFrame]:
 
 def thinned(recording: Recording, most: int) -> NDArray[np.bool_]:
     """Return the first few pings of each visit of a condition, (n,) bool."""
-    visit = np.unique(np.stack([recording.run, recording.cell]), axis=1, return_inverse=True)[1].ravel()
+    visit = np.unique(np.stack([recording.run, recording.condition]), axis=1, return_inverse=True)[1].ravel()
     keep = np.zeros(len(recording), dtype=bool)
     for rows in steps(visit)[:most]:
         keep[rows] = True

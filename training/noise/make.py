@@ -138,5 +138,5 @@ def scored(model: SonarModel, train: Recording, test: Recording) -> dict[str, Ev
     answered = train.reading.answered
     gaussian = fit_gaussian(train.ping[answered], train.reading[answered], model.resolution, MAX_RANGE)
     rivals: dict[str, SonarModel] = {"ideal": IdealModel(model.resolution, MAX_RANGE), "Gaussian, fitted": gaussian}
-    place = np.unique(np.stack([test.run, test.cell]), axis=1, return_inverse=True)[1].ravel()
+    place = np.unique(np.stack([test.run, test.condition]), axis=1, return_inverse=True)[1].ravel()
     return {k: evaluate(m, test.ping, test.reading, place) for k, m in {**rivals, "network": model}.items()}

@@ -116,7 +116,7 @@ def credences(
 def trust(by_bayes: CredenceTable, learned: Mapping[str, RecentCredence], test: Recording) -> dict[str, CredenceScore]:
     """Return how good credence given the readings is, on fresh sessions."""
     ping, reading = test.ping, test.reading
-    echo, visit = reading.echo, np.unique(np.stack([test.run, test.cell]), axis=1, return_inverse=True)[1].ravel()
+    echo, visit = reading.echo, np.unique(np.stack([test.run, test.condition]), axis=1, return_inverse=True)[1].ravel()
     said: dict[str, Floats] = {BAYES: by_bayes.given(reading)}
     said |= {label: one.follow(ping, reading) for label, one in learned.items()}
     true = right(ping, reading)

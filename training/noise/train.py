@@ -18,7 +18,7 @@ from rich.console import Console
 from acquisition import Ping, Reading, Recording, SettingError
 from noise import load_model
 from noise.fitting.threads import one_thread
-from noise.fitting.visits import cells_of
+from noise.fitting.visits import visits_of
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
@@ -165,7 +165,9 @@ def train(recording: Recording, args: Args, report: Report = silent) -> Trained:
     }
     test = parts["test"]
     every: dict[str, SonarModel] = {**rivals, "network": model}
-    scores = {name: evaluate(m, test.ping, test.reading, recording.cell[rows["test"]]) for name, m in every.items()}
+    scores = {
+        name: evaluate(m, test.ping, test.reading, recording.condition[rows["test"]]) for name, m in every.items()
+    }
     return Trained(model, scores, unit)
 
 
@@ -212,9 +214,9 @@ def _network(inputs: Inputs, head: Head, args: Args) -> Network | Memory:
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
     """Return what is held out whole, (n,), and its name: conditions, or stretches of pings where none was met twice."""
-    if np.bincount(recording.cell).mean() < 2.0:
-        return cells_of(recording)[0], "stretches of a run"
-    return recording.cell, "conditions"
+    if np.bincount(recording.condition).mean() < 2.0:
+        return visits_of(recording)[0], "stretches of a run"
+    return recording.condition, "conditions"
 
 
 def stretches(recording: Recording) -> tuple[NDArray[np.int64], str]:

@@ -19,7 +19,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood, maximise
 from noise.fitting.stack import CELLS, SPREAD, Stack
 from noise.fitting.visit_effects import FLOOR
-from noise.fitting.visits import cells_of
+from noise.fitting.visits import visits_of
 from noise.model import MAX_RANGE
 
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ def two_samples(simulated: Recording, recorded: Recording, rng: np.random.Genera
     """
     x = np.concatenate([features(r) for r in (simulated, recorded)])
     label = np.repeat([0, 1], [len(simulated), len(recorded)])
-    group = np.concatenate([simulated.cell, recorded.cell + simulated.cell.max() + 1])
+    group = np.concatenate([simulated.condition, recorded.condition + simulated.condition.max() + 1])
     return {**_classifier(x, label, group), "kernel_p": _kernel_p(x, label, group, rng)}
 
 
@@ -108,7 +108,7 @@ def process_nats(stack: Stack, seen: Batch, vault: Batch) -> float:
     error, near = seen.error, seen.reading.echo & (np.abs(seen.error) < NEAR_M)
     if near.sum() < 20:
         return float(log_likelihood(stack, vault).mean())
-    cell = np.unique(seen.cell[near], return_inverse=True)[1]
+    cell = np.unique(seen.condition[near], return_inverse=True)[1]
     count = np.bincount(cell)
 
     def mean(value: Floats) -> Floats:
@@ -124,7 +124,7 @@ def process_nats(stack: Stack, seen: Batch, vault: Batch) -> float:
 
 def beam_nats(recorded: Recording, split: Split) -> float:
     """Return the vault's log likelihood a ping under the four-part beam model, fitted to the open cells by EM."""
-    open_rows = np.isin(cells_of(recorded)[0], np.unique(split.both.cell)) & recorded.reading.answered
+    open_rows = np.isin(visits_of(recorded)[0], np.unique(split.both.condition)) & recorded.reading.answered
     seen = recorded.select(open_rows)
     model, _ = fit_beam(seen.ping, seen.reading, recorded.resolution, MAX_RANGE)
     vault = split.vault

@@ -73,16 +73,16 @@ def matching(design: Design, wanted: Recording, world: World, rng: Rng) -> Ping:
     target = _features(wanted)
     cost = np.abs(target[:, None, :] - there[None, :, :]).sum(axis=2)
     chosen = linear_sum_assignment(cost)[1]
-    first = np.unique(pilot.cell, return_index=True)[1]
+    first = np.unique(pilot.condition, return_index=True)[1]
     ping = pilot.ping[first[chosen]]
     return Ping(ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.time, ping.run, {})
 
 
 def _features(recording: Recording) -> np.ndarray:
     """Return mean echo, m, and share of echoes, weighted, of each condition, (cells, 2)."""
-    echo, count = recording.reading.echo, np.bincount(recording.cell)
-    heard = np.bincount(recording.cell, echo)
-    mean = np.bincount(recording.cell, np.where(echo, recording.reading.range, 0.0)) / np.maximum(heard, 1)
+    echo, count = recording.reading.echo, np.bincount(recording.condition)
+    heard = np.bincount(recording.condition, echo)
+    mean = np.bincount(recording.condition, np.where(echo, recording.reading.range, 0.0)) / np.maximum(heard, 1)
     return np.stack([mean, 3.0 * heard / count], axis=1)
 
 

@@ -52,7 +52,7 @@ def main(args: Args) -> None:
     """Import one file and say what came in."""
     recording, notes = (_bag if is_bag(args.source) else _table)(args)
     recording.save(args.out)
-    status, cells, runs = recording.reading.status, recording.cell.max() + 1, recording.run.max() + 1
+    status, cells, runs = recording.reading.status, recording.condition.max() + 1, recording.run.max() + 1
     print(
         f"{args.out}: {len(recording)} pings in {cells} conditions and {runs} runs; "
         f"{(status == EchoStatus.NO_ECHO).sum()} without echo, {(status == EchoStatus.NO_ANSWER).sum()} without answer"

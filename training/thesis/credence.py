@@ -57,11 +57,11 @@ class Surfaces:
         return np.array([self._credence(one) for one in said])
 
     def _credence(self, said: Floats) -> Floats:
-        return credence_of(said, self.samples.distance, self.samples.cell)
+        return credence_of(said, self.samples.distance, self.samples.condition)
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
-        return np.unique(self.samples.cell, return_index=True)[1]
+        return np.unique(self.samples.condition, return_index=True)[1]
 
     @cached_property
     def distance(self) -> Floats:
@@ -81,7 +81,7 @@ class Surfaces:
     @cached_property
     def silent(self) -> NDArray[np.bool_]:
         """Which conditions gave no echo at all, (cells,)."""
-        cell = self.samples.cell
+        cell = self.samples.condition
         return np.bincount(cell, self.samples.feature[:, 2]) == 0.0
 
     def mean(self, name: str, cells: NDArray[np.bool_]) -> Floats:

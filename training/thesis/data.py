@@ -32,12 +32,12 @@ class Samples:
     Attributes:
         feature: the four inputs, (n, 4).
         label: rescaled true distance, (n,).
-        cell: number of each ping's condition, 0 to cells - 1, (n,).
+        condition: number of each ping's condition, 0 to cells - 1, (n,).
     """
 
     feature: Singles
     label: Singles
-    cell: NDArray[np.int64]
+    condition: NDArray[np.int64]
 
     @classmethod
     def of(cls, recording: Recording) -> Samples:
@@ -54,7 +54,7 @@ class Samples:
                 f"{recording.name}: {answered.sum()} pings were answered, training needs {FEWEST_PINGS}: record more"
             )
         ping, reading = recording.ping[answered], recording.reading[answered]
-        cell = np.unique(recording.cell[answered], return_inverse=True)[1]
+        cell = np.unique(recording.condition[answered], return_inverse=True)[1]
         heard = np.where(reading.echo, reading.range, 0.0)
         columns = [np.abs(ping.angle) / ANGLE_RAD, ping.reflectance, heard / READING_M]
         feature = np.stack([*columns, credence_of(heard, ping.distance, cell)[cell]], axis=1)
@@ -66,7 +66,7 @@ class Samples:
 
     def __getitem__(self, rows: NDArray[np.int64]) -> Samples:
         """Return some pings."""
-        return Samples(self.feature[rows], self.label[rows], self.cell[rows])
+        return Samples(self.feature[rows], self.label[rows], self.condition[rows])
 
     @property
     def distance(self) -> Floats:
@@ -84,8 +84,8 @@ class Samples:
         order = rng.permutation(len(self))
         validation = round(VALIDATION_SHARE * len(self))
         if whole:
-            held = rng.permutation(self.cell.max() + 1) < round(VALIDATION_SHARE * (self.cell.max() + 1))
-            return self[order[~held[self.cell[order]]]], self[order[held[self.cell[order]]]]
+            held = rng.permutation(self.condition.max() + 1) < round(VALIDATION_SHARE * (self.condition.max() + 1))
+            return self[order[~held[self.condition[order]]]], self[order[held[self.condition[order]]]]
         return self[order[validation:]], self[order[:validation]]
 
     def floor(self) -> float:
@@ -108,13 +108,13 @@ def metres(label: NDArray[np.floating]) -> Floats:
     return np.asarray(label, dtype=np.float64) * SPAN_M + NEAREST_M
 
 
-def credence_of(said: Floats, distance: Floats, cell: NDArray[np.int64]) -> Floats:
+def credence_of(said: Floats, distance: Floats, condition: NDArray[np.int64]) -> Floats:
     """Return the share of each condition's pings that lie within 10 % of the true distance, (cells,).
 
     Args:
         said: readings, or distances that a network maps them to, m, (n,).
         distance: true, m, (n,).
-        cell: number of each ping's condition, (n,).
+        condition: number of each ping's condition, (n,).
     """
     right = np.abs(said - distance) <= CREDENCE_TOLERANCE * distance * (1.0 + 1e-6)  # inputs are singles
-    return np.bincount(cell, right) / np.bincount(cell)
+    return np.bincount(condition, right) / np.bincount(condition)

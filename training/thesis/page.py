@@ -58,7 +58,7 @@ def floors(findings: Findings) -> str:
     samples = findings.samples
     silent = 100.0 * np.mean(samples.feature[:, 2] == 0.0)
     return (
-        f"{len(samples)} pings on {samples.cell.max() + 1} conditions; {silent:.1f} % silent. Answering each ping with "
+        f"{len(samples)} pings on {samples.condition.max() + 1} conditions; {silent:.1f} % silent. Answering each ping with "
         f"the mean distance has a loss of {np.var(samples.label):.4f}; no function of the four inputs gets below "
         f"{samples.floor():.4f}, for that is how far the labels of pings with equal inputs lie apart."
     )

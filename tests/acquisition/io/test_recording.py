@@ -89,7 +89,7 @@ def test_sessions_make_runs_and_conditions_make_cells(tmp_path):
     text = f"{HEADER},session,sensor\n1000,0,1003,a,left\n1000,0,1003,a,right\n2000,0,2003,a,left\n1000,0,1003,b,left\n"
     recording = Recording.load(write(tmp_path / "r.csv", text))
     assert recording.run.tolist() == [0, 1, 0, 2]
-    assert recording.cell.tolist() == [0, 0, 1, 0]
+    assert recording.condition.tolist() == [0, 0, 1, 0]
 
 
 @pytest.mark.parametrize(

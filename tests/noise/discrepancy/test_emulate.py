@@ -49,7 +49,7 @@ def bare(batch):
 
 def test_a_wall_that_answers_where_the_target_is_too_faint_is_part_of_the_simulation():
     recording, fresh = heard(3, **WALL), Batch.of(heard(13, **WALL))
-    assert 0.1 < np.mean(fresh.astray(fresh.error)) < 0.6, "the wall answers for a good part of the targets"
+    assert 0.1 < np.mean(fresh.is_outlier(fresh.error)) < 0.6, "the wall answers for a good part of the targets"
     truth = PhysicalModel([CATALOGUE[name](**values) for name, values in {**TARGET, **WALL}.items()], 0.01)
     best = Stack.of(truth).put([(CELLS, "placement_m"), (CELLS, "sharing")], [0.003, 0.0])
     stack = emulated(recording, None, 0).stack

@@ -67,7 +67,7 @@ def test_each_cause_is_told_in_the_respect_in_which_it_shows(effects, aspect):
 def test_a_handful_of_strays_is_told_with_the_share_that_they_are():
     effects = {"spike": {"probability": 0.02}}
     batch = heard(2, effects)
-    strays = batch.astray(batch.reading.range - batch.ping.distance).mean()
+    strays = batch.is_outlier(batch.reading.range - batch.ping.distance).mean()
     assert told(batch, effects).size == pytest.approx(strays, abs=0.003)
 
 

@@ -72,7 +72,7 @@ def test_lost_echoes_are_a_matter_of_detection():
 def test_parts_share_no_cell_and_cover_the_field():
     batch = heard(4)
     split = Split.of(batch, np.random.default_rng(0))
-    parts = [set(part.cell) for part in (split.discover, split.confirm, split.vault)]
+    parts = [set(part.condition) for part in (split.discover, split.confirm, split.vault)]
     assert not (parts[0] & parts[1])
     assert not (parts[0] & parts[2])
     assert not (parts[1] & parts[2])

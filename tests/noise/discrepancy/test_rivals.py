@@ -46,7 +46,7 @@ def met(batch, replicas=True):
     base = nuisance_start(Stack.of(PhysicalModel(())), batch)
     search = Search(base, batch, batch, batch)
     own = maximise(base.put([OFFSET], [0.012]), (OFFSET, *NUISANCES), batch, 60)
-    crossed = Crossed(own, own, np.zeros(batch.blocks))
+    crossed = Crossed(own, own, np.zeros(batch.n_visits))
     contest = Contest.of(search, Explained(["zero_offset"], crossed, crossed, Final((own,))), np.random.default_rng(2))
     contest = contest if replicas else replace(contest, replica=None)
     far = base.put(list(ELSEWHERE), list(ELSEWHERE.values())).put([CLOCK], [0.012])
@@ -76,7 +76,7 @@ def test_unseen_cells_exclude_a_rival_only_if_none_of_its_summits_does_well_on_t
     batch = survey(0.01)
 
     def cross(search, stack, chosen, near=None):
-        return Crossed(None, None, np.full(batch.blocks, (alone if near is None else beside) / batch.blocks))
+        return Crossed(None, None, np.full(batch.n_visits, (alone if near is None else beside) / batch.n_visits))
 
     monkeypatch.setattr(Search, "cross", cross)
     assert met(batch, replicas=False).survives == survives

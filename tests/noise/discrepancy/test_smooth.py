@@ -67,8 +67,8 @@ def tied(seed, stands, stays=60):
     batch = Batch.of(heard(seed, lambda d, a: stands(waving(d, a), a), stays))
     rng = np.random.default_rng(seed + 1000)
     own = waving(batch.ping.distance, 0.0) - batch.ping.distance
-    cell = np.unique(batch.cell, return_inverse=True)[1]
-    return replace(batch, twin=own + rng.normal(0.0, 0.002, len(batch))[cell])
+    cell = np.unique(batch.condition, return_inverse=True)[1]
+    return replace(batch, simulated_offset=own + rng.normal(0.0, 0.002, len(batch))[cell])
 
 
 def test_where_conditions_are_shared_a_simulation_that_waves_hides_nothing_and_shows_nothing():
@@ -84,7 +84,7 @@ def test_where_conditions_are_shared_a_simulation_that_waves_hides_nothing_and_s
 def test_stays_of_one_cell_are_held_against_its_simulation_once():
     batch = tied(13, lambda d, a: d, 30)
     twice = Batch.of(Recording(pd.concat([Recording.of(batch.ping, batch.reading).table] * 2, ignore_index=True)))
-    assert smooth(Stack.of(SONAR), replace(twice, twin=np.zeros(len(twice)))).stays == 30
+    assert smooth(Stack.of(SONAR), replace(twice, simulated_offset=np.zeros(len(twice)))).n_visits == 30
 
 
 @pytest.mark.parametrize(("left", "wrong"), [(0.02, True), (0.002, False)])

@@ -27,7 +27,7 @@ def fit_of(batch, loss_db):
 
 
 def plain(fit, batch):
-    return batch.per_block(log_likelihood(fit.stack, batch))
+    return batch.visit_sums(log_likelihood(fit.stack, batch))
 
 
 @pytest.fixture(scope="module")

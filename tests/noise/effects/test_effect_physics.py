@@ -265,9 +265,9 @@ def test_a_sensor_without_a_thermometer_reads_warm_air_short_by_the_log():
 
 def test_a_parameter_counts_where_its_covariate_was_logged_and_varies():
     share = CATALOGUE["sound_speed"].parameters[1]
-    assert share.tellable({"temperature_c": np.array([18.0, 22.0])})
-    assert not share.tellable({"temperature_c": np.array([18.0, 18.5])})
-    assert not share.tellable({})
+    assert share.identifiable({"temperature_c": np.array([18.0, 22.0])})
+    assert not share.identifiable({"temperature_c": np.array([18.0, 18.5])})
+    assert not share.identifiable({})
 
 
 def test_gate_silences_what_lies_beyond():

@@ -29,7 +29,7 @@ def heard(seed, cells=60, pings=6, placement=0.003, **effects):
 
 def test_gradient_is_the_slope():
     batch = Batch.of(heard(0, clock_scale={"error": 0.01}, spike={"probability": 0.02}))
-    batch = replace(batch, twin=np.where(batch.block % 3 == 0, np.nan, 0.001 * (batch.block % 5 - 2)))
+    batch = replace(batch, simulated_offset=np.where(batch.visit % 3 == 0, np.nan, 0.001 * (batch.visit % 5 - 2)))
     free = (("clock_scale", "error"), ("spike", "probability"), *NUISANCES)
     stack = nuisance_start(Stack.of(PhysicalModel()), batch).put(free[:2], [0.004, 0.01])
     stack = stack.put([("travel_time_jitter", "per_metre")], [0.002])

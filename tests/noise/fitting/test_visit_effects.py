@@ -12,7 +12,7 @@ from scipy import stats
 from acquisition import Ping, Reading, Recording
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.visit_effects import CellNuisance, law_of, log_prob, placement_scatter, shared_scatter
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, placement_scatter, shared_scatter
 from noise.physical import PhysicalModel
 
 STEP = 0.001
@@ -31,7 +31,7 @@ def test_a_shared_offset_makes_readings_jointly_normal():
     sigma, tau, n = 0.02, 0.03, 9
     rng = np.random.default_rng(3)
     batch = Batch.of(recording_of(np.full(n, 2.0), 2.0 + tau * 0.8 + rng.normal(0, sigma, n)))
-    cells = CellNuisance(placement_m=tau, carry=0.0, sharing=0.0)
+    cells = VisitEffects(placement_m=tau, carry=0.0, sharing=0.0)
     found = float(log_prob(law_of(jittering(sigma), batch), cells, batch).sum())
     covariance = sigma**2 * np.eye(n) + tau**2
     exact = stats.multivariate_normal(np.full(n, 2.0), covariance).logpdf(batch.reading.range) + n * np.log(STEP)
@@ -53,7 +53,7 @@ def test_every_prediction_sums_to_one(placement, carry, sharing, kernel, hearing
         resolution=0.01,
         max_range=1.0,
     )
-    cells = CellNuisance(placement_m=placement, carry=carry, sharing=sharing, kernel_m=kernel, hearing=hearing)
+    cells = VisitEffects(placement_m=placement, carry=carry, sharing=sharing, kernel_m=kernel, hearing=hearing)
     last = np.arange(101) * 0.01
     range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
     reading, block = Reading.of(range_), np.repeat(np.arange(101), 3)
@@ -86,7 +86,7 @@ def test_a_cell_that_is_heard_or_missed_against_all_odds_surprises_once(loss_db,
     law, batch = heard_or_missed(loss_db, np.full(25, range_))
     odds = law.no_echo_tensor() if range_ == 0.0 else law.heard_tensor()
     assert float(odds[0]) < 1e-12
-    each = log_prob(law, CellNuisance(hearing=1.0, placement_m=0.002), batch).numpy()
+    each = log_prob(law, VisitEffects(hearing=1.0, placement_m=0.002), batch).numpy()
     assert each[0] < -7.0
     # afterwards the cell is expected to go on: of 25 alike the others cost what a rule of succession takes
     assert each[1:].sum() > -15.0
@@ -97,18 +97,18 @@ def test_a_repeating_cell_is_worth_about_one_reading():
     batch = Batch.of(recording_of(np.full(20, 2.0), np.full(20, 1.0)))
     model = jittering(0.005)
     alone, shared = (
-        float(log_prob(law_of(model, batch), CellNuisance(sharing=s, kernel_m=0.002), batch).sum()) for s in (0.0, 1.0)
+        float(log_prob(law_of(model, batch), VisitEffects(sharing=s, kernel_m=0.002), batch).sum()) for s in (0.0, 1.0)
     )
-    first = float(log_prob(law_of(model, batch), CellNuisance(), batch)[0])
+    first = float(log_prob(law_of(model, batch), VisitEffects(), batch)[0])
     assert alone == pytest.approx(20 * first, rel=0.01)
     assert shared > 4 * first
 
 
 def test_what_cells_share_scatters_only_by_what_the_simulation_does_not_know():
     batch = Batch.of(Recording.of(Ping.of(distance=np.linspace(0.5, 3.0, 40)), Reading.of(np.linspace(0.5, 3.0, 40))))
-    loose = CellNuisance(placement_m=0.06)
+    loose = VisitEffects(placement_m=0.06)
     assert shared_scatter(loose, batch) == pytest.approx(placement_scatter(0.06), rel=0.01)
-    known = replace(batch, twin=np.random.default_rng(0).normal(0.0, 0.005, 40))
-    tight = CellNuisance(placement_m=0.06, link=0.999)
+    known = replace(batch, simulated_offset=np.random.default_rng(0).normal(0.0, 0.005, 40))
+    tight = VisitEffects(placement_m=0.06, link=0.999)
     assert shared_scatter(tight, known) < 0.012
-    assert shared_scatter(tight, known) > 0.999 * known.twin.std()
+    assert shared_scatter(tight, known) > 0.999 * known.simulated_offset.std()

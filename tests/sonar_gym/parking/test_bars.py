@@ -101,7 +101,7 @@ def test_100000_wild_steps_of_many_are_clipped_or_refused(sonar):
 class Mute(EchoLaw):
     """A law that is drawn from as another is, and tells nothing."""
 
-    tells = False
+    has_probabilities = False
 
     def __init__(self, law):
         super().__init__(law.distance, law.resolution, law.max_range)

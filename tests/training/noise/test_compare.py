@@ -49,7 +49,7 @@ def test_a_condition_as_recorded_is_what_was_read_in_it():
 def test_a_sensor_that_always_repeats_itself_is_worth_nearly_everything():
     certain = GaussianModel(sigma=1e-9, sigma_per_metre=0.0, resolution=STEP)
     test = recorded(2, model=certain, pings=20)
-    fresh = halves(test.cell)
+    fresh = halves(test.condition)
     value = repeatability(test, fresh, TRUTH)
     assert np.all(value >= np.log(19 / 20)), "19 other pings alike, and a prior worth one"
     assert np.all(value < 0)

@@ -57,7 +57,7 @@ def test_drives_meet_another_condition_at_every_ping():
 def test_thinning_keeps_the_first_pings_of_each_visit():
     heard = record(replace(SMALL, units=(5,)))
     keep = thinned(heard, 2)
-    visits = len(np.unique(np.stack([heard.run, heard.cell]), axis=1).T)
+    visits = len(np.unique(np.stack([heard.run, heard.condition]), axis=1).T)
     assert visits < keep.sum() < 2 * visits
     assert keep[0]
 

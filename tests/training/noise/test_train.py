@@ -134,10 +134,10 @@ def test_memory_gains_nothing_where_there_is_nothing_to_remember(tmp_path):
 
 def test_split_keeps_cells_whole_and_apart():
     rec = recording(pings=5)
-    split = Split.by_group(rec.cell, 0.15, 0.2, np.random.default_rng(0))
+    split = Split.by_group(rec.condition, 0.15, 0.2, np.random.default_rng(0))
     parts = [split.train, split.validation, split.test]
     assert np.all(np.sum(parts, axis=0) == 1)
-    cells = [set(rec.cell[mask]) for mask in parts]
+    cells = [set(rec.condition[mask]) for mask in parts]
     assert sum(map(len, cells)) == len(set.union(*cells))
     assert [len(c) for c in cells] == [130, 30, 40]
 

@@ -177,6 +177,6 @@ def test_the_rig_ranks_the_optimisers_as_the_thesis_does(tmp_path, monkeypatch):
     )
     main(Args(tmp_path / "survey.csv", tmp_path / "out", seeds=1, sizes=(20,), epochs=2))
     samples = kept[0].samples
-    assert (len(samples), samples.cell.max() + 1) == (133_100, 2662)
+    assert (len(samples), samples.condition.max() + 1) == (133_100, 2662)
     assert kept[0].agreement(20)[0] > 0.9
     assert samples.floor() < kept[0].losses(20).min() < 0.5 * np.var(samples.label)

@@ -49,14 +49,14 @@ def test_split_is_the_thesis_s():
     samples = Samples(np.arange(4 * n, dtype=np.float32).reshape(n, 4), np.zeros(n, np.float32), np.arange(n))
     train, validation = samples.split(np.random.default_rng(3))
     assert (len(train), len(validation)) == (123_100, 10_000)
-    assert sorted([*train.cell, *validation.cell]) == list(range(n))
-    assert not np.array_equal(np.sort(validation.cell), validation.cell)
+    assert sorted([*train.condition, *validation.condition]) == list(range(n))
+    assert not np.array_equal(np.sort(validation.condition), validation.condition)
 
 
 def test_whole_conditions_can_be_held_out():
     samples = Samples.of(of_readings([950.0, 1000.0, 0.0], distance_mm=np.repeat(np.arange(900.0, 940.0), 5)))
     train, validation = samples.split(np.random.default_rng(3), whole=True)
-    assert not set(train.cell) & set(validation.cell)
+    assert not set(train.condition) & set(validation.condition)
     assert (len(train), len(validation)) == (185, 15)
 
 
