@@ -22,7 +22,8 @@ from training.thesis.fit import BATCHED, Recipe, fit
 from training.thesis.networks import Network
 from training.thesis.numbers import A1_MINUTES
 from training.thesis.optimisers import OPTIMISERS
-from training.thesis.page import commit, markdown
+from training.common.commit import commit
+from training.thesis.page import markdown
 
 NETWORK, ONLINE, ROUNDS, LIMIT_S = Network("mlp", 30), Recipe(epochs=20), 3, 15.0
 TORCH_STEPS = 3000

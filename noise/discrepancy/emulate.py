@@ -1,8 +1,8 @@
 """The law that stands for the simulation in the search: the given model itself, or an emulator fitted to its readings.
 
 An emulator is a physical law with what sonars usually have, fitted to the simulation's own readings, plus a smooth
-part without a cause (`noise.fitting.empirical`). It is checked on simulated cells it was not fitted to. Its readings are their
-own null: an effect that also improves held-out *simulated* cells repairs the emulator and says nothing about the real
+part without a cause (`noise.fitting.empirical`). It is checked on simulated cells it was not fitted to. Its readings
+are their own null: an effect that also improves held-out *simulated* cells repairs the emulator and says nothing about the real
 sonar.
 """
 

@@ -17,7 +17,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.empirical import DISTANCE_KNOTS, Flexible
 from noise.fitting.fit import Fit, highest, log_likelihood, maximise
 from noise.fitting.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.fitting.starts import extra_modes, nuisance_starts, starting_points, robust_scatter
+from noise.fitting.starts import extra_modes, nuisance_starts, robust_scatter, starting_points
 from noise.physical import PhysicalModel
 
 # what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest

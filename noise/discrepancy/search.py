@@ -24,7 +24,7 @@ from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch, silence
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
-from noise.fitting.starts import nuisance_start, starting_points, robust_scatter
+from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 from noise.law import Floats
 
 Progress = Callable[[str, float], None]

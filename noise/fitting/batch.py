@@ -13,7 +13,7 @@ from torch import Tensor
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
 from noise.effects.base import reach
-from noise.fitting.visits import visits_of, last_echo
+from noise.fitting.visits import last_echo, visits_of
 
 MEMORY = 12  # readings of a condition that an look_back looks back on; ours: past that a condition tells nothing new
 STANDS_M = 0.01  # by which the logged distance of a target that stands may change; ours

@@ -8,8 +8,8 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from sonar_gym.parking.drawing import Brush, Camera, Place
 from sonar_gym.parking import drawing as paint
+from sonar_gym.parking.drawing import Brush, Camera, Place
 from sonar_gym.sensing.mounts import in_world, mount_arrays
 
 if TYPE_CHECKING:

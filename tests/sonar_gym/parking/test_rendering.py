@@ -6,9 +6,9 @@ import pytest
 
 from acquisition import Reading
 from noise import GaussianModel, IdealModel
-from sonar_gym.parking.drawing import Camera, credence_colour
 from sonar_gym.parking import drawing as paint
 from sonar_gym.parking import rendering
+from sonar_gym.parking.drawing import Camera, credence_colour
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
