@@ -1,4 +1,15 @@
-"""What was asked, what was heard, and the hardware that heard it. Needs numpy, pandas, pyserial, smbus2 alone."""
+"""Pings, readings and recordings, and the drivers of the sensors. Requires only numpy, pandas, pyserial and smbus2.
+
+errors: the exceptions of the project.
+ping: `Ping` (the true conditions), `Reading` (the output of the sensor), `EchoStatus`.
+name_check: detects another distribution's package `noise`.
+io: recordings, the journal of a session, imports of ROS bags and of other logs.
+survey: survey plans, and the sessions that measure them.
+drivers: drivers of real sonars.
+twins: simulated devices that answer the drivers.
+bench: waveform-level simulation of sonar and laboratory.
+firmware: the sketch of the Arduino bridge.
+"""
 
 from acquisition.errors import (
     BoardResetError,

@@ -1,72 +1,72 @@
-"""One tree of errors; each class is also the builtin it refines, so existing handlers keep working.
+"""Exceptions of the project; each also derives from the built-in exception that it refines.
 
-A message names the thing, the limit, the value with its unit, and what to do.
+A message names the object, the limit, the value with its unit, and a remedy.
 """
 
 
 class SonarError(Exception):
-    """Any error of this project that a user can act on."""
+    """Base class of the errors that a user can act on."""
 
 
 class RecordingError(SonarError, ValueError):
-    """A recording breaks its format; the message names file, line, column, value and what was expected."""
+    """A recording violates its format; the message names file, line, column, value and the expected value."""
 
 
 class RecordingNotFoundError(SonarError, FileNotFoundError):
-    """A file that was asked for is not there."""
+    """A requested file does not exist."""
 
     def __str__(self) -> str:
-        """Return the message as written: `OSError` would otherwise compose its own."""
+        """Return the message unchanged; `OSError` would compose its own."""
         return str(self.args[0]) if self.args else ""
 
 
 class SettingError(SonarError, ValueError):
-    """A setting lies outside its stated limits."""
+    """A setting lies outside its limits."""
 
 
 class ModelError(SonarError, ValueError):
-    """A model's files or parameters cannot be used."""
+    """The files or parameters of a model are invalid."""
 
 
 class UnknownModelError(ModelError, LookupError):
-    """No model of that name or path."""
+    """No model has this name or path."""
 
 
 class SampleOnlyError(ModelError, NotImplementedError):
-    """A model that can only be drawn from was asked for a probability."""
+    """A probability was requested from a model that can only draw samples."""
 
 
 class MissingExtraError(SonarError, ImportError):
-    """An optional dependency is needed for what was asked."""
+    """The requested function needs an optional dependency that is not installed."""
 
 
 class DeviceError(SonarError, OSError):
-    """The hardware, or the wire to it, failed."""
+    """The hardware or the connection to it failed."""
 
     def __str__(self) -> str:
-        """Return the message as written."""
+        """Return the message unchanged."""
         return str(self.args[0]) if self.args else ""
 
 
 class NoAnswerError(DeviceError, TimeoutError):
-    """A device did not answer in time: a dead wire, never to be taken for silence."""
+    """A device did not answer in time; this is a failed connection and not a reading without echo."""
 
 
 class StaleError(NoAnswerError):
-    """A device would give an old reading for a new one."""
+    """A device would return the previous reading as a new one."""
 
 
 class GarbledError(NoAnswerError):
-    """What came over the wire is not what a device says."""
+    """The received data violate the protocol of the device."""
 
 
 class OutOfSequenceError(NoAnswerError):
-    """Only answers to other questions came."""
+    """Only answers to other requests arrived."""
 
 
 class BoardResetError(NoAnswerError):
-    """A board started anew in the middle of its work."""
+    """A board restarted during operation."""
 
 
 class UnpluggedError(DeviceError):
-    """The port is gone."""
+    """The serial port disappeared."""

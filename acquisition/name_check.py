@@ -1,4 +1,4 @@
-"""Whether the package that Python finds as `noise` is ours: PyPI has another distribution with that name."""
+"""Check that `import noise` finds the package of this project; PyPI has another distribution of that name."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from acquisition.errors import SonarError
 
 
 class ForeignNoiseError(SonarError, ImportError):
-    """Another distribution's `noise` stands in the place of ours."""
+    """`import noise` finds a package of another distribution."""
 
 
 def check_noise() -> None:
-    """Make sure that `import noise` gives this project's package, without importing it.
+    """Check that `import noise` would import the package of this project, without importing it.
 
     Raises:
-        ForeignNoiseError: it gives another one; the message says where that lies and what to do.
+        ForeignNoiseError: it would import another package; the message gives its path and the remedy.
     """
     spec = find_spec("noise")
     origin = Path(spec.origin) if spec is not None and spec.origin else None
     if origin is None or not (origin.parent / "law.py").is_file():
         raise ForeignNoiseError(
-            f"the package `noise` at {origin or 'nowhere'} is not the one of sonar-gym: "
+            f"the package `noise` at {origin or 'nowhere'} is not the package of sonar-gym: "
             "run `pip uninstall noise`, then `pip install --force-reinstall --no-deps sonar-gym`"
         )

@@ -1,7 +1,7 @@
-"""What a ping faced and what the sensor said, as arrays over n pings.
+"""`Ping`, the true conditions of n pings, and `Reading`, the output of the sensor, as arrays in SI units.
 
-Units are SI. Silence is data (`EchoStatus.NO_ECHO`), a dead wire is a fault (`EchoStatus.NO_ANSWER`); neither is
-ever NaN, zero metres or maximum range.
+"No echo" (`EchoStatus.NO_ECHO`) is a measurement, "no answer" (`EchoStatus.NO_ANSWER`) is a failed connection.
+Neither is encoded as NaN or as maximum range.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ Floats = NDArray[np.float64]
 
 
 class EchoStatus(IntEnum):
-    """What kind of answer a reading is."""
+    """Outcome of a ping."""
 
     NO_ECHO = 0
     ECHO = 1
     NO_ANSWER = 2
 
 
-_ECHO = int(EchoStatus.ECHO)  # looking a member up costs more than comparing eight readings
+_ECHO = int(EchoStatus.ECHO)  # looking up an enum member takes longer than comparing eight readings
 
 
 def _row(value: ArrayLike, n: int | None = None) -> Floats:
@@ -37,16 +37,16 @@ def _row(value: ArrayLike, n: int | None = None) -> Floats:
 
 @dataclass(frozen=True)
 class Ping:
-    """The conditions that n pings faced.
+    """True conditions of n pings.
 
     Attributes:
         distance: true slant distance to the reflector, m, (n,).
         angle: bearing of the reflector off the beam axis, rad, (n,).
         incidence: angle between beam and surface normal, rad, (n,).
         reflectance: of the reflector, 0..1, (n,); 0.1 rubber, 0.9 mirror in Esmi (2016).
-        time: since the recording began, s, (n,).
-        run: which uninterrupted run of one sensor a ping belongs to, (n,) int.
-        covariates: further logged quantities, each (n,), under their column names (units in the names).
+        time: since the start of the recording, s, (n,).
+        run: index of the uninterrupted run (session and sensor) of each ping, (n,) int.
+        covariates: further logged quantities by column name (with its unit), each (n,).
     """
 
     distance: Floats
@@ -68,14 +68,14 @@ class Ping:
         run: ArrayLike = 0,
         **covariates: ArrayLike,
     ) -> Ping:
-        """Broadcast scalars and arrays to one batch; `incidence` defaults to `angle`, `time` to ping numbers.
+        """Broadcast scalars and arrays to one batch; `incidence` defaults to `angle`, `time` to the ping index.
 
         >>> Ping.of(distance=[1.0, 2.0], angle=0.1).incidence
         array([0.1, 0.1])
         """
-        given = [distance, angle, reflectance, run, *covariates.values()]
-        given += [x for x in (incidence, time) if x is not None]
-        n = max(np.atleast_1d(np.asarray(x)).shape[0] for x in given)
+        parts = [distance, angle, reflectance, run, *covariates.values()]
+        parts += [x for x in (incidence, time) if x is not None]
+        n = max(np.atleast_1d(np.asarray(x)).shape[0] for x in parts)
         return cls(
             distance=_row(distance, n),
             angle=_row(angle, n),
@@ -87,15 +87,17 @@ class Ping:
         )
 
     def __post_init__(self) -> None:
-        """Refuse shapes that differ and values that are not finite."""
+        """Raise SettingError for unequal shapes, values that are not finite and negative distances."""
         n = self.distance.shape
         for name in ("distance", "angle", "incidence", "reflectance", "time", "run"):
             value = getattr(self, name)
             if value.shape != n or value.ndim != 1:
-                raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value a ping")
-            # a finite sum of squares proves finite terms, in one fast call: a simulator builds a Ping at every step
+                raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value per ping")
+            # a finite sum of squares implies finite terms, and is one fast call: simulators build a Ping every step
             if not math.isfinite(value @ value) and not np.all(np.isfinite(value)):
-                raise SettingError(f"Ping.{name} holds a value that is not finite: a condition must be known")
+                raise SettingError(
+                    f"Ping.{name} holds a value that is not finite: give the true condition of every ping"
+                )
         if n[0] and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
 
@@ -112,12 +114,12 @@ class Ping:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the sensor said to n pings.
+    """Output of the sensor for n pings.
 
     Attributes:
-        range: reported range of the first echo, m, (n,); 0.0 where `status` is not ECHO.
+        range: reported range of the first echo, m, (n,); 0 where `status` is not ECHO.
         status: an `EchoStatus` for each ping, (n,) uint8.
-        echoes: ranges of the echoes after the first, m, (n, k); 0.0 where there was none.
+        echoes: ranges of the echoes after the first, m, (n, k); 0 where there is none.
     """
 
     range: Floats
@@ -126,7 +128,7 @@ class Reading:
 
     @classmethod
     def of(cls, range_: ArrayLike, status: ArrayLike | None = None, echoes: ArrayLike | None = None) -> Reading:
-        """Build readings; without `status`, 0 means no echo and anything positive an echo.
+        """Build readings; without `status`, 0 means no echo and a positive value an echo.
 
         >>> Reading.of([0.0, 1.5]).echo
         array([False,  True])
@@ -137,12 +139,12 @@ class Reading:
         return cls(value, code.astype(np.uint8), more)
 
     def __post_init__(self) -> None:
-        """Refuse a range without an echo, an echo without a range, and anything not finite."""
+        """Raise SettingError where range and status contradict each other or a range is not finite."""
         if self.range.shape != self.status.shape:
             raise SettingError(f"Reading.status has shape {self.status.shape}, expected {self.range.shape}")
-        # a comparison with NaN is false, so NaN fails the second test
+        # comparisons with NaN are false, so NaN fails `range >= 0`
         if not (((self.range > 0) == self.echo) & (self.range >= 0) & (self.range < np.inf)).all():
-            raise SettingError("Reading.range must be > 0 m where there is an echo and 0 everywhere else")
+            raise SettingError("Reading.range must be > 0 m where there is an echo and 0 elsewhere")
 
     def __len__(self) -> int:
         """Return the number of readings."""
@@ -156,21 +158,21 @@ class Reading:
 
     @property
     def echo(self) -> NDArray[np.bool_]:
-        """Where there was an echo, (n,)."""
+        """Mask of the pings with an echo, (n,)."""
         return self.status == _ECHO
 
     @property
     def answered(self) -> NDArray[np.bool_]:
-        """Where the sensor answered at all, (n,)."""
+        """Mask of the pings that the sensor answered, (n,)."""
         return self.status != EchoStatus.NO_ANSWER
 
 
 def previous(reading: Reading, run: NDArray[np.int64]) -> Reading:
-    """Return for each ping the reading before it in its run; the first of a run has status NO_ANSWER.
+    """Return the previous reading of the same run for each ping; status NO_ANSWER for the first ping of a run.
 
     Args:
-        reading: n readings in the order they were taken within each run.
-        run: which run each belongs to, (n,).
+        reading: n readings, in chronological order within each run.
+        run: index of the run of each reading, (n,).
     """
     order = np.argsort(run, kind="stable")
     before = np.full(len(run), -1)
@@ -183,11 +185,11 @@ def previous(reading: Reading, run: NDArray[np.int64]) -> Reading:
 
 
 def interval(time: Floats, run: NDArray[np.int64]) -> Floats:
-    """Return the time since the ping before in the same run, s, (n,); 0 for the first of a run.
+    """Return the time since the previous ping of the same run, s, (n,); 0 for the first ping of a run.
 
     Args:
-        time: of each ping, s, (n,), in the order they were taken within each run.
-        run: which run each belongs to, (n,).
+        time: of each ping, s, (n,), in chronological order within each run.
+        run: index of the run of each ping, (n,).
 
     >>> interval(np.array([0.0, 0.5, 0.0, 0.7]), np.array([0, 0, 1, 0]))
     array([0. , 0.5, 0. , 0.2])

@@ -1,4 +1,4 @@
-"""Make SonarParking-v0 with a noisy sonar and look at what an agent sees."""
+"""Make SonarParking-v0 with a noisy sonar and compare its readings with the true distances."""
 
 import gymnasium
 
@@ -11,8 +11,9 @@ def main() -> None:
     env.action_space.seed(0)
     for _ in range(5):
         observation, reward, _, _, info = env.step(env.action_space.sample())
-        said, true = 3.01 * observation["ranges"][0], info["distance"][0]
-        print(f"front: said {said:.3f} m, true {true:.3f} m, credence {observation['credence'][0]:.2f}; {reward:+.3f}")
+        reading, true = 3.01 * observation["ranges"][0], info["distance"][0]
+        credence = observation["credence"][0]
+        print(f"front: read {reading:.3f} m, true {true:.3f} m, credence {credence:.2f}; reward {reward:+.3f}")
     env.close()
 
 

@@ -1,4 +1,4 @@
-"""Put your own sensors on the car: where they sit, how wide they hear, when they ping, and how late they answer."""
+"""Define a sonar layout: poses, cones, ping periods and latencies."""
 
 import gymnasium
 import numpy as np
@@ -6,7 +6,7 @@ import numpy as np
 import sonar_gym  # noqa: F401 - registers the environment
 from sonar_gym.sensing.mounts import Mount
 
-# A narrow one ahead that pings every 0.1 s, and two wide ones on the right that take turns.
+# A narrow sonar in front that pings every 0.1 s, and two wide sonars on the right that alternate.
 LAYOUT = [
     Mount("nose", x=0.36, y=0.0, heading_deg=0.0, cone_deg=20.0),
     Mount("right front", x=0.26, y=-0.10, heading_deg=-90.0, period_s=0.2, phase_s=0.0, latency_s=0.025),
@@ -20,8 +20,8 @@ def main() -> None:
     for _ in range(5):
         observation, _, _, _, info = env.step(np.array([0.0, 0.5], dtype=np.float32))
         for k, mount in enumerate(LAYOUT):
-            said, age = 3.01 * observation["ranges"][k], 1000 * observation["age"][k]
-            print(f"{mount.name}: said {said:.3f} m, {age:.0f} ms old, true {info['distance'][k]:.3f} m", end="; ")
+            reading, age = 3.01 * observation["ranges"][k], 1000 * observation["age"][k]
+            print(f"{mount.name}: read {reading:.3f} m, {age:.0f} ms old, true {info['distance'][k]:.3f} m", end="; ")
         print()
     env.close()
 

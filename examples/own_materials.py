@@ -1,4 +1,4 @@
-"""Line the street with materials of your own, and see which a weak sonar still hears: foam, cardboard, steel."""
+"""Define the materials of the boxes, and compare how often a weak sonar detects foam, cardboard and steel."""
 
 import gymnasium
 import numpy as np
@@ -18,29 +18,31 @@ WEAK = PhysicalModel(
         CATALOGUE["sensitivity"](loss_db=50.0),
     ]
 )
-RIGHT_FRONT = 3  # of the eight sonars: it looks to the right
+RIGHT_FRONT = 3  # index of the sonar that points to the right
 
 
 def passing(material: dict[str, float], seed: int) -> tuple[list[bool], list[float]]:
-    """Drive past a box of a material: whether each look at it was heard, and the readings' credence."""
+    """Drive past a box of a material; return whether each ping at it was detected, and the credence."""
     boxes = [{"begin": 0.3, "length": 1.2, **material}, {"begin": 2.4, "length": 0.4}]
     env = gymnasium.make("SonarParking-v0", sonar=WEAK)
     observation, info = env.reset(seed=seed, options={"boxes": boxes, "start": [0.2, 0.0, 0.0]})
-    heard, credence = [], []
+    detected, credence = [], []
     for _ in range(20):
         observation, _, _, _, info = env.step(np.array([0.0, 0.8], dtype=np.float32))
         if info["in_cone"][RIGHT_FRONT] and info["distance"][RIGHT_FRONT] < 0.3:
-            heard.append(bool(observation["echo"][RIGHT_FRONT] == 1.0))
+            detected.append(bool(observation["echo"][RIGHT_FRONT] == 1.0))
             credence.append(float(observation["credence"][RIGHT_FRONT]))
     env.close()
-    return heard, credence
+    return detected, credence
 
 
 def main() -> None:
     for name, material in MATERIALS.items():
         runs = [passing(material, seed) for seed in range(3)]
-        heard, credence = (np.concatenate(part) for part in zip(*runs, strict=True))
-        print(f"{name}: {100 * heard.mean():.0f} % of {len(heard)} looks heard, credence {credence.mean():.2f}")
+        detected, credence = (np.concatenate(part) for part in zip(*runs, strict=True))
+        print(
+            f"{name}: {100 * detected.mean():.0f} % of {len(detected)} pings detected, credence {credence.mean():.2f}"
+        )
 
 
 if __name__ == "__main__":

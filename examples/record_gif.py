@@ -1,4 +1,4 @@
-"""Drive one episode with the scripted driver and keep it as a GIF: python examples/record_gif.py parking.gif."""
+"""Record an episode of the scripted controller as a GIF: python examples/record_gif.py parking.gif."""
 
 import os
 import sys
@@ -17,7 +17,7 @@ def main(path: str = "parking.gif", sonar: str = "gaussian", seed: int = 3, ever
     temporary = Path(path).with_suffix(".part.gif")
     iio.imwrite(temporary, episode.frames, duration=100 * every, loop=0)
     os.replace(temporary, path)
-    print(f"{path}: {len(episode.frames)} pictures, parked: {episode.success}")
+    print(f"{path}: {len(episode.frames)} images, parked: {episode.success}")
 
 
 if __name__ == "__main__":

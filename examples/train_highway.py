@@ -1,4 +1,4 @@
-"""Train on highway-env's parking lot with real sonars around the car: SAC with hindsight, before and after."""
+"""Train SAC with hindsight experience replay on the parking lot of highway-env with realistic sonars."""
 
 import sys
 
@@ -11,19 +11,19 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from sonar_gym import SonarObservation
 
-SECONDS = 15  # of an episode, at five decisions a second
-EPISODES = 20  # that are driven before and after
+SECONDS = 15  # length of an episode; five decisions per second
+EPISODES = 20  # evaluation episodes before and after training
 
 
 def make(seed: int) -> gymnasium.Env:
-    """The parking lot; beside its own observation the readings of eight sonars, their credence and silence."""
+    """Return the parking lot, with the readings of eight sonars and their credence in addition to its observation."""
     env = SonarObservation(gymnasium.make("parking-v0", config={"duration": SECONDS}), "gaussian")
     env.reset(seed=seed)
     return env
 
 
 def score(model: BaseAlgorithm, env: gymnasium.Env) -> np.ndarray:
-    """Mean reward a decision on each of some lots, the same every time; 0 is parked, less is farther from it."""
+    """Return the mean reward per decision on each of the evaluation lots; 0 is parked."""
     means = []
     for seed in range(1000, 1000 + EPISODES):
         observation, _ = env.reset(seed=seed)
@@ -40,15 +40,15 @@ def main(steps: int = 6000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     torch.set_num_threads(1)
     env = make(seed)
     settings = {"learning_rate": 1e-3, "gamma": 0.95, "learning_starts": 500, "policy_kwargs": {"net_arch": [256, 256]}}
-    # where the car came to instead was a goal too (hindsight experience replay); the sonars' keys are kept as they are
+    # hindsight experience replay changes the goals only; the readings of the sonars are unchanged
     model = SAC("MultiInputPolicy", env, seed=seed, device="cpu", replay_buffer_class=HerReplayBuffer, **settings)
     before = score(model, env)
     model.learn(steps, progress_bar=sys.stderr.isatty())
     after = score(model, env)
     won = after - before
     error = won.std(ddof=1) / np.sqrt(len(won))
-    print(f"reward a decision on {EPISODES} unseen lots: {before.mean():.3f} before, {after.mean():.3f} after")
-    print(f"gained {won.mean():.3f} +- {error:.3f} (standard error, paired) in {steps} decisions")
+    print(f"reward per decision on {EPISODES} unseen lots: {before.mean():.3f} before, {after.mean():.3f} after")
+    print(f"gain {won.mean():.3f} +- {error:.3f} (standard error, paired) in {steps} decisions")
     env.close()
     return before, after
 

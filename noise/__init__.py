@@ -1,50 +1,13 @@
-"""Laws of what a sonar reads: physical, learned, corrected. Torch is imported only when a model needs it."""
+"""Laws of sonar readings: physical, learned and corrected models, and the diagnosis of discrepancies.
 
-from __future__ import annotations
+Names are imported on first use (`__init__.pyi` lists them), so that torch is loaded only by a model that needs it.
 
-import importlib
-from typing import Any
+law: the law of a ping, `EchoLaw`. model: protocols, simulation, ideal and Gaussian models. physical: effects on an
+ideal sonar. beam: the beam model of Thrun et al. faults: faults on any model. rig: the waveform rig as a model.
+store: load and save. metrics: scores. credence: credence given a reading. statistics: robust estimates.
+effects: the catalogue of effects. learned: networks. fitting: maximum likelihood. discrepancy: diagnosis.
+"""
 
-from noise.credence import ConditionPrior, CredenceTable
-from noise.law import EchoLaw
-from noise.model import GaussianModel, IdealModel, SonarModel, follow, listener, simulate
-from noise.store import load_model, model_names, save_model
+import lazy_loader as lazy
 
-_LAZY = {
-    "PhysicalModel": "noise.physical",
-    "CATALOGUE": "noise.effects",
-    "LstmModel": "noise.learned.recurrent",
-    "MlpModel": "noise.learned.networks",
-    "Faulty": "noise.faults",
-    "diagnose": "noise.discrepancy",
-    "load_thesis_network": "noise.learned.thesis",
-}
-
-__all__ = [
-    "CATALOGUE",
-    "ConditionPrior",
-    "CredenceTable",
-    "EchoLaw",
-    "Faulty",
-    "GaussianModel",
-    "IdealModel",
-    "LstmModel",
-    "MlpModel",
-    "PhysicalModel",
-    "SonarModel",
-    "diagnose",
-    "follow",
-    "listener",
-    "load_model",
-    "load_thesis_network",
-    "model_names",
-    "save_model",
-    "simulate",
-]
-
-
-def __getattr__(name: str) -> Any:
-    """Import what needs torch or h5py on first use."""
-    if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
-    raise AttributeError(f"module 'noise' has no attribute {name!r}")
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

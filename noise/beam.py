@@ -1,7 +1,7 @@
-"""The four-part beam model of Thrun, Burgard and Fox (Probabilistic Robotics, 2005, section 6.3), as it is fitted.
+"""The beam model of Thrun, Burgard and Fox (Probabilistic Robotics, 2005, section 6.3), and its fit.
 
-A reading is a hit, normal about the true distance; something unexpected in front of it, exponential and cut at the
-true distance; the sensor's greatest reading; or anything on the scale. A sonar says its greatest reading as silence.
+A reading comes from one of four components: a hit, normal about the true distance; an unexpected object, exponential
+and truncated at the true distance; a maximum-range reading, which a sonar reports as no echo; or a uniform random one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from acquisition import ModelError, Ping, Reading, SettingError
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE, numbers_of, plain_numbers
 
-LEAST_SIGMA = 1e-3  # m; a hit is never certain
+MIN_SIGMA = 1e-3  # m; keeps the likelihood of a hit bounded
 TINY = 1e-300
 
 
@@ -29,7 +29,7 @@ class BeamLaw(EchoLaw):
         self.model = model
 
     def parts(self, low: Floats, high: Floats) -> Floats:
-        """Return P(exact range in (low, high] | hit, short, random), (3, ..., n); a hit beyond the scale is clipped."""
+        """Return P(exact range in (low, high] | hit, short, random), (3, ..., n)."""
         model = self.model
         below, above = (low - self.distance) / model.sigma, (high - self.distance) / model.sigma
         hit = np.where(below > 0, ndtr(-below) - ndtr(-above), ndtr(above) - ndtr(below))
@@ -53,20 +53,20 @@ class BeamLaw(EchoLaw):
 
     @property
     def no_answer(self) -> Floats:
-        """P(the sensor does not answer): never."""
+        """P(the sensor does not answer): 0."""
         return np.zeros(len(self))
 
 
 @dataclass(frozen=True)
 class BeamModel:
-    """Four parts, alike at every distance and angle.
+    """A mixture of four components, with equal parameters at all distances and angles.
 
     Args:
-        hit, short, silent, random: probabilities of the parts; they sum to one.
-        sigma: of a hit, m.
-        short_rate: of the exponential, per m.
+        hit, short, silent, random: probabilities of the components; they sum to one.
+        sigma: standard deviation of a hit, m.
+        short_rate: rate of the exponential component, 1/m.
         resolution: step of the register, m.
-        max_range: of the register, m.
+        max_range: range of the register's last step, m.
     """
 
     hit: float = 0.8
@@ -80,7 +80,7 @@ class BeamModel:
     remembers: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what is no mixture."""
+        """Raise SettingError for invalid values."""
         weights = (self.hit, self.short, self.silent, self.random)
         if min(weights) < 0 or abs(sum(weights) - 1.0) > 1e-9:
             raise SettingError(f"BeamModel: hit, short, silent, random must be >= 0 and sum to 1, got {weights}")
@@ -104,10 +104,10 @@ class BeamModel:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> BeamModel:
-        """Build a model from `to_dict`.
+        """Build a model from the output of `to_dict`.
 
         Raises:
-            ModelError: a parameter is missing or no number.
+            ModelError: a parameter is missing or not a number.
         """
         try:
             return cls(**numbers_of("beam", cls(), data))
@@ -118,21 +118,21 @@ class BeamModel:
 def fit_beam(
     ping: Ping, reading: Reading, resolution: float, max_range: float, iterations: int = 200, enough: float = 1e-6
 ) -> tuple[BeamModel, list[float]]:
-    """Fit by expectation maximisation, as Thrun's `learn_intrinsic_parameters`, on the register's own steps.
+    """Fit by expectation maximisation (Thrun's `learn_intrinsic_parameters`) on the steps of the register.
 
     Args:
         ping: conditions, (n,).
         reading: answered readings, (n,).
         resolution: step of the register, m.
-        max_range: of the register, m.
-        iterations: at most.
-        enough: gain of a pass below which fitting ends, nats a ping.
+        max_range: range of the register's last step, m.
+        iterations: maximum number of iterations.
+        enough: fitting stops when an iteration gains less, nats per ping.
 
     Returns:
-        The model, and the mean log-likelihood before each pass, nats a ping.
+        The model, and the mean log-likelihood before each iteration, nats per ping.
     """
     if not len(ping) or not reading.answered.all():
-        raise SettingError("fit_beam needs at least one ping, and an answer to each: leave out what has none")
+        raise SettingError("fit_beam needs at least one ping and an answer to each: remove pings without an answer")
     model, course = BeamModel(resolution=resolution, max_range=max_range), []
     for _ in range(iterations):
         share, likelihood = _responsibilities(model, ping, reading)
@@ -144,7 +144,7 @@ def fit_beam(
 
 
 def _responsibilities(model: BeamModel, ping: Ping, reading: Reading) -> tuple[Floats, Floats]:
-    """Return P(hit, short, random | reading), (3, n), 0 for silence; and the likelihood of each reading, (n,)."""
+    """Return P(hit, short, random | reading), (3, n), 0 without an echo; and the likelihood of each reading, (n,)."""
     law = model.law(ping)
     step = law.step(reading.range)
     joint = model.echo_weights[:, None] * law.parts(law.edge(step - 1), law.edge(step)) * reading.echo
@@ -154,14 +154,14 @@ def _responsibilities(model: BeamModel, ping: Ping, reading: Reading) -> tuple[F
 
 def _updated(model: BeamModel, ping: Ping, reading: Reading, share: Floats) -> BeamModel:
     hit, short, random = share.sum(axis=1) / len(ping)
-    silent = max(1.0 - hit - short - random, 0.0)  # whatever the sum is rounded to
+    silent = max(1.0 - hit - short - random, 0.0)  # the sum may exceed 1 by rounding
     off = reading.range - ping.distance
     sigma = np.sqrt(_mean(off**2, share[0], model.sigma**2))
     rate = 1.0 / max(_mean(reading.range, share[1], 1.0 / model.short_rate), model.resolution)
     return replace(
         model,
         hit=float(hit), short=float(short), silent=float(silent), random=float(random),
-        sigma=max(float(sigma), LEAST_SIGMA), short_rate=float(rate),
+        sigma=max(float(sigma), MIN_SIGMA), short_rate=float(rate),
     )  # fmt: skip
 
 

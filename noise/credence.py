@@ -1,8 +1,8 @@
 """Credence: the probability that a reading lies within +-10 % of the true distance (Esmi 2016, section 4.1).
 
-Two kinds that must not be mixed up. Credence *given the condition* is `EchoLaw.credence`: it needs the truth.
-Credence *given the reading* is what a robot can compute: P(distance within +-10 % | reading), by Bayes over a stated
-prior of conditions, kept as a table over readings.
+There are two kinds. Credence *given the condition* is `EchoLaw.credence`; it requires the true condition. Credence
+*given the reading* can be computed by a robot: P(distance within +-10 % | reading), by Bayes' rule with a stated prior
+over conditions, tabulated over readings.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel
 
 DEG = np.pi / 180.0
-DRAWS = 3000  # of a prior's pings, at least one of each, where a law knows no probabilities
+N_DRAWS = 3000  # in total, and at least one per ping of the prior, where a law has no probabilities
 
 
 @dataclass(frozen=True)
 class ConditionPrior:
-    """What a robot expects to face before it listens: a grid with weights.
+    """Prior distribution of a robot's conditions: a grid of equally likely conditions.
 
     Attributes:
-        near, far: distances are uniform between them, m.
+        near, far: limits of the distances, m.
         distances: number of grid distances.
-        angles_deg: bearings and incidences, equally likely.
-        reflectances: equally likely.
+        angles_deg: bearings, equal to the incidences, deg.
+        reflectances: reflectances, 0..1.
     """
 
     near: float = 0.03
     far: float = 6.0
-    distances: int = 600  # two a bin of the table, so that no bin is empty even for a sonar without noise
+    distances: int = 600  # two per bin of the table, so that no bin is empty even for a sonar without noise
     angles_deg: tuple[float, ...] = (0.0, 7.5, 15.0, 22.5, 30.0, 45.0)
     reflectances: tuple[float, ...] = (0.1, 0.5, 0.9)
 
     def grid(self) -> tuple[Ping, int]:
-        """Return all conditions, distance varying fastest, and how many share each distance."""
+        """Return all conditions, distance varying fastest, and the number of conditions per distance."""
         distance = np.linspace(self.near, self.far, self.distances)
         angle, reflectance = np.meshgrid(np.array(self.angles_deg) * DEG, self.reflectances, indexing="ij")
         others = angle.size
@@ -55,7 +55,7 @@ class CredenceTable:
     """Credence given a reading, tabulated over bins of range.
 
     Attributes:
-        edges: of the bins, m, (bins + 1,).
+        edges: edges of the bins, m, (bins + 1,).
         values: credence of a reading in each bin, (bins,); 0 where the model gives no reading.
         share: probability of each bin under the prior, (bins,).
     """
@@ -75,42 +75,42 @@ class CredenceTable:
         """Tabulate a model's credence under a prior.
 
         Args:
-            model: whose laws to invert.
-            prior: of the conditions; the default covers the SRF08's field out to 6 m.
-            bins: of range, equally wide out to 10 % beyond the prior's farthest distance.
-            tolerance: half width of "right", as a share of the true distance.
+            model: model to tabulate.
+            prior: prior over conditions; the default covers the SRF08's field up to 6 m.
+            bins: number of bins of equal width, up to 10 % beyond the prior's largest distance.
+            tolerance: largest error of a right reading, relative to the true distance.
         """
         prior = prior or ConditionPrior()
         return cls.over(model, prior.grid()[0], np.linspace(0.0, prior.far * (1 + tolerance), bins + 1), tolerance)
 
     @classmethod
     def over(cls, model: SonarModel, ping: Ping, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
-        """Tabulate a model's credence where each of n pings is equally likely.
+        """Tabulate a model's credence for n equally likely pings.
 
         Args:
-            model: whose laws to invert.
-            ping: the prior, as a sample of conditions, (n,).
-            edges: of the bins of range, m, increasing, (bins + 1,).
-            tolerance: half width of "right", as a share of the true distance.
+            model: model to tabulate.
+            ping: sample of conditions from the prior, (n,).
+            edges: edges of the bins of range, m, increasing, (bins + 1,).
+            tolerance: largest error of a right reading, relative to the true distance.
         """
         law = model.law(ping)
         if not law.has_probabilities:
-            return cls.counted(law, edges, tolerance)
+            return cls.by_sampling(law, edges, tolerance)
         every = np.repeat(edges[:, None], len(ping), axis=1)
         right_only = np.clip(every, ping.distance * (1 - tolerance), ping.distance * (1 + tolerance))
         total = np.diff(law.arrival(every), axis=0).sum(axis=1)
-        # a bin that straddles a limit counts by what the law puts on the right side of it
+        # a bin that contains a limit of the tolerance counts with its probability inside the tolerance
         right = law.arrival(right_only[1:]).sum(axis=1) - law.arrival(right_only[:-1]).sum(axis=1)
         return cls(edges, _ratio(np.clip(right, 0.0, total), total), total / len(ping))
 
     @classmethod
-    def counted(cls, law: EchoLaw, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
-        """Tabulate the credence of a law that can only be drawn from, by counting some `DRAWS` draws of its pings.
+    def by_sampling(cls, law: EchoLaw, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
+        """Tabulate the credence of a law that can only be sampled, from about `N_DRAWS` draws with a fixed seed.
 
-        Always the same draws; with c of them in a bin, a credence p is off by about sqrt(p (1 - p)/c).
+        With c draws in a bin, the standard error of a credence p is sqrt(p (1 - p) / c).
         """
         right, total = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
-        rng, repeats = np.random.default_rng(DRAWS), max(1, DRAWS // len(law))
+        rng, repeats = np.random.default_rng(N_DRAWS), max(1, N_DRAWS // len(law))
         for _ in range(repeats):
             reading = law.sample(rng)
             within = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance * (1 + 1e-9))
@@ -119,7 +119,7 @@ class CredenceTable:
         return cls(edges, _ratio(right, total), total / (repeats * len(law)))
 
     def mixed(self, other: CredenceTable, weight: float) -> CredenceTable:
-        """Return the table under a mixture of two priors, the other's weighing `weight`; the bins must be the same."""
+        """Return the table under a mixture of two priors, with weight `weight` on the other; the bins must be equal."""
         share = (1.0 - weight) * self.share + weight * other.share
         right = (1.0 - weight) * self.share * self.values + weight * other.share * other.values
         return CredenceTable(self.edges, _ratio(right, share), share)
@@ -135,12 +135,12 @@ def _ratio(part: Floats, whole: Floats) -> Floats:
 
 
 def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats, Floats]:
-    """Return Wilson's interval (1927) for the probability of what came true in some of many trials, each (...,).
+    """Return Wilson's score interval (1927) for a binomial probability, lower and upper limit, each (...,).
 
     Args:
-        hits: how often it came true.
-        trials: of how many, at least 1.
-        z: of the normal distribution; 1.96 holds 95 % of it.
+        hits: numbers of successes.
+        trials: numbers of trials, at least 1.
+        z: normal quantile; 1.96 gives 95 % coverage.
 
     >>> low, high = wilson([0, 5], 10)
     >>> low.round(3).tolist(), high.round(3).tolist()

@@ -1,8 +1,8 @@
-"""Faults on any model: SHORT, NOISE, CONSTANT and CALIBRATION of Sharma et al. (2010), which Esmi (2016) takes up.
+"""Faults on any model: SHORT, NOISE, CONSTANT and CALIBRATION of Sharma et al. (2010), used by Esmi (2016).
 
-`Faulty(model, faults)` is a `SonarModel` whatever the model is, physical or learned. At each ping at most one fault
-strikes, each at its own rate and whatever struck before; else the model's own law holds. A fault changes what is
-read, never whether the wire is alive: pings that the model leaves without an answer stay without one.
+`Faulty(model, faults)` is a `SonarModel` for any model, physical or learned. At each ping at most one fault occurs,
+each at its own rate and independently of earlier pings; otherwise the model's own law holds. A fault changes the
+reading, but not whether the sensor answers: pings without an answer remain without one.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
-from noise.law import EchoLaw, Floats
-from noise.model import MAX_RANGE, Remembering, SonarModel, follow, listener
+from noise.law import EchoLaw, Floats, UniformSource
+from noise.model import MAX_RANGE, SonarModel, StatefulModel, follow, listener
 
 
 @dataclass(frozen=True)
 class Fault(ABC):
-    """What happens to a reading now and then.
+    """A random error of single readings.
 
     Attributes:
-        rate: share of pings that it strikes, 0..1; 0 does nothing.
+        rate: probability that a ping is affected, 0..1.
     """
 
     rate: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no rate."""
+        """Raise SettingError for an invalid rate."""
         if not 0 <= self.rate <= 1:
             raise SettingError(f"{type(self).__name__}.rate must lie in [0, 1], got {self.rate:g}")
 
     @abstractmethod
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
-        """Return the law of what is read where the fault strikes, from the law where none does."""
+        """Return the law of affected pings, given the law without the fault."""
 
 
 class ReplacedLaw(EchoLaw):
-    """Echoes by a fault's own distribution; `echo_share` of pings have one, no answer is the model's."""
+    """A fault's own distribution of echoes, with probability `echo_share`; P(no answer) is that of the model."""
 
     def __init__(self, law: EchoLaw, echo_share: Floats) -> None:
         super().__init__(law.distance, law.resolution, law.max_range)
@@ -57,7 +57,7 @@ class ReplacedLaw(EchoLaw):
 
 
 class ShortLaw(ReplacedLaw):
-    """Uniform over (0, span] m."""
+    """Uniform readings over (0, span] m."""
 
     def __init__(self, law: EchoLaw, span: float) -> None:
         super().__init__(law, 1.0 - law.no_answer)
@@ -69,7 +69,7 @@ class ShortLaw(ReplacedLaw):
 
 
 class ScatteredLaw(ReplacedLaw):
-    """Normal about the true distance, where the model hears an echo."""
+    """Normal readings about the true distance, with the model's probability of an echo."""
 
     def __init__(self, law: EchoLaw, sigma: float) -> None:
         super().__init__(law, law.echo)
@@ -87,7 +87,7 @@ class ScatteredLaw(ReplacedLaw):
 
 
 class ConstantLaw(ReplacedLaw):
-    """One step of the register, always."""
+    """A constant reading on the register."""
 
     def __init__(self, law: EchoLaw, value: float) -> None:
         super().__init__(law, 1.0 - law.no_answer)
@@ -99,7 +99,7 @@ class ConstantLaw(ReplacedLaw):
 
 
 class CalibratedLaw(ReplacedLaw):
-    """The model's exact ranges, scaled and moved before they are registered."""
+    """The model's exact ranges, scaled and shifted before they are registered."""
 
     def __init__(self, law: EchoLaw, scale: float, offset: Floats) -> None:
         super().__init__(law, law.echo)
@@ -122,12 +122,12 @@ def _positive(fault: Fault, name: str, unit: str = " m") -> None:
 
 @dataclass(frozen=True)
 class Short(Fault):
-    """SHORT: the reading is an arbitrary one, anywhere up to `span` m, whatever is in front of the sensor."""
+    """SHORT: the reading is uniform up to `span` m, regardless of the target."""
 
     span: float = MAX_RANGE
 
     def __post_init__(self) -> None:
-        """Refuse no span."""
+        """Raise SettingError for invalid values."""
         super().__post_init__()
         _positive(self, "span")
 
@@ -138,12 +138,12 @@ class Short(Fault):
 
 @dataclass(frozen=True)
 class Noise(Fault):
-    """NOISE: an echo scatters about the true distance with `sigma` m; silence stays silence."""
+    """NOISE: echoes have normal errors of standard deviation `sigma` m; pings without an echo are unchanged."""
 
     sigma: float = 0.1
 
     def __post_init__(self) -> None:
-        """Refuse no scatter."""
+        """Raise SettingError for invalid values."""
         super().__post_init__()
         _positive(self, "sigma")
 
@@ -154,28 +154,28 @@ class Noise(Fault):
 
 @dataclass(frozen=True)
 class Constant(Fault):
-    """CONSTANT: the reading is `value` m, rounded to the register's step, whatever is in front of the sensor."""
+    """CONSTANT: the reading is `value` m, rounded to the register, regardless of the target."""
 
     value: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse no value."""
+        """Raise SettingError for invalid values."""
         super().__post_init__()
         _positive(self, "value")
 
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
-        """Return certainty."""
+        """Return the law of a constant reading."""
         return ConstantLaw(law, self.value)
 
 
 @dataclass(frozen=True)
 class Calibration(Fault):
-    """CALIBRATION: echoes read scale * range + offset + drift * time; at `rate` 1, all of them do.
+    """CALIBRATION: echoes read scale * range + offset + drift * time.
 
     Attributes:
-        scale: of the range, 1 for none.
-        offset: added, m.
-        drift: growth of the offset with the ping's time, m per s.
+        scale: factor on the range.
+        offset: offset added to the range, m.
+        drift: change of the offset with the time of the ping, m/s.
     """
 
     scale: float = 1.0
@@ -183,14 +183,14 @@ class Calibration(Fault):
     drift: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a scale that is none."""
+        """Raise SettingError for invalid values."""
         super().__post_init__()
         _positive(self, "scale", "")
         if not (math.isfinite(self.offset) and math.isfinite(self.drift)):
             raise SettingError(f"Calibration needs finite offset and drift, got {self.offset:g} m, {self.drift:g} m/s")
 
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
-        """Return the law moved and stretched."""
+        """Return the scaled and shifted law."""
         return CalibratedLaw(law, self.scale, self.offset + self.drift * ping.time)
 
 
@@ -198,25 +198,27 @@ FAULTS: dict[str, type[Fault]] = {fault.__name__: fault for fault in (Short, Noi
 
 
 @runtime_checkable
-class Weighty(Protocol):
-    """A model that keeps weights beside its model.json."""
+class HasWeights(Protocol):
+    """A model with weights in a file beside model.json."""
 
     def write_weights(self, folder: Path) -> None:
-        """Write them into a folder."""
+        """Write the weights into a folder."""
         ...
 
 
 class FaultyLaw(EchoLaw):
-    """A mixture over causes.
+    """A mixture of the model's law and those of its faults.
 
     Attributes:
-        parts: the model's own law, then each fault's.
-        rate: probability of each, (1 + faults,).
+        parts: the model's own law, then that of each fault.
+        rate: probability of each part, (1 + faults,).
+        uniform_per_ping: whether all parts have this property.
     """
 
     def __init__(self, parts: list[EchoLaw], rate: Floats) -> None:
         super().__init__(parts[0].distance, parts[0].resolution, parts[0].max_range)
         self.parts, self.rate = parts, rate
+        self.uniform_per_ping = all(part.uniform_per_ping for part in parts)
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
@@ -228,35 +230,35 @@ class FaultyLaw(EchoLaw):
 
     @property
     def no_answer(self) -> Floats:
-        """P(the sensor does not answer), (n,): the model's."""
+        """P(the sensor does not answer), (n,): that of the model."""
         return self.parts[0].no_answer
 
     @property
     def _likely(self) -> list[tuple[float, EchoLaw]]:
         return [(float(rate), part) for rate, part in zip(self.rate, self.parts, strict=True) if rate > 0]
 
-    def draw(self, rng: np.random.Generator) -> tuple[Reading, NDArray[np.int64]]:
-        """Draw a reading for each ping and say why it is what it is.
+    def draw(self, rng: UniformSource) -> tuple[Reading, NDArray[np.int64]]:
+        """Draw a reading and its cause for each ping.
 
         Returns:
-            The readings, and for each the cause: 0 for none, k for the k-th fault, (n,).
+            The readings, and the cause of each: 0 for no fault, k for the k-th fault, (n,).
         """
         cause = np.searchsorted(np.cumsum(self.rate)[:-1], rng.random(len(self)), side="right")
         drawn = [part.sample(rng) for _, part in self._likely]
         value, status = np.zeros(len(self)), np.full(len(self), EchoStatus.NO_ECHO, dtype=np.uint8)
         for k, reading in zip(np.flatnonzero(self.rate > 0), drawn, strict=True):
-            struck = cause == k
-            value[struck], status[struck] = reading.range[struck], reading.status[struck]
+            affected = cause == k
+            value[affected], status[affected] = reading.range[affected], reading.status[affected]
         return Reading(value, status), cause
 
-    def sample(self, rng: np.random.Generator) -> Reading:
+    def sample(self, rng: UniformSource) -> Reading:
         """Draw a reading for each ping."""
         return self.draw(rng)[0]
 
     def cause_given(self, reading: Reading) -> Floats:
-        """Return the posterior probability of each cause given what was read, (1 + faults, n); NaN nowhere.
+        """Return the posterior probability of each cause given the readings, (1 + faults, n).
 
-        Where the law excludes a reading altogether, nothing was learned and the rates are returned.
+        For impossible readings the prior rates are returned.
         """
         joint = np.stack(
             [rate * np.exp(part.log_prob(reading)) for rate, part in zip(self.rate, self.parts, strict=True)]
@@ -267,11 +269,11 @@ class FaultyLaw(EchoLaw):
 
 
 class Faulty:
-    """Any model with faults.
+    """A model with faults.
 
     Args:
-        model: of the sonar without faults.
-        faults: at most one strikes a ping, so their rates may not exceed 1 together.
+        model: model of the sonar without faults.
+        faults: faults, of which at most one affects a ping; the sum of their rates is at most 1.
 
     >>> from noise.model import IdealModel
     >>> law = Faulty(IdealModel(), [Constant(rate=0.25, value=1.0)]).law(Ping.of(distance=[2.0]))
@@ -293,41 +295,41 @@ class Faulty:
 
     @property
     def remembers(self) -> bool:
-        """Whether the model does; faults have no memory."""
+        """Whether the law of the model depends on the previous reading; faults are independent."""
         return self.model.remembers
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the causes by number, as `FaultyLaw.draw` counts them."""
+        """Names of the causes, indexed as in `FaultyLaw.draw`."""
         return ("none", *(type(fault).__name__.upper() for fault in self.faults))
 
-    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> FaultyLaw:
-        """Return the law of n pings, given the reading before each, of all sensors or of those on some seats."""
+    def law(self, ping: Ping, past: Reading | None = None, sensors: NDArray[np.int64] | None = None) -> FaultyLaw:
+        """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
         model = self.model
-        law = model.law(ping, past, seats) if isinstance(model, Remembering) else model.law(ping, past)
-        return self._struck(law, ping)
+        law = model.law(ping, past, sensors) if isinstance(model, StatefulModel) else model.law(ping, past)
+        return self._with_faults(law, ping)
 
-    def _struck(self, law: EchoLaw, ping: Ping) -> FaultyLaw:
+    def _with_faults(self, law: EchoLaw, ping: Ping) -> FaultyLaw:
         return FaultyLaw([law, *(fault.law(law, ping) for fault in self.faults)], self._rate)
 
     def fresh(self) -> Faulty:
-        """Return the same with a memory of its own, empty, where the model keeps one."""
+        """Return a copy with an empty state of its own if the model is stateful."""
         return Faulty(listener(self.model), self.faults)
 
-    def reset(self, seats: ArrayLike | None = None) -> None:
-        """Let the model forget everything, or what some sensors remember: their numbers, or a mask."""
-        if isinstance(self.model, Remembering):
-            self.model.reset(seats)
+    def reset(self, sensors: ArrayLike | None = None) -> None:
+        """Clear the state of all sensors, or of those given by index or mask."""
+        if isinstance(self.model, StatefulModel):
+            self.model.reset(sensors)
 
     def follow(self, ping: Ping, reading: Reading) -> FaultyLaw:
-        """Return the law of every ping of a recording given all pings before it in its run, (n,)."""
-        return self._struck(follow(self.model, ping, reading), ping)
+        """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
+        return self._with_faults(follow(self.model, ping, reading), ping)
 
     def to_dict(self) -> dict[str, Any]:
         """Return model and faults as plain data.
 
         Raises:
-            ModelError: the model is of a kind that cannot be kept.
+            ModelError: the model cannot be saved.
         """
         inner: Any = self.model
         if not hasattr(inner, "to_dict"):
@@ -336,21 +338,21 @@ class Faulty:
         return {"kind": "faulty", "model": inner.to_dict(), "faults": faults}
 
     def write_weights(self, folder: Path) -> None:
-        """Write the model's weights, where it has any, into a folder."""
-        if isinstance(self.model, Weighty):
+        """Write the weights of the model, if any, into a folder."""
+        if isinstance(self.model, HasWeights):
             self.model.write_weights(folder)
 
     @classmethod
     def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, Any], SonarModel]) -> Faulty:
-        """Read what was saved.
+        """Load a saved model with faults.
 
         Args:
-            folder: that holds the weights, where there are any.
-            data: its model.json.
-            load_kind: reads the model within.
+            folder: folder of the model, with the weights if there are any.
+            data: contents of model.json.
+            load_kind: function that loads the model without faults.
 
         Raises:
-            ModelError: there is no such fault, or a value is not usable.
+            ModelError: a fault is unknown or a value is invalid.
         """
         path = folder / "model.json"
         try:

@@ -1,14 +1,15 @@
-"""The law of what a ping reads: p(reading | ping), exact on the grid of numbers that the sensor can report.
+"""The law of a ping: the probability of each reading, on the grid of values that the sensor can report.
 
-A law gives an arrival function `arrival(z)`: the probability that an echo is registered at an exact range <= z. The
-register holds whole steps of `resolution` q: step j stands for exact ranges in ((j - 1/2) q, (j + 1/2) q], the first
-step for everything below 3/2 q (a register of 0 means no echo), the last for everything above. What is left is
-split between no echo and no answer, so all probabilities sum to one.
+A law is defined by its arrival function `arrival(z)`, the probability that an echo is registered at an exact range
+<= z. The register holds whole steps of the resolution q: step j covers exact ranges in ((j - 1/2) q, (j + 1/2) q]; the
+first step also covers everything below, the last step everything above, and a register of 0 means no echo. The
+remaining probability is divided between no echo and no answer, so that all outcomes sum to one.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,15 @@ from acquisition import EchoStatus, Reading
 Floats = NDArray[np.float64]
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 
-FEW = 64  # pings; below this the inverse is looked for in wide rows
+MAX_N_WIDE = 64  # pings; up to this number the inverse is searched in many parts at once
+
+
+class UniformSource(Protocol):
+    """A source of independent uniform random numbers in [0, 1), such as `numpy.random.Generator`."""
+
+    def random(self, size: int | tuple[int, ...], /) -> Floats:
+        """Return uniform random numbers of the given shape."""
+        ...
 
 
 class EchoLaw(ABC):
@@ -27,11 +36,21 @@ class EchoLaw(ABC):
     Attributes:
         distance: true distances, m, (n,).
         resolution: step of the register, m.
-        max_range: of the register's last step, m.
-        has_probabilities: whether it knows probabilities, or can only be drawn from.
+        max_range: range of the register's last step, m.
+        has_probabilities: whether probabilities are available; False if the law can only be sampled.
+        uniform_per_ping: whether `sample(rng)` takes all its randomness as `rng.random((..., n))` calls with one column
+            a ping, so that copies with different generators can be sampled in one batch. A subclass that overrides
+            `sample` must declare it again; otherwise it is False.
     """
 
-    has_probabilities = True
+    has_probabilities: bool = True
+    uniform_per_ping: bool = True
+
+    def __init_subclass__(cls) -> None:
+        """Reset `uniform_per_ping` where a subclass overrides `sample` without a declaration of its own."""
+        super().__init_subclass__()
+        if "sample" in vars(cls) and "uniform_per_ping" not in vars(cls):
+            cls.uniform_per_ping = False
 
     def __init__(self, distance: Floats, resolution: float, max_range: float) -> None:
         self.distance = distance
@@ -40,10 +59,10 @@ class EchoLaw(ABC):
 
     @abstractmethod
     def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf allowed."""
+        """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf is allowed."""
 
     def between(self, low: Floats, high: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range in (low, high]); laws that know their tails do better."""
+        """Return P(an echo is registered at an exact range in (low, high]; subclasses may have exact tails."""
         return np.maximum(self.arrival(high) - self.arrival(low), 0.0)
 
     @property
@@ -71,16 +90,16 @@ class EchoLaw(ABC):
         return np.clip(1.0 - self.echo - self.no_answer, 0.0, 1.0)
 
     def step(self, range_: ArrayLike) -> NDArray[np.int64]:
-        """Return the register's step nearest to a range in m, 1 to `last_step`."""
+        """Return the register step nearest to a range in m, 1 to `last_step`."""
         nearest = np.rint(np.asarray(range_, dtype=np.float64) / self.resolution)
         return np.clip(nearest, 1, self.last_step).astype(np.int64)
 
     def cdf_step(self, step: NDArray[np.int64]) -> Floats:
-        """Return P(echo and register <= step), (n,) or (m, n); steps below 1 give 0."""
+        """Return P(echo and register <= step), (n,) or (m, n); 0 for steps below 1."""
         return np.where(step < 1, 0.0, self.arrival(self.edge(step)))
 
     def edge(self, step: NDArray[np.int64]) -> Floats:
-        """Return the exact range up to which a step stands, m; -inf below the first step, +inf from the last on."""
+        """Return the upper edge of a step as exact range, m; -inf below the first step, +inf from the last step on."""
         inside = (step + 0.5) * self.resolution
         return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
 
@@ -89,15 +108,15 @@ class EchoLaw(ABC):
         return self.cdf_step(np.floor(np.asarray(range_) / self.resolution + 1e-9).astype(np.int64))
 
     def log_prob(self, reading: Reading) -> Floats:
-        """Return the log probability of each reading, nats, (n,); -inf where the law excludes it."""
+        """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
         step = self.step(reading.range)
         with np.errstate(divide="ignore"):
             echo = np.log(self.between(self.edge(step - 1), self.edge(step)))
             table = np.stack([np.log(self.no_echo), echo, np.log(self.no_answer)])
         return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
 
-    def sample(self, rng: np.random.Generator) -> Reading:
-        """Draw a reading for each ping by inverting the law on its grid: one uniform number a ping."""
+    def sample(self, rng: UniformSource) -> Reading:
+        """Draw a reading for each ping by inversion of the law on its grid, from one uniform number a ping."""
         u = rng.random(len(self))
         p_echo = self.echo
         step = self._invert(np.minimum(u, p_echo))
@@ -106,11 +125,11 @@ class EchoLaw(ABC):
         return Reading.of(np.where(status == EchoStatus.ECHO, step * self.resolution, 0.0), status)
 
     def _invert(self, u: Floats) -> NDArray[np.int64]:
-        """Return the smallest step whose cdf exceeds u, (n,) or (m, n), by cutting what is left into equal parts."""
+        """Return the smallest step whose cdf exceeds u, (n,) or (m, n), by repeated division into equal parts."""
         shape = np.broadcast_shapes(np.shape(u), (len(self),))
         low, high = np.zeros(shape, dtype=np.int64), np.full(shape, self.last_step)
-        # a call costs more than its numbers where there are few, as in a simulator's step: many parts, few calls
-        parts = 128 if len(shape) == 1 and len(self) <= FEW else 2
+        # for few pings the overhead of a numpy call dominates, so the search takes many parts in few calls
+        parts = 128 if len(shape) == 1 and len(self) <= MAX_N_WIDE else 2
         share = np.arange(1, parts).reshape(-1, *[1] * len(shape))
         while np.any(high - low > 1):
             cuts = np.concatenate([low[None], low + (high - low) * share // parts, high[None]])
@@ -120,7 +139,7 @@ class EchoLaw(ABC):
         return high
 
     def _cdf_rows(self, step: NDArray[np.int64]) -> Floats:
-        """Return `cdf_step` of steps with any number of leading axes, (..., n)."""
+        """Return `cdf_step` for any number of leading axes, (..., n)."""
         return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 
     def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
@@ -131,6 +150,6 @@ class EchoLaw(ABC):
         return np.minimum(np.maximum(upto - below, 0.0), 1.0)
 
     def quantile(self, p: ArrayLike) -> Floats:
-        """Return the reading below which a share p of the *echoes* lies, m, (n,); 0 where an echo cannot be."""
+        """Return the p-quantile of the *echoes*, m, (n,); 0 where no echo is possible."""
         echo = self.echo
         return np.where(echo > 0, self._invert(np.asarray(p) * echo * (1 - 1e-12)) * self.resolution, 0.0)

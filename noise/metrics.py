@@ -1,6 +1,6 @@
-"""How well a model describes readings: log-likelihood, CRPS, PIT, credence reliability.
+"""Scores of a model on readings: log-likelihood, CRPS, PIT and reliability of credence.
 
-Pings of one cell or session are correlated, so every standard error here is over clusters, never over pings.
+Pings of one visit or session are correlated, so all standard errors are over clusters, never over pings.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from acquisition import Ping, Reading, SettingError
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel, follow
 
-LEVELS = 50  # of the quantile form of CRPS: within 0.2 % of 800 for learned laws
-AT_ONCE = 400_000  # quantiles taken at once; bounds the memory
+LEVELS = 50  # levels of the quantile form of the CRPS: within 0.2 % of 800 levels for learned laws
+MAX_QUANTILES = 400_000  # computed at once; bounds the memory
 
 
 @dataclass(frozen=True)
-class Score:
+class ClusterMean:
     """A mean over pings with its standard error over clusters.
 
     Attributes:
-        mean: over all pings.
-        error: standard error, clusters resampled; NaN with fewer than two clusters, where nothing is known of it.
-        pings, clusters: how many.
+        mean: mean over all pings.
+        error: cluster-robust standard error; NaN with fewer than two clusters.
+        pings, clusters: numbers of pings and of clusters.
     """
 
     mean: float
@@ -34,15 +34,17 @@ class Score:
     clusters: int
 
     @classmethod
-    def of(cls, value: ArrayLike, cluster: ArrayLike) -> Score:
-        """Average values, (n,), whose clusters are given by number or name, (n,).
+    def of(cls, value: ArrayLike, cluster: ArrayLike) -> ClusterMean:
+        """Return the mean of values, (n,), with clusters given by number or name, (n,).
 
-        >>> Score.of([1.0, 1.0, 3.0, 3.0], [0, 0, 1, 1])
-        Score(mean=2.0, error=1.0, pings=4, clusters=2)
+        >>> ClusterMean.of([1.0, 1.0, 3.0, 3.0], [0, 0, 1, 1])
+        ClusterMean(mean=2.0, error=1.0, pings=4, clusters=2)
         """
         x, g = np.asarray(value, dtype=np.float64), np.unique(np.asarray(cluster), return_inverse=True)[1]
         if not len(x) or len(x) != len(g):
-            raise SettingError(f"Score needs a cluster for each of at least one value, got {len(x)} and {len(g)}")
+            raise SettingError(
+                f"ClusterMean needs at least one value and a cluster for each, got {len(x)} and {len(g)}"
+            )
         mean, groups = float(x.mean()), int(g.max()) + 1
         total = np.bincount(g, weights=x - mean) if np.isfinite(mean) else np.full(groups, np.nan)
         if groups < 2:
@@ -57,17 +59,17 @@ class Score:
 def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
     """Return the continuous ranked probability score of each echo, m, (n,); NaN where the reading is no echo.
 
-    It scores *where* an echo is, given that there is one: the law conditional on an echo, in its quantile form
-    2 mean_k (1[y < q_k] - t_k) (q_k - y) at levels t_k = (k - 1/2) / K, exact as K grows. Whether there is an echo is
-    scored by the log-likelihood alone. Where the law excludes an echo that came, its quantiles are 0 m.
+    The score is that of the law conditional on an echo, in its quantile form
+    2 mean_k (1[y < q_k] - t_k) (q_k - y) at levels t_k = (k - 1/2) / K, exact for K to infinity. The probability of an
+    echo is scored only by the log-likelihood. Where an observed echo has probability 0, the quantiles are 0 m.
 
     Args:
-        law: of n pings.
-        reading: what they read.
+        law: law of n pings.
+        reading: readings, (n,).
         levels: number K of quantiles.
     """
     level = ((np.arange(levels) + 0.5) / levels)[:, None]
-    score, batch = np.zeros(len(law)), max(1, AT_ONCE // max(len(law), 1))
+    score, batch = np.zeros(len(law)), max(1, MAX_QUANTILES // max(len(law), 1))
     for part in (level[k : k + batch] for k in range(0, levels, batch)):
         quantile = law.quantile(part)
         score += np.sum(((reading.range < quantile) - part) * (quantile - reading.range), axis=0)
@@ -77,7 +79,7 @@ def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
 def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
     """Return the randomised probability integral transform of each reading, (n,): uniform if the law is true.
 
-    Outcomes are ordered: echoes by range, then no echo, then no answer; within one a uniform number decides.
+    Outcomes are ordered: echoes by range, then no echo, then no answer; the value is uniform within an outcome.
     """
     step = law.step(reading.range)
     echo, silent = law.echo, law.no_echo
@@ -90,25 +92,25 @@ def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
 
 @dataclass(frozen=True)
 class Reliability:
-    """Credence as said and as it came true, by bins of what was said.
+    """Predicted probabilities and observed frequencies, by bins of the prediction.
 
     Attributes:
-        said: mean credence in each bin, (bins,); NaN where a bin is empty.
-        came_true: share of readings within tolerance, (bins,).
-        error: its standard error over clusters, (bins,).
-        pings: in each bin, (bins,).
+        predicted: mean predicted probability in each bin, (bins,); NaN where a bin is empty.
+        observed: observed frequency in each bin, (bins,).
+        error: standard error of the frequency over clusters, (bins,).
+        pings: number of pings in each bin, (bins,).
     """
 
-    said: Floats
-    came_true: Floats
+    predicted: Floats
+    observed: Floats
     error: Floats
     pings: NDArray[np.int64]
 
     @property
     def gap(self) -> float:
-        """Mean of |said - came true| over pings: expected calibration error."""
+        """Expected calibration error: mean of |predicted - observed| over pings."""
         filled = self.pings > 0
-        return float(np.average(np.abs(self.said - self.came_true)[filled], weights=self.pings[filled]))
+        return float(np.average(np.abs(self.predicted - self.observed)[filled], weights=self.pings[filled]))
 
 
 def credence_reliability(
@@ -119,52 +121,52 @@ def credence_reliability(
     bins: int = 10,
     rows: NDArray[np.bool_] | slice = slice(None),
 ) -> Reliability:
-    """Compare credence given the condition with how often readings were within tolerance.
+    """Compare credence given the condition with the frequency of readings within tolerance.
 
     Args:
-        law: of n pings.
-        reading: what they read.
-        cluster: of each ping, (n,).
-        tolerance: half width of "right", as a share of the true distance.
-        bins: of equal width over [0, 1].
-        rows: pings that count; all by default.
+        law: law of n pings.
+        reading: readings, (n,).
+        cluster: cluster of each ping, (n,).
+        tolerance: largest error of a right reading, relative to the true distance.
+        bins: number of bins of equal width over [0, 1].
+        rows: pings to use; all by default.
     """
     slack = 1e-9
     true = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance + slack)
     return reliability(law.credence(tolerance)[rows], true[rows], np.asarray(cluster)[rows], bins)
 
 
-def reliability(said: Floats, true: NDArray[np.bool_], cluster: ArrayLike, bins: int = 10) -> Reliability:
-    """Compare probabilities as said, (n,), with what came true, (n,), by bins of equal width over [0, 1]."""
+def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, bins: int = 10) -> Reliability:
+    """Compare predicted probabilities, (n,), with outcomes, (n,), by bins of equal width over [0, 1]."""
     g = np.asarray(cluster)
-    place = np.minimum((said * bins).astype(np.int64), bins - 1)
-    scores = [_score_or_none(true, g, place == k) for k in range(bins)]
+    place = np.minimum((predicted * bins).astype(np.int64), bins - 1)
+    scores = [_mean_or_nan(true, g, place == k) for k in range(bins)]
     count = np.bincount(place, minlength=bins)
-    total = np.bincount(place, weights=said, minlength=bins)
+    total = np.bincount(place, weights=predicted, minlength=bins)
     return Reliability(
-        said=np.divide(total, count, where=count > 0, out=np.full(bins, np.nan)),
-        came_true=np.array([score.mean for score in scores]),
+        predicted=np.divide(total, count, where=count > 0, out=np.full(bins, np.nan)),
+        observed=np.array([score.mean for score in scores]),
         error=np.array([score.error for score in scores]),
         pings=count,
     )
 
 
-def _score_or_none(value: NDArray[np.bool_], cluster: NDArray, rows: NDArray[np.bool_]) -> Score:
-    return Score.of(value[rows], cluster[rows]) if rows.any() else Score(np.nan, np.nan, 0, 0)
+def _mean_or_nan(value: NDArray, cluster: NDArray, rows: NDArray[np.bool_]) -> ClusterMean:
+    return ClusterMean.of(value[rows], cluster[rows]) if rows.any() else ClusterMean(np.nan, np.nan, 0, 0)
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A model's scores on readings it has not seen.
+    """Scores of a model on test readings.
 
     Attributes:
-        log_likelihood: of a ping, nats.
-        crps_mm: of an echo, mm.
+        log_likelihood: log-likelihood per ping, nats.
+        crps_mm: CRPS per echo, mm.
         credence_gap: expected calibration error of credence given the condition.
     """
 
-    log_likelihood: Score
-    crps_mm: Score
+    log_likelihood: ClusterMean
+    crps_mm: ClusterMean
     credence_gap: float
 
 
@@ -175,22 +177,22 @@ def evaluate(
     cluster: ArrayLike,
     counts: NDArray[np.bool_] | None = None,
 ) -> Evaluation:
-    """Score a model, each ping given what the model remembers of those before it in its run.
+    """Score a model, each ping given the earlier pings of its run.
 
     Args:
-        model: to score.
-        ping: conditions, (n,), in the order in which they were faced.
-        reading: what was read, (n,).
-        cluster: cell or session of each ping, (n,).
-        counts: which pings are scored, (n,); the others are only remembered. All by default.
+        model: model to score.
+        ping: conditions, (n,), in chronological order.
+        reading: readings, (n,).
+        cluster: visit or session of each ping, (n,).
+        counts: pings to score, (n,) bool, all by default; the others only serve as history.
     """
     rows = np.ones(len(ping), dtype=bool) if counts is None else counts
     return score_law(follow(model, ping, reading), reading, cluster, rows)
 
 
 def score_law(law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_]) -> Evaluation:
-    """Score the rows of a law of n pings by what was read, (n,)."""
+    """Score the given rows of a law of n pings on their readings."""
     g, echo = np.asarray(cluster), reading.echo & rows
-    likelihood = Score.of(law.log_prob(reading)[rows], g[rows])
-    crps_mm = Score.of(1e3 * crps(law, reading)[echo], g[echo]) if echo.any() else Score(np.nan, np.nan, 0, 0)
+    likelihood = ClusterMean.of(law.log_prob(reading)[rows], g[rows])
+    crps_mm = _mean_or_nan(1e3 * crps(law, reading), g, echo)
     return Evaluation(likelihood, crps_mm, credence_reliability(law, reading, g, rows=rows).gap)

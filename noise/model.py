@@ -1,4 +1,4 @@
-"""Sonar models: maps from what a ping faced to the law of its reading. Those here need numpy and scipy alone."""
+"""The protocols of sonar models, simulation from a model, and two models that need only numpy and scipy."""
 
 from __future__ import annotations
 
@@ -10,19 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
 from acquisition import ModelError, Ping, Reading, SettingError, previous
-from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
+from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, UniformSource
 
 MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
 
 
 @runtime_checkable
 class SonarModel(Protocol):
-    """A map from pings to laws.
-
-    Attributes:
-        resolution: step of the register, m.
-        remembers: whether the law depends on the previous reading.
-    """
+    """A map from the conditions of pings to the laws of their readings."""
 
     @property
     def resolution(self) -> float:
@@ -35,12 +30,19 @@ class SonarModel(Protocol):
         ...
 
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
-        """Return the law of n pings, given the reading before each (None: nothing is known of it)."""
+        """Return the law of n pings, given the previous reading of each; None where it is unknown."""
         ...
 
 
 class NormalLaw(EchoLaw):
-    """One normal arrival per ping, with a chance of no echo; `sigma` 0 is certainty."""
+    """Normal arrival time per ping, with a probability of no echo. `sigma` = 0 means no noise.
+
+    Attributes:
+        mean, sigma: mean and standard deviation of the exact range, m, (n,).
+        miss: probability of no echo, (n,).
+    """
+
+    uniform_per_ping = True
 
     def __init__(
         self, ping: Ping, mean: Floats, sigma: Floats, miss: Floats, resolution: float, max_range: float
@@ -55,7 +57,7 @@ class NormalLaw(EchoLaw):
     def between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high]), exact in both tails."""
         below, above = self._score(low), self._score(high)
-        upper = below > 0  # beyond the mean, what is left of the upper tail is the smaller number
+        upper = below > 0  # beyond the mean, the upper tail is the smaller number
         share = np.where(upper, ndtr(-below) - ndtr(-above), ndtr(above) - ndtr(below))
         return (1.0 - self.miss) * share
 
@@ -71,11 +73,11 @@ class NormalLaw(EchoLaw):
 
     @property
     def no_answer(self) -> Floats:
-        """P(the sensor does not answer): never."""
+        """P(the sensor does not answer): 0."""
         return np.zeros(len(self))
 
-    def sample(self, rng: np.random.Generator) -> Reading:
-        """Draw a reading for each ping from one uniform number, in closed form: a simulator does so at every step."""
+    def sample(self, rng: UniformSource) -> Reading:
+        """Draw a reading for each ping from one uniform number, in closed form for speed."""
         u = rng.random(len(self))
         echo = u < 1.0 - self.miss
         step = self._invert(np.where(echo, u, 0.0))
@@ -83,30 +85,32 @@ class NormalLaw(EchoLaw):
 
     def _invert(self, u: Floats) -> NDArray[np.int64]:
         """Return the smallest step whose cdf exceeds u."""
-        # u is kept inside (0, 1 - miss): the ends stand at infinite distance even where sigma is 0
+        # u is limited to (0, 1 - miss): its ends map to infinite ranges, even where sigma is 0
         share = np.minimum(np.maximum(u / np.maximum(1.0 - self.miss, 1e-300), 1e-300), 1.0 - 1e-16)
         nearest = np.ceil((self.mean + self.sigma * ndtri(share)) / self.resolution - 0.5)
         return np.minimum(np.maximum(nearest, 1), self.last_step).astype(np.int64)
 
 
 class CertainLaw(NormalLaw):
-    """A normal arrival without spread, which needs no normal numbers: `miss` is 0 or 1, nothing is left to chance."""
+    """A deterministic reading: the true distance, or no echo; `miss` is 0 or 1."""
+
+    uniform_per_ping = True
 
     def __init__(self, ping: Ping, miss: Floats, resolution: float, max_range: float) -> None:
         super().__init__(ping, ping.distance, np.zeros(len(ping)), miss, resolution, max_range)
 
     @property
     def _steps(self) -> Floats:
-        """The register's step nearest to each distance, not yet a whole number's type."""
+        """Register step nearest to each distance, as floats."""
         return np.minimum(np.maximum(np.ceil(self.distance / self.resolution - 0.5), 1.0), self.last_step)
 
-    def sample(self, rng: np.random.Generator) -> Reading:
-        """Return what is read, for sure; no number is drawn."""
+    def sample(self, rng: UniformSource) -> Reading:
+        """Return the readings; no random number is drawn."""
         echo = self.miss < 1.0
         return Reading(self._steps * (echo * self.resolution), echo.view(np.uint8))
 
     def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
-        """Return 1 where the register's step lies within +-tolerance of the distance, else 0, (n,)."""
+        """Return 1 where the register step lies within +-tolerance of the distance, else 0, (n,)."""
         off = np.abs(self._steps * self.resolution - self.distance)
         right = off <= tolerance * self.distance + 1e-9 * self.resolution
         return right * (1.0 - self.miss)
@@ -114,11 +118,11 @@ class CertainLaw(NormalLaw):
 
 @dataclass(frozen=True)
 class IdealModel:
-    """A sonar that reads the true distance, always: what most simulators assume.
+    """A sonar that always reads the true distance.
 
     Args:
         resolution: step of the register, m.
-        max_range: farther reflectors give no echo, m.
+        max_range: range beyond which there is no echo, m.
 
     >>> import numpy as np
     >>> law = IdealModel().law(Ping.of(distance=[0.5, 2.0]))
@@ -133,7 +137,7 @@ class IdealModel:
     remembers: bool = False
 
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
-        """Return the law of n pings: certainty."""
+        """Return the deterministic law of n pings."""
         miss = (ping.distance > self.max_range).astype(np.float64)
         return CertainLaw(ping, miss, self.resolution, self.max_range)
 
@@ -143,20 +147,20 @@ class IdealModel:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> IdealModel:
-        """Build a model from `to_dict`; see `GaussianModel.from_dict`."""
+        """Build a model from the output of `to_dict`."""
         return cls(**numbers_of("ideal", cls(), data))
 
 
 @dataclass(frozen=True)
 class GaussianModel:
-    """True distance plus normal noise, the usual stand-in for a sonar.
+    """True distance plus normal noise.
 
     Args:
         sigma: standard deviation at zero distance, m.
-        sigma_per_metre: its growth with distance, m per m.
+        sigma_per_metre: growth of the standard deviation with distance, m per m.
         miss: probability of no echo.
         resolution: step of the register, m.
-        max_range: farther reflectors give no echo, m.
+        max_range: range beyond which there is no echo, m.
     """
 
     sigma: float = 0.01
@@ -167,7 +171,7 @@ class GaussianModel:
     remembers: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what is no probability or no deviation."""
+        """Raise SettingError for invalid values."""
         if self.sigma < 0 or self.sigma_per_metre < 0:
             raise SettingError(f"GaussianModel.sigma must be >= 0 m, got {self.sigma:g} m")
         if not 0 <= self.miss <= 1:
@@ -185,24 +189,24 @@ class GaussianModel:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> GaussianModel:
-        """Build a model from `to_dict`.
+        """Build a model from the output of `to_dict`.
 
         Raises:
-            ModelError: a parameter is missing or no number.
+            ModelError: a parameter is missing or not a number.
         """
         return cls(**numbers_of("gaussian", cls(), data))
 
 
 def plain_numbers(kind: str, model: Any) -> dict[str, Any]:
-    """Return a model that is a dataclass of numbers as plain data."""
+    """Return a dataclass of numbers as plain data."""
     return {"kind": kind, **{name: value for name, value in asdict(model).items() if name != "remembers"}}
 
 
 def numbers_of(kind: str, default: Any, data: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers of such a model from plain data.
+    """Return the numbers of a model from the output of `plain_numbers`.
 
     Raises:
-        ModelError: one is missing or no number.
+        ModelError: a value is missing or not a number.
     """
     try:
         return {name: float(data[name]) for name in asdict(default) if name != "remembers"}
@@ -211,55 +215,61 @@ def numbers_of(kind: str, default: Any, data: dict[str, Any]) -> dict[str, Any]:
 
 
 @runtime_checkable
-class Remembering(SonarModel, Protocol):
-    """A model that keeps a memory of each sensor's pings; it serves one set of sensors."""
+class StatefulModel(SonarModel, Protocol):
+    """A model with a state for each sensor of one set, updated at every ping."""
 
-    def law(self, ping: Ping, past: Reading | None = None, seats: NDArray[np.int64] | None = None) -> EchoLaw:
-        """Return the law of n pings, given the reading before each, of all sensors or of those on some seats."""
+    def law(self, ping: Ping, past: Reading | None = None, sensors: NDArray[np.int64] | None = None) -> EchoLaw:
+        """Return the law of n pings, given the previous reading of each.
+
+        Args:
+            ping: conditions, (n,).
+            past: previous readings, (n,).
+            sensors: index of each ping's sensor, (n,); all sensors in order by default.
+        """
         ...
 
-    def fresh(self) -> Remembering:
-        """Return the same model with a memory of its own, empty."""
+    def fresh(self) -> StatefulModel:
+        """Return the same model with an empty state of its own."""
         ...
 
-    def reset(self, seats: ArrayLike | None = None) -> None:
-        """Forget everything, or what some sensors remember: their numbers, or a mask."""
+    def reset(self, sensors: ArrayLike | None = None) -> None:
+        """Clear the state of all sensors, or of those given by index or mask."""
         ...
 
     def follow(self, ping: Ping, reading: Reading) -> EchoLaw:
-        """Return the law of every ping of a recording given all pings before it in its run, (n,)."""
+        """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         ...
 
 
 def listener(model: SonarModel) -> SonarModel:
-    """Return a model for one set of sensors alone: one that keeps a memory is given another, empty one."""
-    return model.fresh() if isinstance(model, Remembering) else model
+    """Return a model for one set of sensors: a copy with an empty state of its own if the model is stateful."""
+    return model.fresh() if isinstance(model, StatefulModel) else model
 
 
 def follow(model: SonarModel, ping: Ping, reading: Reading) -> EchoLaw:
-    """Return the law of every ping of a recording given what its model remembers of those before it in its run, (n,).
+    """Return the law of every ping of a recording given the earlier pings of its run, (n,).
 
     Args:
-        model: of the sensor.
-        ping: conditions, (n,), in the order in which they were faced.
-        reading: what was read, (n,).
+        model: model of the sensor.
+        ping: conditions, (n,), in chronological order.
+        reading: readings, (n,).
     """
-    if isinstance(model, Remembering):
+    if isinstance(model, StatefulModel):
         return model.follow(ping, reading)
     return model.law(ping, previous(reading, ping.run)) if model.remembers else model.law(ping)
 
 
 def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading:
-    """Draw a reading for every ping, in the order of each run where the model remembers.
+    """Draw a reading for every ping, run by run in chronological order where the law depends on earlier readings.
 
     Args:
-        model: whose laws to sample.
-        ping: the conditions, (n,), in the order in which they were faced.
-        rng: the only source of chance.
+        model: model to sample from.
+        ping: conditions, (n,), in chronological order.
+        rng: random generator.
     """
     if not model.remembers:
         return model.law(ping).sample(rng)
-    if isinstance(model, Remembering):
+    if isinstance(model, StatefulModel):
         return _simulate_all(model.fresh(), ping, rng)
     reading = Reading.of(np.zeros(len(ping)), np.full(len(ping), 2))
     value, status = reading.range.copy(), reading.status.copy()
@@ -270,8 +280,8 @@ def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading
     return Reading.of(value, status)
 
 
-def _simulate_all(model: Remembering, ping: Ping, rng: np.random.Generator) -> Reading:
-    """Draw with all runs side by side; a run that has ended fires its last ping on, and nobody listens."""
+def _simulate_all(model: StatefulModel, ping: Ping, rng: np.random.Generator) -> Reading:
+    """Draw all runs in parallel; a run that has ended repeats its last ping, and the result is discarded."""
     value, status, past = np.zeros(len(ping)), np.zeros(len(ping), np.uint8), None
     number = np.unique(ping.run, return_inverse=True)[1]
     now = np.zeros(int(number.max(initial=-1)) + 1, dtype=np.int64)
@@ -283,7 +293,7 @@ def _simulate_all(model: Remembering, ping: Ping, rng: np.random.Generator) -> R
 
 
 def steps(run: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Return for k = 0, 1, ... the rows that are k-th in their run.
+    """Return for k = 0, 1, ... the indices of the pings that are k-th in their run.
 
     >>> [rows.tolist() for rows in steps(np.array([7, 3, 7, 7]))]
     [[0, 1], [2], [3]]

@@ -1,9 +1,10 @@
-"""PhysicalModel: a stack of effects on an ideal sonar. First echo wins.
+"""PhysicalModel: a stack of effects on an ideal sonar, which reports the first echo.
 
-Paths are independent given the level: no echo comes before exact range z with probability
-S(z) = C(z) * prod_k (1 - pi_k F_k(z)), C that of clutter, averaged over the latent level; a register's probability is
-the difference of S at its edges, and no echo is S at the end of listening. Replacements (atoms) are mixed in last.
-Differences are formed path by path, so that a likelihood far out in a tail is exact and has a slope to climb.
+Paths are independent given the level. The survival function, the probability of no arrival up to exact range z, is
+S(z) = C(z) * prod_k (1 - pi_k F_k(z)), with C that of clutter, averaged over the latent level. The probability of a
+register step is the difference of S at its edges, that of no echo is S at the end of the listening window.
+Replacements (atoms) are mixed in last. Differences are formed path by path, so that likelihoods are exact and have
+useful gradients far out in the tails.
 """
 
 from __future__ import annotations
@@ -19,76 +20,78 @@ from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading
 from noise.effects import CATALOGUE, Conditions, Effect, Path, State
-from noise.effects.base import DETECTION_WIDTH_DB, direct_path, number
+from noise.effects.state import DETECTION_WIDTH_DB, direct_path, number
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE
 
-TINY = 1e-300  # keeps the logarithm of an excluded reading finite where gradients are taken
-END = 1e4  # m; stands for the end of the register: beyond any range, yet finite, so that gradients are
+MIN_PROBABILITY = 1e-300  # keeps the logarithm of an impossible reading finite where gradients are taken
+END = 1e4  # m; end of the register: beyond any range, but finite for finite gradients
 
 
 class PhysicalLaw(EchoLaw):
-    """The law of a `State`. Array methods come from `EchoLaw`; `log_prob_tensor` keeps gradients."""
+    """The law of a `State`; `log_prob_tensor` is differentiable in the parameters of the effects."""
 
     def __init__(self, state: State, distance: Floats, resolution: float, max_range: float) -> None:
         super().__init__(distance, resolution, max_range)
         self.state = state
 
     def register_to_range(self, edge: Tensor) -> Tensor:
-        """Return the exact range at which the register passes an edge, m, (..., n)."""
+        """Return the exact range that corresponds to a register edge, m, (..., n)."""
         state = self.state
         if state.step > 0:
             edge = (torch.floor(edge / state.step + 1e-9) + 0.5) * state.step
         return torch.minimum((edge - state.offset) / state.scale, state.gate)
 
-    def silence(self, z: Tensor) -> Tensor:
-        """Return P(nothing registered at an exact range <= z), for z (..., n)."""
+    def survival(self, z: Tensor) -> Tensor:
+        """Return the survival function P(no arrival at an exact range <= z), for z (..., n)."""
         z = z.unsqueeze(-2)
-        parts = [self._unheard(path, heard, z) for path, heard in zip(self.state.paths, self._heard, strict=True)]
-        return self._average(self._spared(z) * math.prod(parts[1:], start=parts[0]))
+        paths = zip(self.state.paths, self._detection, strict=True)
+        parts = [self._path_survival(path, detection, z) for path, detection in paths]
+        return self._average(self._clutter_survival(z) * math.prod(parts[1:], start=parts[0]))
 
     def between_tensor(self, low: Tensor, high: Tensor) -> Tensor:
-        """Return P(registered at an exact range in (low, high]), (..., n): sums of what is positive, exact in tails.
+        """Return P(registered at an exact range in (low, high]), (..., n), exact in the tails.
 
-        With S = prod u_k: S(low) - S(high) = sum_k prod_{j<k} u_j(high) (u_k(low) - u_k(high)) prod_{j>k} u_j(low).
+        With S = prod u_k, S(low) - S(high) is a sum of positive terms:
+        sum_k prod_{j<k} u_j(high) (u_k(low) - u_k(high)) prod_{j>k} u_j(low).
         """
         low, high = low.unsqueeze(-2), high.unsqueeze(-2)
-        paths = list(zip(self.state.paths, self._heard, strict=True))
-        so_far = self._spared(high)
-        total = so_far * self._arriving(*paths[0], low, high)
+        paths = list(zip(self.state.paths, self._detection, strict=True))
+        so_far = self._clutter_survival(high)
+        total = so_far * self._path_between(*paths[0], low, high)
         if self.state.clutter is not None:
-            total = total + (self._spared(low) - so_far) * self._unheard(*paths[0], low)
+            total = total + (self._clutter_survival(low) - so_far) * self._path_survival(*paths[0], low)
         for before, path in pairwise(paths):
-            so_far = so_far * self._unheard(*before, high)
-            total = total * self._unheard(*path, low) + so_far * self._arriving(*path, low, high)
+            so_far = so_far * self._path_survival(*before, high)
+            total = total * self._path_survival(*path, low) + so_far * self._path_between(*path, low, high)
         return self._average(total)
 
-    def _arriving(self, path: Path, heard: tuple[Tensor, Tensor], low: Tensor, high: Tensor) -> Tensor:
-        """Return P(a path is detected, and arrives at an exact range in (low, high])."""
-        return heard[1] * path.between(self._listened(low), self._listened(high))
+    def _path_between(self, path: Path, detection: tuple[Tensor, Tensor], low: Tensor, high: Tensor) -> Tensor:
+        """Return P(a path is detected and arrives at an exact range in (low, high])."""
+        return detection[1] * path.between(self._clipped(low), self._clipped(high))
 
-    def _listened(self, z: Tensor) -> Tensor:
-        """Return the range, or where listening begins if that is farther."""
-        return z if self.state.deaf is None else torch.maximum(z, self.state.deaf)
+    def _clipped(self, z: Tensor) -> Tensor:
+        """Return the range, clipped below at the blind range."""
+        return z if self.state.blind_range is None else torch.maximum(z, self.state.blind_range)
 
     @cached_property
-    def _heard(self) -> list[tuple[Tensor, Tensor]]:
-        """Probability that a path is missed, and that it is detected, (Q, n) each, of every path."""
+    def _detection(self) -> list[tuple[Tensor, Tensor]]:
+        """Probabilities of a miss and of a detection, (Q, n) each, for every path."""
         width = self.state.width_db
         return [(path.missing(width), path.detection(width)) for path in self.state.paths]
 
-    def _unheard(self, path: Path, heard: tuple[Tensor, Tensor], z: Tensor) -> Tensor:
-        """Return P(nothing registered of a path at an exact range <= z): what comes to deaf ears is lost."""
-        missed, detected = heard
-        late = path.lateness(self._listened(z))
-        if self.state.deaf is not None:
-            late = late + 1.0 - path.lateness(self.state.deaf)
+    def _path_survival(self, path: Path, detection: tuple[Tensor, Tensor], z: Tensor) -> Tensor:
+        """Return P(a path is not registered at an exact range <= z); arrivals in the blind range are lost."""
+        missed, detected = detection
+        late = path.survival(self._clipped(z))
+        if self.state.blind_range is not None:
+            late = late + 1.0 - path.survival(self.state.blind_range)
         return missed + detected * late
 
-    def _spared(self, z: Tensor) -> Tensor | float:
-        """Return P(no clutter before z)."""
+    def _clutter_survival(self, z: Tensor) -> Tensor | float:
+        """Return P(no false detection before z)."""
         clutter = self.state.clutter
-        return 1.0 if clutter is None else clutter.spared(z, self.state.deaf)
+        return 1.0 if clutter is None else clutter.survival(z, self.state.blind_range)
 
     def _average(self, by_level: Tensor) -> Tensor:
         if len(self.state.log_weight) == 1:
@@ -98,7 +101,7 @@ class PhysicalLaw(EchoLaw):
     def arrival_tensor(self, edge: Tensor) -> Tensor:
         """Return P(echo, register <= edge) for register edges in m, (..., n), atoms included."""
         edge = torch.clamp(edge, -END, END)
-        there = 1.0 - self.silence(self.register_to_range(edge))
+        there = 1.0 - self.survival(self.register_to_range(edge))
         for atom in self.state.atoms:
             there = (1.0 - atom.weight) * there + atom.weight * atom.cdf(edge)
         return there
@@ -112,13 +115,13 @@ class PhysicalLaw(EchoLaw):
 
     def no_echo_tensor(self) -> Tensor:
         """Return P(the sensor answers that there is no echo), (n,)."""
-        out = self.silence(self.register_to_range(torch.full((len(self),), END, dtype=torch.float64)))
+        out = self.survival(self.register_to_range(torch.full((len(self),), END, dtype=torch.float64)))
         for atom in self.state.atoms:
             out = (1.0 - atom.weight) * out + atom.weight * atom.no_echo
         return out
 
-    def heard_tensor(self) -> Tensor:
-        """Return P(echo), (n,): what 1 - P(no echo) is, but exact where it is rare."""
+    def any_echo_tensor(self) -> Tensor:
+        """Return P(echo), (n,), exact where echoes are rare, unlike 1 - P(no echo)."""
         end = torch.full((len(self),), END, dtype=torch.float64)
         out = self.between_tensor(self.register_to_range(-end), self.register_to_range(end))
         for atom in self.state.atoms:
@@ -126,7 +129,7 @@ class PhysicalLaw(EchoLaw):
         return out
 
     def echo_tensor(self, step: np.ndarray) -> Tensor:
-        """Return P(the register holds a step), (n,)."""
+        """Return P(echo at the given register step), (n,)."""
         low, high = self._edges(step - 1), self._edges(step)
         out = self.between_tensor(self.register_to_range(low), self.register_to_range(high))
         for atom in self.state.atoms:
@@ -142,10 +145,10 @@ class PhysicalLaw(EchoLaw):
 
     def log_prob_tensor(self, reading: Reading) -> Tensor:
         """Return the log probability of each reading, nats, (n,), differentiable; bounded below by log(1e-300)."""
-        return torch.log(torch.clamp(self.probability_tensor(reading), min=TINY))
+        return torch.log(torch.clamp(self.probability_tensor(reading), min=MIN_PROBABILITY))
 
     def log_prob(self, reading: Reading) -> Floats:
-        """Return the log probability of each reading, nats, (n,); -inf where the law excludes it."""
+        """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
         with torch.no_grad(), np.errstate(divide="ignore"):
             return np.log(np.maximum(self.probability_tensor(reading).numpy(), 0.0))
 
@@ -166,12 +169,12 @@ class PhysicalLaw(EchoLaw):
 
 
 class PhysicalModel:
-    """An ideal sonar with effects on it.
+    """An ideal sonar with a stack of effects.
 
     Args:
-        effects: any number of effects, at most one of each id.
+        effects: effects, at most one of each id.
         resolution: step of the register, m.
-        max_range: of the register, m.
+        max_range: range of the register's last step, m.
 
     >>> from noise.effects import CATALOGUE
     >>> warm = PhysicalModel([CATALOGUE["sound_speed"](temperature_c=40.0)])
@@ -185,15 +188,15 @@ class PhysicalModel:
         self.max_range = max_range
         names = [effect.name for effect in self.effects]
         if len(set(names)) < len(names):
-            raise ModelError(f"PhysicalModel holds an effect twice: {', '.join(names)}; give each once")
+            raise ModelError(f"PhysicalModel has duplicate effects: {', '.join(names)}; give each effect once")
 
     @property
     def remembers(self) -> bool:
-        """Whether any effect looks at the previous reading."""
+        """Whether any effect depends on the previous reading."""
         return any(effect.remembers for effect in self.effects)
 
     def state(self, conditions: Conditions) -> State:
-        """Return what the law is made of, every effect applied at its stage."""
+        """Return the state after all effects are applied in the order of their stages."""
         state = State(
             conditions,
             (direct_path(conditions),),
@@ -208,11 +211,11 @@ class PhysicalModel:
         return state
 
     def law_of(self, conditions: Conditions) -> PhysicalLaw:
-        """Return the law of a batch of tensors; gradients flow from its `log_prob_tensor` to the parameters."""
+        """Return the law of a batch of tensors, differentiable in the parameters."""
         return PhysicalLaw(self.state(conditions), conditions.distance.numpy(), self.resolution, self.max_range)
 
     def law(self, ping: Ping, past: Reading | None = None) -> PhysicalLaw:
-        """Return the law of n pings, given the reading before each."""
+        """Return the law of n pings, given the previous reading of each."""
         return self.law_of(Conditions.of(ping, past))
 
     def to_dict(self) -> dict[str, object]:
@@ -222,10 +225,10 @@ class PhysicalModel:
 
     @classmethod
     def from_dict(cls, data: dict[str, object]) -> PhysicalModel:
-        """Build a model from `to_dict`.
+        """Build a model from the output of `to_dict`.
 
         Raises:
-            ModelError: an effect is not in the catalogue, or a value is not usable.
+            ModelError: an effect is not in the catalogue, or a value is invalid.
         """
         effects = data.get("effects", {})
         if not isinstance(effects, dict):

@@ -1,7 +1,7 @@
-"""The waveform rig as a sonar model: what it says comes from geometry and electronics, and there is no law to look up.
+"""The waveform rig as a sonar model that can only be sampled.
 
-For worlds that stand for the real one: a policy or a diagnosis meets readings that no law was fitted to, except through
-recordings.
+Its readings come from geometry and electronics, so that it can stand for the real world in tests of a policy or a
+diagnosis: other models can be fitted to it only through recordings.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.acoustics.air import Drift
 from acquisition.bench.registers import METRES
 from acquisition.errors import SampleOnlyError
-from noise.law import EchoLaw, Floats
+from noise.law import EchoLaw, Floats, UniformSource
 
-# full gain, and reflectors that stand where the simulator has them
+# full gain, and reflectors exactly at their nominal positions
 SIMULATED = Setup(gain=31, placement_m=0.0, placement_deg=0.0, tilt_deg=0.0)
 
 
 class RigLaw(EchoLaw):
-    """What n pings would read, to be drawn from and nothing else."""
+    """Law of the readings of n pings that can only be sampled."""
 
     has_probabilities = False
 
@@ -32,20 +32,26 @@ class RigLaw(EchoLaw):
         self.model, self.ping = model, ping
 
     def arrival(self, z: Floats) -> Floats:
-        """Refuse: no probabilities are known.
+        """Raise SampleOnlyError: the rig has no probabilities.
 
         Raises:
             SampleOnlyError: always.
         """
-        raise SampleOnlyError("the rig fires pings and knows no probabilities: draw readings with `sample(rng)`")
+        raise SampleOnlyError("the rig simulates pings and has no probabilities: draw readings with `sample(rng)`")
 
     @property
     def no_answer(self) -> Floats:
-        """Refuse as `arrival` does."""
+        """Raise SampleOnlyError, as `arrival` does."""
         return self.arrival(self.distance)
 
-    def sample(self, rng: np.random.Generator) -> Reading:
-        """Fire every ping once, each as if it were the only one."""
+    def sample(self, rng: UniformSource) -> Reading:
+        """Simulate every ping once, independently of the others.
+
+        Raises:
+            TypeError: `rng` is not a numpy Generator; the simulation needs more than uniform numbers.
+        """
+        if not isinstance(rng, np.random.Generator):
+            raise TypeError(f"RigLaw.sample needs a numpy.random.Generator, got a {type(rng).__name__}")
         rig = self.model.rig
         alone = replace(self.ping, run=np.arange(len(self.ping)))
         reading = rig.ping(alone, rng, _drift(self.model)).reading(rig.setup)
@@ -54,13 +60,13 @@ class RigLaw(EchoLaw):
 
 @dataclass(frozen=True)
 class RigModel:
-    """A unit in a laboratory, fired at whatever stands before it.
+    """A simulated unit in a simulated laboratory.
 
-    Pings do not hear each other, since a simulator's sonars are many; the air wanders with the pings' times.
+    Pings do not interfere, since the sonars of a simulator share one batch; the air temperature drifts with time.
 
     Attributes:
-        rig: unit and laboratory; the nominal unit at full gain, where reflectors stand just where they should.
-        seed: of the air's wandering.
+        rig: unit and laboratory; by default the nominal unit at full gain with exactly placed reflectors.
+        seed: seed of the drift of the air temperature.
 
     >>> law = RigModel().law(Ping.of(distance=[0.5, 2.0], reflectance=0.9))
     >>> law.sample(np.random.default_rng(0)).range.round(1)
@@ -73,16 +79,16 @@ class RigModel:
 
     @property
     def resolution(self) -> float:
-        """Step of the register, m; a sensor with a coarse timer leaves some steps out."""
+        """Step of the register, m; a coarse timer may skip some steps."""
         return METRES[self.rig.setup.output]
 
     @property
     def max_range(self) -> float:
-        """Farthest that the range register lets through, m."""
+        """Maximum range set by the range register, m."""
         return float(self.rig.setup.listening * 345.0 / 2.0 + 1.0)
 
     def law(self, ping: Ping, past: Reading | None = None) -> RigLaw:
-        """Return what n pings would read."""
+        """Return the law of n pings."""
         return RigLaw(self, ping)
 
 

@@ -1,4 +1,4 @@
-"""How far values usually lie from their middle, whatever a few of them do."""
+"""Robust estimates of location and scale."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import numpy as np
 
 from noise.law import Floats
 
-NORMAL = 1.4826  # standard deviations of a normal in its median absolute deviation
-USUAL = 3.0  # usual deviations, beyond which a value is pulled in; ours
+STD_PER_MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
+N_DEVIATIONS = 3.0  # limit of winsorising, in robust standard deviations; chosen here
 
 
 def robust_std(error: Floats) -> float:
-    """Return the standard deviation of errors about zero as their median size has it; of none, nan.
+    """Return a robust standard deviation about zero, 1.4826 times the median absolute error; NaN for no errors.
 
     Args:
-        error: (n,), signed or not.
+        error: errors, (n,), signed or absolute.
     """
-    return NORMAL * float(np.median(np.abs(error)))
+    return STD_PER_MAD * float(np.median(np.abs(error)))
 
 
-def winsorised(value: Floats, more: float = 1e-6) -> Floats:
-    """Return values with what lies farther than three usual deviations from their middle pulled in.
+def winsorised(value: Floats, slack: float = 1e-6) -> Floats:
+    """Return values clipped to three robust standard deviations about their median.
 
     Args:
-        value: (n,).
-        more: allowed besides, in the unit of the values.
+        value: values, (n,).
+        slack: added to the limit, in the unit of the values.
     """
-    middle = float(np.median(value))
-    limit = USUAL * robust_std(value - middle) + more
-    return np.clip(value, middle - limit, middle + limit)
+    median = float(np.median(value))
+    limit = N_DEVIATIONS * robust_std(value - median) + slack
+    return np.clip(value, median - limit, median + limit)

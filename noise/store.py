@@ -1,7 +1,7 @@
-"""Models by name or path: `load_model("srf08-mlp")`, `load_model("run/corrected")`, `save_model(model, folder)`.
+"""Loading and saving of models: `load_model("srf08-mlp")`, `load_model("run/corrected")`, `save_model(model, folder)`.
 
-A saved model is a folder with `model.json` (what it is, its parameters) and, for networks, `weights.safetensors`.
-Nothing is ever unpickled.
+A saved model is a folder with `model.json` (kind and parameters) and, for networks, `weights.safetensors`.
+Pickle is never used.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from noise.model import SonarModel
 
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
-# module and class by name, and by the kind in model.json; imported when asked for: some need torch, and the rig must
-# not come along with the laws that are held against it
+# module and class by name, and by the kind in model.json; imported on demand, since some need torch, and since the rig
+# must not be imported together with the laws that are tested against it
 BUILT_IN = {
     "ideal": ("noise.model", "IdealModel"),
     "gaussian": ("noise.model", "GaussianModel"),
@@ -38,7 +38,7 @@ KINDS = {
 
 
 def model_names() -> list[str]:
-    """Return the names that `load_model` knows."""
+    """Return the names that `load_model` accepts."""
     shipped = sorted(path.parent.name for path in WEIGHTS.glob("*/model.json"))
     return [*BUILT_IN, *shipped]
 
@@ -48,7 +48,7 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
 
     Raises:
         UnknownModelError: neither a known name nor a folder.
-        ModelError: the folder does not hold a model that this version can read.
+        ModelError: the folder does not contain a model that this version can read.
     """
     if str(name) in BUILT_IN:
         module, attribute = BUILT_IN[str(name)]
@@ -62,10 +62,10 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
 
 
 def _of_kind(folder: Path, data: Any) -> SonarModel:
-    """Return the model that (part of) a folder's model.json describes."""
+    """Return the model described by (a part of) a folder's model.json."""
     kind = data.get("kind") if isinstance(data, dict) else None
     if kind not in KINDS:
-        raise ModelError(f"{folder / 'model.json'}: holds a model of kind {kind!r}, expected {', '.join(KINDS)}")
+        raise ModelError(f"{folder / 'model.json'}: the model is of kind {kind!r}, expected {', '.join(KINDS)}")
     module, attribute = KINDS[kind]
     cls = getattr(importlib.import_module(module), attribute)
     if kind == "faulty":
@@ -78,7 +78,7 @@ def _read(folder: Path) -> dict[str, Any]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ModelError(f"{folder}: holds no model.json; give the folder of a saved model") from None
+        raise ModelError(f"{folder}: contains no model.json; give the folder of a saved model") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: not a model file ({error}); it may be damaged") from None
     if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("kind") not in KINDS:
@@ -87,11 +87,11 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
-    """Write a model's folder atomically, replacing one that is there; returns the folder.
+    """Write a model's folder atomically, replacing an older model, and return the folder.
 
     Args:
-        model: anything with `to_dict()`; `write_weights(folder)` is called where there is one.
-        folder: to write.
+        model: any object with `to_dict()`; `write_weights(folder)` is called if it exists.
+        folder: folder to write.
     """
     folder = Path(folder)
     check_model_folder(folder)
@@ -104,12 +104,12 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
 
 
 def check_model_folder(folder: Path) -> None:
-    """Make sure that writing a model to a folder replaces nothing but an older model.
+    """Check that writing a model to a folder replaces nothing but an older model.
 
     Raises:
-        ModelError: it is a file, or a folder of something else.
+        ModelError: the path is a file, or a folder with other contents.
     """
     if folder.exists() and not folder.is_dir():
-        raise ModelError(f"{folder}: is a file, expected a folder to write a model to; give another name")
+        raise ModelError(f"{folder}: is a file, expected a folder for the model; give another name")
     if folder.exists() and any(folder.iterdir()) and not (folder / "model.json").is_file():
-        raise ModelError(f"{folder}: holds something else than a model; give the name of a new folder")
+        raise ModelError(f"{folder}: contains something other than a model; give the name of a new folder")

@@ -1,36 +1,17 @@
-"""Gymnasium environments and wrappers with a real sonar.
+"""Gymnasium environments and wrappers with realistic sonar.
 
-Importing this package registers `SonarParking-v0`; torch is imported only by models that need it.
+Importing this package registers `SonarParking-v0`. The public names are listed in `__init__.pyi` and imported on first
+use; PyTorch is imported only by models that need it.
 """
 
-from __future__ import annotations
-
-import importlib
-from typing import Any
-
 import gymnasium
+import lazy_loader
 
 from acquisition.name_check import check_noise
 
+__getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
 ENV_ID = "SonarParking-v0"
-_LAZY = {
-    "SonarParkingEnv": "sonar_gym.parking.environment",
-    "SonarParkingVectorEnv": "sonar_gym.parking.vector",
-    "SonarObservation": "sonar_gym.wrappers.observation",
-    "SonarVectorObservation": "sonar_gym.wrappers.observation",
-    "ParkingDriver": "sonar_gym.control.driver",
-    "run_episode": "sonar_gym.control.driver",
-}
-
-__all__ = [
-    "ENV_ID",
-    "ParkingDriver",
-    "SonarObservation",
-    "SonarParkingEnv",
-    "SonarParkingVectorEnv",
-    "SonarVectorObservation",
-    "run_episode",
-]
+__all__ += ["ENV_ID"]
 
 check_noise()
 if ENV_ID not in gymnasium.registry:
@@ -42,8 +23,6 @@ if ENV_ID not in gymnasium.registry:
     )
 
 
-def __getattr__(name: str) -> Any:
-    """Import what is heavier than registration on first use."""
-    if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
-    raise AttributeError(f"module 'sonar_gym' has no attribute {name!r}")
+def __dir__() -> list[str]:
+    """Return the public names, whether or not they have been imported."""
+    return list(__all__)

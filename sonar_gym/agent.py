@@ -1,4 +1,4 @@
-"""A trained agent: a small network over its memory, run by numpy alone. `load_agent("parking")` parks."""
+"""Trained parking agents: feed-forward policies over an observation memory, evaluated with NumPy alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from acquisition import ModelError, UnknownModelError
 from acquisition.io.files import whole_folder
 from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
-from sonar_gym.control.memory import Memory, MemorySettings
+from sonar_gym.control.memory import MemorySettings, ObservationMemory
 
 Singles = NDArray[np.float32]
 Layer = tuple[Singles, Singles]
@@ -26,18 +26,18 @@ KIND = "parking-agent"
 WEIGHTS = Path(__file__).parent / "weights"
 DESCRIPTION = "agent.json"
 ACTIONS = 2
-ONE = np.zeros(1, dtype=np.int64)  # the rows of a memory of one
+ONE = np.zeros(1, dtype=np.int64)  # row index of a single car
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """Actions from memories: a perceptron with tanh between its layers.
+    """Multilayer perceptron with tanh activations, from the features of an observation memory to an action.
 
     Attributes:
-        layers: weights (out, in) and biases (out,) of each, float32.
-        memory: what it is shown.
-        repeat: steps of 0.1 s for which an action holds.
-        about: plain data on its making.
+        layers: weights (out, in) and biases (out,) of each layer, float32.
+        memory: settings of the observation memory.
+        repeat: number of 0.1 s steps for which an action is repeated.
+        about: training record, JSON data.
         card: text of the folder's README.md.
     """
 
@@ -48,41 +48,41 @@ class Policy:
     card: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse layers that do not lead from a memory to an action."""
-        sizes, shown = self.sizes, Memory(1, settings=self.memory).size
+        """Raise ModelError if the layers do not map the features to an action."""
+        sizes, features = self.sizes, ObservationMemory(1, settings=self.memory).size
         fit = all(weight.shape[0] == len(bias) for weight, bias in self.layers)
         chained = all(a[0].shape[0] == b[0].shape[1] for a, b in zip(self.layers, self.layers[1:], strict=False))
-        if not (fit and chained) or sizes[0] != shown or sizes[-1] != ACTIONS or self.repeat < 1:
-            raise ModelError(f"agent: layers {sizes} do not lead from {shown} numbers to {ACTIONS}; train it anew")
+        if not (fit and chained) or sizes[0] != features or sizes[-1] != ACTIONS or self.repeat < 1:
+            raise ModelError(f"agent: layers {sizes} do not map {features} features to {ACTIONS} actions; retrain it")
 
     @property
     def sizes(self) -> list[int]:
-        """Widths of all layers, what it is shown first."""
+        """Widths of all layers, beginning with the input."""
         return [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
 
     @cached_property
     def _transposed(self) -> list[Layer]:
         return [(np.ascontiguousarray(weight.T), bias) for weight, bias in self.layers]
 
-    def act(self, shown: Singles) -> Singles:
-        """Return an action within -1..1 for each memory, (n, 2)."""
-        x = shown
+    def act(self, features: Singles) -> Singles:
+        """Return actions within -1..1, (n, 2), for features (n, size)."""
+        x = features
         for weight, bias in self._transposed[:-1]:
             x = np.tanh(x @ weight + bias)
         weight, bias = self._transposed[-1]
         return np.clip(x @ weight + bias, -1.0, 1.0)
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write agent.json, weights.safetensors and the card, whole or not at all; returns the folder."""
+        """Write agent.json, weights.safetensors and README.md atomically, and return the folder."""
         folder = Path(folder)
         if folder.exists() and not (folder / DESCRIPTION).is_file() and (folder.is_file() or any(folder.iterdir())):
-            raise ModelError(f"{folder}: holds something else than an agent; give the name of a new folder")
+            raise ModelError(f"{folder}: exists and is not an agent; give the name of a new folder")
         with whole_folder(folder) as fresh:
             self._write(fresh)
         return folder
 
     def _write(self, folder: Path) -> None:
-        said = {
+        description = {
             "format": FORMAT,
             "kind": KIND,
             "sizes": self.sizes,
@@ -90,94 +90,96 @@ class Policy:
             "memory": self.memory.to_dict(),
             "about": dict(self.about),
         }
-        (folder / DESCRIPTION).write_text(json.dumps(said, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        text = json.dumps(description, indent=2, allow_nan=False) + "\n"
+        (folder / DESCRIPTION).write_text(text, encoding="utf-8")
         write_tensors(folder, tensors_of(self.layers), self.card)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> Policy:
-        """Read an agent's folder.
+        """Read the folder of a saved agent.
 
         Raises:
-            ModelError: it is damaged, or something else.
+            ModelError: the folder is damaged or does not contain an agent.
         """
         folder = Path(folder)
-        said = _described(folder / DESCRIPTION)
+        description = _read_description(folder / DESCRIPTION)
         try:
-            memory, sizes, repeat = MemorySettings(**said["memory"]), list(map(int, said["sizes"])), int(said["repeat"])
+            memory, repeat = MemorySettings(**description["memory"]), int(description["repeat"])
+            sizes = list(map(int, description["sizes"]))
         except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"{folder / DESCRIPTION}: does not describe an agent ({error}); train it anew") from None
+            raise ModelError(f"{folder / DESCRIPTION}: does not describe an agent ({error}); retrain it") from None
         tensors, card = read_tensors(folder, shapes_of(sizes))
-        return cls(layers_of(tensors, len(sizes) - 1), memory, repeat, said.get("about", {}), card)
+        return cls(layers_of(tensors, len(sizes) - 1), memory, repeat, description.get("about", {}), card)
 
 
-def _described(path: Path) -> dict[str, Any]:
+def _read_description(path: Path) -> dict[str, Any]:
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
+        description = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ModelError(f"{path.parent}: holds no {DESCRIPTION}; give the folder of a saved agent") from None
+        raise ModelError(f"{path.parent}: contains no {DESCRIPTION}; give the folder of a saved agent") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: cannot be read as JSON ({error}); it is damaged") from None
-    if not isinstance(said, dict) or said.get("format") != FORMAT or said.get("kind") != KIND:
-        raise ModelError(f"{path}: is no agent of format {FORMAT}; it is of something else, or of another version")
-    return said
+        raise ModelError(f"{path}: cannot be read as JSON ({error}); the file is damaged") from None
+    if not isinstance(description, dict) or description.get("format") != FORMAT or description.get("kind") != KIND:
+        raise ModelError(f"{path}: is not an agent of format {FORMAT}; it has another kind or another format version")
+    return description
 
 
-class Agents:
-    """One policy that drives n cars, each with a memory of its own.
+class VectorAgent:
+    """One policy that drives n cars, each with its own observation memory.
 
     Args:
-        policy: that acts.
-        count: of cars.
+        policy: the policy.
+        count: number of cars.
     """
 
     def __init__(self, policy: Policy, count: int) -> None:
         self.policy, self.count = policy, count
-        self.memory = Memory(count, settings=policy.memory)
-        self._held = np.zeros((count, ACTIONS), dtype=np.float32)
+        self.memory = ObservationMemory(count, settings=policy.memory)
+        self._action = np.zeros((count, ACTIONS), dtype=np.float32)
         self._age = np.zeros(count, dtype=np.int64)
 
-    def forget(self, rows: NDArray[np.int64]) -> None:
-        """Begin episodes with some cars."""
-        self.memory.forget(rows)
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Begin the episodes of some cars."""
+        self.memory.reset(rows)
         self._age[rows] = 0
 
     def act(self, observation: Observation, rows: NDArray[np.int64] | None = None) -> Singles:
-        """Return an action for each of some cars from what they observe, (r, 2); for all where none are named."""
+        """Return the actions of some cars, or of all, (r, 2), from their observations."""
         rows = np.arange(self.count) if rows is None else rows
-        self.memory.see(rows, observation)
+        self.memory.update(rows, observation)
         due = rows[self._age[rows] % self.policy.repeat == 0]
         if len(due):
-            self._held[due] = self.policy.act(self.memory.show(due))
+            self._action[due] = self.policy.act(self.memory.features(due))
         self._age[rows] += 1
-        return self._held[rows]
+        return self._action[rows]
 
 
 class AgentDriver:
-    """A policy as the driver of one car, for `run_episode`."""
+    """Controller of one car by a policy, for `run_episode`."""
 
     def __init__(self, policy: Policy) -> None:
-        self._agents = Agents(policy, 1)
+        self._agent = VectorAgent(policy, 1)
 
     def reset(self) -> None:
-        """Forget the last episode."""
-        self._agents.forget(ONE)
+        """Begin an episode."""
+        self._agent.reset(ONE)
 
     def act(self, observation: Observation) -> Singles:
-        """Return steering and speed wanted, as shares of the greatest, (2,)."""
-        return self._agents.act({name: value[None] for name, value in observation.items()}, ONE)[0]
+        """Return the steering and speed setpoints as fractions of their maxima, (2,)."""
+        return self._agent.act({name: value[None] for name, value in observation.items()}, ONE)[0]
 
 
 def agent_names() -> list[str]:
-    """Return the names that `load_agent` knows."""
+    """Return the names of the shipped agents."""
     return sorted(path.parent.name for path in WEIGHTS.glob(f"*/{DESCRIPTION}"))
 
 
 def load_policy(name: str | os.PathLike[str]) -> Policy:
-    """Return a policy by the name of a shipped one, or by the path of its folder.
+    """Return the policy of a shipped agent, by name, or of a saved agent, by folder.
 
     Raises:
-        UnknownModelError: neither a known name nor a folder.
-        ModelError: the folder does not hold an agent that this version can read.
+        UnknownModelError: `name` is neither a shipped agent nor a folder.
+        ModelError: the folder does not contain an agent that this version can read.
     """
     shipped = WEIGHTS / str(name)
     folder = shipped if (shipped / DESCRIPTION).is_file() else Path(name)
@@ -187,5 +189,5 @@ def load_policy(name: str | os.PathLike[str]) -> Policy:
 
 
 def load_agent(name: str | os.PathLike[str] = "parking") -> AgentDriver:
-    """Return a driver by the name of a shipped agent, or by the path of its folder."""
+    """Return the controller of a shipped agent, by name, or of a saved agent, by folder."""
     return AgentDriver(load_policy(name))

@@ -1,8 +1,8 @@
-"""How kernels are compiled: once a machine, kept beside the package, and anew whenever any of their sources changes.
+"""Compilation of kernels by numba, with a cache that is invalidated when any source file changes.
 
-Numba keeps what it compiled as long as the file of the outermost function is the same. A kernel that calls another
-file's kernels would go on with their old text (Numba manual, "Caching of compiled functions", limitations); so what is
-older than the newest of the files is dropped before anything is read.
+Numba checks only the file of the outermost function. A kernel that calls kernels of another file would keep their old
+version (Numba manual, "Caching of compiled functions", limitations). So caches that are older than the newest source
+file are removed before they are read.
 """
 
 from __future__ import annotations
@@ -28,16 +28,18 @@ def drop_stale(folder: Path) -> list[Path]:
     """
     indices = list(folder.glob("**/__pycache__/*.nbi"))
     sources = _ages({index.parent.parent / f"{index.name.split('.')[0]}.py" for index in indices})
-    newest = max((age for age in sources if age <= time.time()), default=0.0)  # a wrong clock must not undo every start
+    newest = max(
+        (age for age in sources if age <= time.time()), default=0.0
+    )  # a future time stamp must not invalidate the cache at every start
     stale = [index for index in indices for age in _ages([index]) if age < newest]
     for index in stale:
-        with suppress(OSError):  # another process was faster, or the folder is not ours to write to
+        with suppress(OSError):  # removed by another process, or the folder is read-only
             index.unlink()
     return stale
 
 
 def _ages(files: Iterable[Path]) -> list[float]:
-    """Return when files were last written; those that are gone have no age."""
+    """Return the modification times of files that exist."""
     times = []
     for file in files:
         with suppress(OSError):

@@ -15,20 +15,21 @@ from acquisition import SettingError
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
-Answer = tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
-ENDS = ("is_success", "collision", "left_street")
+StepResult = tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
+OUTCOMES = ("is_success", "collision", "left_street")
 
 
 class SonarVecEnv(VecEnv):
-    """n parking environments as Stable-Baselines3 wants them, stepped together.
+    """Stable-Baselines3 interface of n parking environments that are stepped together.
 
-    Where an episode ends, its info holds `terminal_observation`, `TimeLimit.truncated`, `is_success`, `collision` and
-    `left_street`. Other infos are empty, unless `infos` asks for them: a thousand dictionaries a step take their time.
+    The info of a step that ends an episode holds `terminal_observation`, `TimeLimit.truncated`, `is_success`,
+    `collision` and `left_street`. All other infos are empty unless `infos` is set, because building a dictionary per
+    environment and step is slow.
 
     Args:
         num_envs: number of environments.
-        infos: whether every step's info holds what `SonarParkingEnv` says.
-        settings: of `SonarParkingVectorEnv`; its autoreset mode is Stable-Baselines3's own.
+        infos: whether to return the full info of `SonarParkingEnv` at every step.
+        settings: keyword arguments of `SonarParkingVectorEnv`, except `autoreset_mode`.
     """
 
     def __init__(self, num_envs: int, infos: bool = False, **settings: Any) -> None:
@@ -40,30 +41,30 @@ class SonarVecEnv(VecEnv):
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
 
     def reset(self) -> Observations:
-        """Begin new episodes, with the seeds and options that were set for this reset; the same options for all."""
+        """Begin new episodes with the seeds and options set for this reset; the options must be the same for all."""
         if any(options != self._options[0] for options in self._options):
             raise SettingError("SonarVecEnv.set_options: the options must be the same for all environments")
         observations, infos = self.envs.reset(seed=self._seeds, options=self._options[0] or None)
-        self.reset_infos = [one_of(infos, i) for i in range(self.num_envs)]
+        self.reset_infos = [env_info(infos, i) for i in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Note what is wanted."""
+        """Store the actions, (n, 2), for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> Answer:
-        """Do it."""
+    def step_wait(self) -> StepResult:
+        """Step all environments and return observations, rewards, ends of episodes, and infos."""
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
-        out = [one_of(infos, i) if self.infos else {} for i in range(self.num_envs)]
+        out = [env_info(infos, i) if self.infos else {} for i in range(self.num_envs)]
         done = terminated | truncated
         for i in np.flatnonzero(done).tolist():
-            final = one_of(infos["final_info"], i)
-            out[i] = final if self.infos else {name: final[name] for name in ENDS}
+            final = env_info(infos["final_info"], i)
+            out[i] = final if self.infos else {name: final[name] for name in OUTCOMES}
             out[i]["terminal_observation"] = infos["final_obs"][i]
             out[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-            self.reset_infos[i] = one_of(infos, i)
+            self.reset_infos[i] = env_info(infos, i)
         return observations, rewards.astype(np.float32), done, out
 
     def close(self) -> None:
@@ -71,33 +72,33 @@ class SonarVecEnv(VecEnv):
         self.envs.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return pictures of the environments that are pictured."""
+        """Return the images of the rendered environments."""
         return self.envs.render() or ()
 
-    # ---- what Stable-Baselines3 asks of single environments ----------------------------------------------------------
+    # ---- access to single environments, which share one vector environment -------------------------------------------
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of the vector environment, which all share, once for each environment asked."""
+        """Return an attribute of the vector environment once per requested environment."""
         value = getattr(self.envs, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the vector environment, which all share."""
+        """Set an attribute of the vector environment, for all environments."""
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise SettingError(f"SonarVecEnv: {attr_name!r} is shared by all environments; set it without indices")
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **named: Any) -> list[Any]:
-        """Call a method of the vector environment once; the answer is given for each environment asked."""
-        answer = getattr(self.envs, method_name)(*method_args, **named)
-        return [answer for _ in self._get_indices(indices)]
+        """Call a method of the vector environment once, and return its result once per requested environment."""
+        result = getattr(self.envs, method_name)(*method_args, **named)
+        return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """Nothing is wrapped."""
+        """Return False for each requested environment: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
-def one_of(infos: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return one environment's info from a vector environment's."""
-    kept = {name: value for name, value in infos.items() if not name.startswith(("_", "final"))}
-    return {name: one_of(value, i) if isinstance(value, dict) else value[i] for name, value in kept.items()}
+def env_info(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """Return the info of environment i from that of a vector environment."""
+    own = {name: value for name, value in infos.items() if not name.startswith(("_", "final"))}
+    return {name: env_info(value, i) if isinstance(value, dict) else value[i] for name, value in own.items()}

@@ -1,4 +1,4 @@
-"""What all tests share: where real recordings lie, and quiet libraries."""
+"""Shared options and fixtures of the tests: real hardware, real recordings, published networks."""
 
 import contextlib
 import os
@@ -11,30 +11,40 @@ from acquisition import DeviceError
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MPLBACKEND", "Agg")
-os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # tests themselves run side by side already
-# a busy machine is slow now and then, which is no fault of what is tested
-settings.register_profile("patient", settings.default, deadline=None)
-settings.load_profile("patient")
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # the tests themselves run in parallel
+settings.register_profile("no deadline", settings.default, deadline=None)  # the machine may be busy
+settings.load_profile("no deadline")
 SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "shared"))
 
 
 def pytest_addoption(parser):
-    parser.addoption("--hardware", metavar="PORT", help="also test a real sonar at PORT, a wall 0.3 to 3 m before it")
-    parser.addoption("--sonar", metavar="NAME", default="srf08", help="which driver `--hardware` is for")
+    parser.addoption("--hardware", metavar="PORT", help="also test a real sonar at PORT, with a wall 0.3 to 3 m away")
+    parser.addoption("--sonar", metavar="NAME", default="srf08", help="driver for `--hardware`")
 
 
-@pytest.fixture(scope="session")
-def real_recordings() -> Path:
-    """Folder of real recordings, which are not part of the project."""
-    folder = SHARED / "recordings"
+def shared_folder(name: str, content: str) -> Path:
+    """Return a folder of files that are not part of the project; skip the test if it is missing."""
+    folder = SHARED / name
     if not folder.is_dir():
-        pytest.skip(f"no real recordings at {folder}: set SONAR_GYM_SHARED to the folder that holds them")
+        pytest.skip(f"no {content} at {folder}: set SONAR_GYM_SHARED to the folder that contains `{name}`")
     return folder
 
 
 @pytest.fixture(scope="session")
-def patiently():
-    """Run what goes by the host's own clock up to four times: a busy machine is late now and then, as drivers tell."""
+def real_recordings() -> Path:
+    """Folder of real recordings."""
+    return shared_folder("recordings", "real recordings")
+
+
+@pytest.fixture(scope="session")
+def thesis_files() -> Path:
+    """Folder of the networks that the author of the thesis published."""
+    return shared_folder("thesis", "published networks")
+
+
+@pytest.fixture(scope="session")
+def retry():
+    """Run a test body that depends on the host's clock up to four times, since a busy machine may be late."""
 
     def run(attempt):
         for _ in range(3):
@@ -43,12 +53,3 @@ def patiently():
         return attempt()
 
     return run
-
-
-@pytest.fixture(scope="session")
-def thesis_files() -> Path:
-    """Folder of the networks that the thesis's author published, which are not part of the project."""
-    folder = SHARED / "thesis"
-    if not folder.is_dir():
-        pytest.skip(f"no published networks at {folder}: set SONAR_GYM_SHARED to the folder that holds `thesis`")
-    return folder

@@ -1,4 +1,4 @@
-"""What pings hear that is not of themselves: the pings before them, other sonars, and whatever moves about."""
+"""Sound in a ping that it did not cause: previous pings, other sonars, reverberation, moving objects."""
 
 from __future__ import annotations
 
@@ -6,106 +6,113 @@ import numpy as np
 
 from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.acoustics.arrivals import BOUNCE, LEAK, OTHER, Arrivals, Complexes, Integers
+from acquisition.bench.acoustics.geometry import amplitude_scale
 from acquisition.bench.acoustics.interference import Mover, Neighbour, Reverberation
 from acquisition.bench.acoustics.receiver import Pulses
 from acquisition.bench.acoustics.room import arrivals
-from acquisition.bench.acoustics.scene import loudness
-from acquisition.bench.acoustics.transducer import LENGTH, PERIOD, REFERENCE_C, pulse_phases
-from acquisition.bench.reception import Hearing
+from acquisition.bench.acoustics.transducer import PERIOD, PULSE_LENGTH, REFERENCE_C, pulse_phases
+from acquisition.bench.reception import Reception
 from acquisition.bench.unit import DEG
 
-LONG_S = 0.15  # after which a neighbour's burst has died away
+BURST_LIFETIME_S = 0.15  # s, after which a neighbour's burst has decayed
 
 
-def others(batch: Hearing, rng: np.random.Generator) -> list[Pulses]:
-    """Return everything that the pings of a batch hear besides themselves; row is the ping in the batch."""
-    found = [*_ghosts(batch), *(_moving(batch, thing) for thing in batch.setup.movers)]
-    for other in batch.setup.neighbours:
-        found += _neighbour(batch, other)
+def disturbances(batch: Reception, rng: np.random.Generator) -> list[Pulses]:
+    """Return all sound in a batch that does not come from its own pings; `row` is the ping in the batch."""
+    found = [*_previous_pings(batch), *(_mover_echo(batch, mover) for mover in batch.setup.movers)]
+    for neighbour in batch.setup.neighbours:
+        found += _neighbour(batch, neighbour)
     if batch.setup.reverberation is not None:
-        found.append(_reverberating(batch, batch.setup.reverberation, rng))
+        found.append(_reverberation(batch, batch.setup.reverberation, rng))
     return [part for part in found if len(part.row)]
 
 
-def _ghosts(batch: Hearing) -> list[Pulses]:
-    """Return what is left of the pings before, of what those faced."""
-    row, sooner, lag = _before(batch)
+def _previous_pings(batch: Reception) -> list[Pulses]:
+    """Return the late echoes of previous pings, in the scenes of those."""
+    row, previous, lag = _overlaps(batch)
     if not len(row):
         return []
-    takes, source = np.unique(batch.all.visits.take[sooner], return_inverse=True)
-    scene = batch.scene_of(takes)
-    way = _heard_by_others(arrivals(scene))
-    pair, index = _pairs(source, way.row, len(takes))
-    pulses = batch.pulses_of(way, scene.air)
-    return [_kept(batch, row[pair], pulses.delay[index] - lag[pair], pulses.weight[index])]
+    segments, source = np.unique(batch.drawn.visits.segment[previous], return_inverse=True)
+    geometry = batch.geometry_of(segments)
+    paths = _external_paths(arrivals(geometry))
+    pair, index = _source_path_pairs(source, paths.row, len(segments))
+    pulses = batch.pulses_of(paths, geometry.air)
+    return [_within_waveform(batch, row[pair], pulses.delay[index] - lag[pair], pulses.weight[index])]
 
 
-def _before(batch: Hearing) -> tuple[Integers, Integers, Floats]:
-    """Return which pings of a batch still hear which pings before them, and how many seconds lie between."""
-    later, sooner, lag = batch.all.echo
-    place = np.full(len(batch.all.ping), -1)
+def _overlaps(batch: Reception) -> tuple[Integers, Integers, Floats]:
+    """Return overlapping pairs whose later ping is in the batch: its row, the previous ping, and the lag, s."""
+    later, previous, lag = batch.drawn.overlaps
+    place = np.full(len(batch.drawn.ping), -1)
     place[batch.rows] = np.arange(len(batch.rows))
     mine = np.flatnonzero(place[later] >= 0)
-    return place[later[mine]], sooner[mine], lag[mine]
+    return place[later[mine]], previous[mine], lag[mine]
 
 
-def _reverberating(batch: Hearing, of: Reverberation, rng: np.random.Generator) -> Pulses:
-    """Return the mixed sound of these pings and of those before, a pulse of chance a period."""
+def _reverberation(batch: Reception, of: Reverberation, rng: np.random.Generator) -> Pulses:
+    """Return the diffuse reverberation of these pings and of previous ones, one random pulse per period."""
     since = np.arange(batch.samples, dtype=np.float64) * PERIOD
     power = np.repeat(of.power(since)[None], len(batch.rows), axis=0)
-    row, _, lag = _before(batch)
+    row, _, lag = _overlaps(batch)
     np.add.at(power, row, of.power(since + lag[:, None]))
     white = rng.standard_normal((*power.shape, 2)).view(np.complex128)[..., 0] / np.sqrt(2.0)
     ringing = np.sqrt((np.abs(pulse_phases(batch.unit, REFERENCE_C)[0]) ** 2).sum())
-    weight = loudness(batch.unit, batch.setup.supply) * np.sqrt(power) / ringing * white
+    weight = amplitude_scale(batch.unit, batch.setup.supply) * np.sqrt(power) / ringing * white
     rows, at = np.nonzero(power)
     return Pulses(rows, since[at], weight[rows, at])
 
 
-def _moving(batch: Hearing, thing: Mover) -> Pulses:
-    """Return the echo of a person or a thing from where it is at each ping."""
-    points = thing.places(batch.time)
+def _mover_echo(batch: Reception, mover: Mover) -> Pulses:
+    """Return the echo of a moving object at its position at each ping."""
+    points = mover.positions(batch.time)
     away = np.maximum(np.linalg.norm(points, axis=-1), 0.05)
-    level = np.sqrt(thing.radius / (thing.radius + away)) / (2.0 * away) * batch.scene.beam(points, batch.take) ** 2
-    pulses = batch.pulses_of(Arrivals.of(batch.take, OTHER, away, level), batch.scene.air)
-    return _kept(batch, np.flatnonzero(level != 0.0), pulses.delay, pulses.weight)
+    level = (
+        np.sqrt(mover.radius / (mover.radius + away)) / (2.0 * away) * batch.geometry.beam(points, batch.segment) ** 2
+    )
+    pulses = batch.pulses_of(Arrivals.of(batch.segment, OTHER, away, level), batch.geometry.air)
+    return _within_waveform(batch, np.flatnonzero(level != 0.0), pulses.delay, pulses.weight)
 
 
-def _neighbour(batch: Hearing, other: Neighbour) -> list[Pulses]:
-    """Return another sonar's sound, straight and by way of everything that returns this one's."""
-    row, offset = other.firings(batch.time, LONG_S, batch.setup.listening)
-    scene, take = batch.scene, batch.take[row]
-    beam = scene.towards(np.full(len(scene), np.cos(other.bearing_deg * DEG)))[take]
-    path = np.full(len(row), 0.5 * other.path_m)
-    level = loudness(batch.unit, batch.setup.supply) * 10.0 ** (other.strength_db / 20.0) * beam / other.path_m
-    weight = (scene.air.loss(take, path) * level).astype(np.complex128)
-    found = [_kept(batch, row, scene.air.delay(take, path) + offset, weight)]
-    if other.beside_m is not None:
-        way = _heard_by_others(batch.way)
-        aside = Arrivals(way.row, way.group, np.hypot(way.length, 0.5 * other.beside_m), way.amplitude)
-        pulses = batch.pulses_of(aside, scene.air)
-        pair, index = _pairs(take, aside.row, len(scene))
-        found.append(_kept(batch, row[pair], pulses.delay[index] + offset[pair], pulses.weight[index]))
+def _neighbour(batch: Reception, neighbour: Neighbour) -> list[Pulses]:
+    """Return another sonar's sound, on the direct path and by way of the reflectors."""
+    row, offset = neighbour.firings(batch.time, BURST_LIFETIME_S, batch.setup.listening)
+    geometry, segment = batch.geometry, batch.segment[row]
+    beam = geometry.beam_at_cosine(np.full(len(geometry), np.cos(neighbour.bearing_deg * DEG)))[segment]
+    path = np.full(len(row), 0.5 * neighbour.path_m)
+    level = (
+        amplitude_scale(batch.unit, batch.setup.supply)
+        * 10.0 ** (neighbour.strength_db / 20.0)
+        * beam
+        / neighbour.path_m
+    )
+    weight = (geometry.air.loss(segment, path) * level).astype(np.complex128)
+    found = [_within_waveform(batch, row, geometry.air.delay(segment, path) + offset, weight)]
+    if neighbour.beside_m is not None:
+        paths = _external_paths(batch.paths)
+        aside = Arrivals(paths.row, paths.group, np.hypot(paths.length, 0.5 * neighbour.beside_m), paths.amplitude)
+        pulses = batch.pulses_of(aside, geometry.air)
+        pair, index = _source_path_pairs(segment, aside.row, len(geometry))
+        found.append(_within_waveform(batch, row[pair], pulses.delay[index] + offset[pair], pulses.weight[index]))
     return found
 
 
-def _heard_by_others(way: Arrivals) -> Arrivals:
-    return way[(way.group != LEAK) & (way.group != BOUNCE)]
+def _external_paths(paths: Arrivals) -> Arrivals:
+    return paths[(paths.group != LEAK) & (paths.group != BOUNCE)]
 
 
-def _kept(batch: Hearing, row: Integers, delay: Floats, weight: Complexes) -> Pulses:
-    """Return those pulses that fall into the waveform, be it with their end."""
-    keep = (delay > -LENGTH) & (delay < batch.samples * PERIOD)
+def _within_waveform(batch: Reception, row: Integers, delay: Floats, weight: Complexes) -> Pulses:
+    """Return the pulses that overlap the waveform."""
+    keep = (delay > -PULSE_LENGTH) & (delay < batch.samples * PERIOD)
     return Pulses(row[keep], delay[keep], weight[keep])
 
 
-def _pairs(source: Integers, row: Integers, count: int) -> tuple[Integers, Integers]:
-    """Return each source with every way of the scene that it names: numbers of sources and of ways.
+def _source_path_pairs(source: Integers, row: Integers, count: int) -> tuple[Integers, Integers]:
+    """Return all pairs of a source and a path in the source's scene, as indices of sources and of paths.
 
     Args:
-        source: scene of each, (p,).
-        row: scene of each way, (k,), any order.
-        count: of the scenes.
+        source: scene of each source, (p,).
+        row: scene of each path, (k,), in any order.
+        count: number of scenes.
     """
     order = np.argsort(row, kind="stable")
     each = np.bincount(row, minlength=count)

@@ -1,4 +1,4 @@
-"""The firmware: which trips of the comparator count as echoes, and what goes into the registers for them."""
+"""Firmware: which threshold crossings count as echoes, and the register values for them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from acquisition.bench.setup import Output
 from acquisition.bench.unit import Unit
 
 ECHOES = 17
-# time per unit: 58 us/cm and 148 us/inch, the constants of the family; microseconds are given as they are
+# s per unit of output: 58 us/cm and 148 us/inch for this family of sensors
 PER_UNIT: dict[Output, float] = {"cm": 58e-6, "inch": 148e-6, "us": 1e-6}
 
 
 def first_echoes(ping: NDArray[np.int64], time: Floats, count: int, unit: Unit, listening: float) -> Floats:
     """Return the times of up to 17 echoes of each of `count` pings, s, (count, 17); NaN where there is none.
 
-    Nothing counts before the blanking ends, within the dead time after an echo, or after listening ends.
+    Crossings before the end of blanking, within the dead time after an echo, or after the listening time do not count.
     """
     stride = 1.0  # s: longer than any waveform
     key = ping * stride + time
@@ -37,7 +37,7 @@ def first_echoes(ping: NDArray[np.int64], time: Floats, count: int, unit: Unit, 
 
 
 def to_codes(time: Floats, unit: Unit, output: Output) -> NDArray[np.uint16]:
-    """Return what the firmware writes into its registers for times in s; 0 for none."""
+    """Return the register values of times in s; 0 for no echo."""
     counted = np.maximum(time + unit.t_offset, 0.0) * (1.0 + unit.clock_error)
     if unit.ramp_tau_s > 0.0:
         counted = unit.ramp_tau_s * -np.expm1(-counted / unit.ramp_tau_s)
@@ -48,17 +48,17 @@ def to_codes(time: Floats, unit: Unit, output: Output) -> NDArray[np.uint16]:
 
 
 def smoothed(code: NDArray[np.uint16], run: NDArray[np.int64], unit: Unit, output: Output) -> NDArray[np.uint16]:
-    """Return the codes with the first echo as a firmware gives it that does not trust a single one.
+    """Return the codes with the first echo averaged and held within a dead band.
 
-    The mean or median of the last `averaging` first echoes of a run, then that before it until it differs by more than
-    the dead band. Pings of a run must stand together.
+    The first echo becomes the mean or median of the last `averaging` first echoes of the run; the previous output is
+    then repeated until the value differs by more than the dead band. Pings of a run must be contiguous.
     """
     out = code.copy()
     band = unit.deadband / PER_UNIT[output]
     for rows in np.split(np.arange(len(run)), np.flatnonzero(np.diff(run)) + 1):
-        heard = rows[code[rows, 0] > 0]
-        value = _averaged(code[heard, 0].astype(np.float64), unit)
-        out[heard, 0] = np.rint(_held(value, band) if band > 0.0 else value)
+        detected = rows[code[rows, 0] > 0]
+        value = _averaged(code[detected, 0].astype(np.float64), unit)
+        out[detected, 0] = np.rint(_with_deadband(value, band) if band > 0.0 else value)
     return out
 
 
@@ -70,8 +70,8 @@ def _averaged(value: Floats, unit: Unit) -> Floats:
     return np.asarray(np.nanmean(window, axis=1) if unit.average == "mean" else np.nanmedian(window, axis=1))
 
 
-def _held(value: Floats, band: float) -> Floats:
-    """Return each value, or the one given before it where it is within a band of that."""
+def _with_deadband(value: Floats, band: float) -> Floats:
+    """Return each value, or the previous output if the value is within a band of it."""
     out = value.copy()
     for k in range(1, len(out)):
         out[k] = out[k] if abs(out[k] - out[k - 1]) > band else out[k - 1]

@@ -1,4 +1,4 @@
-"""What pings leave in the sensor's registers, and the ranges that a host makes of it."""
+"""Register contents of pings, and the ranges computed from them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,18 @@ from acquisition.ping import EchoStatus, Reading
 CM = 0.01
 INCH = 0.0254
 METRES = {"cm": CM, "inch": INCH, "us": PER_UNIT["us"] / PER_UNIT["cm"] * CM}
-
-
 NOISE = -1
 
 
 @dataclass(frozen=True)
-class Truth:
-    """What really happened in n pings, which no sensor tells; groups are those of `bench.arrivals.GROUPS`.
+class TrueEchoes:
+    """True echoes of n pings, which no sensor reports; groups are those of `acoustics.arrivals.GROUPS`.
 
     Attributes:
-        time: when each group's sound began to arrive, after the burst's start, s, (n, groups); NaN where it has none.
-        level_db: how far each group's loudest moment is over the comparator's threshold, dB, (n, groups); -inf: none.
-        cause: group that tripped the comparator first, (n,); `NOISE` where none was near the threshold then, or there
-            was no echo.
-        period: which carrier period of that group's sound it was, (n,); 0 without a cause.
+        time: arrival time of each group after the start of the burst, s, (n, groups); NaN for none.
+        level_db: peak level of each group relative to the comparator's threshold, dB, (n, groups); -inf for none.
+        cause: group that first tripped the comparator, (n,); `NOISE` if none was near the threshold or without echo.
+        period: carrier period of that group's sound at the crossing, (n,); 0 without a cause.
     """
 
     time: Floats
@@ -38,27 +35,27 @@ class Truth:
     period: NDArray[np.int64]
 
     @classmethod
-    def joined(cls, parts: list[Truth]) -> Truth:
-        """Return all parts as one."""
+    def joined(cls, parts: list[TrueEchoes]) -> TrueEchoes:
+        """Concatenate several sets."""
         names = ("time", "level_db", "cause", "period")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-    def __getitem__(self, rows: NDArray[np.int64]) -> Truth:
-        """Return that of some pings."""
-        return Truth(self.time[rows], self.level_db[rows], self.cause[rows], self.period[rows])
+    def __getitem__(self, rows: NDArray[np.int64]) -> TrueEchoes:
+        """Return those of some pings."""
+        return TrueEchoes(self.time[rows], self.level_db[rows], self.cause[rows], self.period[rows])
 
 
 @dataclass(frozen=True)
 class Registers:
-    """What n pings left in the registers.
+    """Register contents after n pings.
 
     Attributes:
-        code: echo registers 2..35 as whole numbers in the unit of output, 0 for none, (n, 17) uint16.
-        answered: whether the sensor answered at all, (n,).
-        temperature_c: of the air at each ping, degC, (n,); no register holds it, a thermometer would.
-        fault: what the wire did to each ping, (n,), a `Link` each.
+        code: echo registers 2..35 as integers in the unit of output, 0 for none, (n, 17) uint16.
+        answered: whether the sensor answered, (n,).
+        temperature_c: of the air at each ping, degC, (n,); measured by a thermometer, not a register.
+        fault: bus fault of each ping, (n,), a `Link` each.
         humidity_pct: of the air at each ping, (n,).
-        truth: what really happened, where it was asked for.
+        truth: the true echoes, if requested.
     """
 
     code: NDArray[np.uint16]
@@ -66,16 +63,16 @@ class Registers:
     temperature_c: Floats
     fault: NDArray[np.uint8]
     humidity_pct: Floats
-    truth: Truth | None = None
+    truth: TrueEchoes | None = None
 
     def __getitem__(self, rows: NDArray[np.int64]) -> Registers:
-        """Return those of some pings."""
+        """Return the registers of some pings."""
         truth = None if self.truth is None else self.truth[rows]
         air = (self.temperature_c[rows], self.humidity_pct[rows])
         return Registers(self.code[rows], self.answered[rows], air[0], self.fault[rows], air[1], truth)
 
     def reading(self, setup: Setup) -> Reading:
-        """Return the registers as ranges, keeping as many further echoes as any ping has."""
+        """Return the registers as ranges, with as many further echoes as the ping with the most has."""
         code = np.where(self.answered[:, None], self.code, 0)
         status = np.where(code[:, 0] > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO)
         status = np.where(self.answered, status, EchoStatus.NO_ANSWER)

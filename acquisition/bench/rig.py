@@ -1,4 +1,4 @@
-"""The rig: a unit in a laboratory, asked for pings, giving registers or a recording."""
+"""Rig: a simulated sensor in a laboratory, which returns registers or a recording for given pings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from acquisition.bench.acoustics.air import Drift, Floats
 from acquisition.bench.acoustics.interference import Ambient
-from acquisition.bench.disturbances import others
+from acquisition.bench.disturbances import disturbances
 from acquisition.bench.firmware import ECHOES, smoothed, to_codes
-from acquisition.bench.reception import Conditions, Hearing, draw_flutter
-from acquisition.bench.registers import Registers, Truth
+from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
+from acquisition.bench.registers import Registers, TrueEchoes
 from acquisition.bench.setup import Setup
 from acquisition.bench.unit import DEG, Unit
 from acquisition.bench.visits import Visits
-from acquisition.bench.wire import Link, faults, present, reset
+from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
 from acquisition.io.recording import Recording
 from acquisition.ping import Ping
 
@@ -26,12 +26,12 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Rig:
-    """A sonar on a stand in front of a reflector on another, to the level of the waveform.
+    """Waveform-level simulation of a sonar in front of a reflector on a stand.
 
     >>> import numpy as np
     >>> rig = Rig(Unit.nominal(), Setup(gain=31, output="us", placement_m=0.0))
-    >>> heard = rig.ping(Ping.of(distance=1.0, reflectance=0.9), np.random.default_rng(0))
-    >>> bool(5_700 < heard.code[0, 0] < 5_900)
+    >>> registers = rig.ping(Ping.of(distance=1.0, reflectance=0.9), np.random.default_rng(0))
+    >>> bool(5_700 < registers.code[0, 0] < 5_900)
     True
     """
 
@@ -39,7 +39,7 @@ class Rig:
     setup: Setup = field(default_factory=Setup)
 
     def draw_drift(self, rng: np.random.Generator) -> Drift:
-        """Draw how this laboratory's air will wander, in standard deviations."""
+        """Draw the slow drift of the laboratory's air, in standard deviations."""
         return Drift.draw(1.0, self.setup.drift_tau_s, rng)
 
     def ping(
@@ -50,17 +50,17 @@ class Rig:
         progress: Progress | None = None,
         truth: bool = False,
     ) -> Registers:
-        """Fire n pings, any n, and return what they left in the registers.
+        """Fire n pings and return the contents of the registers.
 
-        A simulator that asks for many conditions gets them fastest in one call.
+        One call with many conditions is faster than many calls.
 
         Args:
-            ping: the conditions; consecutive pings of one condition in one run are one visit, for which the reflector
-                is placed once. Covariates `temperature_c` and `humidity_pct` replace the setup's.
-            rng: all randomness.
-            drift: how the air wanders; drawn anew where it is not given.
-            progress: called with pings done and pings in all.
-            truth: whether to tell what really happened; slower.
+            ping: the conditions; consecutive pings of one condition in one run are one visit, with one placement of the
+                reflector. Covariates `temperature_c` and `humidity_pct` override the setup's.
+            rng: source of all randomness.
+            drift: drift of the air; None draws one.
+            progress: called with the number of pings done and the total.
+            truth: whether to return the true echoes as well; slower.
         """
         order = np.argsort(ping.run, kind="stable")
         registers = self._ping(ping[order], rng, drift, progress, truth)
@@ -69,10 +69,10 @@ class Rig:
     def _ping(
         self, ping: Ping, rng: np.random.Generator, drift: Drift | None, progress: Progress | None, truth: bool
     ) -> Registers:
-        """Fire pings that stand run by run."""
-        down, lost = reset(self.setup.bus, ping, rng)
-        conditions = self._conditions(ping, self.draw_drift(rng) if drift is None else drift, lost, rng)
-        time, told = self._heard(conditions, lost, rng, progress, truth)
+        """Fire pings whose runs are contiguous."""
+        down, lost = draw_resets(self.setup.bus, ping, rng)
+        drawn = self._draw(ping, self.draw_drift(rng) if drift is None else drift, lost, rng)
+        time, true_echoes = self._echo_times(drawn, lost, rng, progress, truth)
         time = time + (self.unit.cold_s * np.exp(-ping.time / self.unit.warm_up_tau_s))[:, None]
         code = to_codes(time, self.unit, self.setup.output)
         if self.unit.averaging > 1 or self.unit.deadband > 0.0:
@@ -80,49 +80,49 @@ class Rig:
         code[down] = 0
         code, fault = _through_wire(code, ping, self.setup, rng)
         answered = (fault != Link.NACK) & (fault != Link.ALL_ONES)
-        fault = np.where(down & (fault == Link.FINE), np.uint8(Link.RESET), fault)
-        return Registers(code, answered, conditions.temperature_c, fault, conditions.humidity_pct, told)
+        fault = np.where(down & (fault == Link.OK), np.uint8(Link.RESET), fault)
+        return Registers(code, answered, drawn.temperature_c, fault, drawn.humidity_pct, true_echoes)
 
-    def _conditions(self, ping: Ping, drift: Drift, lost: NDArray[np.bool_], rng: np.random.Generator) -> Conditions:
-        """Draw what n pings face; `lost` tells which find the registers as a reset left them."""
-        setup, wander = self.setup, drift(ping.time)
-        temperature = ping.covariates.get("temperature_c", setup.temperature_c) + setup.drift_c * wander
-        humidity = ping.covariates.get("humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * wander
+    def _draw(self, ping: Ping, drift: Drift, lost: NDArray[np.bool_], rng: np.random.Generator) -> DrawnPings:
+        """Draw all random quantities of n pings; `lost` marks those whose registers a reset has changed."""
+        setup, deviation = self.setup, drift(ping.time)
+        temperature = ping.covariates.get("temperature_c", setup.temperature_c) + setup.drift_c * deviation
+        humidity = ping.covariates.get("humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * deviation
         humidity = np.clip(humidity, 0.0, 100.0)
-        hiss = self.unit.noise * _loudness_of_noise(setup.ambient, ping, rng)
+        noise_rms = self.unit.noise * _noise_factor(setup.ambient, ping, rng)
         visits = Visits.of(ping, temperature, humidity, lost)
         placed = self.place(ping[visits.first], rng, visits.visit[visits.first])
-        moved = draw_flutter(ping, visits, setup.flutter_tau_s, rng)
-        return Conditions(ping, temperature, humidity, hiss, visits, placed, moved)
+        fluctuation = draw_flutter(ping, visits, setup.flutter_tau_s, rng)
+        return DrawnPings(ping, temperature, humidity, noise_rms, visits, placed, fluctuation)
 
-    def _heard(
+    def _echo_times(
         self,
-        all_: Conditions,
+        drawn: DrawnPings,
         lost: NDArray[np.bool_],
         rng: np.random.Generator,
         progress: Progress | None,
         truth: bool,
-    ) -> tuple[Floats, Truth | None]:
-        """Return the echo times of all pings, s, (n, 17), and what really happened where that is asked."""
-        order, times, told = [np.empty(0, dtype=np.int64)], [np.empty((0, ECHOES))], []
+    ) -> tuple[Floats, TrueEchoes | None]:
+        """Return the echo times of all pings, s, (n, 17), and the true echoes if requested."""
+        order, times, true_echoes = [np.empty(0, dtype=np.int64)], [np.empty((0, ECHOES))], []
         for which, setup in ((~lost, self.setup), (lost, self.setup.after_reset())):
-            for rows, takes in all_.visits.batches(which):
-                batch = Hearing(self.unit, setup, all_, rows, takes)
-                heard, happened = batch.hear(others(batch, rng), rng, truth)
-                order, times = [*order, rows], [*times, heard]
-                told += [] if happened is None else [happened]
+            for rows, segments in drawn.visits.batches(which):
+                batch = Reception(self.unit, setup, drawn, rows, segments)
+                batch_times, batch_truth = batch.receive(disturbances(batch, rng), rng, truth)
+                order, times = [*order, rows], [*times, batch_times]
+                true_echoes += [] if batch_truth is None else [batch_truth]
                 if progress is not None:
                     progress(sum(map(len, order)), len(lost))
-        back = np.argsort(np.concatenate(order))
-        return np.concatenate(times)[back], Truth.joined(told)[back] if told else None
+        original = np.argsort(np.concatenate(order))
+        return np.concatenate(times)[original], TrueEchoes.joined(true_echoes)[original] if true_echoes else None
 
     def record(self, ping: Ping, rng: np.random.Generator, progress: Progress | None = None) -> Recording:
-        """Fire n pings and return them as a recording, with what was logged beside them."""
+        """Fire n pings and return them as a recording with the logged covariates."""
         registers = self.ping(ping, rng, progress=progress)
         return Recording.of(ping, registers.reading(self.setup), name="rig", **self.columns(ping, registers))
 
     def columns(self, ping: Ping, registers: Registers) -> dict[str, Floats]:
-        """Return the covariates that a laboratory logs: air to 0.1 degC and 1 %, settings of the sensor."""
+        """Return the logged covariates: temperature to 0.1 degC, humidity, gain and range gate."""
         n = len(ping)
         return {
             "temperature_c": registers.temperature_c.round(1),
@@ -132,12 +132,12 @@ class Rig:
         }
 
     def place(self, ping: Ping, rng: np.random.Generator, visit: NDArray[np.int64] | None = None) -> Ping:
-        """Return where the reflectors of n pings really stand; covariate `tilt_back` is their lean, rad.
+        """Return the actual poses of the reflectors of n pings; covariate `tilt_back` is the backward tilt, rad.
 
         Args:
-            ping: where they are meant to stand.
-            rng: the scatter.
-            visit: number of each ping's visit, whose scatter its pings share; each ping is one where it is not given.
+            ping: nominal poses.
+            rng: source of the placement errors.
+            visit: visit of each ping, whose pings share one error; None makes each ping a visit.
         """
         setup = self.setup
         visit = np.arange(len(ping)) if visit is None else visit
@@ -157,18 +157,18 @@ class Rig:
         )
 
 
-def _loudness_of_noise(ambient: Ambient | None, ping: Ping, rng: np.random.Generator) -> Floats:
+def _noise_factor(ambient: Ambient | None, ping: Ping, rng: np.random.Generator) -> Floats:
     """Return the factor on the receiver's noise in each ping, (n,)."""
     if ambient is None:
         return np.ones(len(ping))
-    return np.where(present(ambient.share, ambient.dwell_s, ping, rng), ambient.factor, 1.0)
+    return np.where(two_state(ambient.share, ambient.dwell_s, ping, rng), ambient.factor, 1.0)
 
 
 def _through_wire(
     code: NDArray[np.uint16], ping: Ping, setup: Setup, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return what a host gets of the codes of pings that stand run by run, and what the wire did to each."""
-    fault = faults(setup.bus, ping, rng)
+    """Return the codes that the host reads and the bus fault of each ping; runs must be contiguous."""
+    fault = draw_faults(setup.bus, ping, rng)
     code = np.where((fault == Link.DROPPED)[:, None], 0, code).astype(np.uint16)
     flipped = np.flatnonzero(fault == Link.BIT_FLIP)
     code[flipped, 0] ^= np.left_shift(1, rng.integers(0, 16, len(flipped))).astype(np.uint16)

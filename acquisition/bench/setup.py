@@ -1,4 +1,4 @@
-"""The laboratory around a unit: its settings, the air, the stand, the room and the wire."""
+"""Settings of the laboratory around a sensor: registers, air, stand, room and bus."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Output = Literal["inch", "cm", "us"]
 
 @dataclass(frozen=True)
 class Scatterer:
-    """A small thing that stands about.
+    """Small object.
 
     Attributes:
         position_m: ahead of the sensor, to its left, and up, m.
-        strength_db: pressure at 1 m from it against what meets it, dB; half a sphere's radius in metres.
+        strength_db: pressure at 1 m from it relative to the incident pressure, dB; for a sphere, half its radius.
     """
 
     position_m: tuple[float, float, float]
@@ -30,17 +30,17 @@ class Scatterer:
 
 @dataclass(frozen=True)
 class Room:
-    """Where the stands are. `None` takes a surface away; factors are amplitudes, ours.
+    """Surfaces around the stands. `None` removes a surface; amplitude factors are project choices.
 
     Attributes:
-        height: of the beam's axis over the floor, m.
-        ceiling: height of the ceiling over the floor, m.
-        wall: distance of the wall ahead of the sensor, m; the default is beyond the usual range gate.
-        left, right: distances of the walls beside it, m.
-        floor_factor, ceiling_factor, wall_factor: what each returns of the pressure that meets it.
-        floor_scatter_db: what a square metre of floor scatters to all sides of what meets it, dB (Lambert's law); None
-            is a smooth floor, about -30 a carpet.
-        clutter: small things that stand about.
+        height: of the beam's axis above the floor, m.
+        ceiling: height of the ceiling above the floor, m.
+        wall: distance of the wall ahead of the sensor, m; the default is beyond the default range gate.
+        left, right: distances of the side walls, m.
+        floor_factor, ceiling_factor, wall_factor: reflected pressure relative to the incident pressure.
+        floor_scatter_db: diffuse scattering strength of a square metre of floor, dB (Lambert's law); None is a smooth
+            floor, a carpet is about -30.
+        clutter: small objects.
     """
 
     height: float | None = 1.5
@@ -57,12 +57,12 @@ class Room:
 
 @dataclass(frozen=True)
 class Post:
-    """The upright of the reflector's stand.
+    """Upright post of the reflector's stand.
 
     Attributes:
-        radius: or half the width of a square or flat one, m.
-        behind: of its middle behind the reflector's, along its normal, m.
-        profile: a round or square bar, or a flat strip; the latter two face as the reflector does.
+        radius: radius, or half the width of a square or flat post, m.
+        behind: distance of its axis behind the reflector's centre, along the normal, m.
+        profile: round or square bar, or flat strip; square and flat posts are parallel to the reflector.
     """
 
     radius: float = 0.015
@@ -70,25 +70,25 @@ class Post:
     profile: Literal["round", "square", "flat"] = "round"
 
     def __post_init__(self) -> None:
-        """Refuse a profile that is not known."""
+        """Raise SettingError for an unknown profile."""
         if self.profile not in ("round", "square", "flat"):
             raise SettingError(f"Post.profile must be round, square or flat, got {self.profile!r}")
 
 
 @dataclass(frozen=True)
 class Bus:
-    """How often the wire fails, as probabilities a ping, each independent of what the sonar hears.
+    """Fault rates of the bus, as probabilities per ping, independent of the echo.
 
     Attributes:
-        nack: nobody acknowledges: no answer.
-        all_ones: an open line reads 0xFF for ever: no answer.
-        lost_write: the command never arrives, so the registers still hold the previous ping.
-        dropped: read before the registers were filled: the answer is "no echo".
-        bit_flip: one bit of the first echo's registers is read wrong.
-        reset: the sensor's supply breaks down just before the ping: its registers of gain and range fall to 31 and 255
-            and its echoes to none, and it works so until the host writes them again.
-        rewrite_s: how often the host does so, s, counted in each run from 0; each ping is 0.
-        dwell_s: after how long on average the state of the wire is drawn anew, s; 0 does so each ping.
+        nack: no acknowledgement: no answer.
+        all_ones: an open line reads 0xFF: no answer.
+        lost_write: the ranging command is lost, so the registers still hold the previous ping.
+        dropped: registers read before they are filled: "no echo".
+        bit_flip: one bit of the first echo's registers is wrong.
+        reset: the supply fails just before the ping: no echo, and gain and range registers of 31 and 255 until they are
+            rewritten.
+        rewrite_s: interval at which the host rewrites the registers, s, from 0 in each run; 0 is at each ping.
+        dwell_s: mean time after which the state of the bus is redrawn, s; 0 redraws it at each ping.
     """
 
     nack: float = 0.0
@@ -101,52 +101,52 @@ class Bus:
     rewrite_s: float = 120.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no probability."""
+        """Raise SettingError for a rate outside 0..1."""
         for name in ("nack", "all_ones", "lost_write", "dropped", "bit_flip", "reset"):
             value = getattr(self, name)
             if not 0.0 <= value <= 1.0:
-                raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability a ping")
+                raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability per ping")
 
 
-SCATTER = ("drift_c", "scintillation_db", "jitter_m", "placement_m", "placement_deg", "tilt_deg")
+RANDOM_SETTINGS = ("drift_c", "scintillation_db", "jitter_m", "placement_m", "placement_deg", "tilt_deg")
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything about a recording that is not the unit; the defaults are the laboratory of Esmi (2016).
+    """All settings of a recording except the sensor's own; the defaults are the laboratory of Esmi (2016).
 
     Attributes:
-        gain: code 0..31 of the amplifier's cap (register 1).
-        range_register: 0..255; echoes are awaited for (r + 1) * 256 us (register 2).
+        gain: code 0..31 of the amplifier's maximum gain (register 1).
+        range_register: 0..255; the listening time is (r + 1) * 256 us (register 2).
         output: unit of the echo registers.
-        temperature_c, humidity_pct: of the air. A `temperature_c` or `humidity_pct` among a ping's covariates wins.
-        extra_absorption_db: what the air takes away beyond what temperature and humidity say, dB/m: fog, dust.
-        drift_c, humidity_drift_pct, drift_tau_s: standard deviations of the slow wanders of temperature and humidity,
-            and their correlation time.
-        scintillation_db: standard deviation of an echo's level for a path of 12 m (6 m there and back), dB.
-        jitter_m: standard deviation of a range at 6 m from eddies in the air, m; grows as the root of distance.
+        temperature_c, humidity_pct: of the air, overridden by covariates of the pings of the same names.
+        extra_absorption_db: absorption beyond that of clean air, dB/m: fog, dust.
+        drift_c, humidity_drift_pct, drift_tau_s: standard deviations of the slow drift of temperature and humidity, and
+            its correlation time.
+        scintillation_db: standard deviation of an echo's level at 6 m, dB.
+        jitter_m: standard deviation of a range at 6 m due to turbulence, m; proportional to the root of the distance.
         flutter_tau_s: correlation time of scintillation and jitter, s.
-        placement_m, placement_deg: scatter of where the reflector really stands at each visit of a condition, along
-            the line of sight and in bearing.
-        tilt_deg: scatter of its pose at each visit, about the vertical and the horizontal alike.
-        sway_m, sway_period_s: how far and how fast the stand swings along the line of sight, a few millimetres.
-        pivot_m: how far the reflector's face is ahead of the axis about which its stand turns; distances are marked
-            with the face square to the line of sight.
-        zero_m: how far behind the mark the sensor's own zero lies, m; added to every distance.
-        above_m: height of the reflector's middle over the sensor, m; it stays upright.
+        placement_m, placement_deg: standard deviation of the reflector's position at each visit, along the line of
+            sight and in bearing.
+        tilt_deg: standard deviation of its orientation at each visit, about the vertical and the horizontal axis.
+        sway_m, sway_period_s: amplitude and period of the stand's sway along the line of sight.
+        pivot_m: distance of the reflector's face ahead of the stand's axis of rotation, m; distances are measured with
+            the face perpendicular to the line of sight.
+        zero_m: distance of the sensor's zero behind the zero of the scale, m; added to every distance.
+        above_m: height of the reflector's centre above the sensor, m; the reflector remains upright.
         gradient: of the air's temperature.
-        supply: voltage of the sensor's supply over 5 V; the burst grows and falls with it.
-        reflector: shape in front; None takes the thesis's by the ping's reflectance.
-        roughness_m: root mean square height of the reflector's surface; the mirror echo fades with its square, and what
-            that loses is scattered to all sides. Mirrors and rubber are smooth; 1 mm is rough at 40 kHz.
-        post: of the reflector's stand; None takes it away.
-        room: around the stands.
-        movers: what moves or is moved: people, furniture.
-        neighbour: another sonar at work, several, or none.
-        ambient: noise that comes and goes, or none.
-        reverberation: what the room keeps of this burst and those before, or none.
-        hum: the mains in the sensor's supply, or none.
-        bus: how the wire fails.
+        supply: supply voltage relative to 5 V; the burst's amplitude is proportional to it.
+        reflector: shape of the reflector; None takes the thesis's by the ping's reflectance.
+        roughness_m: root mean square height of the reflector's surface; it turns mirror echo into diffuse scattering.
+            Mirrors and rubber are smooth; 1 mm is rough at 40 kHz.
+        post: of the reflector's stand; None removes it.
+        room: surfaces around the stands.
+        movers: moving objects and persons.
+        neighbour: one or several other sonars, or none.
+        ambient: intermittent background noise, or none.
+        reverberation: diffuse reverberation, or none.
+        hum: mains ripple on the sensor's supply, or none.
+        bus: fault rates of the bus.
     """
 
     gain: int = 14
@@ -183,7 +183,7 @@ class Setup:
     bus: Bus = field(default_factory=Bus)
 
     def __post_init__(self) -> None:
-        """Refuse settings that the registers cannot hold."""
+        """Raise SettingError for values that the registers cannot hold."""
         check_register("gain", self.gain, 31)
         check_register("range register", self.range_register, 255)
         if self.output not in ("inch", "cm", "us"):
@@ -191,7 +191,7 @@ class Setup:
 
     @classmethod
     def draw(cls, serial: int, **fixed: Any) -> Setup:
-        """Return a laboratory by its number, plausible and unlike the next; `fixed` settings stay as given."""
+        """Return a plausible laboratory by its number; `fixed` settings are not drawn."""
         rng = np.random.default_rng([serial, 0x1AB])
         uniform = rng.uniform
         room = Room(uniform(1.0, 1.5), uniform(2.5, 3.5), uniform(7.5, 12.0))
@@ -212,32 +212,28 @@ class Setup:
         return cls(**{**drawn, **fixed})
 
     @classmethod
-    def still(cls, **fixed: Any) -> Setup:
-        """Return a laboratory that holds a sensor and a reflector, and where nothing wanders, flutters or scatters."""
-        nothing = dict.fromkeys(SCATTER, 0.0)
+    def static(cls, **fixed: Any) -> Setup:
+        """Return a laboratory with only a sensor and a reflector, without drift, turbulence or placement errors."""
+        nothing = dict.fromkeys(RANDOM_SETTINGS, 0.0)
         return cls(**{**nothing, "post": None, "room": Room(None, None, None), **fixed})
 
     def after_reset(self) -> Setup:
-        """Return the settings of a sensor whose supply broke down: full gain and range."""
+        """Return the settings of a sensor after a reset: full gain and range."""
         return replace(self, gain=31, range_register=255)
 
     @property
     def neighbours(self) -> tuple[Neighbour, ...]:
-        """All other sonars at work."""
+        """All other sonars."""
         given = self.neighbour
         return given if isinstance(given, tuple) else (given,) if given is not None else ()
 
     @property
     def listening(self) -> float:
-        """How long echoes are awaited, s."""
+        """Listening time, s."""
         return (self.range_register + 1) * 256e-6
 
 
 def check_register(name: str, value: int, high: int) -> None:
-    """Refuse a register value outside 0..high.
-
-    Raises:
-        SettingError: naming register, limit and value.
-    """
+    """Raise SettingError, naming register, limit and value, for a value outside 0..high."""
     if not 0 <= value <= high or value != int(value):
         raise SettingError(f"{name} must be a whole number from 0 to {high}, got {value:g}: the SRF08 holds no other")

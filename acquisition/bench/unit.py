@@ -1,4 +1,4 @@
-"""One SRF08: the electronics that no datasheet states, so that nobody can know them from the code."""
+"""Electronics and transducers of one SRF08: parameters that no datasheet states."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 DEG = np.pi / 180.0
-TICKS = (1e-6, 2e-6, 4e-6, 8e-6, 16e-6, 32e-6, 64e-6)  # s; which one is unknown
-# limits between which each unknown is drawn; units keep their numbers only while these keep their order
+TICKS = (1e-6, 2e-6, 4e-6, 8e-6, 16e-6, 32e-6, 64e-6)  # s; the datasheet does not state which
+# limits of each unknown parameter; the order must not change, as units are drawn from it by serial number
 DRAWN_FIRST = {
     "q_tx": (20.0, 58.0),
     "q_rx": (20.0, 58.0),
@@ -38,37 +38,37 @@ RANGES: Mapping[str, tuple[float, float]] = {**DRAWN_FIRST, **DRAWN_LAST}
 
 @dataclass(frozen=True)
 class Unit:
-    """What one sensor is made of; ranges as drawn by `draw` (physics of the device: ours where unsourced).
+    """Parameters of one sensor; `draw` draws them within `RANGES` (project choices where no source is given).
 
     Attributes:
-        serial: number it was drawn from.
-        q_tx, q_rx: quality of each transducer's resonance; 35 is a width of 2 kHz at -6 dB.
-        f_tx, f_rx: resonances at 20 degC, Hz.
+        serial: number from which it was drawn.
+        q_tx, q_rx: quality factor of each transducer's resonance; 35 is a width of 2 kHz at -6 dB.
+        f_tx, f_rx: resonance frequencies at 20 degC, Hz.
         f_slope: change of both resonances with temperature, Hz/K.
-        radius: effective radius of the pistons, m; 6.55 mm gives the quoted beam of 55 degrees.
-        sensitivity_db: echo level over that at which a wall at 6 m just trips the comparator at full gain, dB.
-        noise: rms of the noise at full gain over the comparator's threshold.
-        hysteresis: of the comparator, as a share of its threshold.
-        rail: level at which the amplifier clips, over the threshold.
-        recovery: how long it is deaf after clipping, s.
-        t_offset: what the firmware adds to a time, s.
+        radius: effective radius of the pistons, m; 6.55 mm gives the specified beam of 55 degrees.
+        sensitivity_db: echo level relative to that at which a wall at 6 m just trips the comparator at full gain, dB.
+        noise: rms of the noise at full gain relative to the comparator's threshold.
+        hysteresis: of the comparator, as a fraction of its threshold.
+        rail: level at which the amplifier clips, relative to the threshold.
+        recovery: time without detection after clipping, s.
+        t_offset: time that the firmware adds, s.
         tick: of the timer, s.
-        rounding: what the firmware does to a broken centimetre or inch.
-        blanking: how long it does not listen after the burst's start, s.
+        rounding: how the firmware rounds to whole centimetres or inches.
+        blanking: time without detection after the start of the burst, s.
         rearm: dead time after each echo, s.
-        yaw, pitch: of the beam against the housing, rad.
+        yaw, pitch: of the beam relative to the housing, rad.
         clock_error: relative; a positive one counts too many ticks.
-        leak_db: direct sound from transmitter to receiver, against the pressure at 1 m on the axis, dB.
-        leak_delay: when it begins, s.
+        leak_db: direct sound from transmitter to receiver, relative to the pressure at 1 m on the axis, dB.
+        leak_delay: delay of the direct sound, s.
         baseline: distance between the transducers, m.
-        cold_s, warm_up_tau_s: by how much its times run long when it is switched on, s, and how fast that goes.
-        averaging, average: of how many first echoes the firmware makes what; the SRF08's takes one.
-        deadband: the firmware repeats its first echo until one differs by more, s; the SRF08's does not.
-        ramp_tau_s: where time is measured by charging a capacitor through a resistor, not by counting: its constant, s;
-            long times then read short. 0 counts.
-        sag, sag_tau_s: share by which the comparator's reference is low after the burst, and how fast it recovers.
-        spill: pressure that leaves and enters past the beam, by the housing, against that on the axis, each way.
-        light: what the light register reads.
+        cold_s, warm_up_tau_s: excess of the measured times at power-on, s, and its time constant, s.
+        averaging, average: number of first echoes averaged by the firmware, and how; 1 on a real SRF08.
+        deadband: change below which the firmware repeats the previous first echo, s; 0 on a real SRF08.
+        ramp_tau_s: time constant if time is measured by charging a capacitor through a resistor, s: long times then
+            read short. 0 counts ticks.
+        sag, sag_tau_s: relative drop of the comparator's reference after the burst, and its recovery time, s.
+        spill: pressure emitted and received outside the beam, by the housing, relative to that on the axis, each way.
+        light: value of the light register.
     """
 
     serial: int = 0
@@ -107,12 +107,12 @@ class Unit:
 
     @classmethod
     def nominal(cls) -> Unit:
-        """Return the middle of what is plausible."""
+        """Return a unit with typical parameters."""
         return cls()
 
     @classmethod
     def draw(cls, serial: int) -> Unit:
-        """Return the unit of a serial number: the same number is the same unit in every process."""
+        """Return the unit of a serial number, the same in every process."""
         rng = np.random.default_rng([serial, 0x5AF08])
         uniform = rng.uniform
         drawn: dict[str, Any] = {name: uniform(*limits) for name, limits in DRAWN_FIRST.items()}

@@ -1,4 +1,4 @@
-"""Visits: stretches of pings of one condition, for which the reflector is placed once and the air hardly changes."""
+"""Grouping of pings into visits (one placement of the reflector) and segments of constant air."""
 
 from __future__ import annotations
 
@@ -12,58 +12,60 @@ from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.acoustics.arrivals import Integers
 from acquisition.ping import Ping
 
-BATCH = 256  # pings worked on at once: about 10 MB of waveforms
-VISIT_C = 0.4  # degC; pings of a visit whose air differs more get waveforms of their own
+BATCH = 256  # pings per batch: about 10 MB of waveforms
+SEGMENT_C = 0.4  # degC, width of the temperature bins into which a visit is divided
 
 
 @dataclass(frozen=True)
 class Visits:
-    """How n pings fall into visits, and visits into takes of one air and one setting of the registers.
+    """Assignment of n pings to visits, and of visits to segments of one air and one register setting.
 
     Attributes:
         start: whether a ping is the first of its visit, (n,).
-        visit: number of each ping's visit, (n,).
-        take: number of each ping's take, (n,).
-        first: a ping of each take, (takes,).
-        temperature_c, humidity_pct: mean over each take, (takes,).
+        visit: visit of each ping, (n,).
+        segment: segment of each ping, (n,).
+        first: index of one ping of each segment, (segments,).
+        temperature_c, humidity_pct: mean over each segment, (segments,).
     """
 
     start: NDArray[np.bool_]
     visit: Integers
-    take: Integers
+    segment: Integers
     first: Integers
     temperature_c: Floats
     humidity_pct: Floats
 
     @classmethod
     def of(cls, ping: Ping, temperature_c: Floats, humidity_pct: Floats, reset: NDArray[np.bool_]) -> Visits:
-        """Sort pings that stand run by run."""
+        """Group pings whose runs are contiguous."""
         given = ping.covariates.get("humidity_pct", np.zeros(len(ping)))
         table = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run, given])
         start = np.ones(len(ping), dtype=np.bool_)
         start[1:] = (table[:, 1:] != table[:, :-1]).any(axis=0)
         visit = np.cumsum(start) - 1
-        middle = _mean(temperature_c, visit)[visit]
-        step = np.rint((temperature_c - middle) / VISIT_C)
+        mean_c = _mean(temperature_c, visit)[visit]
+        step = np.rint((temperature_c - mean_c) / SEGMENT_C)
         code = np.stack([step - step.min(initial=0.0), reset]).astype(np.int64)
-        kinds = code[0] * 2 + code[1]
-        _, first, take = np.unique(visit * (kinds.max(initial=0) + 1) + kinds, return_index=True, return_inverse=True)
-        return cls(start, visit, take, first, _mean(temperature_c, take), _mean(humidity_pct, take))
+        codes = code[0] * 2 + code[1]
+        _, first, segment = np.unique(
+            visit * (codes.max(initial=0) + 1) + codes, return_index=True, return_inverse=True
+        )
+        return cls(start, visit, segment, first, _mean(temperature_c, segment), _mean(humidity_pct, segment))
 
     def batches(self, which: NDArray[np.bool_]) -> Iterator[tuple[Integers, Integers]]:
-        """Yield pings and their takes in batches of whole takes, or parts of one that is longer than a batch.
+        """Yield pings and their segments in batches of whole segments, or parts of a segment longer than a batch.
 
         Args:
-            which: of the pings are wanted, (n,).
+            which: mask of the pings to include, (n,).
         """
         pings = np.flatnonzero(which)
-        pings = pings[np.argsort(self.take[pings], kind="stable")]
-        edges = np.flatnonzero(np.diff(self.take[pings], prepend=-1, append=-1))
+        pings = pings[np.argsort(self.segment[pings], kind="stable")]
+        edges = np.flatnonzero(np.diff(self.segment[pings], prepend=-1, append=-1))
         begin = 0
         while begin < len(pings):
             whole = edges[(edges > begin) & (edges <= begin + BATCH)]
             end = int(whole[-1]) if len(whole) else begin + BATCH
-            yield pings[begin:end], np.unique(self.take[pings[begin:end]])
+            yield pings[begin:end], np.unique(self.segment[pings[begin:end]])
             begin = end
 
 

@@ -1,4 +1,4 @@
-"""The wire between host and sensor: what it does to a ping whatever was heard."""
+"""Bus between host and sensor: faults that do not depend on the echo."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from acquisition.ping import Ping
 
 
 class Link(IntEnum):
-    """What became of a ping on the wire."""
+    """Bus fault of a ping."""
 
-    FINE = 0
+    OK = 0
     NACK = 1
     ALL_ONES = 2
     LOST_WRITE = 3
@@ -23,7 +23,7 @@ class Link(IntEnum):
     RESET = 6
 
 
-# in the order in which they overrule each other
+# in ascending order of precedence
 RATES = {
     Link.BIT_FLIP: "bit_flip",
     Link.DROPPED: "dropped",
@@ -33,18 +33,18 @@ RATES = {
 }
 
 
-def faults(bus: Bus, ping: Ping, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw what the wire does to each ping, (n,) of `Link`; where two faults meet, silence of the wire wins."""
-    out = np.full(len(ping), Link.FINE, dtype=np.uint8)
+def draw_faults(bus: Bus, ping: Ping, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Draw the bus fault of each ping, (n,) of `Link`; the later entry of `RATES` takes precedence."""
+    out = np.full(len(ping), Link.OK, dtype=np.uint8)
     for link, name in RATES.items():
-        out[present(getattr(bus, name), bus.dwell_s, ping, rng)] = link
+        out[two_state(getattr(bus, name), bus.dwell_s, ping, rng)] = link
     first = np.diff(ping.run, prepend=ping.run[:1] - 1) != 0
-    out[first & (out == Link.LOST_WRITE)] = Link.FINE  # a run begins with registers of its own
+    out[first & (out == Link.LOST_WRITE)] = Link.OK  # registers are written at the start of a run
     return out
 
 
-def reset(bus: Bus, ping: Ping, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Draw which pings the sensor's supply breaks down before, and which find its registers as it left them, (n,)."""
+def draw_resets(bus: Bus, ping: Ping, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Draw which pings the sensor resets before, and which are fired with the register values of a reset, (n,) each."""
     if bus.reset == 0.0:
         return np.zeros(len(ping), dtype=np.bool_), np.zeros(len(ping), dtype=np.bool_)
     down = rng.random(len(ping)) < bus.reset
@@ -55,13 +55,13 @@ def reset(bus: Bus, ping: Ping, rng: np.random.Generator) -> tuple[NDArray[np.bo
     return down, fallen > np.concatenate([[0], (fallen - down)[fresh]])[epoch]
 
 
-def present(rate: float, dwell_s: float, ping: Ping, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Draw a two-state process that is on with probability `rate` and keeps its state for about `dwell_s`."""
+def two_state(rate: float, dwell_s: float, ping: Ping, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Draw a two-state process that is on with probability `rate` and is redrawn after `dwell_s` on average, (n,)."""
     if rate == 0.0:
         return np.zeros(len(ping), dtype=np.bool_)
     drawn = rng.random(len(ping)) < rate
     step = np.diff(ping.time, prepend=-np.inf)
     keep = np.exp(-np.maximum(step, 0.0) / dwell_s) if dwell_s > 0 else np.zeros(len(ping))
     keep[np.diff(ping.run, prepend=ping.run[:1] - 1) != 0] = 0.0
-    anew = rng.random(len(ping)) >= keep
-    return drawn[np.maximum.accumulate(np.where(anew, np.arange(len(ping)), 0))]
+    redrawn = rng.random(len(ping)) >= keep
+    return drawn[np.maximum.accumulate(np.where(redrawn, np.arange(len(ping)), 0))]

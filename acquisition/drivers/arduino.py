@@ -1,7 +1,7 @@
-"""An Arduino with the sketch of `acquisition/firmware` as a bridge: its I2C bus, and pulses of an HC-SR04.
+"""An Arduino with the sketch of `acquisition/firmware` as a bridge to an I2C bus and to the pulses of an HC-SR04.
 
-The protocol is in docs/drivers.md: one request, one answer, each a line with a sequence number and a CRC-16/XMODEM
-begun at 0xFFFF. What the board could not do is an answer with a number; what it did not say is an error here.
+The protocol is described in docs/drivers.md: one line per request and per answer, each with a sequence number and a
+CRC-16/XMODEM with initial value 0xFFFF. The board reports its errors by number; the driver adds the message.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from acquisition.drivers.serialport import SLICE, Lines, Port, open_port
+from acquisition.drivers.serialport import READ_TIMEOUT_S, LineReader, Port, open_port
 from acquisition.errors import (
     BoardResetError,
     DeviceError,
@@ -26,53 +26,54 @@ from acquisition.errors import (
 BAUD = 115200
 PROTOCOL = 1
 NAME = "SONARBRIDGE"
-NOBODY = "--"  # sequence of lines that answer no request
-PATIENCE = 0.5  # s for an answer; the sketch's own limits are 25 ms on I2C and given with each pulse
-START = 5.0  # s for the boot loader, which runs whenever the port is opened
-ASK_AGAIN = 0.3  # s
-LATE_LINES = 8  # looked at after patience has ended, where this computer was busy elsewhere when they came
+NO_SEQUENCE = "--"  # sequence of lines that answer no request
+PATIENCE_S = 0.5  # for an answer; the sketch limits I2C to 25 ms and pulses to the limit in the request
+START_S = 5.0  # for the boot loader, which runs whenever the port is opened
+RETRY_S = 0.3
+MAX_LATE_LINES = 8  # lines examined after the deadline, which this host read too late
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 NOT_ACKNOWLEDGED = {2, 3, 4, 6}
 WIRE_TIMEOUT = 5
-TROUBLES = {
+BAD_CHECKSUM = 33
+BOARD_ERRORS = {
     1: "too many bytes",
     2: "address not acknowledged",
     3: "data not acknowledged",
     4: "I2C failed",
     5: "I2C held low for 25 ms",
-    6: "fewer bytes than asked for",
-    16: "echo line high before the trigger: it is stuck; power the sensor off and on",
+    6: "fewer bytes than requested",
+    16: "echo line high before the trigger: it is stuck; switch the sensor off and on",
     17: "echo line did not rise within 20 ms of the trigger: check 5 V, trigger and echo wires",
-    18: "echo line did not fall in time: it is stuck; power the sensor off and on",
-    32: "request refused: pins 0, 1, 20, 21 are taken, trigger and echo must differ",
-    33: "request came garbled",
+    18: "echo line did not fall in time: it is stuck; switch the sensor off and on",
+    32: "request refused: pins 0, 1, 20, 21 are reserved, trigger and echo must differ",
+    BAD_CHECKSUM: "the request arrived corrupted",
     34: "command unknown to the sketch: upload the sketch of this version",
 }
 LINE = re.compile(rb"<(--|[0-9A-F]{2}) ([KEB])(?: ([ -)+-~]*))?\*([0-9A-F]{4})")
 
 
-class TroubleError(NoAnswerError):
-    """The board answered that it could not; `code` says why."""
+class BoardError(NoAnswerError):
+    """The board reported an error; `code` is its number in `BOARD_ERRORS`."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
         self.code = code
 
 
-def checked(body: str) -> str:
-    """Return a line's body with its checksum.
+def with_checksum(body: str) -> str:
+    """Return the body of a line with its checksum.
 
-    >>> checked("01 V")
+    >>> with_checksum("01 V")
     '01 V*6669'
     """
     return f"{body}*{binascii.crc_hqx(body.encode('ascii'), 0xFFFF):04X}"
 
 
 def parse(line: bytes) -> tuple[str, str, str]:
-    """Return sequence, kind (K done, E trouble, B begun) and content of a line of the board.
+    """Return sequence, kind (K: done, E: error, B: board started) and content of a line of the board.
 
     Raises:
-        GarbledError: the line is no such line, or its checksum differs.
+        GarbledError: the line is malformed, or its checksum differs.
     """
     match = LINE.fullmatch(line.rstrip(b"\r"))
     if not match or binascii.crc_hqx(line[1:].rpartition(b"*")[0], 0xFFFF) != int(match[4], 16):
@@ -82,100 +83,106 @@ def parse(line: bytes) -> tuple[str, str, str]:
 
 @dataclass
 class Bridge:
-    """The board at the other end of a serial port.
+    """The board at a serial port.
 
     Attributes:
         port: open, at 115200 baud.
-        name: what messages call it.
-        clock: of the host.
-        patience: s to wait for an answer.
+        name: for messages.
+        clock: of the host, s.
+        patience: longest wait for an answer, s.
     """
 
     port: Port
     name: str = "Arduino"
     clock: Callable[[], float] = time.monotonic
-    patience: float = PATIENCE
+    patience: float = PATIENCE_S
 
     def __post_init__(self) -> None:
-        """Begin to count."""
-        self._lines = Lines(self.port, self.name, clock=self.clock)
+        """Initialise the sequence number."""
+        self._lines = LineReader(self.port, self.name, clock=self.clock)
         self._sequence = 0
 
     @classmethod
     def open(cls, path: str) -> Bridge:
-        """Open a port and shake hands.
+        """Open a port and check the sketch.
 
         Raises:
-            DeviceError: no such port, nobody there, or another sketch or version.
+            DeviceError: the port does not exist, no board answers, or it has another sketch or version.
         """
         bridge = cls(open_port(path, BAUD), f"Arduino at {path}")
         try:
-            bridge.greet()
+            bridge.handshake()
         except DeviceError:
             bridge.close()
             raise
         return bridge
 
-    def greet(self) -> None:
-        """Await the sketch, however much a boot loader says first, and compare versions.
+    def handshake(self) -> None:
+        """Wait for the sketch, ignoring any output of a boot loader, and compare versions.
 
         Raises:
-            NoAnswerError: no sketch of ours answers within 5 s.
-            DeviceError: it speaks another version.
+            NoAnswerError: the sketch does not answer within 5 s.
+            DeviceError: it has another protocol version.
         """
-        deadline = self.clock() + START
+        deadline = self.clock() + START_S
         while self.clock() < deadline:
             try:
-                said = self.ask("V", patience=ASK_AGAIN)
+                answer = self.request("V", patience=RETRY_S)
             except NoAnswerError:
                 continue
-            if said == f"{NAME} {PROTOCOL:02X}":
+            if answer == f"{NAME} {PROTOCOL:02X}":
                 return
-            raise DeviceError(f"{self.name}: speaks {said!r}, expected {NAME} {PROTOCOL:02X}; upload the sketch anew")
+            raise DeviceError(
+                f"{self.name}: answers {answer!r}, expected {NAME} {PROTOCOL:02X}; upload the current sketch"
+            )
         raise NoAnswerError(
-            f"{self.name}: no sketch answered within {START:g} s; upload acquisition/firmware/sonar_bridge, check the "
-            "USB cable (some carry power only) and that this is the board's port"
+            f"{self.name}: no sketch answered within {START_S:g} s; upload acquisition/firmware/sonar_bridge, check "
+            "the USB cable (some carry power only) and that this is the board's port"
         )
 
-    def ask(self, command: str, patience: float | None = None) -> str:
+    def request(self, command: str, patience: float | None = None) -> str:
         """Send a command and return the content of its answer.
 
         Raises:
-            TroubleError: the board could not do it.
-            BoardResetError: the board started anew since the last answer; its pins and bus did, too.
-            OutOfSequenceError, GarbledError, NoAnswerError: no answer came in time, but others, garbage, nothing.
-            UnpluggedError: the port is gone.
+            BoardError: the board could not execute it.
+            BoardResetError: the board restarted since the last answer and lost the state of its pins and bus.
+            OutOfSequenceError: only answers to other requests arrived in time.
+            GarbledError: a corrupted line arrived.
+            NoAnswerError: nothing arrived in time.
+            UnpluggedError: the port disappeared.
         """
-        for line in self._lines.waiting():  # late answers are of no use, a board that begins is
-            self._notice_reset(line)
+        for line in self._lines.waiting():  # late answers are dropped, the message of a restart is not
+            self._check_reset(line)
         self._sequence = (self._sequence + 1) % 256
         sequence = f"{self._sequence:02X}"
-        self._lines.write(f">{checked(f'{sequence} {command}')}\n".encode("ascii"))
+        self._lines.write(f">{with_checksum(f'{sequence} {command}')}\n".encode("ascii"))
         return self._answer(sequence, self.patience if patience is None else patience)
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self.port.close()
 
     def _answer(self, sequence: str, patience: float) -> str:
         deadline = self.clock() + patience
         others: list[str] = []
         late = 0
-        while late < LATE_LINES and (line := self._lines.next(deadline)) is not None:
-            late += self.clock() > deadline + SLICE
-            said, kind, content = self._parsed(line)
-            if said == NOBODY:
-                self._notice_reset(line)
-                raise GarbledError(f"{self.name}: {TROUBLES[33]}; check the USB cable")
-            if said == sequence:
-                return content if kind == "K" else self._trouble(content)
-            others.append(said)
+        while late < MAX_LATE_LINES and (line := self._lines.next(deadline)) is not None:
+            late += self.clock() > deadline + READ_TIMEOUT_S
+            answered, kind, content = self._parsed(line)
+            if answered == NO_SEQUENCE:
+                self._check_reset(line)
+                raise GarbledError(f"{self.name}: {BOARD_ERRORS[BAD_CHECKSUM]}; check the USB cable")
+            if answered == sequence:
+                return content if kind == "K" else self._raise_board_error(content)
+            others.append(answered)
         if others:
             raise OutOfSequenceError(
-                f"{self.name}: awaited answer {sequence}, got only {', '.join(others[:5])} within {patience:g} s; "
-                "dropped them: is another program talking to the board?"
+                f"{self.name}: expected answer {sequence}, got only {', '.join(others[:5])} within {patience:g} s; "
+                "check that no other program uses the board"
             )
-        raise NoAnswerError(f"{self.name}: no answer within {patience:g} s; check the USB cable, press its reset key")
+        raise NoAnswerError(
+            f"{self.name}: no answer within {patience:g} s; check the USB cable, press the board's reset button"
+        )
 
     def _parsed(self, line: bytes) -> tuple[str, str, str]:
         try:
@@ -183,67 +190,69 @@ class Bridge:
         except GarbledError as error:
             raise GarbledError(f"{self.name}: {error}; check the USB cable and the baud rate, {BAUD}") from None
 
-    def _notice_reset(self, line: bytes) -> None:
+    def _check_reset(self, line: bytes) -> None:
         try:
-            began = parse(line)[:2] == (NOBODY, "B")
+            restarted = parse(line)[:2] == (NO_SEQUENCE, "B")
         except GarbledError:
             return
-        if began:
-            raise BoardResetError(f"{self.name}: the board started anew; check its power (a loose USB plug?)")
+        if restarted:
+            raise BoardResetError(f"{self.name}: the board restarted; check its power and the USB plug")
 
-    def _trouble(self, content: str) -> NoReturn:
+    def _raise_board_error(self, content: str) -> NoReturn:
         if not re.fullmatch(r"[0-9A-F]{2}", content):
-            raise GarbledError(f"{self.name}: a trouble without its number, {content!r}; upload the sketch anew")
+            raise GarbledError(f"{self.name}: an error without a number, {content!r}; upload the current sketch")
         code = int(content, 16)
-        raise TroubleError(f"{self.name}: {TROUBLES.get(code, f'trouble {code}')}", code)
+        raise BoardError(f"{self.name}: {BOARD_ERRORS.get(code, f'error {code}')}", code)
 
 
 @dataclass
 class ArduinoBus:
-    """The I2C bus of a board (Mega: SDA 20, SCL 21), in the shape of `smbus2.SMBus`."""
+    """The I2C bus of a board (Mega: SDA 20, SCL 21) with the methods of `smbus2.SMBus`."""
 
     bridge: Bridge
 
     @classmethod
     def open(cls, path: str) -> ArduinoBus:
-        """Open a board's port; see `Bridge.open`."""
+        """Open the port of a board; see `Bridge.open`."""
         return cls(Bridge.open(path))
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write one register."""
-        self._ask(f"W {i2c_addr:02X} {register:02X} {value:02X}")
+        self._request(f"W {i2c_addr:02X} {register:02X} {value:02X}")
 
     def read_byte_data(self, i2c_addr: int, register: int) -> int:
         """Read one register."""
         return self._read(i2c_addr, register, 1)[0]
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        """Run a register pointer and the read that follows it.
+        """Write a register pointer and read from there.
 
         Raises:
-            SettingError: other messages; the sketch knows these only.
+            SettingError: other messages, which the sketch does not support.
         """
         if len(i2c_msgs) != 2 or i2c_msgs[0].flags & READ_FLAG or not i2c_msgs[1].flags & READ_FLAG:
-            raise SettingError("the bridge reads registers only: give a message that writes 1 byte and one that reads")
+            raise SettingError("the bridge only reads registers: give a message that writes 1 byte and one that reads")
         pointer, answer = i2c_msgs
         for k, byte in enumerate(self._read(pointer.addr, bytes(pointer.buf[: pointer.len])[0], answer.len)):
             answer.buf[k] = bytes([byte])
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self.bridge.close()
 
     def _read(self, address: int, register: int, count: int) -> bytes:
-        said = self._ask(f"R {address:02X} {register:02X} {count:02X}")
-        if not re.fullmatch(f"[0-9A-F]{{{2 * count}}}", said):
-            raise GarbledError(f"{self.bridge.name}: {said[:80]!r} are not {count} bytes; upload the sketch anew")
-        return bytes.fromhex(said)
+        answer = self._request(f"R {address:02X} {register:02X} {count:02X}")
+        if not re.fullmatch(f"[0-9A-F]{{{2 * count}}}", answer):
+            raise GarbledError(
+                f"{self.bridge.name}: {answer[:80]!r} is not {count} bytes in hexadecimal; upload the current sketch"
+            )
+        return bytes.fromhex(answer)
 
-    def _ask(self, command: str) -> str:
-        """Ask, and tell a missing acknowledge as Linux does."""
+    def _request(self, command: str) -> str:
+        """Send a request; report bus errors with the error numbers of Linux."""
         try:
-            return self.bridge.ask(command)
-        except TroubleError as error:
+            return self.bridge.request(command)
+        except BoardError as error:
             if error.code in NOT_ACKNOWLEDGED:
                 raise OSError(121, "Remote I/O error") from error
             if error.code == WIRE_TIMEOUT:

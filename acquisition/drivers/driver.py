@@ -1,4 +1,4 @@
-"""What every driver of a sonar is, and what it returns."""
+"""The protocol of a sonar driver, and the answer to a ping."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ class Echoes:
     """The answer to one ping.
 
     Attributes:
-        ranges: reported ranges of the echoes, m, nearest first; none where nothing was heard.
-        light: of the light sensor, 0..255, where there is one.
+        ranges: reported ranges of the echoes, m, in ascending order; empty without an echo.
+        light: value of the light sensor, 0..255; None without a light sensor.
     """
 
     ranges: tuple[float, ...]
     light: int | None = None
 
 
-class Driver(Protocol):
-    """A sonar that can be asked for a ping."""
+class SonarDriver(Protocol):
+    """Driver of one sonar."""
 
     def ping(self) -> Echoes:
-        """Fire once and return what was heard.
+        """Fire once and return the echoes.
 
         Raises:
-            NoAnswerError: the device did not answer in time; that is no silence.
+            NoAnswerError: the device did not answer in time, which is not the same as no echo.
         """

@@ -1,4 +1,4 @@
-"""The bus under Devantech's sonars: a bus of this machine, or one behind an Arduino."""
+"""I2C buses of Devantech sonars: a bus of this machine, or the bus of an Arduino."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any, Protocol
 
 from acquisition.errors import DeviceError
 
-FIRST_SONAR, LAST_SONAR = 0x70, 0x7F
+FIRST_ADDRESS, LAST_ADDRESS = 0x70, 0x7F  # of Devantech sonars
 
 
 class SmBus(Protocol):
-    """The part of `smbus2.SMBus` that is used."""
+    """The methods of `smbus2.SMBus` that the drivers use."""
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write one register."""
@@ -23,33 +23,33 @@ class SmBus(Protocol):
         """Run combined messages of `smbus2.i2c_msg`."""
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
 
 
 def open_bus(port: str) -> SmBus:
-    """Open /dev/i2c-N, or the Arduino on a serial port.
+    """Open /dev/i2c-N, or the Arduino at a serial port.
 
     Raises:
-        DeviceError: there is no such port, or it may not be used.
+        DeviceError: the port does not exist or is not accessible.
     """
     match = re.fullmatch(r"/dev/i2c-(\d+)", port)
     if not match:
         from acquisition.drivers.arduino import ArduinoBus
 
         return ArduinoBus.open(port)
-    from smbus2 import SMBus  # only here is a real bus needed
+    from smbus2 import SMBus  # imported only for a real bus
 
     try:
         return SMBus(int(match[1]))
     except OSError as error:
         raise DeviceError(
-            f"{port}: {error.strerror or error}; switch I2C on, give another --port, or join the group i2c"
+            f"{port}: {error.strerror or error}; enable I2C, give another --port, or join the group i2c"
         ) from None
 
 
 def scan(bus: SmBus) -> list[int]:
-    """Return the 7-bit addresses of 0x70..0x7F that answer, by reading register 0 of each."""
-    return [address for address in range(FIRST_SONAR, LAST_SONAR + 1) if _answers(bus, address)]
+    """Return the 7-bit addresses in 0x70..0x7F that answer a read of register 0."""
+    return [address for address in range(FIRST_ADDRESS, LAST_ADDRESS + 1) if _answers(bus, address)]
 
 
 def _answers(bus: SmBus, address: int) -> bool:

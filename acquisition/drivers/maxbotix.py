@@ -1,7 +1,7 @@
-"""Driver of MaxBotix sensors on a serial line: `R`, three or four digits, carriage return, 9600 baud 8N1.
+"""Driver of MaxBotix sensors with serial output: `R`, three or four digits, carriage return; 9600 baud 8N1.
 
-They stream by themselves. So that a reading belongs to the ping that asks for it, what came before is thrown away, and
-the line that was under way as well. The greatest value means that nothing was heard.
+The sensors transmit continuously. So that a reading belongs to the ping that requests it, the driver discards all
+waiting data and the line in progress. The largest value means no echo.
 """
 
 from __future__ import annotations
@@ -13,39 +13,39 @@ from dataclasses import dataclass
 from typing import Any
 
 from acquisition.drivers.driver import Echoes
-from acquisition.drivers.serialport import Lines, Port, open_port
+from acquisition.drivers.serialport import LineReader, Port, open_port
 from acquisition.errors import GarbledError, NoAnswerError, SettingError
 
 BAUD = 9600
-PERIODS = 4  # to wait for a line
-STUCK = 64  # lines that may wait unread before the line counts as running wild
+TIMEOUT_PERIODS = 4
+MAX_DISCARDS = 64  # reads of waiting lines before a ping; more means that the line does not pause
 
 
 @dataclass(frozen=True)
-class Model:
-    """What a family says.
+class OutputFormat:
+    """Serial output of a sensor family.
 
     Attributes:
-        digits: after the `R`.
+        digits: number of digits after the `R`.
         unit_m: of a count, m.
-        silence: count for no echo.
-        period_s: from line to line, s.
+        no_echo: count that means no echo.
+        period_s: time between lines, s.
     """
 
     digits: int
     unit_m: float
-    silence: int
+    no_echo: int
     period_s: float
 
 
-# from the families' data sheets; a sensor with another greatest value is a row more
+# from the data sheets of the families; for a sensor with another largest value, add a row
 MODELS = {
-    "lv": Model(3, 0.0254, 254, 0.05),  # LV-MaxSonar-EZ, inches; its line is inverted: use an inverting adapter
-    "xl": Model(3, 0.01, 765, 0.1),  # XL-MaxSonar-EZ/-WR, cm
-    "xl-long": Model(4, 0.01, 1068, 0.1),  # XL-MaxSonar-WRL, cm
-    "hrlv": Model(4, 0.001, 5000, 0.1),  # HRLV-MaxSonar-EZ, mm
-    "hrxl": Model(4, 0.001, 5000, 0.15),  # HRXL-MaxSonar-WR, mm
-    "hrxl-long": Model(4, 0.001, 9999, 0.15),  # HRXL-MaxSonar-WRL, mm
+    "lv": OutputFormat(3, 0.0254, 254, 0.05),  # LV-MaxSonar-EZ, inches; inverted line: use an inverting adapter
+    "xl": OutputFormat(3, 0.01, 765, 0.1),  # XL-MaxSonar-EZ/-WR, cm
+    "xl-long": OutputFormat(4, 0.01, 1068, 0.1),  # XL-MaxSonar-WRL, cm
+    "hrlv": OutputFormat(4, 0.001, 5000, 0.1),  # HRLV-MaxSonar-EZ, mm
+    "hrxl": OutputFormat(4, 0.001, 5000, 0.15),  # HRXL-MaxSonar-WR, mm
+    "hrxl-long": OutputFormat(4, 0.001, 9999, 0.15),  # HRXL-MaxSonar-WRL, mm
 }
 
 
@@ -56,7 +56,7 @@ class MaxBotix:
     Attributes:
         port: open, at 9600 baud.
         model: name in `MODELS`.
-        clock: of the host.
+        clock: of the host, s.
     """
 
     port: Port
@@ -64,51 +64,48 @@ class MaxBotix:
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
-        """Refuse a family that is not known."""
-        if self.model not in MODELS:
-            raise SettingError(f"MaxBotix model must be one of {', '.join(MODELS)}, got {self.model!r}")
-        self._kind = MODELS[self.model]
-        self._lines = Lines(self.port, str(self), b"\r", self.clock)
+        """Raise SettingError for an unknown family."""
+        _check_model(self.model)
+        self._format = MODELS[self.model]
+        self._lines = LineReader(self.port, str(self), b"\r", self.clock)
 
     @classmethod
     def open(cls, port: str = "/dev/ttyUSB0", **settings: Any) -> MaxBotix:
         """Open the sensor at a serial port.
 
         Raises:
-            DeviceError: there is no such port, or it may not be used.
+            DeviceError: the port does not exist or is not accessible.
         """
-        if settings.get("model", "hrlv") not in MODELS:
-            raise SettingError(f"MaxBotix model must be one of {', '.join(MODELS)}, got {settings['model']!r}")
+        _check_model(settings.get("model", "hrlv"))
         return cls(open_port(port, BAUD), **settings)
 
     def ping(self) -> Echoes:
-        """Return the first range that is begun after this call, m, or none.
+        """Return the first range whose line starts after this call, m, if there is an echo.
 
         Raises:
-            NoAnswerError: no line comes within four periods.
-            GarbledError: a line is no reading of this model.
-            UnpluggedError: the port is gone.
+            NoAnswerError: no line arrives within four periods.
+            GarbledError: a line is not a reading of this model.
+            UnpluggedError: the port disappeared.
         """
-        deadline = self.clock() + PERIODS * self._kind.period_s
-        self._forget(deadline)
-        self._line(deadline)  # the one under way
+        deadline = self.clock() + TIMEOUT_PERIODS * self._format.period_s
+        self._discard_waiting(deadline)
+        self._line(deadline)  # the line in progress
         line = self._line(deadline)
-        if not re.fullmatch(rb"R\d{%d}" % self._kind.digits, line):
+        if not re.fullmatch(rb"R\d{%d}" % self._format.digits, line):
             raise GarbledError(
-                f"{self}: {line[:40]!r} is not R and {self._kind.digits} digits; is the model right, is the line "
-                f"inverted, is it at {BAUD} baud?"
+                f"{self}: {line[:40]!r} is not R and {self._format.digits} digits; check the model, whether the line "
+                f"is inverted, and the baud rate, {BAUD}"
             )
         count = int(line[1:])
-        if not 0 < count <= self._kind.silence:
-            raise GarbledError(f"{self}: reads {count}, expected 1 to {self._kind.silence}: is the model right?")
-        return Echoes((count * self._kind.unit_m,) if count < self._kind.silence else ())
+        if not 0 < count <= self._format.no_echo:
+            raise GarbledError(f"{self}: reads {count}, expected 1 to {self._format.no_echo}: check the model")
+        return Echoes((count * self._format.unit_m,) if count < self._format.no_echo else ())
 
     def __str__(self) -> str:
         return f"MaxBotix {self.model}"
 
-    def _forget(self, deadline: float) -> None:
-        """Drop what waits, at most until the deadline."""
-        for _ in range(STUCK):
+    def _discard_waiting(self, deadline: float) -> None:
+        for _ in range(MAX_DISCARDS):
             if not self._lines.waiting() or self.clock() >= deadline:
                 break
         self._lines.drop()
@@ -117,7 +114,12 @@ class MaxBotix:
         line = self._lines.next(deadline)
         if line is None:
             raise NoAnswerError(
-                f"{self}: no line within {PERIODS * self._kind.period_s:g} s; check power, the TX wire, and that pin 4 "
-                "(RX) is open or high"
+                f"{self}: no line within {TIMEOUT_PERIODS * self._format.period_s:g} s; check power, the TX wire, and "
+                "that pin 4 (RX) is open or high"
             )
         return line.lstrip(b"\n")
+
+
+def _check_model(model: str) -> None:
+    if model not in MODELS:
+        raise SettingError(f"MaxBotix model must be one of {', '.join(MODELS)}, got {model!r}")

@@ -1,4 +1,4 @@
-"""Serial ports: what the drivers use of pyserial, and lines read with a deadline."""
+"""Serial ports: the part of pyserial that the drivers use, and a line reader with deadlines."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Protocol
 
 from acquisition.errors import DeviceError, GarbledError, UnpluggedError
 
-SLICE = 0.02  # s that one read may take: how finely deadlines are kept
-MOST = 256  # bytes to take at once
-LONGEST = 200  # bytes of a line; longer ones are no line of any device here
+READ_TIMEOUT_S = 0.02  # of one read, and so the resolution of deadlines
+MAX_READ = 256  # bytes per read
+MAX_LINE = 200  # bytes; no device here sends longer lines
 
 
 class Port(Protocol):
-    """The part of `serial.Serial` that is used; a read returns what there is, after at most its own short timeout."""
+    """The part of `serial.Serial` that the drivers use; a read returns the available bytes or times out."""
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes wait."""
+        """Number of available bytes."""
 
     def read(self, size: int = 1) -> bytes:
         """Return up to `size` bytes."""
@@ -28,38 +28,38 @@ class Port(Protocol):
         """Send bytes."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
 
 
 def open_port(path: str, baud: int) -> Port:
-    """Open a serial port, for this process alone.
+    """Open a serial port exclusively.
 
     Raises:
-        DeviceError: there is no such port, it may not be used, or somebody else uses it.
+        DeviceError: the port does not exist, is not accessible, or is in use.
     """
-    import serial  # only here is a real port needed
+    import serial  # imported only for a real port
     from serial.tools.list_ports import comports
 
     try:
-        port: Port = serial.Serial(path, baud, timeout=SLICE, write_timeout=1.0, exclusive=True)
+        port: Port = serial.Serial(path, baud, timeout=READ_TIMEOUT_S, write_timeout=1.0, exclusive=True)
     except (serial.SerialException, OSError, ValueError) as error:
-        there = ", ".join(sorted(each.device for each in comports())) or "none"
+        available = ", ".join(sorted(each.device for each in comports())) or "none"
         raise DeviceError(
-            f"{path}: {error}; serial ports found: {there}; check the USB cable, give one of them with --port, close "
-            "the Arduino IDE's monitor, or join the group dialout"
+            f"{path}: {error}; serial ports found: {available}; check the USB cable, give one of them with --port, "
+            "close the serial monitor of the Arduino IDE, or join the group dialout"
         ) from None
     return port
 
 
 @dataclass
-class Lines:
-    """Lines of a port.
+class LineReader:
+    """Reader of the lines of a port.
 
     Attributes:
         port: open.
-        name: what messages call it.
-        end: byte that ends a line.
-        clock: of the host.
+        name: of the device, for messages.
+        end: byte that terminates a line.
+        clock: of the host, s.
     """
 
     port: Port
@@ -68,58 +68,60 @@ class Lines:
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
-        """Begin with nothing read."""
-        self._rest = b""
+        """Start with an empty buffer."""
+        self._buffer = b""
 
     def write(self, data: bytes) -> None:
         """Send bytes.
 
         Raises:
-            UnpluggedError: the port is gone.
+            UnpluggedError: the port disappeared.
         """
         try:
             self.port.write(data)
-        except OSError as error:  # serial.SerialException is one
-            raise self._gone(error) from None
+        except OSError as error:  # base class of serial.SerialException
+            raise self._unplugged(error) from None
 
     def next(self, deadline: float) -> bytes | None:
-        """Return the next line without its end, or None where none comes until the deadline.
+        """Return the next line without its terminator, or None if none arrives until the deadline.
 
-        What came in time counts, however late this computer looks.
+        Bytes that arrived in time count even if this host reads them later.
 
         Raises:
-            UnpluggedError: the port is gone.
-            GarbledError: bytes without end.
+            UnpluggedError: the port disappeared.
+            GarbledError: too many bytes without a terminator.
         """
-        while self.end not in self._rest:
-            if len(self._rest) > LONGEST:
-                self._rest = b""
-                raise GarbledError(f"{self.name}: over {LONGEST} bytes without an end of line; check baud and wires")
+        while self.end not in self._buffer:
+            if len(self._buffer) > MAX_LINE:
+                self._buffer = b""
+                raise GarbledError(
+                    f"{self.name}: over {MAX_LINE} bytes without an end of line; check the baud rate and the wires"
+                )
             late = self.clock() >= deadline
-            self._rest += self._read(at_once=late)
-            if late and self.end not in self._rest:
+            self._buffer += self._read(at_once=late)
+            if late and self.end not in self._buffer:
                 return None
-        line, _, self._rest = self._rest.partition(self.end)
+        line, _, self._buffer = self._buffer.partition(self.end)
         return line
 
     def waiting(self) -> list[bytes]:
-        """Return the whole lines that have come unasked, and forget half of one."""
-        self._rest += self._read(at_once=True)
-        *lines, self._rest = self._rest.split(self.end)
-        self._rest = self._rest[-LONGEST:]
+        """Return the complete lines that have arrived; an incomplete line remains in the buffer."""
+        self._buffer += self._read(at_once=True)
+        *lines, self._buffer = self._buffer.split(self.end)
+        self._buffer = self._buffer[-MAX_LINE:]
         return lines
 
     def drop(self) -> None:
-        """Forget what has been read and not used."""
-        self._rest = b""
+        """Clear the buffer."""
+        self._buffer = b""
 
     def _read(self, at_once: bool = False) -> bytes:
         try:
-            # without waiting for more than there is: pyserial would wait for 256
-            there = self.port.in_waiting
-            return self.port.read(min(there or 1, MOST)) if there or not at_once else b""
-        except (OSError, TypeError) as error:  # TypeError: pyserial's, when another thread closed the port
-            raise self._gone(error) from None
+            # request no more than available: pyserial would wait for all MAX_READ bytes
+            available = self.port.in_waiting
+            return self.port.read(min(available or 1, MAX_READ)) if available or not at_once else b""
+        except (OSError, TypeError) as error:  # pyserial raises TypeError if another thread closed the port
+            raise self._unplugged(error) from None
 
-    def _gone(self, error: Exception) -> UnpluggedError:
-        return UnpluggedError(f"{self.name}: the port is gone ({error}); check the USB cable and plug it in again")
+    def _unplugged(self, error: Exception) -> UnpluggedError:
+        return UnpluggedError(f"{self.name}: the port disappeared ({error}); check the USB cable and plug it in again")

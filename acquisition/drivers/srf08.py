@@ -1,7 +1,7 @@
-"""Driver of the Devantech SRF08.
+"""Drivers of the Devantech SRF08, SRF10 and SRF02.
 
-Gain and range live in RAM and cannot be read back, so they are written, each on its own, before every ping: a sensor
-that was reset would work at full gain and 11 m. Register 1 reads the light, taken just before the last burst.
+Gain and range registers are volatile and cannot be read back. The drivers write them before every ping, one at a time,
+because a sensor that was reset would use full gain and a range of 11 m.
 """
 
 from __future__ import annotations
@@ -10,106 +10,117 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from acquisition.drivers.devantech import COMMAND, ECHOES, GAIN, METRES, RANGE, STEP, Devantech, Output, check, command
+from acquisition.drivers.devantech import (
+    COMMAND,
+    ECHOES,
+    GAIN,
+    METRES,
+    RANGE,
+    STEP_S,
+    Devantech,
+    Output,
+    check_register,
+    send_command,
+)
 
 LIGHT = 1
 ANN: dict[Output, int] = {"inch": 0x53, "cm": 0x54, "us": 0x55}
-GATES, FIRST_GATE = 32, 4  # of 2048 us each, from register 4 on
+N_GATES, FIRST_GATE = 32, 4  # of 2048 us each, from register 4 on
 
 
 @dataclass(frozen=True)
 class Gates:
-    """What ANN mode gives.
+    """Result of a ping in ANN mode.
 
     Attributes:
-        first: range of the first echo, m; None where nothing was heard.
-        heard: of each of the 32 gates of 2048 us (353 mm), what its register holds: 0 for nothing.
+        first: range of the first echo, m; None without an echo.
+        values: registers of the 32 gates of 2048 us (353 mm), 0 without an echo.
     """
 
     first: float | None
-    heard: tuple[int, ...]
+    values: tuple[int, ...]
 
 
 @dataclass
 class Adjustable(Devantech):
-    """What has registers of gain and range.
+    """A sonar with registers for gain and range.
 
     Attributes:
-        gain: code 0..`greatest_gain` of the amplifier's cap.
-        range_register: 0..255; echoes are awaited for (r + 1) * 256 us.
+        gain: code of the maximum gain, 0..`max_gain`.
+        range_register: 0..255; the sonar listens for (r + 1) * 256 us.
     """
 
     gain: int = 16
     range_register: int = 255
 
-    greatest_gain: ClassVar[int]
+    max_gain: ClassVar[int]
 
     def __post_init__(self) -> None:
-        """Refuse settings that the sensor cannot hold."""
+        """Raise SettingError for invalid settings."""
         super().__post_init__()
-        ends = f"code; the manual's table ends at {self.greatest_gain}"
-        check(f"{self.name} gain", self.gain, self.greatest_gain, ends)
-        check(f"{self.name} range register", self.range_register, 255, "steps of 43 mm")
+        table_end = f"code; the manual's table ends at {self.max_gain}"
+        check_register(f"{self.name} gain", self.gain, self.max_gain, table_end)
+        check_register(f"{self.name} range register", self.range_register, 255, "steps of 43 mm")
 
     @property
-    def listening(self) -> float:
-        """How long the sensor listens after a burst, s."""
-        return (self.range_register + 1) * STEP
+    def listening_s(self) -> float:
+        """Listening time after a burst, s."""
+        return (self.range_register + 1) * STEP_S
 
     def settings(self) -> Iterator[tuple[int, int]]:
-        """Return gain and range."""
+        """Yield gain and range."""
         yield GAIN, self.gain
         yield RANGE, self.range_register
 
 
 @dataclass
 class Srf08(Adjustable):
-    """One SRF08: 17 echoes, 32 gains, a light sensor."""
+    """One SRF08: 17 echoes, 32 gain codes, a light sensor."""
 
     gain: int = 31
 
     name: ClassVar[str] = "SRF08"
     count: ClassVar[int] = 17
-    greatest_gain: ClassVar[int] = 31
+    max_gain: ClassVar[int] = 31
 
     def light(self) -> int:
-        """Return the light sensor's value, taken just before the last burst, 0..255."""
+        """Return the light sensor's value just before the last burst, 0..255."""
         return int(self.retry(lambda: self.bus.read_byte_data(self.address, LIGHT)))
 
     def gates(self) -> Gates:
-        """Fire once in ANN mode, which knows no gain and always listens for 65.5 ms.
+        """Fire once in ANN mode, which ignores the gain and always listens for 65.5 ms.
 
         Raises:
-            NoAnswerError: as `ping`.
+            NoAnswerError: see `ping`.
         """
         self.write(RANGE, 255)
-        command([self], lambda: self.write(COMMAND, ANN[self.output]))
-        self.sleep(256 * STEP)
-        self.await_end()
+        send_command([self], lambda: self.write(COMMAND, ANN[self.output]))
+        self.sleep(256 * STEP_S)
+        self.wait_until_idle()
         first = self.counts()[0]
-        heard = self.retry(lambda: self.block(FIRST_GATE, GATES))
-        return Gates(first * METRES[self.output] if first else None, tuple(heard))
+        values = self.retry(lambda: self.read_registers(FIRST_GATE, N_GATES))
+        return Gates(first * METRES[self.output] if first else None, tuple(values))
 
 
 @dataclass
 class Srf10(Adjustable):
-    """One SRF10: one echo, 17 gains, no light."""
+    """One SRF10: one echo, 17 gain codes, no light sensor."""
 
     name: ClassVar[str] = "SRF10"
-    greatest_gain: ClassVar[int] = 16
+    max_gain: ClassVar[int] = 16
 
 
 @dataclass
 class Srf02(Devantech):
-    """One SRF02: one transducer, one echo, gain and range of its own choosing."""
+    """One SRF02: one transducer, one echo, automatic gain and range."""
 
     name: ClassVar[str] = "SRF02"
 
-    def shortest(self) -> float:
-        """Return the least range it can tell at present, m: its tuned end of ringing.
+    def min_range(self) -> float:
+        """Return the smallest measurable range at present, m: the end of the ringing, which the sensor calibrates.
 
         Raises:
             NoAnswerError: the sensor does not answer.
         """
-        high, low = self.retry(lambda: self.block(ECHOES + 2, 2))
+        high, low = self.retry(lambda: self.read_registers(ECHOES + 2, 2))
         return (high << 8 | low) * METRES[self.output]

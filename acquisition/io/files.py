@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writes of files and folders, file locks and forced writes to disk."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import IO, Any
 
 
-def write_atomic(path: Path, write: Callable[[IO[Any]], None], binary: bool = False) -> Path:
-    """Write a file beside `path`, force it to disk, and put it in the place of `path`.
+def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = False) -> Path:
+    """Write a temporary file beside `path`, force it to disk, and rename it to `path`.
 
     Args:
-        path: whose folder is made where it is missing.
-        write: is given the open file; when it fails, `path` is as it was before.
-        binary: whether it writes bytes.
+        path: file to write; missing parent folders are created.
+        write: receives the open file; if it raises, `path` remains unchanged.
+        binary: open the file for bytes instead of text.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
@@ -35,25 +35,21 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], None], binary: bool = Fa
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write text, whole or not at all."""
-    return write_atomic(path, lambda file: _all(file, text))
+    """Write text atomically."""
+    return write_atomic(path, lambda file: file.write(text))
 
 
 def write_bytes(path: Path, data: bytes) -> Path:
-    """Write bytes, whole or not at all."""
-    return write_atomic(path, lambda file: _all(file, data), binary=True)
-
-
-def _all(file: IO[Any], content: str | bytes) -> None:
-    file.write(content)
+    """Write bytes atomically."""
+    return write_atomic(path, lambda file: file.write(data), binary=True)
 
 
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder beside `folder`, and put it in its place once everything in it is written.
+    """Yield an empty folder that replaces `folder` when the block ends without an error.
 
     Args:
-        folder: to make or replace; it is as it was before where anything fails.
+        folder: to create or replace; it remains unchanged if the block raises.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
@@ -66,22 +62,25 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 
 def lock(handle: int) -> bool:
-    """Keep a file to this process until it ends, however it ends; False where another process has it.
+    """Lock a file for this process until it closes the file or ends.
 
     Args:
         handle: of the open file.
+
+    Returns:
+        False if another process holds the lock.
     """
     if sys.platform == "win32":
         import msvcrt
 
-        os.lseek(handle, 2**40, os.SEEK_SET)  # one byte far behind the content: reading stays free
-        return _free(lambda: msvcrt.locking(handle, msvcrt.LK_NBLCK, 1))
+        os.lseek(handle, 2**40, os.SEEK_SET)  # one byte far behind the content, so that others can still read
+        return _acquired(lambda: msvcrt.locking(handle, msvcrt.LK_NBLCK, 1))
     import fcntl
 
-    return _free(lambda: fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB))
+    return _acquired(lambda: fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB))
 
 
-def _free(take: Callable[[], None]) -> bool:
+def _acquired(take: Callable[[], None]) -> bool:
     try:
         take()
     except (BlockingIOError, PermissionError):
@@ -89,11 +88,11 @@ def _free(take: Callable[[], None]) -> bool:
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-    return True  # some network disks know no locks: there the user has to take care
+    return True  # also on network file systems without locks, where the user must prevent a second writer
 
 
 def sync_folder(path: Path) -> None:
-    """Force the entry of a new file to disk, where the system knows how."""
+    """Force a folder's entries to disk, where the operating system supports it."""
     if sys.platform == "win32":
         return
     handle = os.open(path, os.O_RDONLY)

@@ -1,8 +1,8 @@
-"""A recording: one CSV row a ping, loaded whole or refused with the place of each fault.
+"""`Recording`: pings and readings of one CSV file with one row per ping.
 
-Columns: `distance_mm`, `angle_deg`, `reading_mm` are required. `reading_mm` (and `echo_2_mm` ... `echo_17_mm`):
-0 = no echo, empty = no answer. `time_s`, `session`, `sensor`, `reflectance`, `incidence_deg` are used where present;
-any further numeric column is kept as a covariate under its own name.
+Required columns: `distance_mm`, `angle_deg`, `reading_mm`. In `reading_mm` (and `echo_2_mm` ... `echo_17_mm`) 0 means
+no echo and an empty field no answer. Optional: `time_s`, `session`, `sensor`, `reflectance`, `incidence_deg`. Any other
+complete numeric column is a covariate.
 """
 
 from __future__ import annotations
@@ -33,15 +33,23 @@ LIMITS = {
     "angle_deg": (-180.0, 180.0),
     "incidence_deg": (-180.0, 180.0),
     "reflectance": (0.0, 1.0),
-    "reading_mm": (0.0, 1_700_000.0),  # whatever 16 bits can say, in inches too: a wire may set any of them
+    "reading_mm": (0.0, 1_700_000.0),  # any 16-bit count, also in inches: transmission errors can set every bit
 }
 MM, DEG = 1e-3, np.pi / 180.0
-LUCK = 1e-4  # chance of so many different readings to keep to an unusual step, below which it is believed; ours
+MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
 
 
 @dataclass(frozen=True)
-class Fault:
-    """One value that breaks the format."""
+class RowFault:
+    """One value that violates the format.
+
+    Attributes:
+        file: name of the file.
+        line: number of the line, from 1.
+        column: name of the column.
+        value: text in the file.
+        expected: description of valid values.
+    """
 
     file: str
     line: int
@@ -63,8 +71,8 @@ def _expectation(name: str) -> str:
     return f"{span}, 0 for no echo, or nothing for no answer" if _is_reading(name) else span
 
 
-def _faulty(name: str, text: pd.Series, number: pd.Series) -> NDArray[np.bool_]:
-    """Tell which cells of a known numeric column break its rules; `number` is NaN where `text` is no number."""
+def _invalid(name: str, text: pd.Series, number: pd.Series) -> NDArray[np.bool_]:
+    """Return the mask of invalid values of a known column; `number` is NaN where `text` is not a number."""
     low, high = LIMITS.get("reading_mm" if _is_reading(name) else name, (-np.inf, np.inf))
     value = number.to_numpy()
     bad = ~np.isfinite(value) | (value < low) | (value > high)
@@ -76,14 +84,14 @@ def _numbers(text: pd.Series) -> pd.Series:
     return pd.to_numeric(text.replace("", None), errors="coerce").astype(np.float64)
 
 
-def unfinished(path: Path) -> Path:
-    """Return the path of the file that lies beside a recording while its session is unfinished."""
+def unfinished_path(path: Path) -> Path:
+    """Return the path of the file that exists beside a recording while its session is unfinished."""
     return path.with_name(path.name + ".unfinished")
 
 
-def _whole(path: Path) -> Path | io.BytesIO:
-    """Return what to read: of an unfinished session the whole lines, for a power cut may have torn the last one."""
-    if not unfinished(path).exists():
+def _complete_lines(path: Path) -> Path | io.BytesIO:
+    """Return the file or, for an unfinished session, its complete lines: a power cut may have truncated the last."""
+    if not unfinished_path(path).exists():
         return path
     data = path.read_bytes()
     return io.BytesIO(data[: data.rfind(b"\n") + 1])
@@ -91,11 +99,13 @@ def _whole(path: Path) -> Path | io.BytesIO:
 
 def _read_text(path: Path) -> pd.DataFrame:
     if not path.exists():
-        raise RecordingNotFoundError(f"{path}: no such file; give the path of a recording (CSV, one row a ping)")
+        raise RecordingNotFoundError(f"{path}: no such file; give the path of a recording (CSV, one row per ping)")
     if path.is_dir():
-        raise RecordingError(f"{path}: is a folder, expected a recording (CSV, one row a ping)")
+        raise RecordingError(f"{path}: is a folder, expected a recording (CSV, one row per ping)")
     try:
-        return pd.read_csv(_whole(path), dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig")
+        return pd.read_csv(
+            _complete_lines(path), dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig"
+        )
     except pd.errors.EmptyDataError:
         raise RecordingError(
             f"{path}, line 1: the file is empty, expected a header with {', '.join(REQUIRED)}"
@@ -120,14 +130,14 @@ class Recording:
     """Pings and readings of one CSV file, in its order.
 
     Attributes:
-        table: the columns as numbers (float64), text columns as text; NaN in a reading column means no answer.
-        name: where it came from, for messages.
-        rejected: the faults of rows that were left out, when loading was asked to go on without them.
+        table: numeric columns as float64, text columns as text; NaN in a reading column means no answer.
+        name: origin, for messages.
+        rejected: faults of the rows that were omitted with `skip_bad_rows`.
     """
 
     table: pd.DataFrame
     name: str = "recording"
-    rejected: tuple[Fault, ...] = field(default=())
+    rejected: tuple[RowFault, ...] = field(default=())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], skip_bad_rows: bool = False) -> Recording:
@@ -135,18 +145,18 @@ class Recording:
 
         Args:
             path: of the CSV file.
-            skip_bad_rows: leave rows with faults out, listed in `rejected`, rather than refuse the file.
+            skip_bad_rows: omit faulty rows (listed in `rejected`) instead of rejecting the file.
 
         Raises:
-            RecordingNotFoundError: there is no such file.
-            RecordingError: a column is missing or a value breaks the format; the first fault is named in full.
+            RecordingNotFoundError: the file does not exist.
+            RecordingError: a column is missing or a value violates the format; the message describes the first fault.
         """
         path = Path(path)
         return cls.from_text(_read_text(path), str(path), skip_bad_rows)
 
     @classmethod
     def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
-        """Check a table of text cells as read from a CSV; see `load`. Row k of it stands on line k + 2."""
+        """Check a table of text as read from a CSV file; see `load`. Row k is line k + 2 of the file."""
         _check_header(name, list(text.columns))
         table, faults = _convert(name, text)
         if faults and not skip_bad_rows:
@@ -155,12 +165,12 @@ class Recording:
         bad_rows = sorted({fault.line - 2 for fault in faults})
         table = table.drop(index=bad_rows).reset_index(drop=True)
         if table.empty:
-            raise RecordingError(f"{name}: holds no rows below its header, expected one row a ping")
+            raise RecordingError(f"{name}: has no rows below its header, expected one row per ping")
         return cls(table, name, tuple(faults))
 
     @classmethod
     def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
-        """Build a recording from arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
+        """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         table = pd.DataFrame(
             {
                 "time_s": ping.time,
@@ -185,23 +195,23 @@ class Recording:
         return len(self.table)
 
     def has(self, column: str) -> bool:
-        """Tell whether the recording holds a column."""
+        """Return whether the recording has a column."""
         return column in self.table.columns
 
     def select(self, mask: NDArray[Any]) -> Recording:
-        """Return the rows at a mask or array of indices, in their order."""
+        """Return the recording of the rows at a mask or array of indices."""
         rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
         return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))
 
     def _with_interval(self) -> pd.DataFrame:
-        """Return the table with the time since each run's ping before: among picked rows it can no longer be seen."""
+        """Return the table with `interval_s`, the time since the previous ping; a selection of rows would lose it."""
         if not self.has("time_s") or self.has("interval_s"):
             return self.table
         return self.table.assign(interval_s=interval(self.table["time_s"].to_numpy(), self.run))
 
     @cached_property
     def run(self) -> NDArray[np.int64]:
-        """Number of the uninterrupted run (session and sensor) of each ping, (n,)."""
+        """Index of the uninterrupted run (session and sensor) of each ping, (n,)."""
         keys = [self.table[name] for name in TEXT if self.has(name)]
         if not keys:
             return np.zeros(len(self), dtype=np.int64)
@@ -209,13 +219,13 @@ class Recording:
 
     @cached_property
     def condition(self) -> NDArray[np.int64]:
-        """Number of the condition (distance, angles, reflectance) of each ping, (n,); equal conditions share it."""
+        """Index of the condition (distance, angles, reflectance) of each ping, (n,), equal for equal conditions."""
         keys = [self.table[name] for name in CONDITION[1:] if self.has(name)]
         return self.table.groupby(keys, sort=False).ngroup().to_numpy().astype(np.int64)
 
     @cached_property
     def ping(self) -> Ping:
-        """What the sensor faced."""
+        """True conditions of the pings."""
         angle = self.table["angle_deg"].to_numpy() * DEG
         column = self.table.get
         table = self._with_interval()
@@ -234,7 +244,7 @@ class Recording:
 
     @cached_property
     def reading(self) -> Reading:
-        """What the sensor said."""
+        """Readings of the sensor."""
         value = self.table["reading_mm"].to_numpy() * MM
         status = np.where(value > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO)
         status = np.where(np.isnan(value), EchoStatus.NO_ANSWER, status)
@@ -243,7 +253,7 @@ class Recording:
 
     @cached_property
     def covariates(self) -> tuple[str, ...]:
-        """Names of the further numeric columns that are logged in every row."""
+        """Names of the other numeric columns that have a value in every row."""
         known = {*CONDITION, *TEXT}
         return tuple(
             name
@@ -253,59 +263,58 @@ class Recording:
 
     @cached_property
     def resolution(self) -> float:
-        """Grid on which readings lie, m: the coarsest step that divides them all, else 1 mm.
+        """Step of the grid on which all readings lie, m; 1 mm if there is none.
 
-        The usual steps are 10 mm (cm output) and 25.4 mm (inch output); any other, and any multiple of these, is found
-        where more different readings keep to it than by luck, and the true distances do not. A finer output is treated
-        in 1 mm bins.
+        The common steps are 10 mm (cm output) and 25.4 mm (inch output). Other steps, and multiples of the common ones,
+        are accepted if a coincidence is improbable and the true distances do not lie on the same grid.
         """
         echo_mm = np.unique(self.reading.range[self.reading.echo] / MM)
-        usual = next((step for step in (25.4, 10.0) if len(echo_mm) and on_grid(echo_mm, step, 0.051)), None)
-        found = unusual_step(echo_mm) if usual is None else usual * common_multiple(np.rint(echo_mm / usual))
-        given = found is not None and on_grid(np.unique(self.ping.distance / MM), found, 0.051)
-        step = usual if found is None or given else found
+        common = next((step for step in (25.4, 10.0) if len(echo_mm) and _on_grid(echo_mm, step, 0.051)), None)
+        found = _other_step(echo_mm) if common is None else common * _common_divisor(np.rint(echo_mm / common))
+        placed = found is not None and _on_grid(np.unique(self.ping.distance / MM), found, 0.051)
+        step = common if found is None or placed else found
         return MM if step is None else step * MM
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the recording as CSV, atomically: the file is there whole or not at all."""
+        """Write the recording as CSV, atomically."""
         return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
 
 
-def on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
-    """Tell whether values are multiples of a step, within a tolerance."""
+def _on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
+    """Return whether values are multiples of a step, within a tolerance."""
     return bool(np.all(np.abs(value - np.rint(value / step) * step) < tolerance))
 
 
-def common_multiple(count: NDArray[np.float64]) -> int:
-    """Return the greatest number that divides sorted different whole numbers; 1 where that may be luck."""
+def _common_divisor(count: NDArray[np.float64]) -> int:
+    """Return the greatest common divisor of distinct whole numbers; 1 where it may be a coincidence."""
     divisor = max(1, int(np.gcd.reduce(count.astype(np.int64))))
-    return divisor if divisor ** -(len(count) - 1.0) < LUCK else 1
+    return divisor if divisor ** -(len(count) - 1.0) < MAX_CHANCE else 1
 
 
-def unusual_step(value: NDArray[np.float64]) -> float | None:
-    """Return the step of which all sorted different values, mm, are multiples; None where that may be luck.
+def _other_step(value: NDArray[np.float64]) -> float | None:
+    """Return the step of which all sorted distinct values, mm, are multiples; None where it may be a coincidence.
 
-    Whole millimetres may have been rounded to after the step was taken: a little more than half of one is allowed then.
+    Values in whole millimetres may have been rounded after the quantisation; the tolerance is then 0.6 mm.
     """
     if len(value) < 2:
         return None
-    rounded = on_grid(value, 1.0, 1e-6)
-    least, tolerance = (10.0, 0.6) if rounded else (2.0, 0.051)
+    rounded = _on_grid(value, 1.0, 1e-6)
+    min_step, tolerance = (10.0, 0.6) if rounded else (2.0, 0.051)
     gaps = np.diff(value)
-    gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # of neighbours on the grid; rounding errors cancel
-    for step in (_refined(value, gap / share) for share in (1, 2, 3) if gap / share >= least - tolerance):
-        luck = (2.0 * tolerance / max(step, least)) ** (len(value) - 1)  # the first gap gave the step
-        if step >= least and luck < LUCK and on_grid(value, step, tolerance):
+    gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # between grid neighbours; rounding errors cancel
+    for step in (_refine_step(value, gap / k) for k in (1, 2, 3) if gap / k >= min_step - tolerance):
+        chance = (2.0 * tolerance / max(step, min_step)) ** (len(value) - 1)  # one gap determined the step
+        if step >= min_step and chance < MAX_CHANCE and _on_grid(value, step, tolerance):
             return step
     return None
 
 
-def _refined(value: NDArray[np.float64], step: float) -> float:
-    """Return a step that fits ever greater multiples of it, each of them near enough to count from the one before."""
+def _refine_step(value: NDArray[np.float64], step: float) -> float:
+    """Fit the step by recursive least squares to multiples of increasing size, which each update makes countable."""
     product = square = 0.0
-    for each in value:
-        count = np.rint(each / step)
-        product, square = product + count * each, square + count**2
+    for multiple in value:
+        count = np.rint(multiple / step)
+        product, square = product + count * multiple, square + count**2
         step = product / square if square > 0 else step
     return float(step)
 
@@ -314,15 +323,15 @@ def _is_complete_number(column: pd.Series) -> bool:
     return pd.api.types.is_numeric_dtype(column) and bool(np.isfinite(column.to_numpy(dtype=np.float64)).all())
 
 
-def _convert(file: str, text: pd.DataFrame) -> tuple[pd.DataFrame, list[Fault]]:
-    """Turn text columns into numbers where they are numbers, and list what breaks the rules."""
-    faults: list[Fault] = []
+def _convert(file: str, text: pd.DataFrame) -> tuple[pd.DataFrame, list[RowFault]]:
+    """Convert numeric text columns to numbers, and list the values that violate the format."""
+    faults: list[RowFault] = []
     columns: dict[str, pd.Series] = {}
     for name in text.columns:
         number = _numbers(text[name])
         if name in CONDITION or _is_reading(name):
-            rows = np.flatnonzero(_faulty(name, text[name], number))
-            faults += [Fault(file, int(r) + 2, name, text[name].iloc[r], _expectation(name)) for r in rows]
+            rows = np.flatnonzero(_invalid(name, text[name], number))
+            faults += [RowFault(file, int(r) + 2, name, text[name].iloc[r], _expectation(name)) for r in rows]
             columns[name] = number
         else:
             empty = text[name] == ""

@@ -1,6 +1,6 @@
-"""Survey plans from TOML files; errors name file, key, value and limit.
+"""Survey plans in TOML files; error messages name file, key, value and limit.
 
-Lists of values are written out, or as a span: `distances_mm = {from = 200, to = 3000, step = 200}`, both ends included.
+Values are given as a list or as a range with both ends: `distances_mm = {from = 200, to = 3000, step = 200}`.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from acquisition.errors import SettingError
-from acquisition.survey.plan import MOST_CELLS, PLANS, Plan
+from acquisition.survey.plan import MAX_CONDITIONS, PLANS, SurveyPlan
 
-KEYS = tuple(field.name for field in fields(Plan))
+KEYS = tuple(field.name for field in fields(SurveyPlan))
 REQUIRED = ("distances_mm", "angles_deg")
 LISTS = ("distances_mm", "angles_deg", "reflectances", "incidences_deg")
-SPAN = ("from", "to", "step")
+RANGE_KEYS = ("from", "to", "step")
 KINDS: dict[str, tuple[type, ...]] = {
     "pings": (int,),
     "seed": (int,),
@@ -30,11 +30,11 @@ KINDS: dict[str, tuple[type, ...]] = {
 NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 
-def find_plan(name: str) -> Plan:
-    """Return the plan of that name, or that a file of that path describes.
+def find_plan(name: str) -> SurveyPlan:
+    """Return a built-in plan by name, or the plan in a TOML file.
 
     Raises:
-        SettingError: neither is there, or the file is no plan.
+        SettingError: neither exists, or the file is not a valid plan.
     """
     if name in PLANS:
         return PLANS[name]
@@ -43,11 +43,11 @@ def find_plan(name: str) -> Plan:
     return load_plan(Path(name))
 
 
-def load_plan(path: Path) -> Plan:
+def load_plan(path: Path) -> SurveyPlan:
     """Read a plan.
 
     Raises:
-        SettingError: no such file, no TOML, an unknown key, or a value outside its limits.
+        SettingError: the file is missing or not TOML, a key is unknown, or a value lies outside its limits.
     """
     try:
         with open(path, "rb") as file:
@@ -57,7 +57,7 @@ def load_plan(path: Path) -> Plan:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingError(f"{path}: not TOML: {error}") from None
     try:
-        return Plan(**_settings(content))
+        return SurveyPlan(**_settings(content))
     except SettingError as error:
         raise SettingError(f"{path}, {error}") from None
 
@@ -65,7 +65,7 @@ def load_plan(path: Path) -> Plan:
 def _settings(content: dict[str, Any]) -> dict[str, Any]:
     for key in content:
         if key not in KEYS:
-            raise SettingError(f"{key}: no such key, expected one of {', '.join(KEYS)}")
+            raise SettingError(f"{key}: unknown key, expected one of {', '.join(KEYS)}")
     for key in REQUIRED:
         if key not in content:
             raise SettingError(f"{key}: is missing; a plan needs {' and '.join(REQUIRED)}")
@@ -85,19 +85,19 @@ def _value(key: str, value: Any) -> Any:
 
 
 def _axis(key: str, value: Any) -> tuple[float, ...]:
-    """Return the values of a list or a span."""
+    """Return the values of a list or a range."""
     if isinstance(value, dict):
-        return _span(key, value)
+        return _range(key, value)
     _expect(isinstance(value, list), key, "a list of numbers or {from, to, step}", value)
     return tuple(_number(key, item) for item in value)
 
 
-def _span(key: str, span: dict[str, Any]) -> tuple[float, ...]:
-    _expect(set(span) == set(SPAN), key, "{from, to, step}", span)
-    start, stop, step = (_number(f"{key}.{name}", span[name]) for name in SPAN)
+def _range(key: str, given: dict[str, Any]) -> tuple[float, ...]:
+    _expect(set(given) == set(RANGE_KEYS), key, "{from, to, step}", given)
+    start, stop, step = (_number(f"{key}.{name}", given[name]) for name in RANGE_KEYS)
     _expect(step > 0, f"{key}.step", "a number above 0", step)
     count = int(np.floor((stop - start) / step + 1e-9)) + 1
-    _expect(1 <= count <= MOST_CELLS, key, f"a span of 1 to {MOST_CELLS} values", span)
+    _expect(1 <= count <= MAX_CONDITIONS, key, f"a range of 1 to {MAX_CONDITIONS} values", given)
     return tuple(float(value) for value in np.round(start + step * np.arange(count), 9))
 
 
@@ -106,6 +106,6 @@ def _number(key: str, value: Any) -> float:
     return float(value)
 
 
-def _expect(fine: bool, key: str, expected: str, value: Any) -> None:
-    if not fine:
+def _expect(valid: bool, key: str, expected: str, value: Any) -> None:
+    if not valid:
         raise SettingError(f"{key}: expected {expected}, got {value!r}")

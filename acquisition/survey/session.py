@@ -1,7 +1,7 @@
-"""Sessions: a survey plan, measured cell by cell into a recording that survives a power cut.
+"""Sessions: a survey plan measured condition by condition into a recording that survives interruptions.
 
-A cell is one condition and all its pings; see `acquisition.io.journal` for how it is kept. Needs numpy and pandas alone,
-so it runs on the small machine that the sonar is wired to.
+Each condition is one visit: all its pings without interruption. See `acquisition.io.journal` for the file. Requires
+numpy and pandas only, so that it runs on the small computer to which the sonar is connected.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from acquisition.errors import NoAnswerError, RecordingError, SettingError
 from acquisition.io.journal import Journal
 from acquisition.io.recording import ECHO_COLUMN, Recording
 from acquisition.ping import Reading
-from acquisition.survey.plan import Cell, Plan
-from acquisition.survey.quantities import CONDITIONS
-from acquisition.survey.sources import Measured, Source
+from acquisition.survey.plan import Condition, SurveyPlan
+from acquisition.survey.quantities import CONDITION_QUANTITIES
+from acquisition.survey.sources import PingSource, VisitData
 
 Progress = Callable[[int, int], None]
-SILENT_CELLS = 5  # in a row, after which an operator is asked whether the sonar is deaf
-DIGITS = 4  # of a condition's value, for telling whether two are the same
+MAX_SILENT = 5  # consecutive conditions without any echo, after which the operator checks the sonar
+DIGITS = 4  # decimal places to which the values of two conditions are compared
 
 
 class Answer(Enum):
-    """What an operator wants."""
+    """Decision of the operator."""
 
     GO = "go on"
     SKIP = "skip"
@@ -39,112 +39,115 @@ class Answer(Enum):
 
 
 class Operator(Protocol):
-    """Whoever moves the stand and watches over a session."""
+    """The person who moves the reflector and supervises a session."""
 
-    def ready(self, before: Cell | None, cell: Cell, can_repeat: bool) -> Answer:
-        """Have a cell arranged. SKIP leaves it for later, REPEAT takes the one before back, QUIT ends the session."""
+    def ready(self, before: Condition | None, condition: Condition, can_repeat: bool) -> Answer:
+        """Set up a condition. SKIP postpones it, REPEAT measures the previous one again, QUIT ends the session."""
 
     def unanswered(self, error: NoAnswerError) -> Answer:
-        """Tell of a dead wire. GO measures the cell again, SKIP leaves it for later, QUIT gives up."""
+        """Report a failed connection. GO measures the condition again, SKIP postpones it, QUIT raises the error."""
 
-    def silent(self, cells: int) -> Answer:
-        """Tell that nothing was heard for some cells. GO tests again, SKIP believes it, QUIT ends the session."""
+    def silent(self, conditions: int) -> Answer:
+        """Report conditions without any echo. GO tests the sonar again, SKIP accepts them, QUIT ends the session."""
 
 
-class Nobody:
-    """No operator: what can be measured is measured, a dead wire ends the session, and silence is believed."""
+class NoOperator:
+    """Unattended session: a failed connection ends it, and conditions without echo are accepted."""
 
-    def ready(self, before: Cell | None, cell: Cell, can_repeat: bool) -> Answer:
-        """Go on."""
+    def ready(self, before: Condition | None, condition: Condition, can_repeat: bool) -> Answer:
+        """Return GO."""
         return Answer.GO
 
     def unanswered(self, error: NoAnswerError) -> Answer:
-        """Give up."""
+        """Return QUIT."""
         return Answer.QUIT
 
-    def silent(self, cells: int) -> Answer:
-        """Believe it."""
+    def silent(self, conditions: int) -> Answer:
+        """Return SKIP."""
         return Answer.SKIP
 
 
 @dataclass(frozen=True)
 class Session:
-    """Measure a plan into a file.
+    """Measurement of a plan into a file.
 
     Attributes:
-        plan: what to measure.
-        source: what to measure it with.
+        plan: conditions to measure.
+        source: source of the pings.
         path: of the recording, CSV.
-        resume: go on with a recording that is there, rather than refuse to touch it.
-        echoes: how many echoes a ping to write down, 1..17.
-        sensor: what to call the sensor.
-        operator: whoever moves the stand.
-        settings: of the hardware, as numbers and text; a session is resumed only with the same ones.
+        resume: continue an existing recording; otherwise the file must not exist.
+        echoes: number of echoes per ping to record, 1..17.
+        sensor: name of the sensor in the recording.
+        operator: who sets up the conditions.
+        settings: of the hardware, numbers and text; a session can only be resumed with the same settings.
     """
 
-    plan: Plan
-    source: Source
+    plan: SurveyPlan
+    source: PingSource
     path: Path
     resume: bool = False
     echoes: int = 4
     sensor: str = "0"
-    operator: Operator = field(default_factory=Nobody)
+    operator: Operator = field(default_factory=NoOperator)
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse a number of echoes that no recording holds."""
+        """Raise SettingError for an invalid number of echoes."""
         if not 1 <= self.echoes <= 17:
             raise SettingError(f"echoes must lie from 1 to 17, got {self.echoes}: a sonar has 17 echo registers")
 
     def run(self, progress: Progress | None = None) -> Path:
-        """Measure what is still to be measured.
+        """Measure the conditions that the recording does not contain yet.
 
         Args:
-            progress: called with pings done and pings in all, after each cell.
+            progress: called after each condition with the number of recorded pings and the total.
+
+        Returns:
+            The path of the recording.
 
         Raises:
-            RecordingError: the file is there and `resume` was not asked for, it belongs to another plan, another
-                process is writing it, or the disk is full or fails.
-            NoAnswerError: the wire is dead, and the operator gave up. Whole cells are on disk, whatever happens.
+            RecordingError: the file exists and `resume` is False, it belongs to another plan, another process is
+                writing it, or the disk is full or fails.
+            NoAnswerError: the connection failed and the operator quit. Complete conditions are on disk in any case.
         """
         with Journal.open(self.path, self.plan.pings, self.resume) as journal:
             todo = self._todo(journal)
-            journal.begin(self._begun_with())
+            journal.begin(self._all_settings())
             if todo:
-                Survey(self, journal, todo, progress).run()
-            if journal.cells == len(self.plan):
+                SurveyRun(self, journal, todo, progress).run()
+            if journal.n_visits == len(self.plan):
                 journal.finish()
         return self.path
 
-    def _begun_with(self) -> dict[str, Any]:
+    def _all_settings(self) -> dict[str, Any]:
         return {**asdict(self.plan), "echoes": self.echoes, "sensor": self.sensor, **self.settings}
 
     def _todo(self, journal: Journal) -> deque[int]:
-        """Return the numbers of the cells that the file does not hold yet."""
+        """Return the numbers of the conditions that the file does not contain."""
         if journal.table is None:
             return deque(range(len(self.plan)))
         self._check_echoes(journal.table)
-        done = self._conditions(journal.table)
-        due = {_key(cell): number for number, cell in enumerate(self.plan.cells)}
+        done = self._recorded(journal.table)
+        due = {_key(condition): number for number, condition in enumerate(self.plan.conditions)}
         counted = Counter(done[:: self.plan.pings])
         for row, key in enumerate(done):
             if key not in due or key != done[row - row % self.plan.pings] or counted[key] > 1:
                 raise RecordingError(
-                    f"{self.path}, line {row + 2}: holds another condition than the plan has there; "
-                    "resume with the plan and pings a cell that it was begun with"
+                    f"{self.path}, line {row + 2}: the condition is not the one of the plan; "
+                    "resume with the original plan and number of pings"
                 )
         return deque(sorted(set(due.values()) - {due[key] for key in counted}))
 
     def _check_echoes(self, table: pd.DataFrame) -> None:
-        deepest = 1 + sum(ECHO_COLUMN.fullmatch(str(name)) is not None for name in table)
-        if deepest != self.echoes:
+        recorded = 1 + sum(ECHO_COLUMN.fullmatch(str(name)) is not None for name in table)
+        if recorded != self.echoes:
             raise RecordingError(
-                f"{self.path}: holds {deepest} echoes a ping, this session {self.echoes}; give the same number"
+                f"{self.path}: has {recorded} echoes per ping, this session {self.echoes}; give the same number"
             )
 
-    def _conditions(self, table: pd.DataFrame) -> list[tuple[float, ...]]:
-        """Return the condition of each row, to be compared with those of cells."""
-        names = [*CONDITIONS, *self.plan.sweep]
+    def _recorded(self, table: pd.DataFrame) -> list[tuple[float, ...]]:
+        """Return the rounded condition of each row."""
+        names = [*CONDITION_QUANTITIES, *self.plan.sweep]
         missing = [name for name in names if name not in table]
         if missing:
             raise RecordingError(f"{self.path}, line 1: column {missing[0]} is missing; resume with the same plan")
@@ -152,18 +155,19 @@ class Session:
         return [tuple(row) for row in number.round(DIGITS).tolist()]
 
 
-def _key(cell: Cell) -> tuple[float, ...]:
-    return tuple(np.round(list(cell.values.values()), 6).round(DIGITS).tolist())  # as a recording rounds it
+def _key(condition: Condition) -> tuple[float, ...]:
+    """Return the values of a condition, rounded twice like those of a recording."""
+    return tuple(np.round(list(condition.values.values()), 6).round(DIGITS).tolist())
 
 
 @dataclass
-class Survey:
-    """One session under way: what is to be done, and what was done last.
+class SurveyRun:
+    """State of a running session.
 
     Attributes:
-        session: that it belongs to.
-        journal: open file.
-        todo: numbers of cells.
+        session: the session.
+        journal: its open file.
+        todo: numbers of the remaining conditions.
         progress: see `Session.run`.
     """
 
@@ -173,48 +177,48 @@ class Survey:
     progress: Progress | None
 
     def __post_init__(self) -> None:
-        """Number the session: hardware taken up again is another one, for its clock went on."""
+        """Set the session number; resumed hardware gets a new one, because time has passed."""
         table = self.journal.table
         last = 0 if table is None else int(table["session"].iloc[-1])
         self.number = last if table is None or self.session.source.simulated else last + 1
         self.last: int | None = None
-        self.standing: Cell | None = None
-        self.silent = 0
+        self.current: Condition | None = None
+        self.n_silent = 0
 
     def run(self) -> None:
-        """Make sure that the sonar answers, and go through the cells until the last or until somebody quits."""
-        if self.journal.cells:
-            self._tell()  # so that what was done before counts for nothing in the time that is left
-        if self._answers() is Answer.QUIT:
+        """Test the connection, then measure the remaining conditions until the operator quits."""
+        if self.journal.n_visits:
+            self._report()  # start value, so that the estimated time ignores the conditions recorded before
+        if self._test_sonar() is Answer.QUIT:
             return
         while self.todo:
-            cell = self.session.plan.cell(self.todo[0])
-            answer = self.session.operator.ready(self.standing, cell, self.last is not None)
+            condition = self.session.plan.condition(self.todo[0])
+            answer = self.session.operator.ready(self.current, condition, self.last is not None)
             if answer is Answer.GO:
-                self.standing = cell
+                self.current = condition
                 answer = self._measure()
             if answer is Answer.QUIT:
                 return
             if answer is Answer.SKIP:
                 self.todo.popleft()
             elif answer is Answer.REPEAT:
-                self._take_back()
+                self._undo_last()
 
-    def _answers(self) -> Answer:
-        """Have the wire tested before anything is written down."""
+    def _test_sonar(self) -> Answer:
+        """Test the connection until the sonar answers and the operator accepts its echoes."""
         while True:
             try:
-                heard = self.session.source.check()
+                has_echo = self.session.source.check()
             except NoAnswerError as error:
                 if self.session.operator.unanswered(error) is not Answer.GO:
                     raise
                 continue
-            answer = Answer.SKIP if heard else self.session.operator.silent(0)
+            answer = Answer.SKIP if has_echo else self.session.operator.silent(0)
             if answer is not Answer.GO:
                 return answer
 
     def _measure(self) -> Answer:
-        """Measure the next cell and write it down; tell what to do then."""
+        """Measure and record the next condition; return how to continue."""
         try:
             measured = self.session.source.measure(self.session.plan, self.todo[0])
         except NoAnswerError as error:
@@ -224,36 +228,37 @@ class Survey:
             return answer
         self.journal.append(self._rows(measured))
         self.last = self.todo.popleft()
-        self._tell()
-        return self._heed(measured.reading)
+        self._report()
+        return self._check_silence(measured.reading)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         if self.progress is not None:
             pings = self.session.plan.pings
-            self.progress(self.journal.cells * pings, len(self.session.plan) * pings)
+            self.progress(self.journal.n_visits * pings, len(self.session.plan) * pings)
 
-    def _heed(self, reading: Reading) -> Answer:
-        """After some silent cells have the operator test whether the sonar still hears."""
-        self.silent = 0 if reading.echo.any() else self.silent + 1
-        if self.silent < SILENT_CELLS:
+    def _check_silence(self, reading: Reading) -> Answer:
+        """Let the operator test the sonar after `MAX_SILENT` conditions without echo."""
+        self.n_silent = 0 if reading.echo.any() else self.n_silent + 1
+        if self.n_silent < MAX_SILENT:
             return Answer.GO
-        answer = self.session.operator.silent(self.silent)
-        self.silent = 0
-        answer = self._answers() if answer is Answer.GO else answer
+        answer = self.session.operator.silent(self.n_silent)
+        self.n_silent = 0
+        answer = self._test_sonar() if answer is Answer.GO else answer
         return Answer.QUIT if answer is Answer.QUIT else Answer.GO
 
-    def _take_back(self) -> None:
+    def _undo_last(self) -> None:
         if self.last is not None:
             self.journal.drop_last()
             self.todo.appendleft(self.last)
-            self.last = self.standing = None  # it is to be arranged anew
+            self.last = self.current = None  # the operator sets the condition up again
 
-    def _rows(self, measured: Measured) -> pd.DataFrame:
+    def _rows(self, measured: VisitData) -> pd.DataFrame:
         reading = measured.reading
         echoes = np.zeros((len(reading), self.session.echoes - 1))
-        kept = reading.echoes[:, : self.session.echoes - 1]
-        echoes[:, : kept.shape[1]] = kept
+        recorded = reading.echoes[:, : self.session.echoes - 1]
+        echoes[:, : recorded.shape[1]] = recorded
         table = Recording.of(measured.ping, Reading(reading.range, reading.status, echoes)).table
         names = {"session": str(self.number), "sensor": self.session.sensor}
-        logged: dict[str, Any] = {**names, **measured.columns, **dict(self.session.plan.cell(self.todo[0]).swept)}
+        swept = dict(self.session.plan.condition(self.todo[0]).swept)
+        logged: dict[str, Any] = {**names, **measured.columns, **swept}
         return table.assign(**logged)

@@ -1,4 +1,4 @@
-"""Twins of Devantech's sonars: simulated devices on an SMBus-shaped bus, so that the real drivers run unchanged."""
+"""Twins of the Devantech sonars, with the methods of `smbus2.SMBus`."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Any
 import numpy as np
 
 from acquisition.bench.acoustics.receiver import GAINS
-from acquisition.drivers.devantech import COMMAND, GAIN, RANGE, RANGING, STEP, UNLOCK
+from acquisition.drivers.devantech import COMMAND, GAIN, RANGE, RANGING, STEP_S, UNLOCK
 from acquisition.drivers.srf08 import ANN
-from acquisition.twins.simulated_sensor import Ear, TwinClock
+from acquisition.twins.simulated_sensor import SimulatedSensor, TwinClock
 
 __all__ = ["BadWire", "Srf02Twin", "Srf08Twin", "Srf10Twin", "TwinClock"]
 
 REVISION = 10
-SRF02_SHORTEST_CM = 16
+SRF02_MIN_RANGE_CM = 16
 NACK = 121  # EREMOTEIO
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 GENERAL_CALL = 0
-READ_OUT = 1e-3  # s from the end of listening until the sensor answers again
+READ_OUT_S = 1e-3  # from the end of listening until the sensor answers again
 GATE_US = 2048
 OUTPUTS = {code: output for output, code in RANGING.items()}
-ANN_US = {ANN["inch"]: 148.0, ANN["cm"]: 58.0, ANN["us"]: 1.0}  # us a count
+ANN_COUNT_US = {ANN["inch"]: 148.0, ANN["cm"]: 58.0, ANN["us"]: 1.0}  # us per count
 SRF10_GAINS = (40, 40, 50, 60, 70, 80, 100, 120, 140, 200, 250, 300, 350, 400, 500, 600, 700)
 
 
 @dataclass
 class BadWire:
-    """How the twin's wire fails, as probabilities a transfer.
+    """Faults of the wire.
 
     Attributes:
-        nack: a transfer is not acknowledged.
-        lost_write: a write is acknowledged and never arrives.
-        stuck: the line reads 0xFF, whatever is asked.
+        nack: probability that a transfer is not acknowledged.
+        lost_write: probability that a write is acknowledged but lost.
+        stuck: all reads return 0xFF.
     """
 
     nack: float = 0.0
@@ -42,13 +42,13 @@ class BadWire:
 
 
 @dataclass
-class Srf08Twin(Ear):
-    """An SRF08, hearing through the rig what is placed before it.
+class Srf08Twin(SimulatedSensor):
+    """A simulated SRF08.
 
     Attributes:
         address: 7-bit.
-        wire: faults.
-        busy_reads_ones: while busy a read gives 0xFF rather than no acknowledge.
+        wire: faults of the wire.
+        busy_reads_ones: a busy sensor reads 0xFF instead of not acknowledging.
     """
 
     address: int = 0x70
@@ -56,7 +56,7 @@ class Srf08Twin(Ear):
     busy_reads_ones: bool = False
 
     def __post_init__(self) -> None:
-        """Power up."""
+        """Switch on."""
         super().__post_init__()
         self._ready = 0.0
         self._unlocking: list[int] = []
@@ -64,11 +64,11 @@ class Srf08Twin(Ear):
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Forget gain and range, as the sensor's RAM does."""
+        """Reset gain and range, which the sensor holds in RAM."""
         self.gain, self.range_register = 31, 255
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
-        """Take a write to registers 0 to 2."""
+        """Write register 0, 1 or 2."""
         self._transfer(i2c_addr, write=True)
         if self.rng.random() < self.wire.lost_write:
             return
@@ -84,7 +84,7 @@ class Srf08Twin(Ear):
         return self._read(i2c_addr, register, 1)[0]
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        """Run a register pointer and the read that follows it."""
+        """Write a register pointer and read from there."""
         pointer = 0
         for message in i2c_msgs:
             if message.flags & READ_FLAG:
@@ -98,21 +98,21 @@ class Srf08Twin(Ear):
         """Do nothing: there is no file to close."""
 
     def registers(self) -> bytes:
-        """Return what can be read, from register 0 on."""
+        """Return the readable registers from register 0 on."""
         return bytes([REVISION, self.rig.unit.light]) + self._echoes
 
     def settings(self) -> tuple[int, int]:
-        """Return the rig's gain code and the range register.
+        """Return gain code of the rig and range register.
 
-        A gain beyond the table is undocumented; the twin takes its lowest five bits.
+        Gain codes above 31 are undocumented; the twin uses the lowest five bits.
         """
         return self.gain & 31, self.range_register
 
     def _transfer(self, address: int, write: bool) -> None:
-        """Acknowledge, or not."""
-        called = address == self.address or (write and address == GENERAL_CALL)
-        deaf = self.clock() < self._ready and (write or not self.busy_reads_ones)
-        if not called or deaf or self.rng.random() < self.wire.nack:
+        """Raise OSError unless the sensor acknowledges the transfer."""
+        addressed = address == self.address or (write and address == GENERAL_CALL)
+        busy = self.clock() < self._ready and (write or not self.busy_reads_ones)
+        if not addressed or busy or self.rng.random() < self.wire.nack:
             raise OSError(NACK, "Remote I/O error")
 
     def _read(self, address: int, register: int, count: int) -> bytes:
@@ -127,51 +127,51 @@ class Srf08Twin(Ear):
             self.address = value >> 1
         if value in OUTPUTS:
             gain, reach = self.settings()
-            self._echoes = self.hear(OUTPUTS[value], gain, reach).astype(">u2").tobytes()
+            self._echoes = self.fire(OUTPUTS[value], gain, reach).astype(">u2").tobytes()
             self._listen(reach)
-        if value in ANN_US:
-            self._gates(ANN_US[value])
+        if value in ANN_COUNT_US:
+            self._set_gates(ANN_COUNT_US[value])
 
-    def _gates(self, us_a_count: float) -> None:
-        """Set a byte for each gate that heard something; no register changes gain or reach."""
-        time = self.hear("us")
-        heard = time[time > 0]
+    def _set_gates(self, count_us: float) -> None:
+        """Set the register of each gate with an echo; ANN mode ignores gain and range registers."""
+        time = self.fire("us")
+        echoes = time[time > 0]
         gates = np.zeros(32, dtype=np.uint8)
-        gates[np.minimum(heard // GATE_US, 31)] = 1
-        first = int(heard[0] / us_a_count) if len(heard) else 0
+        gates[np.minimum(echoes // GATE_US, 31)] = 1
+        first = int(echoes[0] / count_us) if len(echoes) else 0
         self._echoes = first.to_bytes(2, "big") + gates.tobytes()
         self._listen(255)
 
     def _listen(self, range_register: int) -> None:
-        self._ready = self.clock() + (range_register + 1) * STEP + READ_OUT
+        self._ready = self.clock() + (range_register + 1) * STEP_S + READ_OUT_S
 
 
 @dataclass
 class Srf10Twin(Srf08Twin):
-    """An SRF10: one echo, no light, 17 gains, each the SRF08's with the same share of its greatest."""
+    """A simulated SRF10: one echo, no light sensor, 17 gains with the same ratio to the maximum as on the SRF08."""
 
     def power_cycle(self) -> None:
-        """Forget gain and range."""
+        """Reset gain and range."""
         self.gain, self.range_register = 16, 255
 
     def registers(self) -> bytes:
-        """Return what can be read."""
+        """Return the readable registers."""
         return bytes([REVISION, 0x80]) + self._echoes[:2]
 
     def settings(self) -> tuple[int, int]:
-        """Return the rig's gain code and the range register."""
+        """Return gain code of the rig and range register."""
         share = SRF10_GAINS[min(self.gain, 16)] / SRF10_GAINS[-1]
         return int(np.argmin(np.abs(np.log(np.array(GAINS) / GAINS[-1] / share)))), self.range_register
 
 
 @dataclass
 class Srf02Twin(Srf08Twin):
-    """An SRF02: one echo, and neither gain nor range to set."""
+    """A simulated SRF02: one echo, fixed gain and range."""
 
     def registers(self) -> bytes:
-        """Return what can be read."""
-        return bytes([REVISION, 0x80]) + self._echoes[:2] + SRF02_SHORTEST_CM.to_bytes(2, "big")
+        """Return the readable registers."""
+        return bytes([REVISION, 0x80]) + self._echoes[:2] + SRF02_MIN_RANGE_CM.to_bytes(2, "big")
 
     def settings(self) -> tuple[int, int]:
-        """Return the greatest gain and reach."""
+        """Return maximum gain and range."""
         return 31, 255

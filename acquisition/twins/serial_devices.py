@@ -1,4 +1,4 @@
-"""Twins on serial lines: an Arduino with the sketch, an HC-SR04 on its pins, a MaxBotix, and ports to reach them by."""
+"""Twins of serial devices (Arduino with the sketch, HC-SR04 on its pins, MaxBotix) and the ports to access them."""
 
 from __future__ import annotations
 
@@ -11,71 +11,73 @@ from typing import Protocol
 
 from acquisition.drivers.i2c import SmBus
 from acquisition.drivers.maxbotix import MODELS
-from acquisition.drivers.serialport import SLICE
-from acquisition.twins.simulated_sensor import Ear, TwinClock
+from acquisition.drivers.serialport import READ_TIMEOUT_S
+from acquisition.twins.simulated_sensor import SimulatedSensor, TwinClock
 
 SPEED_M_PER_US = 0.01 / 58.0
 NO_ECHO_US = 38_000
-PUMP = 0.002  # s from look to look at a pseudo-terminal
+POLL_S = 0.002  # between reads of a pseudo-terminal
 
 
 class Device(Protocol):
-    """The far end of a serial line."""
+    """A device at the other end of a serial line."""
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes from the host, perhaps none, and return those that are due to it."""
+        """Receive bytes from the host, possibly none, and return the bytes for the host."""
 
 
 @dataclass
-class HcSr04Twin(Ear):
-    """An HC-SR04: `pulse` gives its answer in us, or the number of the sketch's trouble.
+class HcSr04Twin(SimulatedSensor):
+    """A simulated HC-SR04.
 
     Attributes:
-        fault: 16 stuck high, 17 no answer, 18 never falls; None for none.
+        fault: error number of the sketch: 16 stuck high, 17 no rise, 18 no fall; None without a fault.
     """
 
     fault: int | None = None
 
     def pulse(self) -> tuple[int, int]:
-        """Fire; return trouble (0 for none) and pulse, us."""
+        """Fire; return error number (0 for none) and pulse duration, us."""
         if self.fault:
             return self.fault, 0
-        return 0, int(self.hear("us")[0]) or NO_ECHO_US
+        return 0, int(self.fire("us")[0]) or NO_ECHO_US
 
 
 @dataclass
 class ArduinoTwin:
-    """A Mega with the sketch, answering as the sketch does.
+    """A simulated Arduino Mega with the sketch.
 
     Attributes:
-        bus: what hangs on its I2C pins.
-        pulses: the HC-SR04 on its pins 9 and 8.
-        mangle: what the cable makes of bytes to the host.
-        repeat: answer with the sequence number before.
+        bus: sensor on its I2C pins.
+        pulses: HC-SR04 on its pins 9 and 8.
+        corrupt: changes the bytes to the host, as a faulty cable does.
+        repeat: answer with the previous sequence number.
+        version: answer to the request for name and version.
     """
 
     bus: SmBus | None = None
     pulses: HcSr04Twin | None = None
-    mangle: Callable[[bytes], bytes] = bytes
+    corrupt: Callable[[bytes], bytes] = bytes
     repeat: bool = False
+    version: str = "SONARBRIDGE 01"
 
     def __post_init__(self) -> None:
-        """Start."""
-        self._rest = b""
+        """Start the board."""
+        self._buffer = b""
         self._due = b""
         self.reset()
 
     def reset(self) -> None:
-        """Start anew, as a board does that lost its power."""
-        self._rest = b""
+        """Restart, as after a loss of power."""
+        self._buffer = b""
         self._due += _framed("-- B 01")
 
     def feed(self, data: bytes) -> bytes:
-        """Answer whole lines."""
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        """Answer complete lines."""
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
         answers = b"".join(self._answer(line) for line in lines if line)
         due, self._due = self._due + answers, b""
-        return self.mangle(due)
+        return self.corrupt(due)
 
     def _answer(self, line: bytes) -> bytes:
         body, _, crc = line[1:].rpartition(b"*")
@@ -89,35 +91,35 @@ class ArduinoTwin:
             "S": self._scan,
             "D": self._distance,
         }
-        trouble, said = commands[name](*(int(each, 16) for each in numbers)) if name in commands else (34, "")
+        error, result = commands[name](*(int(each, 16) for each in numbers)) if name in commands else (34, "")
         if self.repeat:
             sequence = f"{(int(sequence, 16) - 1) % 256:02X}"
-        return _framed(f"{sequence} E {trouble:02X}" if trouble else f"{sequence} K{said and ' '}{said}")
+        return _framed(f"{sequence} E {error:02X}" if error else f"{sequence} K{result and ' '}{result}")
 
     def _version(self) -> tuple[int, str]:
-        return 0, "SONARBRIDGE 01"
+        return 0, self.version
 
     def _write(self, address: int, register: int, value: int) -> tuple[int, str]:
-        def one(bus: SmBus) -> str:
+        def transfer(bus: SmBus) -> str:
             bus.write_byte_data(address, register, value)
             return ""
 
-        return self._acknowledged(one)
+        return self._run(transfer)
 
     def _read(self, address: int, register: int, count: int) -> tuple[int, str]:
-        def block(bus: SmBus) -> str:
+        def transfer(bus: SmBus) -> str:
             return "".join(f"{bus.read_byte_data(address, register + k):02X}" for k in range(count))
 
-        return self._acknowledged(block)
+        return self._run(transfer)
 
     def _scan(self) -> tuple[int, str]:
         return 0, "".join(f"{address:02X}" for address in range(8, 128) if not self._read(address, 0, 1)[0])
 
     def _distance(self, trigger: int, echo: int, limit: int) -> tuple[int, str]:
-        trouble, pulse = self.pulses.pulse() if self.pulses and (trigger, echo) == (9, 8) else (17, 0)
-        return (18 if pulse > limit else trouble), f"{pulse:06X}"
+        error, pulse = self.pulses.pulse() if self.pulses and (trigger, echo) == (9, 8) else (17, 0)
+        return (18 if pulse > limit else error), f"{pulse:06X}"
 
-    def _acknowledged(self, transfer: Callable[[SmBus], str]) -> tuple[int, str]:
+    def _run(self, transfer: Callable[[SmBus], str]) -> tuple[int, str]:
         try:
             return (0, transfer(self.bus)) if self.bus else (2, "")
         except OSError:
@@ -125,62 +127,62 @@ class ArduinoTwin:
 
 
 @dataclass
-class MaxBotixTwin(Ear):
-    """A MaxBotix that streams.
+class MaxBotixTwin(SimulatedSensor):
+    """A simulated MaxBotix, which transmits continuously.
 
     Attributes:
         model: name in `MODELS`.
-        mangle: what the cable makes of bytes to the host.
+        corrupt: changes the bytes to the host, as a faulty cable does.
     """
 
     model: str = "hrlv"
-    mangle: Callable[[bytes], bytes] = bytes
+    corrupt: Callable[[bytes], bytes] = bytes
 
     def __post_init__(self) -> None:
-        """Begin to stream."""
+        """Start to transmit."""
         super().__post_init__()
         self._next = self.clock()
 
     def feed(self, data: bytes) -> bytes:
-        """Give the lines that have come due; the host has nothing to say."""
-        kind = MODELS[self.model]
+        """Return the lines that are due; input is ignored."""
+        line_format = MODELS[self.model]
         due = b""
         while self._next <= self.clock():
-            metres = int(self.hear("us")[0]) * SPEED_M_PER_US
-            count = min(round(metres / kind.unit_m), kind.silence) or kind.silence
-            due += f"R{count:0{kind.digits}d}\r".encode("ascii")
-            self._next = max(self._next + kind.period_s, self.clock() - kind.period_s)
-        return self.mangle(due)
+            metres = int(self.fire("us")[0]) * SPEED_M_PER_US
+            count = min(round(metres / line_format.unit_m), line_format.no_echo) or line_format.no_echo
+            due += f"R{count:0{line_format.digits}d}\r".encode("ascii")
+            self._next = max(self._next + line_format.period_s, self.clock() - line_format.period_s)
+        return self.corrupt(due)
 
 
 @dataclass
 class TwinPort:
-    """A serial port to a device inside this process; time passes while a read waits.
+    """A serial port to a device in this process; waiting reads advance the clock.
 
     Attributes:
-        device: the far end.
-        clock: of both ends.
+        device: the device at the port.
+        clock: of device and host, s.
     """
 
     device: Device
     clock: TwinClock = field(default_factory=TwinClock)
 
     def __post_init__(self) -> None:
-        """Begin with nothing under way."""
+        """Start with an empty buffer."""
         self._due = b""
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes wait."""
+        """Number of available bytes."""
         self._due += self.device.feed(b"")
         return len(self._due)
 
     def read(self, size: int = 1) -> bytes:
-        """Return what there is, or wait."""
+        """Return up to `size` bytes; wait for the read timeout if there are none."""
         if not self._due:
-            self.clock.sleep(SLICE)
-        given, self._due = self._due[:size], self._due[size:]
-        return given
+            self.clock.sleep(READ_TIMEOUT_S)
+        data, self._due = self._due[:size], self._due[size:]
+        return data
 
     def write(self, data: bytes, /) -> int:
         """Send bytes."""
@@ -192,22 +194,22 @@ class TwinPort:
 
 
 class PseudoTerminal:
-    """A device behind a pseudo-terminal, so that pyserial itself runs. `path` is what to open.
+    """A device at a pseudo-terminal, for tests of the drivers with pyserial; `path` is the port to open.
 
-    A context manager; leaving it, or `unplug`, is pulling the cable.
+    The end of the context, or `unplug`, closes the port like an unplugged cable.
     """
 
     def __init__(self, device: Device) -> None:
-        import tty  # POSIX only, as pseudo-terminals are
+        import tty  # POSIX only
 
         self._device = device
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(slave)
-        self._slave = slave  # held open: a host may open the port again and again
-        self._pulled = threading.Event()
-        self._thread = threading.Thread(target=self._pump, daemon=True)
+        self._slave = slave  # stays open, so that a host can open the port repeatedly
+        self._unplugged = threading.Event()
+        self._thread = threading.Thread(target=self._forward, daemon=True)
         self._thread.start()
 
     def __enter__(self) -> PseudoTerminal:
@@ -217,15 +219,15 @@ class PseudoTerminal:
         self.unplug()
 
     def unplug(self) -> None:
-        """Pull the cable."""
-        if not self._pulled.is_set():
-            self._pulled.set()
+        """Close the port."""
+        if not self._unplugged.is_set():
+            self._unplugged.set()
             self._thread.join()
             os.close(self._master)
             os.close(self._slave)
 
-    def _pump(self) -> None:
-        while not self._pulled.wait(PUMP):
+    def _forward(self) -> None:
+        while not self._unplugged.wait(POLL_S):
             try:
                 data = os.read(self._master, 4096)
             except BlockingIOError:

@@ -1,4 +1,4 @@
-"""What every twin hears: the rig, at the twin's own time, of what is placed before it."""
+"""The simulated sonar behind every twin: the rig at the twin's time, and the clocks of twins."""
 
 from __future__ import annotations
 
@@ -14,45 +14,46 @@ from acquisition.bench.setup import Output
 from acquisition.ping import Ping
 
 CONDITION = ("distance", "angle", "incidence", "reflectance", "time")
-STILL: dict[str, Any] = {"placement_m": 0.0, "placement_deg": 0.0, "tilt_deg": 0.0, "zero_m": 0.0, "pivot_m": 0.0}
+# the placement errors of a visit are drawn by `place`, not at every ping
+PLACED: dict[str, Any] = {"placement_m": 0.0, "placement_deg": 0.0, "tilt_deg": 0.0, "zero_m": 0.0, "pivot_m": 0.0}
 
 
 @dataclass
 class TwinClock:
-    """Time that passes only when somebody sleeps, s."""
+    """Simulated time, s, which only `sleep` advances."""
 
     now: float = 0.0
 
     def __call__(self) -> float:
-        """Return the time."""
+        """Return the time, s."""
         return self.now
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         self.now += seconds
 
 
 @dataclass
 class HostClock(TwinClock):
-    """The host's own time, for twins behind a real port."""
+    """Time of the host, s, for twins at a real port."""
 
     def __call__(self) -> float:
-        """Return the time."""
+        """Return the time, s."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait."""
         time.sleep(seconds)
 
 
 @dataclass
-class Ear:
-    """A simulated sonar without its wire.
+class SimulatedSensor:
+    """A simulated sonar without a wire protocol.
 
     Attributes:
-        rig: unit and laboratory; gain, range and output come from the twin instead.
-        rng: all randomness.
-        clock: the twin's time, s: a `HostClock` where bytes pass a real port.
+        rig: unit and laboratory; gain, range and output are set by the twin.
+        rng: random generator.
+        clock: time of the twin, s; a `HostClock` for a twin at a real port.
     """
 
     rig: Rig
@@ -60,21 +61,21 @@ class Ear:
     clock: TwinClock = field(default_factory=TwinClock)
 
     def __post_init__(self) -> None:
-        """Begin with nothing in front."""
+        """Draw the drift and place no reflector."""
         self._drift = self.rig.draw_drift(self.rng)
-        self._before: Ping | None = None
+        self._previous: Ping | None = None
         self.place(Ping.of(distance=1.0, reflectance=0.0))
 
     def place(self, ping: Ping) -> None:
-        """Set up what one ping describes, with the scatter of the rig's setup, until the next call."""
+        """Place the reflector of one ping, with random placement errors of the rig's setup, until the next call."""
         self._placed = self.rig.place(ping[:1], self.rng)
 
-    def hear(self, output: Output, gain: int = 31, range_register: int = 255) -> NDArray[np.uint16]:
-        """Fire, with the ping before still under way, and return 17 echo registers."""
-        setup = replace(self.rig.setup, gain=gain, range_register=range_register, output=output, **STILL)
-        this = replace(self._placed, time=np.array([self.clock()]))
-        pings = this if self._before is None else _joined(self._before, this)
-        self._before = this
+    def fire(self, output: Output, gain: int = 31, range_register: int = 255) -> NDArray[np.uint16]:
+        """Simulate a ping, including echoes of the previous one, and return the 17 echo registers."""
+        setup = replace(self.rig.setup, gain=gain, range_register=range_register, output=output, **PLACED)
+        ping = replace(self._placed, time=np.array([self.clock()]))
+        pings = ping if self._previous is None else _joined(self._previous, ping)
+        self._previous = ping
         return Rig(self.rig.unit, setup).ping(pings, self.rng, self._drift).code[-1]
 
 

@@ -1,4 +1,4 @@
-"""Run development trials on all cores and print the table: python -m benchmarks.diagnosis --trials 100."""
+"""Development trials of the diagnosis: python -m benchmarks.diagnosis --trials 100."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ class Args:
     """Settings of the development trials."""
 
     trials: int = 100
-    """How many."""
+    """Number of trials."""
     seed: int = 0
-    """Of units, laboratories and surveys."""
+    """Seed of units, laboratories and surveys."""
     out: Path = Path("runs/diagnosis")
-    """Folder of the ledger, trials.csv; trials that are in it already are not run again."""
+    """Output folder of trials.csv; trials in this file are not run again."""
     only: tuple[str, ...] = ()
-    """Causes to conceal, each at every size, instead of the usual mix."""
+    """Causes to conceal, each at every size, instead of the default mix."""
     workers: int = 2
-    """Processes."""
+    """Number of processes."""
 
 
 def main(args: Args) -> None:
-    """Run what is missing from the ledger, then print the table."""
-    ledger = args.out / "trials.csv"
-    known = pd.read_csv(ledger, keep_default_na=False) if ledger.exists() else pd.DataFrame()
-    wanted = _wanted(args)
-    left = {k: item for k, item in wanted.items() if known.empty or k not in set(known["trial"])}
+    """Run the missing trials and print the table."""
+    path = args.out / "trials.csv"
+    known = pd.read_csv(path, keep_default_na=False) if path.exists() else pd.DataFrame()
+    requested = _requested(args)
+    missing = {k: item for k, item in requested.items() if known.empty or k not in set(known["trial"])}
     rows = known.to_dict("records")
-    with bar("trials", len(wanted)) as tell, ProcessPoolExecutor(args.workers, initializer=one_thread) as pool:
-        jobs = [pool.submit(run, k, name, size, args.seed) for k, (name, size) in left.items()]
+    with bar("trials", len(requested)) as update, ProcessPoolExecutor(args.workers, initializer=one_thread) as pool:
+        jobs = [pool.submit(run, k, name, size, args.seed) for k, (name, size) in missing.items()]
         for job in as_completed(jobs):
             rows.append(row(job.result()))
-            write_text(ledger, pd.DataFrame(rows).sort_values("trial").to_csv(index=False))
-            tell(len(rows), len(wanted))
-    print(table(pd.read_csv(ledger, keep_default_na=False)))
+            write_text(path, pd.DataFrame(rows).sort_values("trial").to_csv(index=False))
+            update(len(rows), len(requested))
+    print(table(pd.read_csv(path, keep_default_na=False)))
 
 
-def _wanted(args: Args) -> dict[int, tuple[str, float]]:
+def _requested(args: Args) -> dict[int, tuple[str, float]]:
     if not args.only:
         return dict(enumerate(schedule(args.trials, args.seed)))
     pairs = [(name, size) for name in args.only for size in SIZES]
@@ -57,11 +57,11 @@ def _wanted(args: Args) -> dict[int, tuple[str, float]]:
 
 
 def table(outcomes: pd.DataFrame) -> str:
-    """Return shares by cause and over everything, as text."""
+    """Return the share of right verdicts by cause, as text."""
     missing = {f.name for f in fields(Outcome)} - set(outcomes.columns)
     if missing:
         raise SystemExit(
-            f"the ledger lacks {', '.join(sorted(missing))}: it is of another version; choose another --out"
+            f"trials.csv lacks the columns {', '.join(sorted(missing))} of this version; choose another --out"
         )
     lines = [f"{'cause':24}{'trials':>7}{'right':>7}   verdicts"]
     for name, group in outcomes.groupby("causes", sort=False):

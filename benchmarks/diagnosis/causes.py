@@ -1,4 +1,4 @@
-"""What is concealed in a development trial: changes of a unit or of its laboratory, and what may be said of them."""
+"""Causes concealed in development trials: changes of a sensor or laboratory, and the effects accepted as right."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Change = Callable[[Rig, float, np.random.Generator], Rig]
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that can be wrong.
+    """One concealed cause.
 
     Attributes:
-        name: effect id, or what the stranger is.
-        accepted: ids of the catalogue that name it rightly; empty for a stranger, of which "unknown" is right.
-        change: the rig with it, given a size (1 is plain to see) and a generator.
-        before: what the simulation lacks besides, where the usual laboratory has the cause already.
-        interval_s: from ping to ping, drawn from a range.
-        turned: whether reflectors stay parallel to the sensor's face.
+        name: effect id, or name of a fault outside the catalogue.
+        accepted: effect ids that count as right; empty for a fault outside the catalogue ("unknown" is right).
+        change: returns the rig with the cause, given its size (1 is clearly visible) and a generator.
+        before: returns the rig of the simulation, if the default rig has the cause already.
+        interval_s: range of the ping interval, s.
+        turned: whether reflectors are parallel to the sensor's face.
     """
 
     name: str
@@ -48,7 +48,7 @@ def unit(**change: Callable[[float, np.random.Generator], object]) -> Change:
 
 
 def bus(name: str, rate: float) -> Change:
-    """Return a fault of the wire."""
+    """Return a fault of the bus."""
     return lambda rig, size, rng: replace(
         rig, setup=replace(rig.setup, bus=replace(rig.setup.bus, **{name: min(0.5, rate * size)}))
     )
@@ -61,8 +61,8 @@ def room(**change: Callable[[float, np.random.Generator], object]) -> Change:
     )
 
 
-def either(rng: np.random.Generator) -> float:
-    """Return a sign."""
+def random_sign(rng: np.random.Generator) -> float:
+    """Return a random sign."""
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -88,14 +88,14 @@ def _fine(rig: Rig) -> Rig:
 
 SCALED = ("sound_speed", "clock_scale")
 CAUSES = (
-    Cause("sound_speed", SCALED, setup(temperature_c=lambda s, r: 19.0 + either(r) * 10.0 * s)),
-    Cause("clock_scale", SCALED, unit(clock_error=lambda s, r: either(r) * 0.02 * s)),
-    Cause("zero_offset", ("zero_offset",), setup(zero_m=lambda s, r: either(r) * 0.015 * s)),
+    Cause("sound_speed", SCALED, setup(temperature_c=lambda s, r: 19.0 + random_sign(r) * 10.0 * s)),
+    Cause("clock_scale", SCALED, unit(clock_error=lambda s, r: random_sign(r) * 0.02 * s)),
+    Cause("zero_offset", ("zero_offset",), setup(zero_m=lambda s, r: random_sign(r) * 0.015 * s)),
     Cause("dropped_reading", ("dropped_reading",), bus("dropped", 0.08)),
     Cause("stale_repeat", ("stale_repeat",), bus("lost_write", 0.12)),
     Cause("corrupted_byte", ("corrupted_byte",), bus("bit_flip", 0.06)),
     Cause("sensitivity", ("sensitivity",), _weaker),
-    Cause("boresight", ("boresight",), unit(yaw=lambda s, r: np.deg2rad(either(r) * 8.0 * s))),
+    Cause("boresight", ("boresight",), unit(yaw=lambda s, r: np.deg2rad(random_sign(r) * 8.0 * s))),
     Cause("beam_width", ("beam_width",), unit(radius=lambda s, r: 6.55e-3 * (1.0 + 0.8 * s))),
     Cause(
         "background_reflector",
@@ -127,7 +127,7 @@ CAUSES = (
     Cause("thermal_drift", ("thermal_drift",), setup(drift_c=lambda s, r: 3.0 * s, drift_tau_s=lambda s, r: 1500.0)),
     Cause("scintillation", ("scintillation",), setup(scintillation_db=lambda s, r: 5.0 * s)),
     Cause("air_absorption", ("air_absorption",), setup(humidity_pct=lambda s, r: min(60.0, 10.0 + 40.0 * s)), _dry),
-    Cause("pivot_offset", ("pivot_offset",), setup(pivot_m=lambda s, r: either(r) * 0.1 * s), turned=True),
+    Cause("pivot_offset", ("pivot_offset",), setup(pivot_m=lambda s, r: random_sign(r) * 0.1 * s), turned=True),
     Cause("warm_up", ("warm_up",), unit(cold_s=lambda s, r: 120e-6 * s, warm_up_tau_s=lambda s, r: 400.0)),
     Cause("averaging", (), unit(averaging=lambda s, r: max(2, round(5 * s)))),
     Cause("sway", (), setup(sway_m=lambda s, r: 0.008 * s, sway_period_s=lambda s, r: float(r.uniform(0.9, 3.1)))),

@@ -1,4 +1,4 @@
-"""One development trial: a survey of a concealed cause on the rig, diagnosed from the two files' contents alone."""
+"""One development trial: a survey of a concealed cause on the rig and its diagnosis from the two recordings."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from noise.discrepancy import diagnose
 
 HIDDEN = ["temperature_c", "humidity_pct", "gain", "range_mm"]
 SIZES = (0.25, 0.5, 1.0, 2.0)
-CELLS, PINGS, RUNS, MOVE_S = 72, 20, 3, 20.0
+POSITIONS, PINGS, RUNS, MOVE_S = 72, 20, 3, 20.0
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was concealed and what was said; see `noise.discrepancy.Verdict` for the meanings."""
+    """Concealed cause and verdict; see `noise.discrepancy.Verdict`."""
 
     trial: int
     causes: str
@@ -29,7 +29,7 @@ class Outcome:
     same_grid: bool
     verdict: str
     named: str
-    alike: str
+    rivals: str
     right: bool
     p_value: float
     gain_nats: float
@@ -40,28 +40,32 @@ class Outcome:
     seconds: float
 
 
-def survey(rng: np.random.Generator, interval_s: tuple[float, float], turned: bool, cells: Ping | None = None) -> Ping:
-    """Return the pings of a survey of random conditions, in `RUNS` runs; of given conditions where there are any."""
-    if cells is None:
-        distance = np.round(np.exp(rng.uniform(np.log(0.25), np.log(3.5), CELLS)), 3)
-        angle = np.deg2rad(rng.choice([-20.0, -10.0, -5.0, 0.0, 0.0, 5.0, 10.0, 20.0, 30.0], CELLS))
-        incidence = angle if turned else np.zeros(CELLS)
-        cells = Ping.of(distance=distance, angle=angle, incidence=incidence, reflectance=rng.choice([0.1, 0.9], CELLS))
-    order = np.repeat(rng.permutation(len(cells)), PINGS)
+def survey(
+    rng: np.random.Generator, interval_s: tuple[float, float], turned: bool, positions: Ping | None = None
+) -> Ping:
+    """Return the pings of a survey of given or random positions, in `RUNS` runs."""
+    if positions is None:
+        distance = np.round(np.exp(rng.uniform(np.log(0.25), np.log(3.5), POSITIONS)), 3)
+        angle = np.deg2rad(rng.choice([-20.0, -10.0, -5.0, 0.0, 0.0, 5.0, 10.0, 20.0, 30.0], POSITIONS))
+        incidence = angle if turned else np.zeros(POSITIONS)
+        positions = Ping.of(
+            distance=distance, angle=angle, incidence=incidence, reflectance=rng.choice([0.1, 0.9], POSITIONS)
+        )
+    order = np.repeat(rng.permutation(len(positions)), PINGS)
     wait = rng.uniform(*interval_s, len(order))
     wait[::PINGS] = MOVE_S
     run = np.repeat(np.arange(RUNS), -(-len(order) // RUNS))[: len(order)]
-    return replace(cells[order], time=np.round(np.cumsum(wait) - wait[0], 3), run=run)
+    return replace(positions[order], time=np.round(np.cumsum(wait) - wait[0], 3), run=run)
 
 
 def record(rig: Rig, ping: Ping, rng: np.random.Generator) -> Recording:
-    """Return the rig's recording without the columns that would tell."""
+    """Return a recording of the rig without the columns that would reveal the cause."""
     recording = rig.record(ping, rng)
     return replace(recording, table=recording.table.drop(columns=HIDDEN))
 
 
 def pair_of(cause: Cause | None, size: float, seed: int, trial: int) -> tuple[Recording, Recording, bool]:
-    """Return simulated and recorded pings of one trial, and whether they share their conditions."""
+    """Return the simulated and real recording of one trial, and whether they share their positions."""
     rng = np.random.default_rng([seed, trial, 77])
     rig = Rig(Unit.draw(1000 * seed + trial + 1), Setup.draw(1000 * seed + trial, gain=24, output="us"))
     rig = replace(rig, setup=replace(rig.setup, temperature_c=19.0))
@@ -75,12 +79,12 @@ def pair_of(cause: Cause | None, size: float, seed: int, trial: int) -> tuple[Re
 
 
 def _other_day(rig: Rig) -> Rig:
-    """Return a null that is no copy: reflectors put down less carefully, air that moves more slowly."""
+    """Return the rig of a null trial: larger placement errors and slower air."""
     return replace(rig, setup=replace(rig.setup, placement_m=0.004, flutter_tau_s=5.0))
 
 
 def schedule(trials: int, seed: int) -> list[tuple[str, float]]:
-    """Return what to conceal in each trial: a fifth nothing, the others in turn, at sizes in turn."""
+    """Return cause and size of each trial; every fifth trial is a null."""
     out: list[tuple[str, float]] = []
     for k in range(trials):
         name = "null" if k % 5 == 4 else CAUSES[(k - k // 5 + seed) % len(CAUSES)].name
@@ -89,14 +93,14 @@ def schedule(trials: int, seed: int) -> list[tuple[str, float]]:
 
 
 def run(trial: int, name: str, size: float, seed: int) -> Outcome:
-    """Make and diagnose one trial."""
+    """Record and diagnose one trial."""
     cause = BY_NAME.get(name)
     simulated, recorded, same = pair_of(cause, size, seed, trial)
-    begun = time.perf_counter()
+    start = time.perf_counter()
     verdict = diagnose(IdealModel(), recorded, simulated=simulated, seed=trial).verdict
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - start
     named = [n.effect for n in verdict.effects]
-    alike = sorted({e for n in verdict.effects for e in n.indistinguishable_from})
+    rivals = sorted({e for n in verdict.effects for e in n.indistinguishable_from})
     return Outcome(
         trial,
         name,
@@ -104,8 +108,8 @@ def run(trial: int, name: str, size: float, seed: int) -> Outcome:
         same,
         verdict.verdict,
         " ".join(named),
-        " ".join(alike),
-        right(cause, verdict.verdict, named, alike),
+        " ".join(rivals),
+        right(cause, verdict.verdict, named, rivals),
         verdict.p_value,
         sum(n.gain_nats for n in verdict.effects),
         (verdict.unknown.description or "")[:200],
@@ -116,15 +120,15 @@ def run(trial: int, name: str, size: float, seed: int) -> Outcome:
     )
 
 
-def right(cause: Cause | None, verdict: str, named: list[str], alike: list[str]) -> bool:
-    """Tell whether a verdict is right: none of a null, unknown of a stranger, the cause in the set of all else."""
+def right(cause: Cause | None, verdict: str, named: list[str], rivals: list[str]) -> bool:
+    """Return whether a verdict is right: none for a null, unknown outside the catalogue, else the cause or a rival."""
     if cause is None:
         return verdict == "none"
     if not cause.accepted:
         return verdict == "unknown"
-    return verdict != "unknown" and bool(set(cause.accepted) & {*named, *alike})
+    return verdict != "unknown" and bool(set(cause.accepted) & {*named, *rivals})
 
 
 def row(outcome: Outcome) -> dict[str, object]:
-    """Return an outcome as a row of the ledger."""
+    """Return an outcome as a row of trials.csv."""
     return asdict(outcome)

@@ -1,6 +1,10 @@
-"""The catalogue of effects: one literal table, by id."""
+"""The catalogue of effects: a table of all effects by id.
 
-from noise.effects.base import Atom, Conditions, Effect, Parameter, Path, Seen, Stage, State
+base: parameters, stages and the interface of an effect. state: paths, atoms and the state that effects change.
+mounting, medium, target, ringing, receiver, interping, link: the effects, by place of origin.
+"""
+
+from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.interping import AsynchronousCrosstalk, PreviousPing, SynchronousCrosstalk
 from noise.effects.link import CorruptedByte, DroppedReading, NoiseBurst, Spike, StaleRepeat, Stuck
 from noise.effects.medium import AirAbsorption, Scintillation, SoundSpeed, ThermalDrift
@@ -20,6 +24,7 @@ from noise.effects.receiver import (
     ZeroOffset,
 )
 from noise.effects.ringing import RingDown
+from noise.effects.state import Atom, Conditions, Path, State
 from noise.effects.target import (
     BackgroundReflector,
     EdgeDiffraction,
@@ -72,4 +77,4 @@ CATALOGUE: dict[str, type[Effect]] = {
     "corrupted_byte": CorruptedByte,
 }
 
-__all__ = ["CATALOGUE", "Atom", "Conditions", "Effect", "Parameter", "Path", "Seen", "Stage", "State"]
+__all__ = ["CATALOGUE", "Atom", "Conditions", "EchoSample", "Effect", "Parameter", "Path", "Stage", "State"]

@@ -1,4 +1,4 @@
-"""Link effects: what replaces a reading on its way to whoever asked for it."""
+"""Link effects: readings that are replaced between the register and the host."""
 
 from __future__ import annotations
 
@@ -7,34 +7,35 @@ import torch
 from torch import Tensor
 
 from acquisition import EchoStatus
-from noise.effects.base import Atom, Effect, Parameter, Seen, Stage, State, ndtr, number
+from noise.effects.base import EchoSample, Effect, Parameter, Stage
+from noise.effects.state import Atom, State, ndtr, number
 
 FULL_SCALE = 11.008  # m; SRF08 with range register 255
-MOST_GUESSES, FEWEST_SAME = 3, 3  # readings that a register may be stuck at; how often one must have come back; ours
+MAX_GUESSES, MIN_REPEATS = 3, 3  # candidate values of a stuck register, and their least number of repeats; chosen here
 
 
 class Spike(Effect):
-    """With `probability` the reading is replaced by one anywhere on the scale: the thesis's SHORT fault."""
+    """With `probability` the reading is replaced by a uniform random one: the thesis's SHORT fault."""
 
     name = "spike"
     stage = Stage.SEQUENCE
-    strikes = True
+    localised = True
     by_ping = True
-    summary = "Now and then a reading is replaced by an arbitrary one"
+    summary = "Some readings are replaced by random ones"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: ours", (0.01,)),
-        Parameter("span_m", "m", FULL_SCALE, 0.1, 20.0, "register's scale: Devantech SRF08", (FULL_SCALE,)),
+        Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: chosen here", (0.01,)),
+        Parameter("span_m", "m", FULL_SCALE, 0.1, 20.0, "scale of the register: Devantech SRF08", (FULL_SCALE,)),
     )
     probability: Tensor
     span_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Mix in a uniform reading."""
+        """Add a uniform replacement."""
         zero = number(0.0)
         return state.with_atom(Atom(self.probability, self._uniform, zero, zero))
 
     def statement(self) -> str:
-        """Return how often."""
+        """Return a sentence with the probability."""
         return (
             f"{self.summary}: {100 * self.values['probability']:.3g} % of pings, up to {self.values['span_m']:.3g} m."
         )
@@ -44,38 +45,38 @@ class Spike(Effect):
 
 
 class DroppedReading(Effect):
-    """With `probability` the sensor says nothing of an echo it heard: a wire or a poll failed."""
+    """With `probability` an echo is reported as no echo: a transfer failed."""
 
     name = "dropped_reading"
     stage = Stage.SEQUENCE
-    strikes = True
+    localised = True
     by_ping = True
-    summary = "Now and then a reading is lost, whatever the target"
-    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: ours", (0.02,)),)
+    summary = "Some readings are lost, regardless of the target"
+    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: chosen here", (0.02,)),)
     probability: Tensor
 
     def apply(self, state: State) -> State:
-        """Mix in silence."""
+        """Add a replacement by no echo."""
         return state.with_atom(Atom(self.probability, torch.zeros_like, number(1.0), number(0.0)))
 
     def statement(self) -> str:
-        """Return how often."""
+        """Return a sentence with the probability."""
         return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
 
 
 class StaleRepeat(Effect):
-    """With `probability` the register still holds the previous reading: the command was lost."""
+    """With `probability` the register still contains the previous reading: the command was lost."""
 
     name = "stale_repeat"
     stage = Stage.SEQUENCE
-    strikes = True
-    summary = "Now and then the previous reading is given again"
-    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "lost commands 0 to 5 %; wider: ours", (0.02,)),)
+    localised = True
+    summary = "Some readings repeat the previous one"
+    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "lost commands 0 to 5 %; wider: chosen here", (0.02,)),)
     remembers = True
     probability: Tensor
 
     def apply(self, state: State) -> State:
-        """Mix in the previous reading, where there was one."""
+        """Add a replacement by the previous reading, if there is one."""
         past, status = state.conditions.past_range, state.conditions.past_status
         known = (status != EchoStatus.NO_ANSWER).to(torch.float64)
         echo = (status == EchoStatus.ECHO).to(torch.float64)
@@ -83,102 +84,100 @@ class StaleRepeat(Effect):
         return state.with_atom(atom)
 
     def statement(self) -> str:
-        """Return how often."""
+        """Return a sentence with the probability."""
         return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
 
 
 class Stuck(Effect):
-    """With `probability` the sensor gives one and the same reading: the thesis's CONSTANT fault.
+    """With `probability` the sensor gives a constant reading: the thesis's CONSTANT fault.
 
-    `value_m` is a place on the register's grid and has no useful derivative: a fit must start at the right one, which
-    is the most frequent of the readings that are not the target's.
+    `value_m` is a value of the register and has no useful derivative: a fit must start at the right one, which is the
+    most frequent of the readings away from the target.
     """
 
     name = "stuck"
     stage = Stage.SEQUENCE
-    strikes = True
+    localised = True
     by_ping = True
-    summary = "Now and then the sensor gives one and the same reading, whatever the target"
+    summary = "Some readings have a constant value, regardless of the target"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.999, "Sharma et al. (2010) CONSTANT; rate: ours", (0.02,)),
-        Parameter("value_m", "m", 1.0, 0.001, 20.0, "on the register; ours", (1.0,)),
+        Parameter("probability", "1", 0.0, 0.0, 0.999, "Sharma et al. (2010) CONSTANT; rate: chosen here", (0.02,)),
+        Parameter("value_m", "m", 1.0, 0.001, 20.0, "value of the register; chosen here", (1.0,)),
     )
     probability: Tensor
     value_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Mix in the constant."""
+        """Add a replacement by the constant."""
         zero = number(0.0)
         return state.with_atom(Atom(self.probability, self._from_value, zero, zero))
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        """Return the readings that come back most often away from the target, to the digit."""
-        value, count = np.unique(np.round(seen.away.range, 6), return_counts=True)
-        often = [k for k in np.argsort(-count, kind="stable")[:MOST_GUESSES] if count[k] >= FEWEST_SAME]
-        return [{"probability": float(count[k] / len(seen.range)), "value_m": float(value[k])} for k in often]
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return the most frequent exact readings away from the target."""
+        value, count = np.unique(np.round(echoes.off_target.range, 6), return_counts=True)
+        often = [k for k in np.argsort(-count, kind="stable")[:MAX_GUESSES] if count[k] >= MIN_REPEATS]
+        return [{"probability": float(count[k] / len(echoes.range)), "value_m": float(value[k])} for k in often]
 
     def _from_value(self, edge: Tensor) -> Tensor:
         return (edge >= self.value_m).to(torch.float64)
 
     def statement(self) -> str:
-        """Return which and how often."""
+        """Return a sentence with the value and the probability."""
         v = self.values
-        often = f"{100 * v['probability']:.3g} % of pings"
-        return (
-            f"The sensor gives one and the same reading, {1000 * v['value_m']:.0f} mm, in {often}, whatever the target."
-        )
+        share = f"{100 * v['probability']:.3g} % of pings"
+        return f"The reading is {1000 * v['value_m']:.0f} mm in {share}, regardless of the target."
 
 
 class NoiseBurst(Effect):
-    """With `probability` a reading is scattered by `sigma_m` about the true range: the thesis's NOISE fault."""
+    """With `probability` a reading has a normal error of `sigma_m` about the true range: the thesis's NOISE fault."""
 
     name = "noise_burst"
     stage = Stage.SEQUENCE
-    strikes = True
+    localised = True
     by_ping = True
-    summary = "Some readings scatter far more than the others"
+    summary = "Some readings scatter much more than the others"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) NOISE; rate: ours", (0.05,)),
-        Parameter("sigma_m", "m", 0.1, 0.005, 0.6, "wider is a spike: ours", (0.05, 0.3)),
+        Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) NOISE; rate: chosen here", (0.05,)),
+        Parameter("sigma_m", "m", 0.1, 0.005, 0.6, "wider is a spike: chosen here", (0.05, 0.3)),
     )
     probability: Tensor
     sigma_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Mix in a wide normal about where the direct echo reads."""
+        """Add a replacement by a wide normal about the reading of the direct echo."""
         centre = state.scale * state.direct.length + state.offset
         zero = number(0.0)
         atom = Atom(self.probability, lambda edge: ndtr((edge - centre) / self.sigma_m), zero, zero)
         return state.with_atom(atom)
 
     def statement(self) -> str:
-        """Return how far and how often."""
+        """Return a sentence with the scatter and the probability."""
         v = self.values
         return f"{self.summary}, by {1000 * v['sigma_m']:.0f} mm, in {100 * v['probability']:.3g} % of pings."
 
 
 class CorruptedByte(Effect):
-    """With `probability` one bit of the register is read wrong: the count changes by a power of two.
+    """With `probability` one bit of the register is wrong: the count changes by a power of two.
 
-    Which bit is as likely as any other; the count goes up as often as down, where it can.
+    All bits are equally likely; the count increases as often as it decreases, as long as it stays positive.
     """
 
     name = "corrupted_byte"
     stage = Stage.SEQUENCE
-    strikes = True
+    localised = True
     by_ping = True
-    summary = "Now and then a bit of the reading is wrong: it is off by a power of two"
+    summary = "Some readings have a wrong bit: an error of a power of two"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: ours", (0.03,)),
-        Parameter("unit_m", "m", 0.01, 1e-4, 0.03, "what the register counts: cm, inch, us", (0.01, 0.0254, 1.7241e-4)),
+        Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: chosen here", (0.03,)),
+        Parameter("unit_m", "m", 0.01, 1e-4, 0.03, "unit of the register: cm, inch, us", (0.01, 0.0254, 1.7241e-4)),
     )
     bits = 16
     probability: Tensor
     unit_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Mix in readings a power of two beside where the direct echo reads; none below zero."""
+        """Add a replacement by the direct echo's reading plus or minus a power of two, if positive."""
         centre = state.scale * (state.direct.length + _mean_level(state.direct.lag)) + state.offset
         power = 2.0 ** torch.arange(self.bits, dtype=torch.float64)[:, None] * self.unit_m
         places = torch.cat([centre + power, centre - power])
@@ -188,7 +187,7 @@ class CorruptedByte(Effect):
 
         def cdf(edge: Tensor) -> Tensor:
             edge = edge.unsqueeze(-2)
-            below = ndtr(-torch.clamp(places, min=0.0) / sigma)  # those below zero are not allowed anyway
+            below = ndtr(-torch.clamp(places, min=0.0) / sigma)  # negative places have weight zero
             inside = (ndtr((edge - places) / sigma) - below) / (1.0 - below)
             return (share * torch.clamp(inside, 0.0, 1.0)).sum(dim=-2)
 
@@ -196,10 +195,10 @@ class CorruptedByte(Effect):
         return state.with_atom(Atom(self.probability, cdf, zero, zero))
 
     def statement(self) -> str:
-        """Return how often."""
+        """Return a sentence with the probability."""
         return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
 
 
 def _mean_level(lag: Tensor) -> Tensor:
-    """Return a lag averaged over the latent level's nodes where it depends on them."""
+    """Return a lag averaged over the nodes of the latent level if it depends on them."""
     return lag.mean(dim=0) if lag.ndim == 2 else lag

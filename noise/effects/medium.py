@@ -1,4 +1,4 @@
-"""Medium effects: what the air does to the time and the strength of sound."""
+"""Medium effects: the influence of the air on the travel time and the level of the sound."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Path, Seen, Stage, State
+from noise.effects.base import EchoSample, Effect, Parameter, Stage
+from noise.effects.state import Path, State
 from noise.law import Floats
 from noise.statistics import winsorised
 
@@ -23,31 +24,28 @@ def sound_speed(temperature_c: Tensor) -> Tensor:
     return SPEED_AT_0C * (1.0 + temperature_c / CELSIUS) ** 0.5
 
 
-ASSUMED_TEMPERATURE_C = CELSIUS * ((ASSUMED_SPEED / SPEED_AT_0C) ** 2 - 1.0)  # 22.8 degC: where 58 us/cm is true
+ASSUMED_TEMPERATURE_C = CELSIUS * ((ASSUMED_SPEED / SPEED_AT_0C) ** 2 - 1.0)  # 22.8 degC: 58 us/cm
 
-
-AIR_SD_K = (
-    0.5  # of air that no thermometer was in: a heated room keeps to its setting within half a kelvin or one; ours
-)
-AIR_SCALE_SD = 0.5 * AIR_SD_K / (CELSIUS + ASSUMED_TEMPERATURE_C)  # what that makes of distances
-LOGGED = "temperature_c"  # covariate: a thermometer beside the sensor, degC
-REFERENCE_C = 20.0  # where `temperature_c` holds when a thermometer was logged
-MOST_STRETCH = 0.1  # of distance: what is farther off is no echo of the target; ours
-PERIODS = 48  # at which a swing of the air is looked for; ours
-APART = 0.5  # logarithm of the ratio of two periods, less than which they are one; ours
-LEAST_SWING_K = 3.0  # a log that varies less says nothing that its own error of 0.5 K would not; ours
+AIR_SD_K = 0.5  # standard deviation of an unmeasured air temperature, a heated room: 0.5 to 1 K; chosen here
+AIR_SCALE_SD = 0.5 * AIR_SD_K / (CELSIUS + ASSUMED_TEMPERATURE_C)  # resulting relative error of distances
+TEMPERATURE = "temperature_c"  # covariate: a thermometer at the sensor, degC
+REFERENCE_C = 20.0  # logged temperature at which the air has the temperature `temperature_c`
+MAX_SCALE_ERROR = 0.1  # largest relative error of an echo of the target; chosen here
+N_PERIODS = 48  # number of periods in the search for an oscillation; chosen here
+MIN_LOG_RATIO = 0.5  # smallest logarithm of the ratio of two different periods; chosen here
+MIN_SPAN_K = 3.0  # a log with a smaller range is dominated by its error of 0.5 K; chosen here
 
 
 class SoundSpeed(Effect):
-    """Air at another temperature than the sensor assumes: range = distance * c(assumed) / c(true).
+    """Air temperature other than the sensor assumes: range = distance * c(assumed) / c(true).
 
-    Where a thermometer was logged, the air was at temperature_c + logged_share (logged - 20 degC): a share of 1 is a
-    sensor that knows nothing of the temperature. No clock does that, which is how the two are told apart.
+    With a logged thermometer the air temperature is temperature_c + logged_share (logged - 20 degC); a share of 1 is a
+    sensor without temperature compensation. This dependence distinguishes the effect from an error of the clock.
     """
 
     name = "sound_speed"
     stage = Stage.MEDIUM
-    summary = "Sound travels faster or slower than the sensor assumes: all ranges are scaled"
+    summary = "The speed of sound differs from the sensor's assumption: all ranges are scaled"
     parameters = (
         Parameter(
             "temperature_c",
@@ -64,36 +62,36 @@ class SoundSpeed(Effect):
             0.0,
             -0.5,
             1.5,
-            "1 = uncompensated; wider: ours",
+            "1 = uncompensated; wider: chosen here",
             (0.0, 1.0),
-            covariate=LOGGED,
-            span=LEAST_SWING_K,
+            covariate=TEMPERATURE,
+            span=MIN_SPAN_K,
         ),
     )
     temperature_c: Tensor
     logged_share: Tensor
 
     def apply(self, state: State) -> State:
-        """Stretch every path by the ratio of speeds; exactly 1 at the assumed temperature."""
-        logged = state.conditions.covariates.get(LOGGED)
+        """Scale every path by the ratio of speeds; exactly 1 at the assumed temperature."""
+        logged = state.conditions.covariates.get(TEMPERATURE)
         beyond = 0.0 if logged is None else self.logged_share * (logged - REFERENCE_C)
         kelvin = torch.clamp(CELSIUS + self.temperature_c + beyond, min=200.0)
         ratio = ((CELSIUS + ASSUMED_TEMPERATURE_C) / kelvin) ** 0.5
         return state.map_paths(lambda path: replace(path, length=path.length * ratio))
 
     def statement(self) -> str:
-        """Return the error as a share of distance and the temperature behind it."""
+        """Return a sentence with the relative error and the temperature."""
         warm, share = self.values["temperature_c"], self.values["logged_share"]
         error = ((CELSIUS + ASSUMED_TEMPERATURE_C) / (CELSIUS + warm)) ** 0.5 - 1.0
         size = f"Readings run {'long' if error >= 0 else 'short'} by {100 * abs(error):.2g} % of distance"
         if not share:
             return f"{size}: the air was at {warm:.1f} degC, the sensor assumes {ASSUMED_TEMPERATURE_C:.1f} degC."
         slope = -50.0 * share / (CELSIUS + warm)
-        return f"{size} in air of {warm:.1f} degC, and by {slope:+.2g} % for every kelvin that the thermometer rises."
+        return f"{size} in air of {warm:.1f} degC, and change by {slope:+.2g} % per kelvin of the thermometer."
 
 
 class AirAbsorption(Effect):
-    """Air takes `alpha_db_per_m` from the level for every metre there and back: level -> level - 2 alpha length."""
+    """Absorption of `alpha_db_per_m` on the way there and back: level -> level - 2 alpha length."""
 
     name = "air_absorption"
     stage = Stage.MEDIUM
@@ -104,27 +102,27 @@ class AirAbsorption(Effect):
     alpha_db_per_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Weaken every path by its own length."""
+        """Attenuate every path by its length."""
         return state.map_paths(self._absorb)
 
     def _absorb(self, path: Path) -> Path:
         return replace(path, level_db=path.level_db - 2.0 * self.alpha_db_per_m * path.length)
 
     def statement(self) -> str:
-        """Return the absorption and what it takes there and back at 6 m."""
+        """Return a sentence with the absorption and its loss at 6 m."""
         alpha = self.values["alpha_db_per_m"]
-        return f"Air absorbs {alpha:.2g} dB/m: echoes from 6 m come back {12 * alpha:.1f} dB weaker."
+        return f"Air absorbs {alpha:.2g} dB/m: echoes from 6 m are {12 * alpha:.1f} dB weaker."
 
 
 class Scintillation(Effect):
-    """Turbulence makes the level of a whole ping rise and fall: sigma = sigma(6 m) (length / 6 m)^(11/12).
+    """Turbulence varies the level of a whole ping: sigma = sigma(6 m) (length / 6 m)^(11/12).
 
-    One latent normal level for all paths of a ping, integrated by Gauss-Hermite quadrature.
+    All paths of a ping share one latent normal level, integrated by Gauss-Hermite quadrature.
     """
 
     name = "scintillation"
     stage = Stage.MEDIUM
-    summary = "Turbulent air makes echoes stronger and weaker from ping to ping, far ones most"
+    summary = "Turbulent air varies the level of echoes from ping to ping, most of all far ones"
     parameters = (
         Parameter("sigma_at_6m_db", "dB", 0.0, 0.0, 8.0, "Tatarskii; 0.1-1 dB still, 1-3 dB heated", (1.0, 3.0)),
     )
@@ -139,9 +137,9 @@ class Scintillation(Effect):
         return replace(faded, log_weight=torch.log(torch.from_numpy(weight / weight.sum()))[:, None])
 
     def statement(self) -> str:
-        """Return its size at 6 m."""
+        """Return a sentence with the standard deviation at 6 m."""
         size = self.values["sigma_at_6m_db"]
-        return f"Turbulent air makes echoes stronger and weaker from ping to ping, by {size:.2g} dB at 6 m."
+        return f"Turbulent air varies the level of echoes from ping to ping, by {size:.2g} dB at 6 m."
 
 
 def _growth(length: Tensor) -> Tensor:
@@ -149,21 +147,21 @@ def _growth(length: Tensor) -> Tensor:
 
 
 class ThermalDrift(Effect):
-    """The air's temperature moves while recording: T(t) = T + rate t + a sin(2 pi t / period) + b cos(2 pi t / period).
+    """The air temperature changes during the recording: T + rate t + a sin(2 pi t / period) + b cos(2 pi t / period).
 
-    `sine_k` and `cosine_k` together are the amplitude and phase of one swing; time counts from the recording's start.
+    `sine_k` and `cosine_k` define the amplitude and phase of the oscillation; time counts from the recording's start.
     """
 
     name = "thermal_drift"
     stage = Stage.MEDIUM
-    summary = "The air warms or cools while recording: ranges are scaled by an amount that changes with time"
+    summary = "The air warms or cools during the recording: the scale of ranges changes with time"
     parameters = (
         Parameter(
-            "rate_k_per_h", "K/h", 0.0, -20.0, 20.0, "rooms: 0.3 to 1.5 K within hours; wider: ours", (0.5, -0.5)
+            "rate_k_per_h", "K/h", 0.0, -20.0, 20.0, "rooms 0.3 to 1.5 K in hours; wider: chosen here", (0.5, -0.5)
         ),
-        Parameter("sine_k", "K", 0.0, -15.0, 15.0, "heating cycles, 0.3 to 1.5 K; days outdoors: ours", (0.3,)),
-        Parameter("cosine_k", "K", 0.0, -15.0, 15.0, "heating cycles, 0.3 to 1.5 K; days outdoors: ours", (0.0,)),
-        Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating cycles to a day: ours", (600.0, 3600.0)),
+        Parameter("sine_k", "K", 0.0, -15.0, 15.0, "heating 0.3 to 1.5 K; days outdoors: chosen here", (0.3,)),
+        Parameter("cosine_k", "K", 0.0, -15.0, 15.0, "heating 0.3 to 1.5 K; days outdoors: chosen here", (0.0,)),
+        Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating cycles to a day: chosen here", (600.0, 3600.0)),
     )
     rate_k_per_h: Tensor
     sine_k: Tensor
@@ -171,39 +169,40 @@ class ThermalDrift(Effect):
     period_s: Tensor
 
     def apply(self, state: State) -> State:
-        """Stretch every path by the speed of the moment."""
+        """Scale every path by the current speed of sound."""
         warmer = self.warming(state.conditions.time)
         ratio = (1.0 + warmer / (CELSIUS + ASSUMED_TEMPERATURE_C)) ** -0.5
         return state.map_paths(lambda path: replace(path, length=path.length * ratio))
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        """Return the slope and swing of least squares at the periods at which a swing explains most."""
-        time, stretch = seen.time, seen.range / np.maximum(seen.distance, 0.01) - 1.0
-        near = np.abs(stretch) < MOST_STRETCH
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return the least-squares slope and oscillation at the periods that explain most."""
+        time, stretch = echoes.time, echoes.range / np.maximum(echoes.distance, 0.01) - 1.0
+        near = np.abs(stretch) < MAX_SCALE_ERROR
         if near.sum() < 8 or not np.ptp(time[near]):
             return []
-        return _swings(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * winsorised(stretch[near]))
+        return _oscillations(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * winsorised(stretch[near]))
 
     def warming(self, time: Tensor) -> Tensor:
-        """Return how much warmer than at rest the air is at a time in s, K, bounded to +-50 K."""
+        """Return the change of the air temperature at a time in s, K, limited to +-50 K."""
         phase = 2.0 * math.pi * time / self.period_s
         swing = self.sine_k * torch.sin(phase) + self.cosine_k * torch.cos(phase)
         return torch.clamp(self.rate_k_per_h * time / 3600.0 + swing, -50.0, 50.0)
 
     def statement(self) -> str:
-        """Return rate and swing."""
+        """Return a sentence with the rate and the oscillation."""
         v = self.values
-        swing = math.hypot(v["sine_k"], v["cosine_k"])
-        moved = f"{v['rate_k_per_h']:+.2g} K an hour and a swing of {swing:.2g} K every {v['period_s'] / 60:.0f} min"
-        return f"The air's temperature moved while recording, by {moved}: ranges are scaled by what changes with time."
+        amplitude = math.hypot(v["sine_k"], v["cosine_k"])
+        wave = f"an oscillation of {amplitude:.2g} K with a period of {v['period_s'] / 60:.0f} min"
+        change = f"{v['rate_k_per_h']:+.2g} K per hour and {wave}"
+        return f"The air temperature changed during the recording, by {change}: the scale of ranges changes with time."
 
 
-def _swings(time: Floats, warmer: Floats) -> list[dict[str, float]]:
-    """Return the best two swings through temperatures at times, their periods no neighbours, and the best slope."""
+def _oscillations(time: Floats, warmer: Floats) -> list[dict[str, float]]:
+    """Return the best two oscillations of clearly different periods, and the best slope, fitted to temperatures."""
     shortest, longest = 60.0, float(np.clip(2.0 * np.ptp(time), 120.0, 86400.0))
     found = []
-    for period in np.geomspace(shortest, longest, PERIODS):
+    for period in np.geomspace(shortest, longest, N_PERIODS):
         phase = 2.0 * np.pi * time / period
         columns = np.stack([np.ones_like(time), time / 3600.0, np.sin(phase), np.cos(phase)], axis=1)
         best, *_ = np.linalg.lstsq(columns, warmer, rcond=None)
@@ -211,7 +210,7 @@ def _swings(time: Floats, warmer: Floats) -> list[dict[str, float]]:
         found.append((left, {"rate_k_per_h": best[1], "sine_k": best[2], "cosine_k": best[3], "period_s": period}))
     found.sort(key=lambda each: each[0])
     first = found[0][1]
-    apart = [one for _, one in found if abs(np.log(one["period_s"] / first["period_s"])) > APART]
+    apart = [one for _, one in found if abs(np.log(one["period_s"] / first["period_s"])) > MIN_LOG_RATIO]
     slope = float(np.polyfit(time / 3600.0, warmer, 1)[0])
     alone = {"rate_k_per_h": slope, "sine_k": 0.0, "cosine_k": 0.0, "period_s": 3600.0}
     return [{name: float(value) for name, value in one.items()} for one in (first, *apart[:1], alone)]

@@ -1,4 +1,4 @@
-"""Mounting effects: how the sensor is built, pointed and turned."""
+"""Mounting effects: geometry of the sensor, its beam and the turntable."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Path, Stage, State
+from noise.effects.base import Effect, Parameter, Stage
+from noise.effects.state import Path, State
 
 HALF_AMPLITUDE = 2.215  # x at which 2 J1(x) / x = 1/2, the edge of a quoted -6 dB beam
-LEAK = 0.01  # amplitude that housing and side lobes let through at any bearing: ours
-TERMS = 30  # of the power series of J1; exact to 1e-12 out to x = 8
+LEAK = 0.01  # amplitude of leakage by housing and side lobes at any bearing; chosen here
+TERMS = 30  # of the power series of J1; accurate to 1e-12 for x <= 8
 
 
 def directivity(x: Tensor) -> Tensor:
-    """Return the amplitude of a piston off its axis, 2 J1(x) / x, as its power series: differentiable, 1 at 0."""
+    """Return the amplitude of a piston off its axis, 2 J1(x) / x, by its power series, which is differentiable at 0."""
     quarter = -(x**2) / 4.0
     term = total = torch.ones_like(x)
     for m in range(1, TERMS):
@@ -26,7 +27,7 @@ def directivity(x: Tensor) -> Tensor:
 
 
 class BeamWidth(Effect):
-    """A piston's beam, out and back: level -> level + 40 log10 D(ka sin(bearing)), D(x) = 2 J1(x) / x."""
+    """Two-way directivity of a piston: level -> level + 40 log10 D(ka sin(bearing)), D(x) = 2 J1(x) / x."""
 
     name = "beam_width"
     stage = Stage.MEDIUM
@@ -37,7 +38,7 @@ class BeamWidth(Effect):
     ka: Tensor
 
     def apply(self, state: State) -> State:
-        """Weaken every path by its bearing; `LEAK` stands in for what the nulls of a perfect piston lack."""
+        """Attenuate every path by its bearing; `LEAK` fills the nulls of an ideal piston."""
         return state.map_paths(self._point)
 
     def _point(self, path: Path) -> Path:
@@ -46,69 +47,71 @@ class BeamWidth(Effect):
         return replace(path, level_db=path.level_db + loss_db)
 
     def statement(self) -> str:
-        """Return the full -6 dB angle in words."""
+        """Return a sentence with the full -6 dB angle."""
         ka = self.values["ka"]
         if ka <= HALF_AMPLITUDE:
             return f"{self.summary} (ka {ka:.2g}: no -6 dB edge within 90 deg)."
         width = 2 * math.degrees(math.asin(HALF_AMPLITUDE / ka))
-        return f"The beam is {width:.0f} deg wide in all, at -6 dB: echoes from the side are weaker."
+        return f"The beam has a full width of {width:.0f} deg at -6 dB: echoes from the side are weaker."
 
 
 class Boresight(Effect):
-    """The beam points `yaw_deg` beside the axis that bearings are counted from; shows only through a beam's width."""
+    """The beam axis deviates by `yaw_deg` from the reference of bearings; observable only with a finite beam width."""
 
     name = "boresight"
     stage = Stage.CONDITION
-    summary = "The beam does not point along the axis that angles are counted from"
-    parameters = (Parameter("yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: ours", (-3.0, 3.0)),)
+    summary = "The beam axis deviates from the reference axis of angles"
+    parameters = (Parameter("yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: chosen here", (-3.0, 3.0)),)
     yaw_deg: Tensor
 
     def apply(self, state: State) -> State:
-        """Turn the bearing of what the sensor faces."""
+        """Rotate the bearings."""
         turned = state.conditions.angle - self.yaw_deg * (math.pi / 180.0)
         return state.facing(replace(state.conditions, angle=turned))
 
     def statement(self) -> str:
-        """Return the angle and its sense."""
-        return f"The beam points {self.values['yaw_deg']:+.1f} deg beside the axis that angles are counted from."
+        """Return a sentence with the angle and its sign."""
+        return f"The beam axis deviates by {self.values['yaw_deg']:+.1f} deg from the reference axis of angles."
 
 
 class PivotOffset(Effect):
-    """The reflector turns about an axis behind (and beside) its face: d -> d + e (1 - cos t) + f sin t."""
+    """The reflector rotates about an axis off its face, e behind and f beside: d -> d + e (1 - cos t) + f sin t."""
 
     name = "pivot_offset"
     stage = Stage.CONDITION
-    summary = "The turning axis lies off the reflector's face: the distance changes as it is turned"
+    summary = "The rotation axis is off the reflector's face: the distance changes with the rotation"
     parameters = (
         Parameter("axial_m", "m", 0.0, -0.35, 0.35, "thesis stand 0 to 320 mm behind the face", (0.1, -0.1)),
-        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; ours", (0.0,)),
+        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; chosen here", (0.0,)),
     )
     axial_m: Tensor
     lateral_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Move the reflector by the geometry of its turning."""
+        """Shift the reflector according to its rotation."""
         turn = state.conditions.incidence
         moved = state.conditions.distance + self.axial_m * (1.0 - torch.cos(turn)) + self.lateral_m * torch.sin(turn)
         return state.facing(replace(state.conditions, distance=torch.clamp(moved, min=0.0)))
 
     def statement(self) -> str:
-        """Return what happens at 45 degrees."""
+        """Return a sentence with the shift at 45 degrees."""
         shift = self.values["axial_m"] * (1 - math.cos(math.pi / 4)) + self.values["lateral_m"] * math.sin(math.pi / 4)
-        return f"The turning axis lies off the reflector's face: turned by 45 deg it is {1000 * shift:+.0f} mm farther."
+        return (
+            f"The rotation axis is off the reflector's face: the distance changes by {1000 * shift:+.0f} mm at 45 deg."
+        )
 
 
 class BaselineParallax(Effect):
-    """Transmitter and receiver sit apart: half the way is sqrt(d^2 + (spacing/2)^2), longer only when near."""
+    """Transmitter and receiver are separate: half the path length is sqrt(d^2 + (spacing/2)^2)."""
 
     name = "baseline_parallax"
     stage = Stage.PATHS
-    summary = "Transmitter and receiver sit apart: near ranges read long"
-    parameters = (Parameter("spacing_m", "m", 0.0, 0.0, 0.2, "25 mm on the SRF08's board; wider: ours", (0.03, 0.1)),)
+    summary = "Transmitter and receiver are separate: near readings are too long"
+    parameters = (Parameter("spacing_m", "m", 0.0, 0.0, 0.2, "SRF08: 25 mm; wider: chosen here", (0.03, 0.1)),)
     spacing_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Lengthen every path by the triangle over the spacing."""
+        """Lengthen every path by the geometry of the spacing."""
         return state.map_paths(self._slant)
 
     def _slant(self, path: Path) -> Path:
@@ -116,8 +119,8 @@ class BaselineParallax(Effect):
         return replace(path, length=path.length + torch.sqrt(near**2 + (self.spacing_m / 2.0) ** 2) - near)
 
     def statement(self) -> str:
-        """Return the spacing and the error at 100 mm."""
+        """Return a sentence with the spacing and the error at 100 mm."""
         spacing = self.values["spacing_m"]
         error = math.hypot(0.1, spacing / 2) - 0.1
-        apart = f"Transmitter and receiver sit {1000 * spacing:.0f} mm apart"
-        return f"{apart}: near ranges read long, by {1000 * error:.1f} mm at 100 mm."
+        apart = f"Transmitter and receiver are {1000 * spacing:.0f} mm apart"
+        return f"{apart}: near readings are too long, by {1000 * error:.1f} mm at 100 mm."

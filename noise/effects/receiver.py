@@ -1,4 +1,4 @@
-"""Receiver effects: how strong an echo must be to count, and what the clock makes of its time."""
+"""Receiver effects: threshold, detection, clock and register."""
 
 from __future__ import annotations
 
@@ -9,30 +9,21 @@ import torch
 from scipy.optimize import brentq
 from torch import Tensor
 
-from noise.effects.base import (
-    MARGIN_DB,
-    Clutter,
-    Effect,
-    Parameter,
-    Path,
-    Seen,
-    Stage,
-    State,
-    number,
-)
+from noise.effects.base import EchoSample, Effect, Parameter, Stage
+from noise.effects.state import MARGIN_DB, Clutter, Path, State, number
 
-BEHIND_M = 0.02  # of a gate behind the farthest echo, to begin from; ours
-MOST_NOISE = 20.0  # false alarms a metre; ours
+GATE_MARGIN_M = 0.02  # distance of an initial gate beyond the farthest echo; chosen here
+MAX_NOISE_PER_M = 20.0  # false alarms per metre; chosen here
 HALF_WAVE = 4.29e-3  # m; one period of 40 kHz as range, 25 us at 343.4 m/s there and back
 
-# Lag of the threshold crossing behind the start of the echo, as range, by the level of its peak over the threshold:
+# Lag of the threshold crossing after the start of the echo, as range, by the level of its peak above the threshold:
 # 8 cycles of 40 kHz through two resonators of 2 kHz width at -6 dB, first crossing of one polarity.
 WALK_DB = (0.2, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)
 WALK_M = (0.061, 0.048, 0.044, 0.0395, 0.035, 0.031, 0.0265, 0.022, 0.018, 0.0135, 0.009, 0.0047)
 
 
 def interpolate(x: Tensor, at: tuple[float, ...], values: tuple[float, ...]) -> Tensor:
-    """Return a piecewise linear function, held at its ends; differentiable in x."""
+    """Return a piecewise linear function, constant beyond its ends and differentiable in x."""
     knots, heights = number(list(at)), number(list(values))
     inside = torch.clamp(x, at[0], at[-1])
     k = torch.clamp(torch.searchsorted(knots, inside.detach().contiguous()), 1, len(at) - 1)
@@ -41,13 +32,13 @@ def interpolate(x: Tensor, at: tuple[float, ...], values: tuple[float, ...]) -> 
 
 
 class Sensitivity(Effect):
-    """Every echo is `loss_db` weaker against the threshold than in an ideal sonar: level -> level - loss."""
+    """Every echo is `loss_db` weaker relative to the threshold than in an ideal sonar: level -> level - loss."""
 
     name = "sensitivity"
     stage = Stage.MEDIUM
-    summary = "The receiver hears less than an ideal one: echoes near its threshold are missed"
+    summary = "The receiver is less sensitive than an ideal one: echoes near its threshold are missed"
     parameters = (
-        Parameter("loss_db", "dB", 0.0, 0.0, 80.0, "gain table of the SRF08, unit spread: ours", (30.0, 40.0, 50.0)),
+        Parameter("loss_db", "dB", 0.0, 0.0, 80.0, "SRF08 gain table, unit spread: chosen here", (30.0, 40.0, 50.0)),
     )
     loss_db: Tensor
 
@@ -56,21 +47,21 @@ class Sensitivity(Effect):
         return state.map_paths(lambda path: replace(path, level_db=path.level_db - self.loss_db))
 
     def statement(self) -> str:
-        """Return the loss and how far a wall is still heard."""
+        """Return a sentence with the loss and the range of a wall at the threshold."""
         loss = self.values["loss_db"]
         reach = 10 ** ((MARGIN_DB - loss) / 20)
         missed = f"half the echoes of a wall at {reach:.2g} m"
-        return f"The receiver hears {loss:.0f} dB less than an ideal one: it misses {missed}."
+        return f"The receiver is {loss:.0f} dB less sensitive than an ideal one: it misses {missed}."
 
 
 class ClockScale(Effect):
-    """The timer, or the constant that turns time into range, is off: register = (1 + error) * range."""
+    """Relative error of the timer, or of the constant from time to range: register = (1 + error) * range."""
 
     name = "clock_scale"
     stage = Stage.REGISTER
-    summary = "The sensor's clock, or its constant from time to range, is off: all ranges are scaled"
+    summary = "The sensor's clock, or its constant from time to range, has an error: all ranges are scaled"
     parameters = (
-        Parameter("error", "1", 0.0, -0.05, 0.05, "ceramic resonators +-0.5 %; unit constants: ours", (0.0,)),
+        Parameter("error", "1", 0.0, -0.05, 0.05, "ceramic resonators +-0.5 %; unit constants: chosen here", (0.0,)),
     )
     error: Tensor
 
@@ -80,20 +71,20 @@ class ClockScale(Effect):
         return replace(state, scale=state.scale * factor, offset=state.offset * factor)
 
     def statement(self) -> str:
-        """Return the error as a share of distance."""
+        """Return a sentence with the relative error."""
         error = self.values["error"]
         sense = "long" if error >= 0 else "short"
-        return f"Readings run {sense} by {100 * abs(error):.2g} % of distance: the clock or its constant is off."
+        return f"Readings run {sense} by {100 * abs(error):.2g} % of distance: the clock or its constant has an error."
 
 
 class ZeroOffset(Effect):
-    """The range is counted from another plane than distances are: register = range + offset."""
+    """The reference plane of ranges differs from that of distances: register = range + offset."""
 
     name = "zero_offset"
     stage = Stage.REGISTER
-    summary = "Ranges are counted from another plane than the true distances: all are shifted alike"
+    summary = "The reference plane of ranges differs from that of distances: all ranges have the same offset"
     parameters = (
-        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "firmware delay and mounting, +-30 mm; wider: ours", (0.0,)),
+        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "firmware and mounting +-30 mm; wider: chosen here", (0.0,)),
     )
     offset_m: Tensor
 
@@ -102,9 +93,9 @@ class ZeroOffset(Effect):
         return replace(state, offset=state.offset + self.offset_m)
 
     def statement(self) -> str:
-        """Return the shift."""
-        shift = f"All ranges are shifted by {1000 * self.values['offset_m']:+.1f} mm"
-        return f"{shift}: they are counted from another plane than the true distances."
+        """Return a sentence with the offset."""
+        shift = f"All ranges have an offset of {1000 * self.values['offset_m']:+.1f} mm"
+        return f"{shift}: their reference plane differs from that of the distances."
 
 
 class TravelTimeJitter(Effect):
@@ -114,8 +105,8 @@ class TravelTimeJitter(Effect):
     stage = Stage.DETECTOR
     summary = "Readings scatter from ping to ping"
     parameters = (
-        Parameter("sigma_m", "m", 0.0, 0.0, 0.2, "electronic noise on the slope of the echo: ours", (0.003,)),
-        Parameter("per_metre", "1", 0.0, 0.0, 0.1, "thermal eddies, 0.1 to 1 mm at 6 m; wider: ours", (0.001,)),
+        Parameter("sigma_m", "m", 0.0, 0.0, 0.2, "electronic noise on the echo's slope: chosen here", (0.003,)),
+        Parameter("per_metre", "1", 0.0, 0.0, 0.1, "thermal eddies 0.1 to 1 mm at 6 m; wider: chosen here", (0.001,)),
     )
     sigma_m: Tensor
     per_metre: Tensor
@@ -125,24 +116,24 @@ class TravelTimeJitter(Effect):
         return state.map_paths(self._widen)
 
     def statement(self) -> str:
-        """Return the scatter at 1 m and its growth."""
+        """Return a sentence with the scatter and its growth with distance."""
         v = self.values
-        return f"{self.summary}, by {1000 * v['sigma_m']:.2g} mm and by {1000 * v['per_metre']:.2g} mm for every metre."
+        return f"{self.summary}, by {1000 * v['sigma_m']:.2g} mm and by {1000 * v['per_metre']:.2g} mm per metre."
 
     def _widen(self, path: Path) -> Path:
         variance = path.spread**2 + self.sigma_m**2 + (self.per_metre * path.length) ** 2
-        # sqrt has no derivative at 0: the tiny constant keeps gradients finite and is removed again
+        # sqrt has no derivative at 0: the small constant keeps gradients finite and is subtracted again
         return replace(path, spread=torch.sqrt(variance + 1e-18) - 1e-9)
 
 
 class TimeWalk(Effect):
-    """A weak echo takes longer to cross the threshold: lag -> lag + scale table(level); 1 is a 2 kHz wide SRF08."""
+    """A weak echo crosses the threshold later: lag -> lag + scale table(level); scale 1 is an SRF08 of 2 kHz width."""
 
     name = "time_walk"
     stage = Stage.DETECTOR
-    summary = "Weak echoes cross the threshold late and read long"
+    summary = "Weak echoes cross the threshold late: their readings are too long"
     parameters = (
-        Parameter("scale", "1", 0.0, 0.0, 2.5, "0.85 at 2.6 kHz to 1.35 at 1.2 kHz width; wider: ours", (1.0,)),
+        Parameter("scale", "1", 0.0, 0.0, 2.5, "0.85 (2.6 kHz) to 1.35 (1.2 kHz); wider: chosen here", (1.0,)),
     )
     scale: Tensor
 
@@ -154,117 +145,125 @@ class TimeWalk(Effect):
         return replace(path, lag=path.lag + self.scale * interpolate(path.level_db, WALK_DB, WALK_M))
 
     def statement(self) -> str:
-        """Return the lag at two levels."""
+        """Return a sentence with the lag at two levels."""
         scale = 1000 * self.values["scale"]
-        return f"{self.summary}, by {13.5e-3 * scale:.0f} mm at 20 dB over it, {44e-3 * scale:.0f} mm at 2 dB."
+        return f"{self.summary}, by {13.5e-3 * scale:.0f} mm at 20 dB above it and {44e-3 * scale:.0f} mm at 2 dB."
 
 
 class CycleSlip(Effect):
-    """The first, second or third cycle of an echo triggers: a comb of readings 4.29 mm apart."""
+    """The first, second or third cycle of an echo triggers the detector: a comb of readings 4.29 mm apart."""
 
     name = "cycle_slip"
     stage = Stage.DETECTOR
-    summary = "Echoes trigger one or two cycles late: readings fall on a comb 4.29 mm apart"
-    coarsest_m = HALF_WAVE
-    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "of each further cycle; ours", (0.3,)),)
+    summary = "Echoes are detected one or two cycles late: readings form a comb 4.29 mm apart"
+    coarsest_step_m = HALF_WAVE
+    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "of each further cycle; chosen here", (0.3,)),)
     probability: Tensor
 
     def apply(self, state: State) -> State:
-        """Let each further cycle be needed with the probability."""
+        """Add detection points one and two cycles late."""
         p = self.probability
         slip_m = number([0.0, HALF_WAVE, 2.0 * HALF_WAVE])
         weight = torch.stack([1.0 - p, p * (1.0 - p), p * p])
         return state.map_paths(lambda path: replace(path, slip_m=slip_m, slip_weight=weight))
 
     def statement(self) -> str:
-        """Return how often."""
+        """Return a sentence with the probability."""
         return f"{self.summary}, {100 * self.values['probability']:.3g} % of echoes late."
 
 
 class RearmDeadTime(Effect):
-    """After its own burst, as after any hit, the comparator is deaf until it is armed again: nearer arrivals are lost.
+    """After a burst the comparator is blind until it is re-armed: arrivals from nearer than `deaf_m` are lost.
 
-    Not a lower limit of the reading: what comes later, from behind the target or by a longer way, is heard.
+    This is not a lower limit of the reading: later arrivals by longer paths are detected.
     """
 
     name = "rearm_dead_time"
     stage = Stage.DETECTOR
-    strikes = True
-    summary = "The receiver is armed late: nearer echoes are lost"
+    localised = True
+    summary = "The receiver is re-armed late: near echoes are lost"
     parameters = (
         Parameter("deaf_m", "m", 0.0, 0.0, 1.2, "blanking 150-500 us, re-arming 1-4 ms: 0.03 to 0.7 m", (0.12, 0.5)),
     )
     deaf_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Close the ears until then."""
-        return replace(state, deaf=self.deaf_m)
+        """Set the blind range."""
+        return replace(state, blind_range=self.deaf_m)
 
     def statement(self) -> str:
-        """Return how far."""
-        return f"The receiver is armed late: echoes from nearer than {100 * self.values['deaf_m']:.0f} cm are lost."
+        """Return a sentence with the blind range."""
+        return f"The receiver is re-armed late: echoes from nearer than {100 * self.values['deaf_m']:.0f} cm are lost."
 
 
 class FalseAlarm(Effect):
-    """Noise crosses the threshold at a steady rate while the sensor listens: only ever before the echo.
+    """Noise crosses the threshold at a constant rate during the listening window; observable only before the echo.
 
-    Noise that comes and goes (compressed air, keys) is there in a `share` of the pings, its rate then `per_metre`.
-    Where it begins has no useful derivative, since the likelihood jumps with every reading that is passed: a fit must
-    start at the right place, which is just before the first.
+    Intermittent noise (compressed air, keys) occurs in a `share` of the pings, then with rate `per_metre`. The start
+    `from_m` has no useful derivative, since the likelihood jumps at every reading: a fit must start just before the
+    first false alarm.
     """
 
     name = "false_alarm"
     stage = Stage.DETECTOR
-    strikes = True
+    localised = True
     by_ping = True
-    summary = "Noise is taken for an echo before the true one comes"
+    summary = "Noise is taken for an echo before the true echo arrives"
     parameters = (
-        Parameter("per_metre", "1/m", 0.0, 0.0, MOST_NOISE, "1e-5 to 1e-2 a ping; beside air: ours", (0.005, 1.0)),
-        Parameter("share", "1", 1.0, 0.01, 1.0, "of pings with noise: ours", (1.0, 0.3)),
-        Parameter("from_m", "m", 0.0, 0.0, 1.0, "where the receiver is first sensitive enough: ours", (0.0, 0.3)),
+        Parameter(
+            "per_metre",
+            "1/m",
+            0.0,
+            0.0,
+            MAX_NOISE_PER_M,
+            "1e-5 to 1e-2 a ping; with air noise: chosen here",
+            (0.005, 1.0),
+        ),
+        Parameter("share", "1", 1.0, 0.01, 1.0, "of pings with noise: chosen here", (1.0, 0.3)),
+        Parameter("from_m", "m", 0.0, 0.0, 1.0, "start of sensitive listening: chosen here", (0.0, 0.3)),
     )
     per_metre: Tensor
     share: Tensor
     from_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Strew clutter before the echo."""
+        """Add false detections."""
         return replace(state, clutter=Clutter(self.per_metre, self.share, self.from_m.detach()))
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        """Return noise that begins where early readings do: in all pings, and such as thins out as fast as they do."""
-        early = seen.early.range
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return noise from the first early reading on: intermittent with the observed decay, and in all pings."""
+        early = echoes.early.range
         if len(early) < 4:
             return []
         begun = float(np.clip(early.min() - 0.01, 0.0, 1.0))
-        before = np.maximum(0.9 * seen.distance - 0.05 - begun, 0.0)
+        before = np.maximum(0.9 * echoes.distance - 0.05 - begun, 0.0)
 
         def expected(rate: float) -> float:
             return float(-np.expm1(-rate * before).sum())
 
-        steep = float(np.clip(np.log(2.0) / max(np.median(early) - begun, 0.02), 0.0, MOST_NOISE))
+        steep = float(np.clip(np.log(2.0) / max(np.median(early) - begun, 0.02), 0.0, MAX_NOISE_PER_M))
         share = float(np.clip(len(early) / max(expected(steep), 1.0), 0.01, 1.0))
         out = [{"per_metre": steep, "share": share, "from_m": begun}]
-        if expected(MOST_NOISE) > len(early):
-            rate = float(brentq(lambda each: expected(each) - len(early), 0.0, MOST_NOISE))
+        if expected(MAX_NOISE_PER_M) > len(early):
+            rate = float(brentq(lambda each: expected(each) - len(early), 0.0, MAX_NOISE_PER_M))
             out.append({"per_metre": rate, "share": 1.0, "from_m": begun})
         return out
 
     def statement(self) -> str:
-        """Return the rate."""
+        """Return a sentence with the rate and the share of pings."""
         v = self.values
-        told = f"{self.summary}, in {-100 * np.expm1(-v['per_metre']):.2g} % of pings for every metre listened"
-        when = "" if v["share"] == 1.0 else f" while there is noise, in {100 * v['share']:.2g} % of pings"
-        return f"{told}{when}."
+        text = f"{self.summary}, in {-100 * np.expm1(-v['per_metre']):.2g} % of pings per metre of listening"
+        when = "" if v["share"] == 1.0 else f" during noise, which occurs in {100 * v['share']:.2g} % of pings"
+        return f"{text}{when}."
 
 
 class Quantisation(Effect):
-    """The reading is rounded to whole steps, centimetres say. A step has no derivative: a fit tries the starts."""
+    """The reading is rounded to whole steps, such as centimetres. The step has no derivative: fits try the starts."""
 
     name = "quantisation"
     stage = Stage.REGISTER
-    summary = "Readings come in coarse steps"
+    summary = "Readings have coarse steps"
     parameters = (Parameter("step_m", "m", 0.0, 0.0, 0.2, "cm or inch output, Devantech SRF08", (0.01, 0.0254)),)
     step_m: Tensor
 
@@ -273,56 +272,56 @@ class Quantisation(Effect):
         return replace(state, step=float(self.step_m.detach()))
 
     def statement(self) -> str:
-        """Return the step."""
+        """Return a sentence with the step."""
         return f"{self.summary} of {1000 * self.values['step_m']:.1f} mm."
 
 
 class Truncation(Effect):
-    """The reading is cut to whole steps, as integer division does: step floor(range / step), half a step short."""
+    """The reading is truncated to whole steps by integer division: step floor(range / step), half a step short."""
 
     name = "truncation"
     stage = Stage.REGISTER
-    summary = "Readings are cut down to whole steps"
+    summary = "Readings are truncated to whole steps"
     parameters = (Parameter("step_m", "m", 0.0, 0.0, 0.2, "integer division to cm or inch, us / 58", (0.01, 0.0254)),)
     step_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Round to the step what is half a step nearer."""
+        """Round to the step after a shift by half a step."""
         step = self.step_m.detach()
         return replace(state, step=max(state.step, float(step)), offset=state.offset - step / 2.0)
 
     def statement(self) -> str:
-        """Return the step and what it takes."""
+        """Return a sentence with the step and the mean error."""
         step = 1000 * self.values["step_m"]
         return f"{self.summary} of {step:.1f} mm: they run short by {step / 2:.1f} mm on average."
 
 
 class RangeGate(Effect):
-    """Listening stops early: echoes from beyond `listen_m` are not heard."""
+    """The listening window ends early: echoes from beyond `listen_m` are not detected."""
 
     name = "range_gate"
     stage = Stage.REGISTER
-    strikes = True
-    summary = "The sensor stops listening: farther echoes are not heard"
+    localised = True
+    summary = "The listening window ends early: farther echoes are not detected"
     parameters = (
         Parameter("listen_m", "m", 11.008, 0.3, 11.008, "range register (r + 1) 43 mm, Devantech SRF08", (6.0, 3.0)),
     )
     listen_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Close the gate."""
+        """Limit the listening window."""
         return replace(state, gate=torch.minimum(state.gate, self.listen_m))
 
     def statement(self) -> str:
-        """Return where."""
-        return f"The sensor stops listening: echoes from beyond {self.values['listen_m']:.2f} m are not heard."
+        """Return a sentence with the end of the window."""
+        return f"The listening window ends early: echoes from beyond {self.values['listen_m']:.2f} m are not detected."
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        """Return gates behind the farthest echoes; a stray or two may come from behind."""
-        if len(seen.range) == 0:
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return gates just beyond the farthest echoes, with and without outliers."""
+        if len(echoes.range) == 0:
             return []
-        return [{"listen_m": float(np.quantile(seen.range, share)) + BEHIND_M} for share in (1.0, 0.98)]
+        return [{"listen_m": float(np.quantile(echoes.range, share)) + GATE_MARGIN_M} for share in (1.0, 0.98)]
 
 
 class WarmUp(Effect):
@@ -332,17 +331,17 @@ class WarmUp(Effect):
     stage = Stage.REGISTER
     summary = "The zero drifts while the sensor warms up"
     parameters = (
-        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "ours", (0.01, -0.01)),
-        Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: ours", (60.0, 600.0)),
+        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01)),
+        Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: chosen here", (60.0, 600.0)),
     )
     offset_m: Tensor
     tau_s: Tensor
 
     def apply(self, state: State) -> State:
-        """Shift the register by what is left of the drift."""
+        """Shift the register by the remaining drift."""
         return replace(state, offset=state.offset + self.offset_m * torch.exp(-state.conditions.time / self.tau_s))
 
     def statement(self) -> str:
-        """Return size and time."""
+        """Return a sentence with the initial offset and the time constant."""
         v = self.values
-        return f"{self.summary}, by {1000 * v['offset_m']:+.1f} mm at first, fading over {v['tau_s']:.0f} s."
+        return f"{self.summary}, from {1000 * v['offset_m']:+.1f} mm with a time constant of {v['tau_s']:.0f} s."

@@ -1,7 +1,7 @@
-"""Target effects: what the reflector and its surroundings do to the direct echo, and the further ways they open.
+"""Target effects: losses of the direct echo, and additional paths by the reflector and its surroundings.
 
-An added way has a `presence`, the probability that it exists at all; 0 is its null. Since the first echo wins, a way
-behind the reflector shows only where the direct echo is missed.
+An additional path has a `presence`, the probability that it exists, with null 0. Since the first echo is reported, a
+path longer than the direct one is observed only if the direct echo is missed.
 """
 
 from __future__ import annotations
@@ -12,27 +12,28 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Stage, State, new_path, wall_level_db
+from noise.effects.base import Effect, Parameter, Stage
+from noise.effects.state import State, new_path, wall_level_db
 
 WAVELENGTH = 8.584e-3  # m; 40 kHz at 19 degC and 50 % relative humidity
-NEAR = 0.02  # m; the asymptotic formulas below are held at this distance
+NEAR = 0.02  # m; lower limit of the distance in the asymptotic formulas below
 
 
 def presence(start: float = 0.5) -> Parameter:
-    """Return the parameter that every added way has."""
-    return Parameter("presence", "1", 0.0, 0.0, 1.0, "probability; ours", (start,))
+    """Return the parameter common to all additional paths."""
+    return Parameter("presence", "1", 0.0, 0.0, 1.0, "probability; chosen here", (start,))
 
 
 def half_width(null: float = 0.1) -> Parameter:
-    """Return half the width of a reflector; 0.1 m is the radius of the thesis's disc."""
+    """Return the parameter for half the width of a reflector; 0.1 m is the radius of the thesis's disc."""
     return Parameter("half_width_m", "m", null, 0.02, 2.0, "disc of Esmi (2016): radius 0.1 m", (null,))
 
 
 def miss(state: State, half_width_m: Tensor) -> Tensor:
-    """Return by how much the foot of the perpendicular misses the face, in Fresnel units v, (n,).
+    """Return the distance of the foot of the perpendicular beyond the face, as Fresnel parameter v, (n,).
 
-    The edge stands midway on the way to the mirror image, as a knife edge (ITU-R P.526):
-    v = m sqrt(2 / lambda (1/d + 1/d)), m = d sin t - a.
+    The edge is a knife edge midway to the mirror image (ITU-R P.526): v = m sqrt(2 / lambda (1/d + 1/d)),
+    m = d sin t - a.
     """
     c = state.conditions
     d = torch.clamp(c.distance, min=NEAR)
@@ -40,50 +41,50 @@ def miss(state: State, half_width_m: Tensor) -> Tensor:
 
 
 class ReflectanceLoss(Effect):
-    """Amplitude falls with the reflectance that was written down: level -> level + strength 20 log10 R."""
+    """The amplitude is proportional to a power of the logged reflectance: level -> level + strength 20 log10 R."""
 
     name = "reflectance_loss"
     stage = Stage.PATHS
     summary = "Reflectors of low reflectance send weaker echoes"
     parameters = (
-        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = amplitude in proportion to reflectance; ours", (1.0,)),
+        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = amplitude in proportion to reflectance; chosen here", (1.0,)),
     )
     strength: Tensor
 
     def apply(self, state: State) -> State:
-        """Weaken the direct path."""
+        """Attenuate the direct path."""
         loss_db = 20.0 * torch.log10(torch.clamp(state.conditions.reflectance, min=1e-3))
         return state.with_direct(replace(state.direct, level_db=state.direct.level_db + self.strength * loss_db))
 
     def statement(self) -> str:
-        """Return the loss at reflectance 0.1."""
+        """Return a sentence with the loss at reflectance 0.1."""
         return f"{self.summary}, by {20 * self.values['strength']:.0f} dB at reflectance 0.1."
 
 
 class SpecularLoss(Effect):
-    """A smooth face is seen while the perpendicular hits it; beyond its edge the level falls as at a knife edge.
+    """A smooth face reflects as long as the perpendicular hits it; beyond its edge the level falls as at a knife edge.
 
     level -> level - strength J(v), J(v) = 6.9 + 20 log10(sqrt((v - 0.1)^2 + 1) + v - 0.1) dB for v > -0.78.
     """
 
     name = "specular_loss"
     stage = Stage.PATHS
-    summary = "Smooth reflectors send sound away when they are tilted: their echoes fade and are lost"
+    summary = "Tilted smooth reflectors deflect the sound: their echoes are weaker or lost"
     parameters = (
-        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = knife edge, ITU-R P.526; other: ours", (1.0,)),
+        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = knife edge, ITU-R P.526; other: chosen here", (1.0,)),
         half_width(),
     )
     strength: Tensor
     half_width_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Weaken the direct path where its perpendicular misses."""
+        """Attenuate the direct path where the perpendicular misses the face."""
         v = miss(state, self.half_width_m) - 0.1
         loss_db = torch.relu(6.9 + 20.0 * torch.log10(torch.sqrt(v**2 + 1.0) + v))
         return state.with_direct(replace(state.direct, level_db=state.direct.level_db - self.strength * loss_db))
 
     def statement(self) -> str:
-        """Return where the face is lost at 1 m."""
+        """Return a sentence with the angle at which the loss begins at 1 m."""
         angle = math.degrees(math.asin(min(1.0, self.values["half_width_m"])))
         return (
             f"{self.summary}, at 1 m from {angle:.0f} deg on ({100 * self.values['strength']:.0f} % of a knife edge)."
@@ -91,17 +92,17 @@ class SpecularLoss(Effect):
 
 
 class EdgeDiffraction(Effect):
-    """The near edge of the face echoes too: length sqrt(d^2 + a^2 - 2 d a sin t), -33 dB re a wall at 1 m (GTD)."""
+    """Echo of the near edge of the face: length sqrt(d^2 + a^2 - 2 d a sin t), -33 dB re a wall at 1 m (GTD)."""
 
     name = "edge_diffraction"
     stage = Stage.PATHS
-    summary = "The reflector's near edge echoes, weakly and earlier than its middle"
+    summary = "The near edge of the reflector gives a weak echo before that of its centre"
     parameters = (presence(), half_width())
     presence: Tensor
     half_width_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the way over the near edge."""
+        """Add the path over the near edge."""
         c, a = state.conditions, self.half_width_m
         turn = torch.clamp(c.incidence.abs(), max=1.4)
         d = torch.clamp(c.distance, min=NEAR)
@@ -111,17 +112,17 @@ class EdgeDiffraction(Effect):
         return state.with_path(new_path("edge", length, level_db, self.presence, c.angle))
 
     def statement(self) -> str:
-        """Return how much earlier the edge is at 45 degrees."""
+        """Return a sentence with the path difference at 45 degrees."""
         early = self.values["half_width_m"] * math.sin(math.pi / 4)
         return f"{self.summary}, by {1000 * early:.0f} mm at 45 deg, in {_percent(self.values['presence'])} of pings."
 
 
 class PerpendicularFoot(Effect):
-    """A tilted face that is still seen reads the foot of the perpendicular, d cos t, not the distance to its middle."""
+    """A tilted face reflects at the foot of the perpendicular, at d cos t instead of the distance of its centre."""
 
     name = "perpendicular_foot"
     stage = Stage.PATHS
-    summary = "Tilted reflectors read the foot of the perpendicular: short by 1 - cos(incidence)"
+    summary = "Tilted reflectors are read at the foot of the perpendicular: short by 1 - cos(incidence)"
     parameters = (Parameter("share", "1", 0.0, 0.0, 1.0, "1 = mirror geometry", (1.0,)), half_width())
     share: Tensor
     half_width_m: Tensor
@@ -135,27 +136,26 @@ class PerpendicularFoot(Effect):
         return state.with_direct(replace(state.direct, length=state.direct.length - short))
 
     def statement(self) -> str:
-        """Return the shift at 5 degrees and 1 m."""
+        """Return a sentence with the shift at 5 degrees and 1 m."""
         short = self.values["share"] * (1 - math.cos(math.radians(5)))
         return f"{self.summary}, {1000 * short:.1f} mm at 5 deg and 1 m."
 
 
 class BackgroundReflector(Effect):
-    """Something stands `behind_m` behind the reflector and answers where the reflector does not.
+    """An object `behind_m` behind the reflector is read where the echo of the reflector is missed.
 
-    Its bearing is `follow` times the reflector's: a post behind it stands where the reflector does (1), a wall fills
-    the beam and answers at every angle (0).
+    Its bearing is `follow` times that of the reflector: 1 for a post behind it, 0 for a wall that fills the beam.
     """
 
     name = "background_reflector"
     stage = Stage.PATHS
-    strikes = True
-    summary = "Something behind the reflector is read when the reflector itself is missed"
+    localised = True
+    summary = "An object behind the reflector is read when the echo of the reflector is missed"
     parameters = (
         presence(0.9),
         Parameter("behind_m", "m", 0.3, 0.02, 2.0, "stand of Esmi (2016): 0.3 m behind", (0.1, 0.3, 0.7)),
         Parameter("loss_db", "dB", 19.0, -10.0, 45.0, "post of 15 mm at 1.3 m: 19 dB below a wall", (5.0,)),
-        Parameter("follow", "1", 1.0, 0.0, 1.0, "0: a wall's mirror image is always on the beam; ours", (1.0, 0.0)),
+        Parameter("follow", "1", 1.0, 0.0, 1.0, "0 for a wall, which is on axis; chosen here", (1.0, 0.0)),
     )
     presence: Tensor
     behind_m: Tensor
@@ -163,65 +163,65 @@ class BackgroundReflector(Effect):
     follow: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the way to it."""
+        """Add the path to the object."""
         length = state.conditions.distance + self.behind_m
         level_db = wall_level_db(length) - self.loss_db
         bearing = self.follow * state.conditions.angle
         return state.with_path(new_path("background", length, level_db, self.presence, bearing))
 
     def statement(self) -> str:
-        """Return how far behind it stands."""
+        """Return a sentence with the distance behind the reflector."""
         v = self.values
         return f"{self.summary}: {1000 * v['behind_m']:.0f} mm behind, {v['loss_db']:.0f} dB below a wall."
 
 
 class FixedClutter(Effect):
-    """Something else in the room answers from `range_m`, wherever the reflector stands."""
+    """Another object in the room gives an echo at `range_m`, regardless of the position of the reflector."""
 
     name = "fixed_clutter"
     stage = Stage.PATHS
-    strikes = True
-    summary = "Something else in the room is read at a fixed range"
+    localised = True
+    summary = "Another object in the room is read at a fixed range"
     parameters = (
         presence(0.2),
         Parameter("range_m", "m", 3.25, 0.05, 11.0, "floor in a beam at 1.5 m height: 3.25 m", (0.5, 1.5, 3.25)),
-        Parameter("spread_m", "m", 0.005, 0.001, 0.3, "ours", (0.02,)),
+        Parameter("spread_m", "m", 0.005, 0.001, 0.3, "chosen here", (0.02,)),
     )
     presence: Tensor
     range_m: Tensor
     spread_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the way to it."""
+        """Add the path to the object."""
         length = self.range_m + torch.zeros_like(state.conditions.distance)
         path = new_path("clutter", length, wall_level_db(length), self.presence)
         return state.with_path(replace(path, spread=self.spread_m))
 
     def statement(self) -> str:
-        """Return its range and how often it answers."""
+        """Return a sentence with the range and the probability of an echo."""
         v = self.values
-        often = f"it answers {_percent(v['presence'])} of pings, and is read where nothing nearer was heard"
-        return f"{self.summary} of {v['range_m']:.2f} m: {often}."
+        share = f"it gives an echo in {_percent(v['presence'])} of pings, read where no nearer echo is detected"
+        return f"{self.summary} of {v['range_m']:.2f} m: {share}."
 
 
 class Multipath(Effect):
-    """Sound comes back over the floor: half the way is (sqrt(d^2 + 4 h^2) + d) / 2, one leg at atan(2 h / d)."""
+    """A path over the floor: half its length is (sqrt(d^2 + 4 h^2) + d) / 2, with one leg at atan(2 h / d)."""
 
     name = "multipath"
     stage = Stage.PATHS
-    strikes = True
-    summary = "Echoes that bounced off the floor are read when the direct one is missed"
+    localised = True
+    summary = "Echoes reflected by the floor are read when the direct echo is missed"
     parameters = (
         presence(0.9),
         Parameter("height_m", "m", 0.3, 0.02, 3.0, "of the axis over the floor; 1.5 m in Esmi (2016)", (0.2, 0.5, 1.5)),
-        Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "of the bounce against a wall; ours", (5.0,)),
+        Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "of the floor reflection re a wall; chosen here", (5.0,)),
     )
     presence: Tensor
     height_m: Tensor
     loss_db: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the way over the floor; its bearing gives the mean of both legs' losses."""
+        """Add the path over the floor, at a bearing with the mean loss of both legs."""
         c = state.conditions
         slant = torch.sqrt(c.distance**2 + 4.0 * self.height_m**2)
         length = 0.5 * (slant + c.distance)
@@ -232,34 +232,34 @@ class Multipath(Effect):
         )
 
     def statement(self) -> str:
-        """Return the height that fits."""
+        """Return a sentence with the height and the error at 1 m."""
         late = 0.5 * (math.hypot(1.0, 2 * self.values["height_m"]) - 1.0)
-        bounce = f"Echoes that bounced off something {self.values['height_m']:.2f} m beside the axis, such as the floor"
-        return f"{bounce}, are read when the direct one is missed, {1000 * late:.0f} mm long at 1 m."
+        echoes = f"Echoes reflected by the floor or another surface {self.values['height_m']:.2f} m beside the axis"
+        return f"{echoes} are read when the direct echo is missed, {1000 * late:.0f} mm too long at 1 m."
 
 
 class RepeatedBounce(Effect):
-    """The echo bounces off the sensor and goes out again: a second echo at twice the distance."""
+    """The echo is reflected by the sensor and travels to the target again: a second echo at twice the distance."""
 
     name = "repeated_bounce"
     stage = Stage.PATHS
-    strikes = True
-    summary = "The echo goes to and fro twice and is read at twice the distance when the first is missed"
+    localised = True
+    summary = "A second round trip of the echo is read at twice the distance when the first echo is missed"
     parameters = (
         presence(0.9),
-        Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "p0 / (4 d) R_face: 6 dB and the sensor's face; ours", (6.0,)),
+        Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "p0 / (4 d) R_face: 6 dB and face; chosen here", (6.0,)),
     )
     presence: Tensor
     loss_db: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the doubled way."""
+        """Add the doubled path."""
         c = state.conditions
         level_db = wall_level_db(2.0 * c.distance) - self.loss_db
         return state.with_path(new_path("twice", 2.0 * c.distance, level_db, self.presence, c.angle))
 
     def statement(self) -> str:
-        """Return its loss."""
+        """Return a sentence with the loss and the probability."""
         v = self.values
         return f"{self.summary}, {v['loss_db']:.0f} dB below a wall there, in {_percent(v['presence'])} of pings."
 

@@ -1,4 +1,4 @@
-"""Answered pings in the order of their cells: what every likelihood and every look at readings is given."""
+"""Answered pings sorted by visit, the input of every likelihood and every residual check."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from noise.effects import Conditions
 from noise.effects.base import reach
 from noise.fitting.visits import last_echo, visits_of
 
-MEMORY = 12  # readings of a condition that an look_back looks back on; ours: past that a condition tells nothing new
-STANDS_M = 0.01  # by which the logged distance of a target that stands may change; ours
+MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
+MAX_STATIONARY_M = 0.01  # change of the logged distance of a stationary target; chosen here
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Answered pings in the order of their cells, time running inside each.
+    """Answered pings sorted by visit and, within a visit, by time.
 
     Attributes:
-        ping: conditions, (n,).
-        past: the reading before each ping in its run, whatever its condition, (n,).
-        reading: (n,).
-        visit: the uninterrupted stay in one condition that a ping belongs to, ascending, (n,).
-        condition: the condition of each ping, for splits, (n,).
+        ping: pings, (n,).
+        past: reading before each ping in its run, under any condition, (n,).
+        reading: readings, (n,).
+        visit: index of the visit of each ping, ascending, (n,).
+        condition: index of the condition of each ping, for splits, (n,).
         resolution: step of the register, m.
-        last: latest echo before each ping in its run, and how far off its target stood, m, nan where there was none,
-            (n, 2).
+        last: range and true distance of the last echo before each ping in its run, m, nan where none, (n, 2).
         timed: whether the time of each ping was logged.
-        simulated_offset: offset of the simulation's readings under the same condition, m, nan where it was not asked, (n,).
+        simulated_offset: mean error of the simulation under the same condition, m, nan where unknown, (n,).
     """
 
     ping: Ping
@@ -48,14 +47,14 @@ class Batch:
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
-        """Sort a recording into cells; rows without an answer are left out (they are faults, not readings).
+        """Sort a recording by visit; pings without an answer are faults, not readings, and are omitted.
 
         Raises:
-            RecordingError: nothing was answered.
+            RecordingError: no ping was answered.
         """
         answered = recording.reading.answered
         if not answered.any():
-            raise RecordingError(f"{recording.name}: no ping was answered, so there is nothing to compare: check wires")
+            raise RecordingError(f"{recording.name}: no ping was answered, so there are no readings; check the wires")
         condition, visit = visits_of(recording)
         order = np.lexsort((np.arange(len(recording)), visit))
         order = order[answered[order]]
@@ -70,7 +69,7 @@ class Batch:
         return len(self.reading)
 
     def select(self, mask: NDArray[np.bool_]) -> Batch:
-        """Return the pings at a mask; whole n_visits or their beginnings, so that the past visit_rows right."""
+        """Return the pings at a mask of whole visits or of their beginnings, so that `past` remains valid."""
         visit = np.unique(self.visit[mask], return_inverse=True)[1]
         return replace(
             self,
@@ -84,27 +83,27 @@ class Batch:
         )
 
     def thin(self, n: int) -> Batch:
-        """Return at most about n pings: the first few of every visit, and if need be every k-th visit."""
+        """Return about n pings at most: the first pings of every visit or, if necessary, of every k-th visit."""
         if len(self) <= n:
             return self
         stride = -(-2 * self.n_visits // n)
-        # the first pings of a condition carry most of what it can tell, so n_visits are shortened before any is left out
-        most = max(2, n * stride // self.n_visits)
-        return self.select((self.visit % stride == 0) & (self.count < most))
+        # the first pings of a visit carry most of its information, so visits are shortened before any is omitted
+        n_each = max(2, n * stride // self.n_visits)
+        return self.select((self.visit % stride == 0) & (self.count < n_each))
 
     @cached_property
     def n_visits(self) -> int:
-        """Number of n_visits."""
+        """Number of visits."""
         return int(self.visit[-1]) + 1
 
     @cached_property
     def first(self) -> NDArray[np.int64]:
-        """Row at which each ping's visit begins, (n,)."""
+        """First row of the visit of each ping, (n,)."""
         return np.searchsorted(self.visit, self.visit)
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
-        """Row at which each visit begins, (n_visits,)."""
+        """First row of each visit, (n_visits,)."""
         return np.unique(self.first)
 
     @property
@@ -114,100 +113,99 @@ class Batch:
 
     @property
     def stationary_rows(self) -> list[NDArray[np.int64]]:
-        """Rows of each visit in which the target stood."""
-        return [rows for rows, stood in zip(self.visit_rows, self.stationary, strict=True) if stood]
+        """Rows of each visit with a stationary target."""
+        return [rows for rows, stationary in zip(self.visit_rows, self.stationary, strict=True) if stationary]
 
     @cached_property
     def stationary(self) -> NDArray[np.bool_]:
-        """Whether the target stood through each visit, rather than moved or was passed by, (n_visits,)."""
+        """Whether the target was stationary in each visit, (n_visits,)."""
         distance = self.ping.distance
-        way = np.maximum.reduceat(distance, self.starts) - np.minimum.reduceat(distance, self.starts)
-        return way <= STANDS_M
+        travel = np.maximum.reduceat(distance, self.starts) - np.minimum.reduceat(distance, self.starts)
+        return travel <= MAX_STATIONARY_M
 
     @cached_property
     def count(self) -> NDArray[np.int64]:
-        """Number of pings before each in its visit, (n,)."""
+        """Number of earlier pings in the visit, (n,)."""
         return np.arange(len(self)) - self.first
 
     @cached_property
     def conditions(self) -> Conditions:
-        """Conditions and past as tensors."""
+        """Conditions and previous readings as tensors."""
         return Conditions.of(self.ping, self.past)
 
     @cached_property
     def simulated_offset_tensors(self) -> tuple[Tensor, Tensor]:
-        """Offset of the simulation in each ping's condition, m, 0 where unknown, and whether it is known (0 or 1), (n,)."""
-        simulated_offset = np.full(len(self), np.nan) if self.simulated_offset is None else self.simulated_offset
-        return torch.as_tensor(np.nan_to_num(simulated_offset)), torch.as_tensor(
-            (~np.isnan(simulated_offset)).astype(np.float64)
-        )
+        """`simulated_offset`, m, 0 where unknown, and whether it is known (0 or 1), (n,) each."""
+        offset = np.full(len(self), np.nan) if self.simulated_offset is None else self.simulated_offset
+        return torch.as_tensor(np.nan_to_num(offset)), torch.as_tensor((~np.isnan(offset)).astype(np.float64))
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
-        """Reading minus true distance, m, (n,); 0 where there was no echo."""
+        """Reading minus true distance, m, (n,); 0 without an echo."""
         return np.where(self.reading.echo, self.reading.range - self.ping.distance, 0.0)
 
     @cached_property
     def look_back(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Look-back over the visit, of `MEMORY` readings at most.
+        """Comparison of each reading with at most `MAX_LAG` earlier readings of its visit.
 
-        How far echoes lie from earlier ones, each distance once, m, (k,), and how many earlier ones lie so far from
-        each ping's, sparse (n, k); before silent pings, the number of silent ones, (n,); number of earlier ones, (n,).
+        The unique absolute differences between echoes, m, (k,); the number of earlier echoes at each difference,
+        sparse (n, k); for pings without an echo, the number of earlier pings without an echo, (n,); the number of
+        earlier pings, (n,).
         """
-        lag = np.arange(1, MEMORY + 1)[:, None]
+        lag = np.arange(1, MAX_LAG + 1)[:, None]
         valid = lag <= self.count
         row = np.maximum(np.arange(len(self)) - lag, 0)
         echo = self.reading.echo
         both = valid & echo & echo[row]
         silent = valid & ~echo & ~echo[row]
-        apart = np.abs(self.error - self.error[row])[both]
-        # a register has few steps within reach: distances come again and again, but for rounding
-        once, which = np.unique(np.round(apart, 9), return_inverse=True)
+        difference = np.abs(self.error - self.error[row])[both]
+        # readings lie on the steps of the register, so that differences repeat up to rounding
+        unique, which = np.unique(np.round(difference, 9), return_inverse=True)
         at, tensor = np.stack([np.nonzero(both)[1], which]), torch.as_tensor
-        ones, shape = np.ones(at.shape[1]), (len(self), len(once))
-        often = torch.sparse_coo_tensor(tensor(at), tensor(ones), shape, check_invariants=True)
+        ones, shape = np.ones(at.shape[1]), (len(self), len(unique))
+        n_at_difference = torch.sparse_coo_tensor(tensor(at), tensor(ones), shape, check_invariants=True)
         return (
-            tensor(once),
-            often.coalesce(),
+            tensor(unique),
+            n_at_difference.coalesce(),
             tensor(silent.sum(axis=0).astype(np.float64)),
             tensor(valid.sum(axis=0).astype(np.float64)),
         )
 
     @cached_property
     def echo_counts(self) -> tuple[Tensor, Tensor]:
-        """Number of pings before each in its visit, and of those with an echo, (n,) each."""
+        """Number of earlier pings in the visit, and of earlier echoes, (n,) each."""
         echo = torch.from_numpy(self.reading.echo.astype(np.float64))
         return torch.from_numpy(self.count.astype(np.float64)), self.before(echo)
 
     @property
     def reach(self) -> NDArray[np.float64]:
-        """How far from where it is expected an echo may lie and be the target's, m, (n,)."""
+        """Largest error of an echo that is attributed to the target, m, (n,)."""
         return reach(self.ping.distance)
 
     def is_target(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell which echoes are the target's, by how far they lie from where it is expected, m, (n,)."""
+        """Return which echoes are attributed to the target, given their errors, m, (n,)."""
         return self.reading.echo & (np.abs(error) < self.reach)
 
     def is_outlier(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell which echoes are not the target's, by how far they lie from where it is expected, m, (n,)."""
+        """Return which echoes are not attributed to the target, given their errors, m, (n,)."""
         return self.reading.echo & ~self.is_target(error)
 
     def visit_sums(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return sums of a (n,) or (n, k) array over the n_visits, (n_visits,) or (n_visits, k)."""
+        """Return the sum of an (n,) or (n, k) array over each visit, (n_visits,) or (n_visits, k)."""
         return np.add.reduceat(value, self.starts, axis=0)
 
     @cached_property
     def repeats(self) -> NDArray[np.bool_]:
-        """Whether each echo is repeats to the digit with the reading before it in its run, (n,)."""
+        """Whether each echo equals the reading before it in its run, (n,)."""
         same = np.abs(self.reading.range - self.past.range) < 0.5 * self.resolution
         return same & self.reading.echo & self.past.echo
 
     def before(self, value: Tensor) -> Tensor:
-        """Return sums over the pings before each in its visit, (..., n)."""
+        """Return sums over the earlier pings of the visit, (..., n)."""
         total = torch.cumsum(value, dim=-1) - value
         return total - total[..., torch.from_numpy(self.first)]
 
 
-def silence(batch: Batch) -> float:
-    """Return the share of answered pings without an echo."""
+def share_without_echo(batch: Batch) -> float:
+    """Return the share of pings without an echo."""
     return float(np.mean(~batch.reading.echo))

@@ -1,4 +1,4 @@
-"""A physical law plus a flexible part that has no cause: what stands in for a simulator known by its readings alone."""
+"""Physical law with a smooth correction without a cause: the emulator of a simulator known only by its readings."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from noise.effects import CATALOGUE, Atom, Effect, Parameter, Stage, State
 from noise.effects.base import number
 from noise.physical import PhysicalModel
 
-DISTANCE_KNOTS = (0.1, 0.3, 0.7, 1.2, 2.0, 3.0, 4.5, 6.0)  # m; ours: denser where sonars change fastest
+DISTANCE_KNOTS = (0.1, 0.3, 0.7, 1.2, 2.0, 3.0, 4.5, 6.0)  # m, chosen here: denser where sonars change fastest
 ANGLE_KNOTS = (0.0, 0.1, 0.25, 0.45, 0.8)  # rad
-TILT_KNOTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)  # rad; ours: a cone of rays of +-30 deg is off by 6 mm at 3 m
-OURS = "smooth correction: ours"
+TILT_KNOTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)  # rad, chosen here: a ray cone of +-30 deg errs by 6 mm at 3 m
+SOURCE = "smooth correction: chosen here"
 
 
 def _knots(kind: str, unit: str, null: float, low: float, high: float) -> tuple[Parameter, ...]:
-    near = [Parameter(f"{kind}_d{k}", unit, null, low, high, OURS) for k in range(len(DISTANCE_KNOTS))]
+    near = [Parameter(f"{kind}_d{k}", unit, null, low, high, SOURCE) for k in range(len(DISTANCE_KNOTS))]
     return (*near, *_angles(kind, ANGLE_KNOTS, unit, null, low, high))
 
 
 def _angles(
     kind: str, knots: tuple[float, ...], unit: str, null: float, low: float, high: float
 ) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{kind}_a{k}", unit, null, low, high, OURS) for k in range(1, len(knots)))
+    return tuple(Parameter(f"{kind}_a{k}", unit, null, low, high, SOURCE) for k in range(1, len(knots)))
 
 
 def interpolate(x: Tensor, knots: tuple[float, ...], values: list[Tensor]) -> Tensor:
-    """Return the broken line through (knots, values) at x, constant beyond its ends, (n,)."""
+    """Return the linear interpolation of (knots, values) at x, constant beyond the ends, (n,)."""
     place, height = number(list(knots)), torch.stack(values)
     x = torch.clamp(x, knots[0], knots[-1])
     left = torch.clamp(torch.searchsorted(place, x.contiguous(), right=True) - 1, 0, len(knots) - 2)
@@ -40,10 +40,10 @@ def interpolate(x: Tensor, knots: tuple[float, ...], values: list[Tensor]) -> Te
 
 
 class Flexible(Effect):
-    """Smooth corrections over distance and angle of bias, spread and silence: a description, never a cause.
+    """Smooth corrections of bias, spread and P(no echo) over distance and angle: a description, never a cause.
 
-    `tilt` is a share of distance. It runs straight in 1 - cos(incidence), as the nearest point of a tilted wall does,
-    which the cones of rays of robot simulators read.
+    `tilt` is a share of the distance, piecewise linear in 1 - cos(incidence), like the nearest point of a tilted wall,
+    which robot simulators find with a cone of rays.
     """
 
     name = "flexible"
@@ -72,7 +72,7 @@ class Flexible(Effect):
         return self._line("bias", state) + state.conditions.distance * tilt
 
     def apply(self, state: State) -> State:
-        """Move, widen and silence the direct path; what it is moved by stretches with it, as all does in cold air."""
+        """Shift, widen and attenuate the direct path; the shift scales with the speed of sound."""
         path = state.direct
         stretched = path.length / torch.clamp(state.conditions.distance, min=1e-3)
         spread = torch.sqrt(path.spread**2 + self._line("spread", state) ** 2 + 1e-18) - 1e-9
@@ -82,7 +82,7 @@ class Flexible(Effect):
 
 
 class EmpiricalModel(PhysicalModel):
-    """A `PhysicalModel` that may also hold a `Flexible` part; saved and loaded as kind "empirical"."""
+    """A `PhysicalModel` with an optional `Flexible` part, saved as kind "empirical"."""
 
     def to_dict(self) -> dict[str, object]:
         """Return the model as plain data."""
@@ -90,14 +90,14 @@ class EmpiricalModel(PhysicalModel):
 
     @classmethod
     def from_dict(cls, data: dict[str, object]) -> EmpiricalModel:
-        """Build a model from `to_dict`.
+        """Return the model that `to_dict` describes.
 
         Raises:
-            ModelError: an effect is unknown, or a value is not usable.
+            ModelError: an effect is unknown or a value is invalid.
         """
         effects = data.get("effects", {})
         known: dict[str, type[Effect]] = {**CATALOGUE, Flexible.name: Flexible}
         if not isinstance(effects, dict) or any(name not in known for name in effects):
-            raise ModelError(f"model: `effects` must map known effect ids to parameters: {', '.join(known)}")
+            raise ModelError(f"model: `effects` must map effect ids to parameters; known ids: {', '.join(known)}")
         stack = [known[name](**values) for name, values in effects.items()]
         return cls(stack, float(str(data["resolution"])), float(str(data["max_range"])))

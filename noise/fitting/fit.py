@@ -1,7 +1,7 @@
-"""Maximum likelihood of the parameters of a stack of effects, with what cells share as a nuisance.
+"""Maximum-likelihood estimates of the parameters of a stack of effects, with visit effects as nuisance parameters.
 
-`maximise` frees some parameters of a `Stack` and climbs the prequential likelihood of `noise.fitting.visit_effects` by L-BFGS-B in
-coordinates scaled by the curvature, from the starting points it is given (`noise.fitting.starts` makes them).
+`maximise` maximises the prequential likelihood of `noise.fitting.visit_effects` over free parameters of a `Stack` by
+L-BFGS-B, in coordinates scaled by the curvature; `noise.fitting.starts` provides starting points.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from torch import Tensor
 
 from acquisition import Recording
 from noise.fitting.batch import Batch
-from noise.fitting.stack import CELLS, JITTER, LINK, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import nuisance_start
 from noise.fitting.visit_effects import law_of, log_prob
 from noise.law import Floats
 from noise.physical import PhysicalModel
 
-TOLERANCE = 1e-7  # of the log likelihood, relative, where rounding ends: about 0.002 nats in 20,000
-STEP_SHARE = 0.02  # of what a climb must gain: a step that gains less ends it
-ROUGHEST = 0.05  # nats; no climb ends at a step that gains more
-ENOUGH = 0.05  # nats that a restart must gain for another to follow
+# all values chosen here
+TOLERANCE = 1e-7  # relative, of the log-likelihood, above rounding: about 0.002 nats in 20,000
+STEP_SHARE = 0.02  # a local fit ends at a step that gains less than this share of `min_gain`
+MAX_LAST_STEP = 0.05  # nats; no local fit ends at a step that gains more
+MIN_RESTART_GAIN = 0.05  # nats that a local fit must gain for another to follow
 RESTARTS = 4
-HASTY = 2  # iterations, in which a climb that slopes promise more has met an edge and no summit; ours
-PROMISED = 1.0  # nats; ours
-SLIGHT = 0.03  # of a scale: a step by which no slope changes; ours
-RANKING = 1.0  # nats; a climb that need not gain more only ranks, and goes on with the scale that it met; ours
-CHANGE = (1e-4, 1e4)  # of curvature in one climb that is believed; ours
-REPEATED = (1.0, 0.3, 0.1, 0.03)  # of the share of what is new in a cell: the share of all its pings; ours
-MUCH_SHARED = 0.2  # weight of an earlier reading against the law, beyond which cells repeat themselves; ours
-PRIOR_SHARE = 0.125  # standard deviation of what has no cause, as a share of its bounds; ours
+STALLED_ITERATIONS = 2  # a local fit with so few iterations may have stopped at a discontinuity instead of an optimum
+MIN_PREDICTED_GAIN = 1.0  # nats that a Newton step must predict for a discontinuity to be considered
+PROBE_STEP = 0.03  # of a parameter's scale: a step over which the gradient is constant
+COARSE_GAIN = 1.0  # nats; with a larger `min_gain`, fits only rank candidates and the scale is not measured again
+CURVATURE_CHANGE = (1e-4, 1e4)  # limits of the change of curvature during one local fit
+PROBABILITY_FACTORS = (1.0, 0.3, 0.1, 0.03)  # from a share of the new readings of a visit to a share of all pings
+MIN_URN_WEIGHT = 0.2  # above this, the readings of a visit repeat each other
+PRIOR_SHARE = 0.125  # prior standard deviation of corrections without a cause, as a share of their bounds
 
 Scales = dict[Key, float]
 
@@ -43,8 +44,8 @@ Scales = dict[Key, float]
 def log_likelihood(stack: Stack, batch: Batch) -> Floats:
     """Return the prequential log probability of each reading, nats, (n,)."""
     with torch.no_grad():
-        model, cells = stack.build()
-        return log_prob(law_of(model, batch), cells, batch).numpy()
+        model, visits = stack.build()
+        return log_prob(law_of(model, batch), visits, batch).numpy()
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,9 @@ class Fit:
     """A maximum of the likelihood.
 
     Attributes:
-        stack: with the best values.
-        free: what was free.
-        nats: log likelihood there.
+        stack: parameters at the maximum.
+        free: free parameters.
+        nats: log-likelihood at the maximum.
     """
 
     stack: Stack
@@ -62,32 +63,32 @@ class Fit:
     nats: float
 
 
-class _Objective:
-    """Minus the log likelihood and its gradient in the free parameters."""
+class Objective:
+    """Negative log-likelihood and its gradient with respect to the free parameters."""
 
     def __init__(self, stack: Stack, free: Sequence[Key], batch: Batch) -> None:
         self.stack, self.free, self.batch = stack, tuple(free), batch
         self._last: tuple[bytes, tuple[float, Floats]] | None = None
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Return value and gradient at physical parameter values x, (p,); the last point asked is remembered."""
-        asked = x.tobytes()
-        if self._last is None or self._last[0] != asked:
-            self._last = asked, self._at(x)
+        """Return value and gradient at parameter values x, (p,); the last result is cached."""
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._evaluate(x)
         return self._last[1]
 
-    def _at(self, x: Floats) -> tuple[float, Floats]:
+    def _evaluate(self, x: Floats) -> tuple[float, Floats]:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
-        model, cells = self.stack.build(self.free, numbers)
-        total = -log_prob(law_of(model, self.batch), cells, self.batch).sum() + self._prior(numbers)
-        if not total.requires_grad:  # a stepwise effect alone, such as rounding, has no slope anywhere
+        model, visits = self.stack.build(self.free, numbers)
+        total = -log_prob(law_of(model, self.batch), visits, self.batch).sum() + self._prior(numbers)
+        if not total.requires_grad:  # a stack of stepwise effects, such as rounding, has no gradient
             return float(total), np.zeros(len(x))
         (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
         gradient = torch.zeros_like(numbers) if gradient is None else gradient
         return float(total.detach()), np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0)
 
     def _prior(self, numbers: Tensor) -> Tensor:
-        """Return minus the log prior: normal around the null for what has no cause, flat for everything else."""
+        """Return the negative log prior: normal around the null value for corrections without a cause, else flat."""
         total = numbers.new_zeros(())
         for number, key in zip(numbers, self.free, strict=True):
             if key[0] in self.stack.extra:
@@ -96,48 +97,48 @@ class _Objective:
         return total
 
     def is_flat(self, x: Floats) -> bool:
-        """Tell whether no parameter has a slope to climb that leads inside its bounds."""
+        """Return whether no parameter has a descent direction within its bounds."""
         low, high = self.bounds()
         down = -self(x)[1]
         return not np.any(((down > 0) & (x < high)) | ((down < 0) & (x > low)))
 
-    def promise(self, x: Floats, scale: Floats) -> float:
-        """Return what a Newton step in each parameter by itself would gain, as far as its bounds let it, nats."""
+    def predicted_gain(self, x: Floats, scale: Floats) -> float:
+        """Return the gain of a Newton step in each parameter separately, within its bounds, nats."""
         low, high = self.bounds()
         slope = self(x)[1]
         step = np.clip(x - slope * scale**2, low, high) - x
         return float(np.sum(-slope * step - 0.5 * (step / scale) ** 2))
 
-    def at_an_edge(self, x: Floats, scale: Floats) -> NDArray[np.bool_]:
-        """Tell which parameters lose by a slight step that their slopes call a gain, (p,).
+    def at_discontinuity(self, x: Floats, scale: Floats) -> NDArray[np.bool_]:
+        """Return for which parameters a small step along the gradient makes the likelihood worse, (p,).
 
-        The span of a uniform law ends at the farthest reading that it explains: no slope leads across.
+        Example: the span of a uniform law that ends at the farthest reading it explains.
         """
         low, high = self.bounds()
         best, slope = self(x)
         out = np.zeros(len(x), dtype=bool)
         for j in np.flatnonzero(slope):
             moved = x.copy()
-            moved[j] = np.clip(x[j] - np.sign(slope[j]) * SLIGHT * scale[j], low[j], high[j])
+            moved[j] = np.clip(x[j] - np.sign(slope[j]) * PROBE_STEP * scale[j], low[j], high[j])
             out[j] = self(moved)[0] > best
         return out
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Return least and greatest values, null included, (p,) each."""
+        """Return lower and upper bounds, null value included, (p,) each."""
         known = [self.stack.parameter(key) for key in self.free]
         low = np.array([min(p.low, p.null) for p in known])
         return low, np.array([max(p.high, p.null) for p in known])
 
     def visit_nats(self, x: Floats) -> Floats:
-        """Return the log likelihood of each block at x, nats."""
+        """Return the log-likelihood of each visit at x, nats."""
         return self.batch.visit_sums(log_likelihood(self.stack.put(self.free, x), self.batch))
 
     def scale(self, x: Floats, known: Scales | None = None) -> Floats:
         """Return the step in each parameter that costs about half a nat, from finite differences of the gradient.
 
         Args:
-            x: where.
-            known: scales of parameters that need not be measured again.
+            x: parameter values, (p,).
+            known: scales of parameters that are known already.
         """
         low, high = self.bounds()
         width = high - low
@@ -151,7 +152,7 @@ class _Objective:
             gradient = self(moved)[1][j]
             curvature = max(abs(gradient - base[j]) / abs(step), 0.1 * abs(base[j]) / width[j])
             out[j] = 1.0 / np.sqrt(max(curvature, 1e-300))
-        return _between(out, width)
+        return _limit(out, width)
 
 
 def maximise(
@@ -159,54 +160,54 @@ def maximise(
     free: Sequence[Key],
     batch: Batch,
     iterations: int = 60,
-    enough: float = ENOUGH,
+    min_gain: float = MIN_RESTART_GAIN,
     scales: Scales | None = None,
 ) -> Fit:
-    """Climb from where the stack is; never returns less than it started from.
+    """Return the local maximum reached from a stack, which is never worse than the start.
 
     Args:
-        stack: start, and the values of what is not free.
-        free: parameters to move.
+        stack: starting point, and the values of the fixed parameters.
+        free: free parameters.
         batch: readings.
-        iterations: of L-BFGS-B, shared by its restarts.
-        enough: nats that a climb must gain for another to follow it.
-        scales: of nuisances, as an earlier fit to the same readings measured them; what is measured here is added.
+        iterations: limit of L-BFGS-B iterations over all local fits.
+        min_gain: nats that a local fit must gain for another to follow.
+        scales: scales of nuisance parameters from an earlier fit to the same readings; updated in place.
     """
-    free = [key for key in free if key != LINK or batch.simulated_offset is not None]
-    objective = _Objective(stack, free, batch)
+    free = [key for key in free if key != SIMULATION_CORRELATION or batch.simulated_offset is not None]
+    objective = Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
     best = objective(x)[0]
     left = iterations
     scale: Floats | None = None
-    held = np.zeros(len(x), dtype=bool)
-    # curvatures change by orders of magnitude on the way up, so the scale is measured again after every climb
+    fixed = np.zeros(len(x), dtype=bool)
+    # curvatures change by orders of magnitude during a fit, so the scale is measured again after every local fit
     for attempt in range(RESTARTS):
         if objective.is_flat(x):
             break
-        if scale is None or enough < RANKING:
+        if scale is None or min_gain < COARSE_GAIN:
             scale = objective.scale(x, scales if attempt == 0 else None)
         if scales is not None:
             scales.update({key: value for key, value in zip(free, scale, strict=True) if key in NUISANCES})
-        end = _climb(objective, x, scale, max(left, 1), min(STEP_SHARE * enough, ROUGHEST), held)
+        end = _local_fit(objective, x, scale, max(left, 1), min(STEP_SHARE * min_gain, MAX_LAST_STEP), fixed)
         gain, left = best - end.value, left - end.iterations
         if gain > 0:
             x, best = end.x, end.value
         if left <= 0:
             break
-        if gain < enough:
-            hasty = not held.any() and end.iterations <= HASTY
-            if not hasty or objective.promise(x, scale) < max(PROMISED, enough):
+        if gain < min_gain:
+            stalled = not fixed.any() and end.iterations <= STALLED_ITERATIONS
+            if not stalled or objective.predicted_gain(x, scale) < max(MIN_PREDICTED_GAIN, min_gain):
                 break
-            held = objective.at_an_edge(x, scale)
-            if held.all() or not held.any():
+            fixed = objective.at_discontinuity(x, scale)
+            if fixed.all() or not fixed.any():
                 break
         scale = end.scale
     return Fit(stack.put(free, x), tuple(free), -best)
 
 
 @dataclass(frozen=True)
-class _End:
-    """Where a climb ended: minus the log likelihood there, iterations, and the scales as the climb met them."""
+class _Optimum:
+    """Result of a local fit: parameters, negative log-likelihood, iterations, and scales at the end."""
 
     x: Floats
     value: float
@@ -214,14 +215,14 @@ class _End:
     scale: Floats
 
 
-def _climb(
-    objective: _Objective, x0: Floats, scale: Floats, iterations: int, least: float, held: NDArray[np.bool_]
-) -> _End:
-    """Climb; a step of `least` nats ends it, and what is held stays where it is."""
+def _local_fit(
+    objective: Objective, x0: Floats, scale: Floats, iterations: int, min_step: float, fixed: NDArray[np.bool_]
+) -> _Optimum:
+    """Minimise the objective from x0 until a step gains less than `min_step` nats."""
     start = objective(x0)[0]
     low, high = objective.bounds()
     width = high - low
-    low, high = np.where(held, x0, low), np.where(held, x0, high)
+    low, high = np.where(fixed, x0, low), np.where(fixed, x0, high)
 
     def scaled(y: Floats) -> tuple[float, Floats]:
         value, gradient = objective(np.clip(x0 + y * scale, low, high))
@@ -235,74 +236,75 @@ def _climb(
         bounds=list(zip((low - x0) / scale, (high - x0) / scale, strict=True)),
         options={
             "maxiter": iterations,
-            "ftol": max(TOLERANCE, least / max(abs(start), 1.0)),
+            "ftol": max(TOLERANCE, min_step / max(abs(start), 1.0)),
             "gtol": 1e-2,
             "maxcor": 12,
         },
     )
     x = np.clip(x0 + result.x * scale, low, high)
-    change = np.sqrt(np.clip(np.diag(result.hess_inv @ np.eye(len(x))), *CHANGE))
-    return _End(x, float(result.fun), int(result.nit), _between(scale * change, width))
+    change = np.sqrt(np.clip(np.diag(result.hess_inv @ np.eye(len(x))), *CURVATURE_CHANGE))
+    return _Optimum(x, float(result.fun), int(result.nit), _limit(scale * change, width))
 
 
-def _between(scale: Floats, width: Floats) -> Floats:
-    """Return steps that are neither lost in rounding nor wider than a quarter of the bounds."""
+def _limit(scale: Floats, width: Floats) -> Floats:
+    """Return scales limited to between the rounding error and a quarter of the bounds."""
     return np.clip(scale, 1e-6 * width, 0.25 * width)
 
 
-def each_counted(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
-    """Return a fit in which every reading counts, where cells repeat themselves; the given one where they do not.
+def refit_without_urn(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
+    """Return a fit without the urn where readings of a visit repeat each other; else the given fit.
 
-    The urn answers for what a cell repeats and leaves to the law what is new, which strays are more often: their share
-    would come out too high. Here the urn is off, and errors must be taken over blocks (`covariance` does). What moves
-    whole cells is left as it is: with the urn off, a few cells that stand apart would drag it along.
+    The urn explains repeated readings and leaves the new ones to the law. Outliers are more frequent among the new
+    readings, so their probability is overestimated; without the urn every reading counts once, and standard errors must
+    be computed over visits (`covariance` does). Effects on whole visits are not refitted: without the urn, a few
+    deviating visits would dominate them.
 
     Args:
-        joint: a fit with the urn.
-        keys: parameters of effects; those that strike single pings are moved, and the spread.
-        batch: it was fitted to.
+        joint: fit with the urn.
+        keys: parameters of effects; those of effects on single pings are refitted together with the spread.
+        batch: readings of the fit.
     """
     keys = [key for key in keys if joint.stack.known[key[0]].by_ping]
-    if not keys or joint.stack.get((CELLS, "sharing")) < MUCH_SHARED:
+    if not keys or joint.stack.get((VISITS, "urn_weight")) < MIN_URN_WEIGHT:
         return joint
-    alone = joint.stack.put([(CELLS, "sharing"), (CELLS, "carry")], [0.0, 0.0])
-    spread = 0.7 * max(joint.stack.get((JITTER, "sigma_m")), joint.stack.get((CELLS, "placement_m")))
-    # from no scatter of cells at all no climb leads away: its slope is zero there
-    loose = alone.put([(JITTER, "sigma_m"), (CELLS, "placement_m")], [spread, spread])
-    # with a spread that does not fit, the first step of a climb may throw a share to zero, from where none leads back
-    fitting = [maximise(stack, SPREAD, batch, 40).stack for stack in (alone, loose)]
-    best = best_of([_rarer(stack, keys, batch) for stack in fitting], (*keys, *SPREAD), batch, 80)
-    if not _lost(best.stack, keys):
+    no_urn = joint.stack.put([(VISITS, "urn_weight"), (VISITS, "ping_correlation")], [0.0, 0.0])
+    spread = 0.7 * max(joint.stack.get((JITTER, "sigma_m")), joint.stack.get((VISITS, "placement_m")))
+    # a second start: the gradient vanishes where visits do not scatter
+    wide = no_urn.put([(JITTER, "sigma_m"), (VISITS, "placement_m")], [spread, spread])
+    # the spread is fitted first: otherwise the first step may set a probability to zero, where the gradient vanishes
+    starts = [maximise(stack, SPREAD, batch, 40).stack for stack in (no_urn, wide)]
+    best = best_of([_likeliest_probability(stack, keys, batch) for stack in starts], (*keys, *SPREAD), batch, 80)
+    if not _vanished(best.stack, keys):
         return best
-    # a few strays are explained by cells that scatter more as well: then the scatter is left as the urn has it
-    held = maximise(_rarer(alone, keys, batch), keys, batch, 40)
-    return joint if _lost(held.stack, keys) else held
+    # a wider spread explains a few outliers as well: the spread of the joint fit is retained
+    same_spread = maximise(_likeliest_probability(no_urn, keys, batch), keys, batch, 40)
+    return joint if _vanished(same_spread.stack, keys) else same_spread
 
 
-def _rarer(stack: Stack, keys: Sequence[Key], batch: Batch) -> Stack:
-    """Return a stack whose effects strike as often as is likeliest of some shares: the urn's are of what is new."""
-    shares = _shares(stack, keys)
-    tries = [stack.put(shares, [part * stack.get(key) for key in shares]) for part in REPEATED]
-    return max(tries, key=lambda each: float(log_likelihood(each, batch).sum()))
+def _likeliest_probability(stack: Stack, keys: Sequence[Key], batch: Batch) -> Stack:
+    """Return the stack with the probabilities of its effects multiplied by the likeliest of `PROBABILITY_FACTORS`."""
+    probabilities = _probabilities(stack, keys)
+    scaled = [stack.put(probabilities, [f * stack.get(key) for key in probabilities]) for f in PROBABILITY_FACTORS]
+    return max(scaled, key=lambda each: float(log_likelihood(each, batch).sum()))
 
 
-def _shares(stack: Stack, keys: Sequence[Key]) -> list[Key]:
-    """Return the parameters that say how often effects strike: the first of each."""
+def _probabilities(stack: Stack, keys: Sequence[Key]) -> list[Key]:
+    """Return the probability parameter of each effect, which is its first."""
     return [(name, stack.known[name].parameters[0].name) for name in dict.fromkeys(key[0] for key in keys)]
 
 
-def _lost(stack: Stack, keys: Sequence[Key]) -> bool:
-    """Tell whether an effect that had been found has come to nothing."""
-    return any(stack.get(key) == stack.parameter(key).null for key in _shares(stack, keys))
+def _vanished(stack: Stack, keys: Sequence[Key]) -> bool:
+    """Return whether the probability of an effect is at its null value."""
+    return any(stack.get(key) == stack.parameter(key).null for key in _probabilities(stack, keys))
 
 
 def best_of(stacks: Sequence[Stack], free: Sequence[Key], batch: Batch, iterations: int = 60) -> Fit:
-    """Return the best of several climbs."""
+    """Return the best of several local fits."""
     return highest(maximise(stack, free, batch, iterations) for stack in stacks)
 
 
 def highest(fits: Iterable[Fit]) -> Fit:
-    """Return the fit of the highest likelihood, the first of equals."""
+    """Return the fit with the highest likelihood, the first one if several are equal."""
     return max(fits, key=lambda fit: fit.nats)
 
 
@@ -313,22 +315,22 @@ def fit(
     nuisances: bool = True,
     iterations: int = 200,
 ) -> Fit:
-    """Fit a physical model to a recording by maximum likelihood, cells' shared offsets included.
+    """Fit a physical model and its visit effects to a recording by maximum likelihood.
 
     Args:
-        model: where to start.
-        recording: to explain.
-        free: (effect, parameter) pairs to move; all of the model's own by default.
-        nuisances: whether spread and what cells share are free as well.
-        iterations: at most.
+        model: starting point.
+        recording: readings.
+        free: free (effect, parameter) pairs; by default, all parameters of the model.
+        nuisances: whether spread and visit effects are free too.
+        iterations: limit.
 
     >>> import numpy as np
     >>> from acquisition import Ping
     >>> from noise.effects import CATALOGUE
     >>> warm = PhysicalModel([CATALOGUE["clock_scale"](error=0.01), CATALOGUE["travel_time_jitter"](sigma_m=0.004)])
     >>> ping = Ping.of(distance=np.repeat(np.linspace(0.3, 3.0, 30), 5))
-    >>> heard = Recording.of(ping, warm.law(ping).sample(np.random.default_rng(1)))
-    >>> found = fit(PhysicalModel([CATALOGUE["clock_scale"]()]), heard)
+    >>> recording = Recording.of(ping, warm.law(ping).sample(np.random.default_rng(1)))
+    >>> found = fit(PhysicalModel([CATALOGUE["clock_scale"]()]), recording)
     >>> abs(found.stack.get(("clock_scale", "error")) - 0.01) < 0.001
     True
     """
@@ -343,12 +345,12 @@ def fit(
 
 
 def covariance(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
-    """Return the covariance of the free parameters, robust to what blocks share, (p, p).
+    """Return the covariance of the free parameters, robust to dependence within visits, (p, p).
 
-    Huber's sandwich over blocks, and not below the inverse curvature. A parameter on one of its bounds is held there:
-    its rows and columns are zero. A wide normal prior (half the bounds) keeps what the data do not tell finite.
+    Huber's sandwich estimator clustered by visit, at least the inverse curvature. Rows and columns of a parameter at a
+    bound are zero. A wide normal prior (half the bounds) keeps unidentified parameters finite.
     """
-    objective = _Objective(fitted.stack, fitted.free, batch)
+    objective = Objective(fitted.stack, fitted.free, batch)
     x = np.array([fitted.stack.get(key) for key in fitted.free])
     low, high = objective.bounds()
     inside = np.flatnonzero((x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low)))
@@ -358,7 +360,7 @@ def covariance(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
     return out
 
 
-def _sandwich(objective: _Objective, x: Floats, inside: NDArray[np.int64], scale: Floats) -> NDArray[np.float64]:
+def _sandwich(objective: Objective, x: Floats, inside: NDArray[np.int64], scale: Floats) -> NDArray[np.float64]:
     """Return the robust covariance of the parameters at `inside`."""
     low, high = objective.bounds()
     curvature, score = [], []
@@ -373,8 +375,8 @@ def _sandwich(objective: _Objective, x: Floats, inside: NDArray[np.int64], scale
     matrix = (np.stack(curvature) + np.stack(curvature).T) / 2.0 + prior
     eigenvalue, vector = np.linalg.eigh(matrix)
     inverse = (vector / np.maximum(eigenvalue, 0.02)) @ vector.T
-    by_block = np.stack(score, axis=1)
-    blocks, p = by_block.shape
-    robust = inverse @ (by_block.T @ by_block) @ inverse * blocks / max(blocks - p, 1)
+    by_visit = np.stack(score, axis=1)
+    n_visits, p = by_visit.shape
+    robust = inverse @ (by_visit.T @ by_visit) @ inverse * n_visits / max(n_visits - p, 1)
     robust += np.diag(np.maximum(np.diag(inverse) - np.diag(robust), 0.0))
     return robust * np.outer(scale[inside], scale[inside])

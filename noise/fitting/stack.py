@@ -1,4 +1,4 @@
-"""A physical model and its nuisances as plain numbers, effect id -> parameter -> value: what fits move about."""
+"""A physical model and its nuisance parameters as plain numbers: effect id -> parameter -> value."""
 
 from __future__ import annotations
 
@@ -18,22 +18,28 @@ from noise.physical import PhysicalModel
 
 Values = dict[str, dict[str, float]]
 Key = tuple[str, str]
-CELLS = "cells"
+VISITS = "visits"
 JITTER = "travel_time_jitter"
-SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (CELLS, "placement_m"))
-LINK = (CELLS, "link")
-SHARED = ((CELLS, "carry"), (CELLS, "sharing"), (CELLS, "kernel_m"), (CELLS, "hearing"), LINK)
+SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (VISITS, "placement_m"))
+SIMULATION_CORRELATION = (VISITS, "simulation_correlation")
+SHARED = (
+    (VISITS, "ping_correlation"),
+    (VISITS, "urn_weight"),
+    (VISITS, "urn_width_m"),
+    (VISITS, "detection_weight"),
+    SIMULATION_CORRELATION,
+)
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 
 
 @dataclass(frozen=True)
 class Stack:
-    """A physical model and its nuisances as numbers.
+    """A physical model and its nuisance parameters as numbers.
 
     Attributes:
-        values: effect id -> parameter -> value; "cells" holds the nuisances of `VisitEffects`.
+        values: effect id -> parameter -> value; "visits" holds those of `VisitEffects`.
         resolution, max_range: of the register, m.
-        extra: effects that are known beyond the catalogue (the flexible part of an emulator), by id.
+        extra: effects beyond the catalogue (the flexible part of an emulator), by id.
     """
 
     values: Values
@@ -43,18 +49,18 @@ class Stack:
 
     @classmethod
     def of(cls, model: PhysicalModel) -> Stack:
-        """Take the numbers out of a model."""
+        """Return the stack of a model."""
         extra = {effect.name: type(effect) for effect in model.effects if effect.name not in CATALOGUE}
         values = {effect.name: effect.values for effect in model.effects}
         return cls(values, model.resolution, model.max_range, extra)
 
     @cached_property
     def known(self) -> dict[str, type[Effect]]:
-        """Every effect that the stack may hold, by id."""
-        return {**CATALOGUE, **self.extra, CELLS: VisitEffects}
+        """All effects that a stack can contain, by id."""
+        return {**CATALOGUE, **self.extra, VISITS: VisitEffects}
 
     def parameter(self, key: Key) -> Parameter:
-        """Return what is known of a parameter."""
+        """Return the description of a parameter."""
         return next(p for p in self.known[key[0]].parameters if p.name == key[1])
 
     def get(self, key: Key) -> float:
@@ -62,7 +68,7 @@ class Stack:
         return self.values.get(key[0], {}).get(key[1], self.parameter(key).null)
 
     def put(self, keys: Sequence[Key], numbers: Iterable[float]) -> Stack:
-        """Return the stack with some parameters at other values, clipped to their bounds."""
+        """Return the stack with parameters at new values, clipped to their bounds."""
         values = {name: dict(inner) for name, inner in self.values.items()}
         for key, number in zip(keys, numbers, strict=True):
             p = self.parameter(key)
@@ -70,7 +76,7 @@ class Stack:
         return replace(self, values=values)
 
     def at(self, values: Mapping[Key, float]) -> Stack:
-        """Return the stack with these parameters at these values, clipped to their bounds."""
+        """Return the stack with parameters at new values, clipped to their bounds."""
         return self.put(list(values), values.values())
 
     def without(self, name: str) -> Stack:
@@ -78,23 +84,23 @@ class Stack:
         return replace(self, values={k: v for k, v in self.values.items() if k != name})
 
     def build(self, keys: Sequence[Key] = (), numbers: Tensor | None = None) -> tuple[PhysicalModel, VisitEffects]:
-        """Return model and nuisances; the parameters at `keys` are taken from a tensor, so gradients flow."""
+        """Return model and visit effects; the parameters at `keys` come from a tensor, for gradients."""
         values: dict[str, dict[str, float | Tensor]] = {name: dict(v) for name, v in self.values.items()}
         for k, key in enumerate(keys):
             assert numbers is not None
             values.setdefault(key[0], {})[key[1]] = numbers[k]
-        cells = VisitEffects(**values.pop(CELLS, {}))
+        visits = VisitEffects(**values.pop(VISITS, {}))
         effects = [self.known[name](**inner) for name, inner in values.items()]
-        return PhysicalModel(effects, self.resolution, self.max_range), cells
+        return PhysicalModel(effects, self.resolution, self.max_range), visits
 
     def expected(self, batch: Batch) -> Floats:
-        """Return the median reading that the law expects of each ping of a batch, m, (n,)."""
+        """Return the median of the law of each ping, m, (n,)."""
         return self.model.law(batch.ping, batch.past).quantile(0.5)
 
     def direct(self, batch: Batch) -> tuple[Floats, Floats]:
-        """Return where the law expects the target's own echo to be read, m, and its variance, m^2, (n,) each.
+        """Return median, m, and variance, m^2, of the direct path's reading, (n,) each.
 
-        Unlike `expected` it leaves aside what a law repeats of the reading before, and whatever else may answer.
+        Unlike `expected`, it excludes repeated readings and the echoes of other reflectors.
         """
         with torch.no_grad():
             middle, variance = direct_median(law_of(self.model, batch))
@@ -102,5 +108,5 @@ class Stack:
 
     @property
     def model(self) -> PhysicalModel:
-        """The model alone."""
+        """The model without nuisance parameters of visits."""
         return self.build()[0]

@@ -1,4 +1,4 @@
-"""One thread for torch: as fast for tensors this small, and the same seed gives the same sums on every machine."""
+"""One thread for torch: as fast for small tensors, and sums that do not depend on the number of cores."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import torch
 
 
 def keep_one_thread() -> None:
-    """Keep torch to one thread for as long as this process lives."""
+    """Limit torch to one thread until this process ends."""
     torch.set_num_threads(1)
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep torch to one thread, and give it its threads back."""
+    """Limit torch to one thread, and restore the number of threads on exit."""
     before = torch.get_num_threads()
     keep_one_thread()
     try:

@@ -1,21 +1,20 @@
-"""Pings that share a cell agree more than any law of single pings says: their likelihood.
+"""Prequential likelihood of pings that share a visit.
 
-A target is put down once a cell, a few millimetres from where the log says; pings seconds apart meet the same air and
-the same interference of paths. Counted as independent, one misplaced cell of 50 pings is worth hundreds of nats. So
-every likelihood here is *prequential*: each reading is predicted from its condition and from the readings before it
-in its cell, and what the neighbours already told counts no more. The sum is what is called effective nats.
+A target is placed once per visit, with an error of a few millimetres, and pings seconds apart share the air and the
+interference of paths. Counted as independent, 50 pings of one misplaced target contribute hundreds of nats. Each
+reading is therefore predicted from its condition and from the earlier readings of its visit; the sum of the log
+probabilities is a proper joint log-likelihood, whatever the true dependence (Dawid 1984, prequential statistics).
 
-The prediction is, in this order:
-1. a normal offset shared by the cell (`placement_m`), known ever better as readings come, by the rules of a Kalman
-   filter, and what is carried over from one ping to the next (`carry`); where a simulation was asked under the very
-   same condition, its own offset there is where this one begins (`link`). One cell in ten is taken to be put down
-   far less carefully (`WIDE`), and which one it is shows as its readings come;
-2. whether it is heard at all, which near the edge of hearing is settled by how the target was put down rather than from
-   ping to ping (`hearing`): a beta-binomial, in which the law's probability meets what was heard so far;
-3. a Polya urn over the cell's last readings (`sharing`, `kernel_m`), which makes anything else that a cell keeps
-   repeating (silence, another reflector) count about once a cell;
-4. a floor of arbitrary readings and silences, so that no single reading is worth more than about 17 nats.
-Any such prediction from the past makes a proper joint likelihood, whether the cell behaves like it or not.
+The prediction combines, in this order:
+1. a normal offset shared by the visit (`placement_m`), estimated by a Kalman filter, with a correlation from ping to
+   ping (`ping_correlation`); where a simulation has the same condition, the prior mean is the simulation's own offset
+   times `simulation_correlation`. A bank of two filters allows for a share `CARELESS` of visits with an offset `WIDE`
+   times as large;
+2. a beta-binomial for echo or no echo (`detection_weight`): close to the detection threshold the placement of the
+   target decides, not each ping;
+3. a Polya urn over the last readings of the visit (`urn_weight`, `urn_width_m`), so that anything else that repeats
+   within a visit (silence, another reflector) counts about once per visit;
+4. a floor for arbitrary readings and silences, which limits a single reading to about 17 nats.
 """
 
 from __future__ import annotations
@@ -32,44 +31,44 @@ from noise.effects.base import number
 from noise.fitting.batch import Batch
 from noise.physical import PhysicalLaw, PhysicalModel
 
-WIDE = 4.0  # how much farther from its mark a carelessly placed target lies; ours
-CARELESS = 0.1  # share of such cells; ours
-LEAST_M = 5e-4  # nobody puts a target down better, whatever a few cells say; ours
+WIDE = 4.0  # placement error of a carelessly placed target, as a multiple of `placement_m`; chosen here
+CARELESS = 0.1  # share of visits with such a target; chosen here
+MIN_PLACEMENT_M = 5e-4  # smallest placement error, whatever a few visits suggest; chosen here
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
-FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; ours
-LEAST = 1e-250  # probability that is divided by
-RARE = 1e-6  # probability of an echo, below which 1 - P(no echo) has lost its digits
+FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; chosen here
+MIN_PROBABILITY = 1e-250  # smallest divisor
+RARE_ECHO = 1e-6  # probability of an echo below which 1 - P(no echo) has lost its digits
 
 
 class VisitEffects(Effect):
-    """What pings of one cell share beyond their condition. It leaves the law of a single ping alone."""
+    """Nuisance parameters that pings of one visit share. The law of a single ping is unchanged."""
 
-    name = "cells"
+    name = "visits"
     stage = Stage.SEQUENCE
-    summary = "Pings of one cell share an offset"
+    summary = "Pings of one visit share an offset"
     parameters = (
-        # never nothing: its slope is zero there, and no climb would lead back
-        Parameter("placement_m", "m", 2e-4, 2e-4, 0.1, "ruler and mount, 1 to 5 mm; wider: ours", (0.003,)),
-        Parameter("carry", "1", 0.0, 0.0, 0.98, "correlation from ping to ping: ours", (0.1,)),
-        Parameter("sharing", "1", 0.0, 0.0, 5.0, "weight of one earlier reading against the law: ours", (0.02,)),
-        Parameter("kernel_m", "m", 0.004, 0.0003, 0.05, "width of what a cell repeats: ours", (0.004,)),
-        Parameter("hearing", "1", 0.0, 0.0, 5.0, "weight of one earlier ping, heard or not, against it: ours", (0.05,)),
-        Parameter("link", "1", 0.0, 0.0, 0.999, "correlation with the simulation's offset in a cell: ours", (0.5,)),
+        # the lower bound is positive because the gradient vanishes at zero
+        Parameter("placement_m", "m", 2e-4, 2e-4, 0.1, "ruler and mount, 1 to 5 mm; bounds chosen here", (0.003,)),
+        Parameter("ping_correlation", "1", 0.0, 0.0, 0.98, "from one ping to the next; chosen here", (0.1,)),
+        Parameter("urn_weight", "1", 0.0, 0.0, 5.0, "of an earlier reading relative to the law; chosen here", (0.02,)),
+        Parameter("urn_width_m", "m", 0.004, 0.0003, 0.05, "scatter of a repeated reading; chosen here", (0.004,)),
+        Parameter("detection_weight", "1", 0.0, 0.0, 5.0, "of an earlier ping relative to it; chosen here", (0.05,)),
+        Parameter("simulation_correlation", "1", 0.0, 0.0, 0.999, "of offsets in a visit; chosen here", (0.5,)),
     )
     placement_m: Tensor
-    carry: Tensor
-    sharing: Tensor
-    kernel_m: Tensor
-    hearing: Tensor
-    link: Tensor
+    ping_correlation: Tensor
+    urn_weight: Tensor
+    urn_width_m: Tensor
+    detection_weight: Tensor
+    simulation_correlation: Tensor
 
     def apply(self, state: State) -> State:
-        """Leave the state as it is."""
+        """Return the state unchanged."""
         return state
 
 
 def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:
-    """Return where the direct path's reading lies and how far it scatters in one cell, m, (n,) each."""
+    """Return median, m, and variance, m^2, of the direct path's reading within one visit, (n,) each."""
     state, path = law.state, law.state.direct
     weight = torch.exp(state.log_weight - torch.logsumexp(state.log_weight, dim=0))
     slip = (path.slip_m * path.slip_weight).sum()
@@ -81,140 +80,142 @@ def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:
     return middle, torch.broadcast_to(variance, middle.shape)
 
 
-def prior_offset(cells: VisitEffects, batch: Batch, wider: float | Tensor = 1.0) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of a cell's offset before any of its readings, m and m^2, (n,) each or (banks, n)."""
-    twin, known = batch.simulated_offset_tensors
-    spread = (wider * cells.placement_m) ** 2 * (1.0 - (cells.link * known) ** 2) + (wider * LEAST_M) ** 2
-    return cells.link * twin, spread
+def prior_offset(visits: VisitEffects, batch: Batch, wider: float | Tensor = 1.0) -> tuple[Tensor, Tensor]:
+    """Return prior mean, m, and variance, m^2, of a visit's offset, (n,) each or (banks, n)."""
+    simulated, known = batch.simulated_offset_tensors
+    correlation = visits.simulation_correlation
+    variance = (wider * visits.placement_m) ** 2 * (1.0 - (correlation * known) ** 2) + (wider * MIN_PLACEMENT_M) ** 2
+    return correlation * simulated, variance
 
 
-def predicted_offset(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of the offset that a cell's earlier readings predict, m and m^2, (banks, n) each."""
+def predicted_offset(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return mean, m, and variance, m^2, of the offset given the earlier readings of the visit, (banks, n) each."""
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
-    start, prior = prior_offset(cells, batch, number([wider for wider, _ in BANKS])[:, None])
-    # a reading counts for the offset as far as it can be the direct path's: smoothly nothing beyond 4 deviations
+    start, prior = prior_offset(visits, batch, number([wider for wider, _ in BANKS])[:, None])
+    # robust weight: readings beyond 4 standard deviations are hardly the direct path's
     near = (error - start) ** 2 / (16.0 * (variance + prior))
     weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
     precision = 1.0 / prior + batch.before(weight)
     mean = (start / prior + batch.before(weight * error)) / precision
-    known = torch.from_numpy(batch.count > 0)
-    carried = torch.nn.functional.pad((cells.carry * (weight * variance) * (error - mean))[..., :-1], (1, 0))
-    return mean + torch.where(known, carried, torch.zeros_like(mean)), 1.0 / precision
+    innovation = visits.ping_correlation * (weight * variance) * (error - mean)
+    carried = torch.nn.functional.pad(innovation[..., :-1], (1, 0))
+    return mean + torch.where(torch.from_numpy(batch.count > 0), carried, torch.zeros_like(mean)), 1.0 / precision
 
 
 def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
-    """Return the law with its direct path moved by a mean and widened by a variance, (n,) or (banks, 1, n) each."""
+    """Return a law with its direct path shifted by a mean, m, and widened by a variance, m^2, (n,) or (banks, 1, n)."""
     path = law.state.direct
     spread = torch.sqrt(path.spread**2 + variance + 1e-18)
     state = law.state.with_direct(replace(path, length=path.length + mean, spread=spread))
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
 
 
-def sequential(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
-    """Return the law of each ping given the readings before it in its cell, one a bank: carefully placed, or not."""
-    return [shifted(law, *offset) for offset in zip(*predicted_offset(law, cells, batch), strict=True)]
+def sequential(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
+    """Return the law of each ping given the earlier readings of its visit, one for each bank."""
+    return [shifted(law, *offset) for offset in zip(*predicted_offset(law, visits, batch), strict=True)]
 
 
-def marginal(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
-    """Return the law of a ping in a cell that has not been heard of yet, one a bank."""
-    return [shifted(law, *prior_offset(cells, batch, wider)) for wider, _ in BANKS]
+def marginal(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
+    """Return the law of the first ping of a visit, one for each bank."""
+    return [shifted(law, *prior_offset(visits, batch, wider)) for wider, _ in BANKS]
 
 
-def alone(law: PhysicalLaw, cells: VisitEffects, scale_sd: float = 0.0) -> PhysicalLaw:
-    """Return one law of a single ping of whose cell nothing is known: what a simulator should sample.
+def single_ping_law(law: PhysicalLaw, visits: VisitEffects, scale_sd: float = 0.0) -> PhysicalLaw:
+    """Return the law of a ping whose visit has no other readings, which is what a simulator samples.
 
     Args:
-        law: of pings.
-        cells: what pings of a cell share.
-        scale_sd: of a factor of all distances that nobody knows either, such as what the air of the day makes of them.
+        law: law of pings without visit effects.
+        visits: visit effects.
+        scale_sd: standard deviation of an unknown factor of all distances, such as that of the air on the day.
     """
     middle, _ = direct_median(law)
-    scatter = placement_scatter(1.0) * cells.placement_m
+    scatter = placement_scatter(1.0) * visits.placement_m
     return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + scatter**2 + (scale_sd * middle) ** 2)
 
 
 def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
-    """Return the log probability of each bank given the readings before in the cell, of log likelihoods (banks, n)."""
+    """Return the log probability of each bank given the earlier readings of the visit, (banks, n)."""
     prior = torch.log(number([share for _, share in BANKS]))[:, None]
     return torch.log_softmax(prior + batch.before(log_likelihood), dim=0)
 
 
-def together(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> PhysicalLaw:
-    """Return the laws of `sequential` as one, whose `log_prob_tensor` is (banks, n): one pass through the physics."""
-    mean, variance = predicted_offset(law, cells, batch)
+def all_banks(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> PhysicalLaw:
+    """Return the laws of `sequential` as one law with a batch dimension, (banks, n), for a single evaluation."""
+    mean, variance = predicted_offset(law, visits, batch)
     return shifted(law, mean[:, None], variance[:, None])
 
 
-def by_bank(own: Tensor, cells: VisitEffects, batch: Batch, last_step: int) -> Tensor:
-    """Return log probabilities with floor and urn in them, nats, (banks, n), of a law's own probabilities."""
+def with_floor_and_urn(own: Tensor, visits: VisitEffects, batch: Batch, last_step: int) -> Tensor:
+    """Return log probabilities, nats, (banks, n), of a law's probabilities mixed with the floor and the urn."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
     floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
-    apart, often, none, seen = batch.look_back
-    half = batch.resolution / 2.0
-    upper = torch.special.ndtr((apart + half) / cells.kernel_m) - torch.special.ndtr((apart - half) / cells.kernel_m)
-    repeats = cells.sharing * (torch.sparse.mm(often, upper[:, None])[:, 0] + none)
-    return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(cells.sharing * seen)
+    difference, n_at_difference, n_silent, n_earlier = batch.look_back
+    half, width = batch.resolution / 2.0, visits.urn_width_m
+    kernel = torch.special.ndtr((difference + half) / width) - torch.special.ndtr((difference - half) / width)
+    repeats = visits.urn_weight * (torch.sparse.mm(n_at_difference, kernel[:, None])[:, 0] + n_silent)
+    return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(visits.urn_weight * n_earlier)
 
 
-def _own(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> Tensor:
-    """Return probabilities under the laws of both banks, (banks, n), that of hearing as earlier pings have it."""
-    both = together(law, cells, batch)
-    echo, place = torch.from_numpy(batch.reading.echo), both.echo_tensor(both.step(batch.reading.range))
-    expected, given = hearing(both, cells, batch)
-    return torch.where(echo, place / torch.clamp(expected, min=LEAST), 1.0) * given
+def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
+    """Return the probability of each reading under both banks, (banks, n), detection being beta-binomial."""
+    banks = all_banks(law, visits, batch)
+    echo, place = torch.from_numpy(batch.reading.echo), banks.echo_tensor(banks.step(batch.reading.range))
+    expected, given = detection_probability(banks, visits, batch)
+    return torch.where(echo, place / torch.clamp(expected, min=MIN_PROBABILITY), 1.0) * given
 
 
-def hearing(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the probability of what each ping was, echo or silence: alone, and given those before in its cell.
+def detection_probability(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return the probability of each ping's outcome (echo or no echo): marginal, and given the earlier pings.
 
     Args:
-        law: of each ping, whose probabilities are (n,) or (banks, n), as is what is returned.
-        cells: how far a cell is heard as it was before.
+        law: law of each ping; probabilities (n,) or (banks, n), and so are the results.
+        visits: visit effects.
         batch: readings.
     """
     echo, silent = torch.from_numpy(batch.reading.echo), law.no_echo_tensor()
-    count, heard = batch.echo_counts
-    expected = torch.where(echo, _heard(law, silent, echo), silent)
-    before = torch.where(echo, heard, count - heard)
-    return expected, (expected + cells.hearing * before) / (1.0 + cells.hearing * count)
+    count, n_echoes = batch.echo_counts
+    expected = torch.where(echo, _echo_probability(law, silent, echo), silent)
+    same_outcome = torch.where(echo, n_echoes, count - n_echoes)
+    weight = visits.detection_weight
+    return expected, (expected + weight * same_outcome) / (1.0 + weight * count)
 
 
-def _heard(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:
-    """Return the probability of an echo, of pings that brought one: where it is rare, exactly, which costs more."""
+def _echo_probability(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:
+    """Return the probability of an echo for pings with one; the exact, slower form is used where it is rare."""
     likely = 1.0 - silent
-    rare = echo & (likely < RARE)
+    rare = echo & (likely < RARE_ECHO)
     return torch.where(rare, law.heard_tensor(), likely) if bool(rare.any()) else likely
 
 
-def log_prob(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> Tensor:
+def log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
     """Return the prequential log probability of each reading, nats, (n,), differentiable."""
-    own = _own(law, cells, batch)
-    each = by_bank(own, cells, batch, law.last_step)
+    own = _own(law, visits, batch)
+    each = with_floor_and_urn(own, visits, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
 
 
-def bank_weights(law: PhysicalLaw, cells: VisitEffects, batch: Batch) -> NDArray[np.float64]:
-    """Return the probability of each bank given the readings before in the cell, (banks, n)."""
+def bank_weights(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> NDArray[np.float64]:
+    """Return the probability of each bank given the earlier readings of the visit, (banks, n)."""
     with torch.no_grad():
-        own = _own(law, cells, batch)
-        return torch.exp(log_weights(by_bank(own, cells, batch, law.last_step), batch)).numpy()
+        own = _own(law, visits, batch)
+        return torch.exp(log_weights(with_floor_and_urn(own, visits, batch, law.last_step), batch)).numpy()
 
 
 def placement_scatter(placement_m: float) -> float:
-    """Return the standard deviation of where targets lie, careless ones included, m."""
+    """Return the standard deviation of the position of targets, m, carelessly placed ones included."""
     return placement_m * float(np.sqrt(sum(share * wider**2 for wider, share in BANKS)))
 
 
-def shared_scatter(cells: VisitEffects, batch: Batch) -> float:
-    """Return the standard deviation of what a batch's cells share, careless placement included, m."""
+def shared_scatter(visits: VisitEffects, batch: Batch) -> float:
+    """Return the standard deviation of the offset shared within a visit, m, careless placement included."""
     with torch.no_grad():
-        priors = [(share, *prior_offset(cells, batch, wider)) for wider, share in BANKS]
+        priors = [(share, *prior_offset(visits, batch, wider)) for wider, share in BANKS]
     variance = sum(float(share * spread.mean()) for share, _, spread in priors)
     return float(np.sqrt(variance + float(priors[0][1].var(correction=0))))
 
 
 def law_of(model: PhysicalModel, batch: Batch) -> PhysicalLaw:
-    """Return a model's law of a batch, on the batch's own register."""
+    """Return a model's law of a batch, at the resolution of the batch."""
     return PhysicalLaw(model.state(batch.conditions), batch.ping.distance, batch.resolution, model.max_range)

@@ -1,4 +1,4 @@
-"""Which cell a ping belongs to, the uninterrupted stay there, and what was last heard before it."""
+"""Assignment of pings to conditions and visits, and the last echo before each ping."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from numpy.typing import NDArray
 
 from acquisition import Recording
 
-BLOCK = 25  # pings taken as one cell where conditions never repeat (a moving robot); ours
-FEW_CELLS = 12
+VISIT_PINGS = 25  # length of a visit where conditions never repeat (a moving robot); chosen here
+MIN_VISITS = 12  # a recording with fewer is cut into visits of `VISIT_PINGS`; chosen here
 
 
 def last_echo(recording: Recording) -> NDArray[np.float64]:
-    """Return the latest echo before each ping in its run, and how far off its target stood, m, (n, 2)."""
+    """Return range and true distance of the last echo before each ping in its run, m, (n, 2); nan where none."""
     echo, run = recording.reading.echo, recording.run
-    columns = {"read": recording.reading.range, "stood": recording.ping.distance}
-    heard = pd.DataFrame({name: np.where(echo, column, np.nan) for name, column in columns.items()})
-    return heard.groupby(run).ffill().groupby(run).shift().to_numpy()
+    columns = {"range": recording.reading.range, "distance": recording.ping.distance}
+    echoes = pd.DataFrame({name: np.where(echo, column, np.nan) for name, column in columns.items()})
+    return echoes.groupby(run).ffill().groupby(run).shift().to_numpy()
 
 
 def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cell of each ping, and the block (stay in one cell during one run), each (n,).
+    """Return condition and visit (one condition in one run) of each ping, (n,) each.
 
-    Where conditions hardly repeat, or hardly change, runs are cut into stretches of `BLOCK` pings instead.
+    Where conditions hardly repeat or hardly change, each run is cut into visits of `VISIT_PINGS` pings instead.
     """
     n = len(recording)
     pair = np.unique(np.stack([recording.condition, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
-    crowded = np.bincount(recording.condition)
-    if crowded.mean() < 2.0 and n > 2 * FEW_CELLS:
-        stretch = _stretches(recording.run)
-        return stretch, stretch
-    block = pair
-    if len(np.unique(pair)) < FEW_CELLS:
-        block = np.unique(pair * (n + 1) + _stretches(pair), return_inverse=True)[1]
-    cell = recording.condition if len(crowded) >= FEW_CELLS else block
-    return cell, block
+    pings_each = np.bincount(recording.condition)
+    if pings_each.mean() < 2.0 and n > 2 * MIN_VISITS:
+        visit = _consecutive(recording.run)
+        return visit, visit
+    visit = pair
+    if len(np.unique(pair)) < MIN_VISITS:
+        visit = np.unique(pair * (n + 1) + _consecutive(pair), return_inverse=True)[1]
+    condition = recording.condition if len(pings_each) >= MIN_VISITS else visit
+    return condition, visit
 
 
-def _stretches(group: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number stretches of at most BLOCK consecutive pings of each group, (n,)."""
+def _consecutive(group: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number series of at most `VISIT_PINGS` consecutive pings of each group, (n,)."""
     order = np.argsort(group, kind="stable")
     starts = np.r_[0, np.flatnonzero(np.diff(group[order])) + 1]
     rank = np.empty(len(group), dtype=np.int64)
     rank[order] = np.arange(len(group)) - np.repeat(starts, np.diff(np.r_[starts, len(group)]))
-    return np.unique(group * (len(group) + 1) + rank // BLOCK, return_inverse=True)[1].ravel()
+    return np.unique(group * (len(group) + 1) + rank // VISIT_PINGS, return_inverse=True)[1].ravel()

@@ -1,4 +1,4 @@
-"""What a network is told of a ping, and how far a ping lies outside what the network learned."""
+"""Features of pings for a network, and the distance of a ping from the learned conditions."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from acquisition import Ping
 
 Floats = NDArray[np.float64]
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
-CLOSE_M = 0.02  # m; below this distance the logarithm of the distance is hardly steeper
+LOG_OFFSET_M = 0.02  # m; added to the distance to limit the slope of its logarithm
 
 
-class Asked(NamedTuple):
-    """What n pings ask of a network.
+class FeatureBatch(NamedTuple):
+    """Features of n pings.
 
     Attributes:
-        feature: numbers within -1..1, (n, width).
+        feature: features within -1..1, (n, width).
         distance: true distances, m, (n,).
-        excess: how far each condition lies outside what was learned, in widths of the learned range, (n,).
-        missing: where a covariate was not given, (n,) bool.
+        excess: distance of each condition from the learned range, relative to its width, (n,).
+        missing: whether a covariate is missing, (n,) bool.
     """
 
     feature: Floats
@@ -35,17 +35,17 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a network is told of a ping, and the ranges in which it learned.
+    """Definition of the features of a network, with the learned ranges.
 
-    A covariate that is not given, or not a number, is told as missing: the network has learned what holds then, a law
-    over all of the values that it met.
+    A covariate that is absent or NaN is marked as missing; the network has learned the law over all of its values for
+    this case.
 
     Attributes:
-        names: of the conditions and covariates, "distance" first.
-        low, high: learned range of each.
-        folded: whether bearings and incidences were of one sign, so that only their size counts.
-        tied: whether incidence always equalled bearing, so that only bearing is told.
-        open_end: whether farther distances than the learned are like the farthest: beyond what the sensor hears.
+        names: names of the conditions and covariates, "distance" first.
+        low, high: learned range of each quantity.
+        folded: whether bearings and incidences had one sign, so that only their magnitude is used.
+        tied: whether incidence always equalled bearing, so that only bearing is used.
+        open_end: whether distances beyond the learned range are equivalent to its end, out of range of the sensor.
     """
 
     names: tuple[str, ...]
@@ -57,12 +57,12 @@ class Inputs:
 
     @classmethod
     def of(cls, ping: Ping, names: tuple[str, ...], horizon: float | None = None) -> Inputs:
-        """Learn ranges from pings.
+        """Determine the ranges from pings.
 
         Args:
-            ping: the conditions of a recording.
-            names: those that were logged, "distance" first; incidence is left out where it always equals bearing.
-            horizon: from here on nothing is heard, m: all farther pings are one condition.
+            ping: conditions of a recording.
+            names: logged quantities, "distance" first; incidence is omitted if it always equals bearing.
+            horizon: distance beyond which there is no echo, m; all farther pings are one condition.
         """
         turned = np.concatenate([ping.angle, ping.incidence])
         folded = bool(np.all(turned >= 0) or np.all(turned <= 0))
@@ -76,7 +76,7 @@ class Inputs:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Inputs:
-        """Build from plain data, where tuples are lists."""
+        """Build from plain data, in which tuples are lists."""
         ranges = {key: tuple(map(float, data[key])) for key in ("low", "high")}
         if not len(data["names"]) == len(ranges["low"]) == len(ranges["high"]):
             raise ValueError("inputs: names, low and high differ in number")
@@ -85,7 +85,7 @@ class Inputs:
 
     @cached_property
     def covariates(self) -> tuple[str, ...]:
-        """Names of what a ping need not have."""
+        """Names of the optional quantities."""
         return tuple(name for name in self.names if name not in NATURAL_SPAN)
 
     @cached_property
@@ -94,7 +94,7 @@ class Inputs:
         return len(self.names) + 1 + len(self.covariates)
 
     def raw(self, ping: Ping) -> Floats:
-        """Return the named quantities, (n, names); NaN for a covariate that is not given."""
+        """Return the named quantities, (n, names); NaN for a missing covariate."""
         value = np.empty((len(ping), len(self.names)))
         for k, name in enumerate(self.names):
             value[:, k] = self._column(ping, name)
@@ -106,8 +106,8 @@ class Inputs:
             return np.abs(value) if self.folded and name in ("angle", "incidence") else value
         return ping.covariates.get(name, math.nan)
 
-    def features(self, ping: Ping) -> Asked:
-        """Return what pings ask. A simulator does so at every step: each call here costs as much as eight pings."""
+    def features(self, ping: Ping) -> FeatureBatch:
+        """Return the features of pings; numpy calls are few, since a simulator calls this at every step."""
         value, (low, high, span) = self.raw(ping), self._ranges
         inside = np.minimum(np.maximum(value, low), high)
         off = np.abs(value - inside) / span
@@ -129,7 +129,7 @@ class Inputs:
         if self.tied:
             apart = np.abs(np.abs(ping.incidence) - np.abs(ping.angle))
             excess = np.maximum(excess, np.where(apart > 1e-9, apart / 0.5, 0.0))
-        return Asked(feature, ping.distance, excess, missing)
+        return FeatureBatch(feature, ping.distance, excess, missing)
 
     @cached_property
     def _covariate(self) -> NDArray[np.int64]:
@@ -137,12 +137,12 @@ class Inputs:
 
     @cached_property
     def _ranges(self) -> tuple[Floats, Floats, Floats]:
-        """Low, high and the span by which each quantity is scaled: no less than what is natural to it."""
+        """Low, high and scale of each quantity; the scale is limited below by `NATURAL_SPAN`."""
         known = zip(self.names, self.high, strict=True)
         natural = [NATURAL_SPAN.get(name, 1e-6 + 0.1 * abs(high)) for name, high in known]
         low, high = np.array(self.low), np.array(self.high)
         return low, high, np.maximum(high - low, natural)
 
     def _log_distance(self, distance: Floats) -> Floats:
-        near, far = math.log(self.low[0] + CLOSE_M), math.log(self.high[0] + CLOSE_M)
-        return 2.0 * (np.log(distance + CLOSE_M) - near) / max(far - near, 0.1) - 1.0
+        near, far = math.log(self.low[0] + LOG_OFFSET_M), math.log(self.high[0] + LOG_OFFSET_M)
+        return 2.0 * (np.log(distance + LOG_OFFSET_M) - near) / max(far - near, 0.1) - 1.0

@@ -1,6 +1,6 @@
-"""The law that every network speaks: logistic components, one uniform over the scale, silence, no answer.
+"""The law of all networks: a mixture of logistic components, a uniform component, no echo and no answer.
 
-A `Head` reads it from a network's last numbers, so architectures differ only in how they come to those numbers.
+A `Head` defines the law by the outputs of a network, so that architectures differ only in how they compute them.
 """
 
 from __future__ import annotations
@@ -13,45 +13,47 @@ from numpy.typing import NDArray
 from scipy.special import expit, log_expit, logit
 
 from acquisition import EchoStatus, Reading, SettingError
-from noise.law import EchoLaw, Floats
-from noise.learned.inputs import Asked
+from noise.law import EchoLaw, Floats, UniformSource
+from noise.learned.inputs import FeatureBatch
 
-FLOOR = 1e-5  # least share of each outcome: a network is never certain
-# looking a member up costs more than drawing eight numbers
+FLOOR = 1e-5  # smallest probability of each outcome
+# as integers, since looking up a member of an enum takes longer than drawing eight numbers
 _NO_ECHO, _ECHO, _NO_ANSWER = (int(EchoStatus[name]) for name in ("NO_ECHO", "ECHO", "NO_ANSWER"))
-UNIT_M = 0.01  # m; scale of the network's numbers for places and widths
-HALF_IGNORANT = 0.25  # excess at which half of the law is ignorance
-WIDENING = 10.0  # growth of every width per unit of excess
+UNIT_M = 0.01  # m; scale of the network's outputs for locations and widths
+HALF_UNIFORM_EXCESS = 0.25  # excess at which half of the law is replaced by the uniform component and no echo
+WIDENING = 10.0  # relative growth of the widths per unit of excess
 
 
 class MixtureLaw(EchoLaw):
-    """Logistic components, one uniform over the scale, silence, and no answer.
+    """Logistic components, a uniform component over the whole range, no echo, and no answer.
 
     Attributes:
-        share: probabilities of the components, the uniform, silence, given an answer, (C + 2, n).
-        centre, scale: of the components, m, (C, n).
-        answer_rate: probability of an answer, (n,) or one for all.
-        excess: how far each condition lies outside what was learned, in widths of the learned range, (n,).
-        missing: where a covariate that the model knows of was not given, (n,) bool.
+        share: probabilities of the components, the uniform component and no echo, given an answer, (C + 2, n).
+        centre, scale: location and scale of the components, m, (C, n).
+        answer_rate: probability of an answer, (n,) or scalar.
+        excess: distance of each condition from the learned range, relative to its width, (n,).
+        missing: whether a covariate of the model is missing, (n,) bool.
     """
+
+    uniform_per_ping = True
 
     def __init__(
         self,
-        asked: Asked,
+        batch: FeatureBatch,
         share: Floats,
         centre: Floats,
         scale: Floats,
         head: Head,
         answer_rate: Floats | float,
     ) -> None:
-        super().__init__(asked.distance, head.resolution, head.max_range)
+        super().__init__(batch.distance, head.resolution, head.max_range)
         self.share, self.centre, self.scale = share, centre, scale
         self.answer_rate = answer_rate
-        self.excess, self.missing = asked.excess, asked.missing
+        self.excess, self.missing = batch.excess, batch.missing
 
     @property
     def extrapolated(self) -> NDArray[np.bool_]:
-        """Where the law is asked outside what was learned, (n,) bool."""
+        """Whether each condition lies outside the learned range, (n,) bool."""
         return self.excess > 0
 
     @property
@@ -69,20 +71,20 @@ class MixtureLaw(EchoLaw):
         """Return P(an echo is registered at an exact range in (low, high]), exact in the tails."""
         a, b = ((z[..., None, :] - self.centre) / self.scale for z in (low, high))
         wide = np.where(np.isinf(a) | np.isinf(b), np.inf, (high - low)[..., None, :] / self.scale)
-        # s(b) - s(a) = s(b) s(-a) (1 - exp(a - b)) holds without loss wherever a and b lie
+        # s(b) - s(a) = s(b) s(-a) (1 - exp(a - b)) has no cancellation for any a and b
         peaks = (self.share[:-2] * np.exp(log_expit(b) + log_expit(-a)) * -np.expm1(-wide)).sum(axis=-2)
         return self.answer_rate * (peaks + self.share[-2] * (self._share_of_scale(high) - self._share_of_scale(low)))
 
     def _share_of_scale(self, z: Floats) -> Floats:
         return np.clip(z / self.max_range, 0.0, 1.0)
 
-    def sample(self, rng: np.random.Generator) -> Reading:
-        """Draw a reading for each ping: one number picks the outcome, one the place within it."""
+    def sample(self, rng: UniformSource) -> Reading:
+        """Draw a reading for each ping from two uniform numbers, for the outcome and for the range within it."""
         n, c = len(self), len(self.centre)
         which, where = rng.random((2, n))
         edges = self.answer_rate * self.share.cumsum(axis=0)
-        edges[-1] = self.answer_rate  # whatever the shares' sum is rounded to
-        outcome = (which >= edges).sum(axis=0)  # c: the uniform, c + 1: silence, c + 2: no answer
+        edges[-1] = self.answer_rate  # exact, despite rounding of the sum
+        outcome = (which >= edges).sum(axis=0)  # c: uniform, c + 1: no echo, c + 2: no answer
         peak = np.minimum(outcome, c - 1) * n + np.arange(n)
         from_peak = self.centre.ravel()[peak] + self.scale.ravel()[peak] * logit(where)
         place = np.where(outcome < c, from_peak, where * self.max_range)
@@ -97,25 +99,25 @@ def _statuses(components: int) -> NDArray[np.uint8]:
 
 
 def within(x: Floats, low: Floats | float, high: Floats | float) -> Floats:
-    """Return `np.clip`, in half its time for a few numbers."""
+    """Return the same as `np.clip`, in half the time for small arrays."""
     return np.minimum(np.maximum(x, low), high)
 
 
 @dataclass(frozen=True)
 class Head:
-    """How a network's last numbers are read as a law.
+    """Interpretation of a network's outputs as a law.
 
-    The numbers: a logit of each component, of the uniform and of silence; where `fails`, one of no answer; then a place
-    and a width of each component.
+    The outputs are a logit of each component, of the uniform component and of no echo; with `fails`, one of no answer;
+    then a location and a width of each component.
 
     Attributes:
-        near: components placed about the true distance.
-        fixed: components placed anywhere on the scale.
+        near: number of components about the true distance.
+        fixed: number of components anywhere in the range.
         resolution: step of the register, m.
-        max_range: of the register, m.
-        no_answer: rate at which the sensor does not answer, where that is the same for every ping.
-        anchored: components placed about readings that were heard before.
-        fails: whether the network says how likely no answer is.
+        max_range: range of the register's last step, m.
+        no_answer: probability of no answer, if it is equal for all pings.
+        anchored: number of components about earlier readings.
+        fails: whether the network has an output for the probability of no answer.
     """
 
     near: int
@@ -127,7 +129,7 @@ class Head:
     fails: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what is no mixture."""
+        """Raise SettingError for invalid values."""
         if self.near < 1 or self.fixed < 0 or self.anchored < 0:
             raise SettingError(f"Head needs at least one near component, got {self.near} near and {self.fixed} fixed")
         if not 0 <= self.no_answer < 1:
@@ -140,36 +142,36 @@ class Head:
 
     @property
     def width(self) -> int:
-        """How many numbers a network must give a ping."""
+        """Number of outputs of the network."""
         return 3 * self.components + 2 + self.fails
 
-    def places_of(self, simple: Head) -> NDArray[np.int64]:
-        """Return where the numbers of a head with the same near and fixed components stand among this one's."""
+    def indices_of(self, simple: Head) -> NDArray[np.int64]:
+        """Return the indices, among these outputs, of those of a head with the same near and fixed components only."""
         own = simple.near + simple.fixed
         logits = np.r_[0:own, self.components : self.components + 2]
         start = self.components + 2 + self.fails
         return np.r_[logits, start : start + own, start + self.components : start + self.components + own]
 
-    def law(self, numbers: Floats, asked: Asked, anchors: Floats | None = None) -> MixtureLaw:
-        """Return the law of n pings from a network's numbers, (n, width).
+    def law(self, numbers: Floats, batch: FeatureBatch, anchors: Floats | None = None) -> MixtureLaw:
+        """Return the law of n pings.
 
         Args:
-            numbers: of the network.
-            asked: of which conditions.
+            numbers: outputs of the network, (n, width).
+            batch: features of the conditions.
             anchors: ranges about which the anchored components lie, m, (anchored, n).
         """
         c = self.components
         logit, place, width = numbers.T[: c + 2], numbers.T[-2 * c : -c], numbers.T[-c:]
-        grown = np.exp(logit - logit.max(axis=0))  # scipy's softmax takes longer than all the rest for a few pings
+        grown = np.exp(logit - logit.max(axis=0))  # scipy's softmax is slower for few pings
         share = FLOOR + (1.0 - FLOOR * len(logit)) * grown / grown.sum(axis=0)
         scale = 0.1 * self.resolution + UNIT_M * np.exp(within(width, -8.0, 6.0))
-        if asked.excess.any():
-            ignorance = asked.excess / (asked.excess + HALF_IGNORANT)
-            share *= 1.0 - ignorance
-            share[-2:] += 0.5 * ignorance
-            scale *= 1.0 + WIDENING * asked.excess
+        if batch.excess.any():
+            uniform = batch.excess / (batch.excess + HALF_UNIFORM_EXCESS)
+            share *= 1.0 - uniform
+            share[-2:] += 0.5 * uniform
+            scale *= 1.0 + WIDENING * batch.excess
         rate = expit(-numbers.T[c + 2]) if self.fails else 1.0 - self.no_answer
-        return MixtureLaw(asked, share, self._centres(place, asked.distance, anchors), scale, self, rate)
+        return MixtureLaw(batch, share, self._centres(place, batch.distance, anchors), scale, self, rate)
 
     def _centres(self, place: Floats, distance: Floats, anchors: Floats | None) -> Floats:
         near = distance + UNIT_M * np.sinh(within(place[: self.near], -7.0, 7.0))

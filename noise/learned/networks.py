@@ -1,8 +1,8 @@
-"""A learned law without memory: a perceptron from conditions to a mixture. Numpy alone at run time.
+"""A learned law without memory: a perceptron from conditions to a mixture, evaluated by numpy.
 
-Nothing is extrapolated silently: outside the conditions it was trained on a network is asked at the nearest one that
-it knows, its law is widened and mixed with ignorance, and `MixtureLaw.excess` says so. Where a covariate is not given,
-the law is that over all of its values, and `MixtureLaw.missing` says so.
+Outside the learned conditions the network is evaluated at the nearest learned one, and its law is widened and mixed
+with a uniform law; `MixtureLaw.excess` reports the extrapolation. With a missing covariate the law is that over all of
+its values; `MixtureLaw.missing` reports it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, te
 
 
 def dense(layers: Layers, x: Floats) -> Floats:
-    """Return what layers make of (n, in): tanh between them, none after the last."""
+    """Return the outputs of dense layers for inputs (n, in), with tanh between the layers and none after the last."""
     for weight, bias in layers[:-1]:
         x = np.tanh(x @ weight.T + bias)
     weight, bias = layers[-1]
@@ -32,10 +32,10 @@ class MlpModel:
     """A multilayer perceptron from a ping's conditions to its law.
 
     Args:
-        inputs: what the network is told.
-        head: how its numbers are read.
+        inputs: features of a condition.
+        head: interpretation of the outputs as a law.
         layers: weights (out, in) and biases (out,) of each layer; tanh between them.
-        about: plain data on its making, kept in model.json.
+        about: plain data on the training, stored in model.json.
         card: text of the folder's README.md.
     """
 
@@ -58,9 +58,9 @@ class MlpModel:
         return self.head.resolution
 
     def law(self, ping: Ping, past: Reading | None = None) -> MixtureLaw:
-        """Return the law of n pings; the past is not looked at."""
-        asked = self.inputs.features(ping)
-        return self.head.law(dense(self.layers, asked.feature), asked)
+        """Return the law of n pings; the past is ignored."""
+        batch = self.inputs.features(ping)
+        return self.head.law(dense(self.layers, batch.feature), batch)
 
     @property
     def sizes(self) -> list[int]:
@@ -78,19 +78,19 @@ class MlpModel:
         }
 
     def write_weights(self, folder: Path) -> None:
-        """Write the weights, and the card where there is one, into a folder."""
+        """Write the weights, and the card if there is one, into a folder."""
         write_tensors(folder, tensors_of(self.layers), self.card)
 
     @classmethod
     def load(cls, folder: Path, data: dict[str, Any]) -> MlpModel:
-        """Read a saved network.
+        """Load a saved network.
 
         Args:
-            folder: that holds the weights.
-            data: its model.json.
+            folder: folder with the weights.
+            data: contents of model.json.
 
         Raises:
-            ModelError: model.json or the weights are damaged, or belong to something else.
+            ModelError: model.json or the weights are damaged or do not match.
         """
         inputs, head, sizes = read_shape(folder, data)
         tensors, text = read_tensors(folder, shapes_of(sizes))
@@ -98,18 +98,19 @@ class MlpModel:
 
 
 def read_shape(folder: Path, data: dict[str, Any]) -> tuple[Inputs, Head, list[int]]:
-    """Return inputs, head and widths of the layers of a perceptron that model.json describes.
+    """Return inputs, head and layer widths of a perceptron from model.json.
 
     Raises:
-        ModelError: it describes none.
+        ModelError: the contents do not describe a perceptron.
     """
     path = folder / "model.json"
     try:
         inputs = Inputs.from_dict(data["inputs"])
         head, sizes = Head(**data["head"]), [int(size) for size in data["sizes"]]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"{path}: does not describe a network ({error}); train it anew") from None
+        raise ModelError(f"{path}: does not describe a network ({error}); train the model again") from None
     if len(sizes) < 2 or sizes[0] != inputs.width or sizes[-1] != head.width or min(sizes) < 1:
-        wanted = f"{inputs.width} features to {head.width} numbers"
-        raise ModelError(f"{path}: layers {sizes} do not lead from {wanted}; train it anew")
+        raise ModelError(
+            f"{path}: layers {sizes} do not map {inputs.width} inputs to {head.width} outputs; train the model again"
+        )
     return inputs, head, sizes

@@ -1,11 +1,10 @@
-"""Where the car is and how the street lies, from odometry and all sonars, each reading weighed by its credence.
+"""Perception by an extended Kalman filter over the car's pose, the bias of its odometry, and the lines of the street.
 
-An extended Kalman filter over the car's pose, the error of its steering, and the lines of the street. A reading is
-either right, about what the filter expects, or anything at all: its credence is the prior probability of the first, and
-its posterior weighs the update (probabilistic data association: Bar-Shalom and Tse 1975, "Tracking in a cluttered
-environment with probabilistic data association"). Why it is written here: docs/decisions.
+A reading is either correct, close to its expected value, or arbitrary. Its credence is the prior probability of the
+first case, and the posterior probability weights the update (probabilistic data association: Bar-Shalom and Tse 1975,
+"Tracking in a cluttered environment with probabilistic data association"). docs/decisions gives the reasons for it.
 
-The frame is the street's: x along the boxes from where the car began, y to the left.
+The frame is that of the street: x along the boxes from the initial position of the car, y to the left.
 """
 
 from __future__ import annotations
@@ -17,253 +16,256 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_gym.control.perception import JUMP, LEAST_CREDENCE, Space, clearance, runs
+from sonar_gym.control.perception import JUMP, MIN_CREDENCE, ParkingSpace, box_distance, find_runs
 from sonar_gym.control.street_inference import (
+    BIAS,
     EDGES,
     FACE,
     HEADING,
     KERB,
-    PULL,
     X,
     Y,
     edge_log_likelihood,
-    heard_all,
-    opened,
+    space_probability,
+    update_all,
 )
 from sonar_gym.sensing import kernels
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 
 Floats = NDArray[np.float64]
-RECENT = 3  # readings of which one may be wrong
-AT_START = 1e-3  # m; the frame is where the car stands first
-WALL_SIDE, BOX_SIDE = "left", "right front"
-BOX_SIDES = ("right front", "right rear")
-REACH, GRID = 0.2, 81  # m to either side of where an edge was proposed, and places there
-NEAR_EDGE = 0.6  # m; sonars farther from an edge than that say nothing of it
-EDGE_FLOOR = 0.02  # m
-DOUBTFUL = (0.55, 0.90)  # m; spaces first proposed as long as this may be long enough, or not
+MEDIAN_COUNT = 3  # readings whose median gives the clearance; one of them may be an outlier
+START_SD = 1e-3  # m; the origin is the initial position
+WALL_SONAR, BOX_SONAR = "left", "right front"
+BOX_SONARS = ("right front", "right rear")
+EDGE_SEARCH, EDGE_POINTS = 0.2, 81  # half width of the search for an edge, m, and its number of grid points
+EDGE_NEIGHBOURHOOD = 0.6  # m; readings of sonars farther from an edge do not constrain it
+EDGE_SD_FLOOR = 0.02  # m
+REFINE_LENGTHS = (0.55, 0.90)  # m; spaces with a first estimate in this interval are measured again
 
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """What is expected before anything is heard; spreads are standard deviations.
+    """Prior and noise of the filter. `sd` stands for standard deviation.
 
     Attributes:
-        start_spread: of the start's heading to the street, rad.
-        pull: of the heading that odometry gains on a straight way, rad/m.
-        slip: of the way gone, m per square root of a metre.
-        wander: of odometry's heading, rad per square root of a metre.
-        wall: on the left, mean and spread, m.
-        face: of the boxes, likewise.
-        depth: from the boxes' faces to the kerb, likewise.
-        edge: spread of the ends of a space as first proposed, m.
-        right: spread of a right reading as a share of it: credence counts those within 10 %, which is twice this.
-        floor: least spread of a reading, m.
-        hazard: how often boxes begin or end, 1/m.
-        doubt: least probability that a reading is wrong.
+        heading_sd: initial heading relative to the street, rad.
+        bias_sd: curvature bias of the odometry (heading gained on a straight path), rad/m.
+        slip_sd: distance travelled, m per square root of a metre.
+        heading_walk_sd: heading of the odometry, rad per square root of a metre.
+        wall: y of the wall on the left, mean and sd, m.
+        face: y of the faces of the boxes, mean and sd, m.
+        depth: distance from the faces to the kerb, mean and sd, m.
+        edge_sd: first estimate of the ends of a space, m.
+        relative_sd: correct reading, as a fraction of the range. Credence counts readings within 10 %, that is 2 sd.
+        sd_floor: least sd of a reading, m.
+        edge_rate: mean number of ends of boxes per metre, 1/m.
+        min_error: least probability that a reading is wrong.
     """
 
-    start_spread: float = np.radians(3.0)
-    pull: float = np.radians(2.0)
-    slip: float = 0.02
-    wander: float = np.radians(0.7)
+    heading_sd: float = np.radians(3.0)
+    bias_sd: float = np.radians(2.0)
+    slip_sd: float = 0.02
+    heading_walk_sd: float = np.radians(0.7)
     wall: tuple[float, float] = (0.75, 0.15)
     face: tuple[float, float] = (-0.32, 0.05)
     depth: tuple[float, float] = (0.35, 0.04)
-    edge: float = 0.08
-    right: float = 0.05
-    floor: float = 0.01
-    hazard: float = 2.0
-    doubt: float = 0.02
+    edge_sd: float = 0.08
+    relative_sd: float = 0.05
+    sd_floor: float = 0.01
+    edge_rate: float = 2.0
+    min_error: float = 0.02
 
 
 @dataclass(frozen=True)
-class Look:
-    """What came in at one step.
+class FilterInput:
+    """Input of the filter at one step.
 
     Attributes:
-        moved: by odometry since the last, in the last one's frame: m, m, rad, (3,).
+        motion: motion by odometry since the last step, in the frame of the last pose: m, m, rad, (3,).
         reading: m, (n,).
-        credence: of each, (n,); 0 where there was no echo.
+        credence: (n,); 0 without an echo.
     """
 
-    moved: Floats
+    motion: Floats
     reading: Floats
     credence: Floats
 
 
 class StreetFilter:
-    """Follows a car along a street, and into a space once it is told which.
+    """Filter that tracks the car along the street, and into a space once it has been selected.
 
     Args:
-        mounts: the sonars, in the order of the observation.
-        max_range: what the sonars can read, m.
-        settings: what is expected beforehand.
+        mounts: sonars in the order of the observation.
+        max_range: maximum range of the sonars, m.
+        settings: prior and noise.
     """
 
     def __init__(self, mounts: Sequence[Mount], max_range: float, settings: FusionSettings | None = None) -> None:
         self.index = {mount.name: i for i, mount in enumerate(mounts)}
         self.max_range = max_range
         self.settings = settings or FusionSettings()
-        self._tolerance = self.settings.right, self.settings.floor
+        self._tolerance = self.settings.relative_sd, self.settings.sd_floor
         self._poses, self._half = mount_arrays(mounts)
-        self._used = np.arange(len(mounts)) == self.index[WALL_SIDE]  # until the boxes are known
+        self._used = np.arange(len(mounts)) == self.index[WALL_SONAR]  # while the boxes are unknown
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode."""
-        self.state, self.spread = self._prior([])
+        """Begin an episode."""
+        self.state, self.covariance = self._prior([])
         self._free = np.ones(len(self.state))
-        self._beside: int | None = None  # which edge the space begins at
+        self._space_edge: int | None = None  # index in the state of the edge at which the selected space begins
         self._last: Floats | None = None
-        self._looks: list[Look] = []
+        self._inputs: list[FilterInput] = []
         self._track: list[Floats] = []
-        self._recent: deque[Floats] = deque(maxlen=RECENT)
-        self._known: dict[Space, Space] = {}  # spaces as first proposed, and as measured
+        self._recent: deque[Floats] = deque(maxlen=MEDIAN_COUNT)
+        self._refined: dict[ParkingSpace, ParkingSpace] = {}  # refined estimates by first estimate
 
     def _prior(self, edges: Sequence[float]) -> tuple[Floats, Floats]:
-        """Return mean and covariance at the start, with what edges of boxes are known."""
+        """Return mean and covariance at the start, with the known edges of boxes."""
         s = self.settings
         mean = [0.0, 0.0, 0.0, 0.0, s.wall[0], s.face[0], s.face[0] - s.depth[0], *edges]
         kerb = float(np.hypot(s.face[1], s.depth[1]))
-        own = [AT_START, AT_START, s.start_spread, s.pull, s.wall[1], s.face[1], kerb]
-        spread = np.diag(np.square([*own, *[s.edge] * len(edges)]))
-        spread[FACE, KERB] = spread[KERB, FACE] = s.face[1] ** 2
-        return np.array(mean), spread
+        sd = [START_SD, START_SD, s.heading_sd, s.bias_sd, s.wall[1], s.face[1], kerb]
+        covariance = np.diag(np.square([*sd, *[s.edge_sd] * len(edges)]))
+        covariance[FACE, KERB] = covariance[KERB, FACE] = s.face[1] ** 2
+        return np.array(mean), covariance
 
     @property
     def pose(self) -> Floats:
-        """The car's in the street's frame: m, m, rad, (3,)."""
+        """Pose of the rear axle in the street frame: m, m, rad, (3,)."""
         return self.state[:3].copy()
 
-    # ---- step by step ------------------------------------------------------------------------------------------------
+    # ---- filter ------------------------------------------------------------------------------------------------------
 
-    def look(self, odometry: Floats, reading: Floats, credence: Floats) -> None:
-        """Take in a step.
+    def update(self, odometry: Floats, reading: Floats, credence: Floats) -> None:
+        """Process a step.
 
         Args:
             odometry: pose since the start, m, m, rad, (3,).
-            reading: m, (n,); whatever where there was no echo.
-            credence: given the readings, (n,); 0 where there was no echo.
+            reading: m, (n,); ignored without an echo.
+            credence: given the readings, (n,); 0 without an echo.
         """
         last = odometry if self._last is None else self._last
-        moved = np.array([*kernels.to_frame(odometry[0], odometry[1], last), odometry[2] - last[2]])
-        moved[2] = (moved[2] + np.pi) % (2.0 * np.pi) - np.pi
+        motion = np.array([*kernels.to_frame(odometry[0], odometry[1], last), odometry[2] - last[2]])
+        motion[2] = (motion[2] + np.pi) % (2.0 * np.pi) - np.pi
         self._last = odometry.copy()
         self._recent.append(np.where(credence > 0.0, reading, self.max_range))
-        look = Look(moved, reading, np.minimum(credence, 1.0 - self.settings.doubt))
-        self._take(look)
-        if self._beside is None:
-            self._looks.append(look)
+        step = FilterInput(motion, reading, np.minimum(credence, 1.0 - self.settings.min_error))
+        self._process(step)
+        if self._space_edge is None:
+            self._inputs.append(step)
             self._track.append(self.state)
 
-    def _take(self, look: Look) -> None:
-        self._move(look.moved)
-        credence = np.where(self._used, look.credence, 0.0) if self._beside is None else look.credence
-        sonars = self._poses, self._half, look.reading, credence
-        self.state, self.spread = heard_all(
-            self.state, self.spread, *sonars, self._free, self._tolerance, self.max_range
+    def _process(self, step: FilterInput) -> None:
+        self._predict(step.motion)
+        credence = np.where(self._used, step.credence, 0.0) if self._space_edge is None else step.credence
+        sonars = self._poses, self._half, step.reading, credence
+        self.state, self.covariance = update_all(
+            self.state, self.covariance, *sonars, self._free, self._tolerance, self.max_range
         )
 
-    def _move(self, moved: Floats) -> None:
-        """Go on by odometry, less the pull that it is thought to have; the way backwards pulls the other way."""
-        before, way = self.state.copy(), float(moved[0])
-        slopes = np.eye(len(before))
+    def _predict(self, motion: Floats) -> None:
+        """Move by odometry, corrected for its estimated bias, which has the opposite sign when driving backwards."""
+        before, distance = self.state.copy(), float(motion[0])
+        jacobian = np.eye(len(before))
         c, s = np.cos(before[HEADING]), np.sin(before[HEADING])
-        self.state[X] += c * moved[0] - s * moved[1]
-        self.state[Y] += s * moved[0] + c * moved[1]
-        self.state[HEADING] += moved[2] - before[PULL] * way
-        slopes[X, HEADING], slopes[Y, HEADING], slopes[HEADING, PULL] = -s * way, c * way, -way
-        drift = np.zeros(len(before))
-        drift[X] = self.settings.slip**2 * abs(way)
-        drift[HEADING] = self.settings.wander**2 * abs(way)
-        self.spread = slopes @ self.spread @ slopes.T + np.diag(drift)
+        self.state[X] += c * motion[0] - s * motion[1]
+        self.state[Y] += s * motion[0] + c * motion[1]
+        self.state[HEADING] += motion[2] - before[BIAS] * distance
+        jacobian[X, HEADING], jacobian[Y, HEADING], jacobian[HEADING, BIAS] = -s * distance, c * distance, -distance
+        noise = np.zeros(len(before))
+        noise[X] = self.settings.slip_sd**2 * abs(distance)
+        noise[HEADING] = self.settings.heading_walk_sd**2 * abs(distance)
+        self.covariance = jacobian @ self.covariance @ jacobian.T + np.diag(noise)
 
     # ---- spaces ------------------------------------------------------------------------------------------------------
 
     def edges(self) -> list[float]:
-        """Return where boxes began and ended by turns so far, as the foremost sonar on the right saw, x in m."""
-        i = self.index[BOX_SIDE]
+        """Return both ends of the boxes that the front sonar on the right has passed, x in m, in order."""
+        i = self.index[BOX_SONAR]
         along = np.array([in_world(self._poses[i : i + 1], state[:3])[0, 0] for state in self._track])
-        reading = np.array([look.reading[i] for look in self._looks])
-        credence = np.array([look.credence[i] for look in self._looks])
-        threshold = clearance(reading[credence > LEAST_CREDENCE]) + JUMP
-        step = np.abs(np.diff(along, prepend=along[0]))
-        chance = opened(reading > threshold, credence, step, 1.0 - threshold / self.max_range, self.settings.hazard)
+        reading = np.array([step.reading[i] for step in self._inputs])
+        credence = np.array([step.credence[i] for step in self._inputs])
+        threshold = box_distance(reading[credence > MIN_CREDENCE]) + JUMP
+        moved = np.abs(np.diff(along, prepend=along[0]))
+        far_share = 1.0 - threshold / self.max_range
+        probability = space_probability(reading > threshold, credence, moved, far_share, self.settings.edge_rate)
         corner = threshold * np.sin(self._half[i])
-        turns = runs(chance > 0.5)
-        turns = turns[1:] if turns[0][2] else turns  # what is open before the first box is no space
-        out = [along[begin] + (-corner if far else corner) for begin, _, far in turns]
-        return [along[0] - corner, *out[1:]] if turns and turns[0][0] == 0 else out
+        runs = find_runs(probability > 0.5)
+        runs = runs[1:] if runs[0][2] else runs  # the opening before the first box is not a space
+        out = [along[begin] + (-corner if far else corner) for begin, _, far in runs]
+        return [along[0] - corner, *out[1:]] if runs and runs[0][0] == 0 else out
 
-    def spaces(self) -> list[Space]:
-        """Return the spaces passed so far, the last perhaps without its end; those that may do are measured well."""
+    def spaces(self) -> list[ParkingSpace]:
+        """Return the spaces passed so far, those of about the needed length refined; the last may have no end yet."""
         edges = [*self.edges(), np.inf]
-        coarse = [Space(begin, end) for begin, end in zip(edges[1:-1:2], edges[2::2], strict=True)]
-        return [self._measured(space) if DOUBTFUL[0] < space.length < DOUBTFUL[1] else space for space in coarse]
+        coarse = [ParkingSpace(begin, end) for begin, end in zip(edges[1:-1:2], edges[2::2], strict=True)]
+        return [
+            self._refine(space) if REFINE_LENGTHS[0] < space.length < REFINE_LENGTHS[1] else space for space in coarse
+        ]
 
-    def _measured(self, space: Space) -> Space:
-        """Return a space by all that was heard of it; its ends as first proposed tell whether that is known yet."""
-        if space not in self._known:
-            kept = self.state, self.spread, self._free
-            self.choose(space)
+    def _refine(self, space: ParkingSpace) -> ParkingSpace:
+        """Return the estimate of a space from all readings, computed once per first estimate."""
+        if space not in self._refined:
+            backup = self.state, self.covariance, self._free
+            self.select(space)
             assert self.space is not None
-            self._known[space] = self.space
-            self._beside = None
-            self.state, self.spread, self._free = kept
-        return self._known[space]
+            self._refined[space] = self.space
+            self._space_edge = None
+            self.state, self.covariance, self._free = backup
+        return self._refined[space]
 
-    def choose(self, space: Space) -> None:
-        """Begin anew with all edges known, and take in all that was heard so far with them in mind."""
+    def select(self, space: ParkingSpace) -> None:
+        """Select a space: run the filter again over all steps with the edges up to this space in the state."""
         edges = np.array(self.edges())
         first = int(np.argmin(np.abs(edges - space.begin)))
         edges = edges[: first + 2]
-        self._beside = EDGES + first
-        self.state, self.spread = self._prior(edges.tolist())
+        self._space_edge = EDGES + first
+        self.state, self.covariance = self._prior(edges.tolist())
         self._free = np.ones(len(self.state))
-        self._free[[X, *range(EDGES, len(self.state))]] = 0.0  # what edges are seen at says nothing of the way yet
-        track = [self._taken(look) for look in self._looks]
+        self._free[[X, *range(EDGES, len(self.state))]] = 0.0  # x and the edges are not observable apart yet
+        track = [self._processed_pose(step) for step in self._inputs]
         self._free[:] = 1.0
-        self.spread[X], self.spread[:, X] = 0.0, 0.0  # from here on the frame is where the car is now
+        self.covariance[X], self.covariance[:, X] = 0.0, 0.0  # from here on x is relative to the current position
         for k in range(EDGES, len(self.state)):
-            self._place(k, track)
+            self._locate_edge(k, track)
 
-    def _taken(self, look: Look) -> Floats:
-        self._take(look)
+    def _processed_pose(self, step: FilterInput) -> Floats:
+        self._process(step)
         return self.state[:3].copy()
 
-    def _place(self, k: int, track: list[Floats]) -> None:
-        """Find an edge from all readings of the sonars on the right: mean and spread of its posterior on a grid."""
-        at = self.state[k] + np.linspace(-REACH, REACH, GRID)
-        used = [self.index[name] for name in BOX_SIDES]
-        log = np.zeros(GRID)
-        for pose, look in zip(track, self._looks, strict=True):
+    def _locate_edge(self, k: int, track: list[Floats]) -> None:
+        """Set mean and variance of an edge to those of its posterior on a grid, from all sonars on the right."""
+        at = self.state[k] + np.linspace(-EDGE_SEARCH, EDGE_SEARCH, EDGE_POINTS)
+        used = [self.index[name] for name in BOX_SONARS]
+        log = np.zeros(EDGE_POINTS)
+        for pose, step in zip(track, self._inputs, strict=True):
             poses = in_world(self._poses[used], pose)
-            near = np.abs(poses[:, 0] - self.state[k]) < NEAR_EDGE
+            near = np.abs(poses[:, 0] - self.state[k]) < EDGE_NEIGHBOURHOOD
             if near.any():
-                heard = self._half[used][near], look.reading[used][near], look.credence[used][near]
-                log += edge_log_likelihood(self.state, k, at, poses[near], *heard, self._tolerance, self.max_range)
-        share = np.exp(log - log.max())
-        share /= share.sum()
-        mean = float(share @ at)
+                sonars = self._half[used][near], step.reading[used][near], step.credence[used][near]
+                log += edge_log_likelihood(self.state, k, at, poses[near], *sonars, self._tolerance, self.max_range)
+        posterior = np.exp(log - log.max())
+        posterior /= posterior.sum()
+        mean = float(posterior @ at)
         self.state[k] = mean
-        self.spread[k], self.spread[:, k] = 0.0, 0.0
-        self.spread[k, k] = float(share @ (at - mean) ** 2) + EDGE_FLOOR**2
+        self.covariance[k], self.covariance[:, k] = 0.0, 0.0
+        self.covariance[k, k] = float(posterior @ (at - mean) ** 2) + EDGE_SD_FLOOR**2
 
-    # ---- what the driver asks ----------------------------------------------------------------------------------------
+    # ---- output ------------------------------------------------------------------------------------------------------
 
     @property
     def kerb(self) -> float:
-        """Where the kerb lies, y in m."""
+        """Estimated y of the kerb, m."""
         return float(self.state[KERB])
 
     @property
-    def space(self) -> Space | None:
-        """The space that was chosen, as it is known by now."""
-        if self._beside is None:
+    def space(self) -> ParkingSpace | None:
+        """The selected space, by its current estimate; None before a selection."""
+        if self._space_edge is None:
             return None
-        return Space(float(self.state[self._beside]), float(self.state[self._beside + 1]))
+        return ParkingSpace(float(self.state[self._space_edge]), float(self.state[self._space_edge + 1]))
 
-    def room(self, name: str) -> float:
-        """Return how far a sonar can see, m: the median of its last readings, silence being its range."""
-        return float(np.median([look[self.index[name]] for look in self._recent]))
+    def clearance(self, name: str) -> float:
+        """Return the median of the last readings of a sonar, m; no echo counts as the maximum range."""
+        return float(np.median([reading[self.index[name]] for reading in self._recent]))

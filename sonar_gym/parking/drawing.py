@@ -1,4 +1,4 @@
-"""Colours, camera and brushes of the picture; pygame is imported here, at the first drawing."""
+"""Colours, camera and drawing primitives of the renderer, on pygame."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ SPACE: Colour = (120, 214, 158)
 TRUTH: Colour = (255, 255, 255)
 GOOD: Colour = (38, 162, 118)
 BAD: Colour = (205, 62, 66)
-# credence 0, 1/2, 1: told apart by lightness too, for those who do not see red and green alike
+# credence 0, 1/2, 1; the colours differ in lightness too, for colour-blind readers
 CREDENCE: tuple[Colour, Colour, Colour] = ((214, 64, 69), (246, 190, 68), (38, 190, 150))
 DARK_BOX: Colour = (78, 58, 44)  # reflectance 0
 LIGHT_BOX: Colour = (226, 194, 148)  # reflectance 1
 
 
 def blend(a: Colour, b: Colour, share: float) -> Colour:
-    """Return the colour at a share of the way from a to b."""
+    """Return the linear interpolation between colours a and b."""
     r, g, b_ = (round(x + (y - x) * share) for x, y in zip(a, b, strict=True))
     return r, g, b_
 
@@ -49,12 +49,12 @@ def credence_colour(credence: float) -> Colour:
 
 @dataclass(frozen=True)
 class Camera:
-    """From metres to pixels: y up in the world, down in the picture.
+    """Transformation from metres (y up) to pixels (y down).
 
     Attributes:
-        left, top: the world's point at the window's upper left corner, m.
+        left, top: world coordinates of the upper left corner, m.
         scale: px/m.
-        x, y: the window's upper left corner, px.
+        x, y: pixel coordinates of the upper left corner, px.
     """
 
     left: float
@@ -64,7 +64,7 @@ class Camera:
     y: float = 0.0
 
     def place(self, point: ArrayLike) -> Place:
-        """Return a point's pixel."""
+        """Return the pixel of a point."""
         px, py = np.asarray(point, dtype=np.float64)[:2]
         return self.x + (px - self.left) * self.scale, self.y + (self.top - py) * self.scale
 
@@ -74,11 +74,11 @@ class Camera:
 
 
 class Brush:
-    """Draws on a surface in points of the final picture; the surface is larger by `detail` to smooth edges.
+    """Draws on a surface that is larger than the final frame by `detail`, which smooths edges.
 
     Args:
-        surface: to draw on.
-        detail: pixels of the surface for each of the picture.
+        surface: surface to draw on.
+        detail: pixels of the surface per pixel of the frame.
     """
 
     def __init__(self, surface: pygame.Surface, detail: int) -> None:
@@ -98,7 +98,7 @@ class Brush:
             self._veil(points, fill, alpha)
 
     def _veil(self, points: Sequence[Place], fill: Colour, alpha: int) -> None:
-        """Fill a polygon that what is below shines through: on a layer no larger than the polygon."""
+        """Fill a translucent polygon, on a layer of the size of the polygon."""
         up = np.array(self._up(points))
         low = np.floor(np.clip(up.min(axis=0), 0, self.surface.get_size())).astype(int)
         high = np.ceil(np.clip(up.max(axis=0), 0, self.surface.get_size())).astype(int) + 1
@@ -115,7 +115,7 @@ class Brush:
         pygame.draw.lines(self.surface, colour, closed, self._up(points), thickness)
 
     def dashes(self, start: Place, end: Place, colour: Colour, dash: float, gap: float, width: float) -> None:
-        """Draw a broken line."""
+        """Draw a dashed line."""
         length = math.dist(start, end)
         for begin in np.arange(0.0, length, dash + gap):
             a, b = begin / length, min(begin + dash, length) / length
@@ -133,13 +133,13 @@ class Brush:
         pygame.draw.circle(self.surface, colour, (x, y), radius * self.detail, max(1, round(width * self.detail)))
 
     def panel(self, x: float, y: float, width: float, height: float, fill: Colour, radius: float = 0.0) -> None:
-        """Fill a rectangle with round corners."""
+        """Fill a rectangle with rounded corners."""
         d = self.detail
         box = pygame.Rect(round(x * d), round(y * d), round(width * d), round(height * d))
         pygame.draw.rect(self.surface, fill, box, border_radius=round(radius * d))
 
     def text(self, words: str, place: Place, size: int, colour: Colour = INK, at: str = "w") -> None:
-        """Write; `at` says which side of the words the place is: "w" left, "e" right, "c" centre."""
+        """Draw text. `at` is the anchor: "w" left, "e" right, "c" centre."""
         picture = self._font(size).render(words, True, colour)
         box = picture.get_rect()
         x, y = round(place[0] * self.detail), round(place[1] * self.detail)
@@ -154,6 +154,6 @@ class Brush:
 
 
 def wedge(apex: Place, axis: float, half: float, radius: float, parts: int = 24) -> list[Place]:
-    """Return the outline of a sector in metres: apex, then the arc."""
+    """Return the outline of a sector, m: apex, then the arc."""
     angles = np.linspace(axis - half, axis + half, parts)
     return [apex, *((apex[0] + radius * math.cos(a), apex[1] + radius * math.sin(a)) for a in angles)]

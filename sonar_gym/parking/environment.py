@@ -1,4 +1,4 @@
-"""SonarParking-v0: a miniature car finds a space and parks in it by sonar alone (Esmi 2016, section 6.1)."""
+"""SonarParking-v0: a miniature car finds a space and parks in it using sonar alone (Esmi 2016, section 6.1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from acquisition import SettingError
 from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
 from sonar_gym.parking.street import Street, StreetSettings
 from sonar_gym.parking.vehicle import Car, CarSettings
-from sonar_gym.parking.world import World
+from sonar_gym.parking.world import WorldView
 from sonar_gym.sensing.mounts import Layout, Mount
 from sonar_gym.sensing.odometry import OdometryChoice
 from sonar_gym.sensing.sonar import SonarChoice
@@ -25,18 +25,18 @@ ONE = np.zeros(1, dtype=np.int64)  # the rows of a fleet of one
 
 
 class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
-    """A miniature car follows its lane past boxes, finds a space wide enough, and parks sideways in it.
+    """A miniature car drives past boxes, finds a space that is long enough, and parks in it, parallel to the kerb.
 
     ## Description
 
-    A car at 1:10 (0.45 m long, 0.20 m wide, turning radius 0.45 m) drives along a street. Boxes of unlike reflectance
-    stand on its right; most spaces between them are too short, one is wide enough. Eight sonars are all it has to see
-    with. The aim is to stand still in that space, parallel to the kerb, without touching anything: the scenario of
-    S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
+    A car at 1:10 (0.45 m long, 0.20 m wide, turning radius 0.45 m) drives along a street. Boxes of different
+    reflectance stand on its right. Most spaces between them are too short; one is long enough. The car perceives its
+    surroundings with eight sonars only. The aim is to stand still in that space, parallel to the kerb, without a
+    collision: the scenario of S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
 
-    What the sonars say is drawn from the law of a `noise.SonarModel`, given the true distance, bearing, incidence and
-    reflectance of the nearest point in each cone. The world does not depend on the model: the same seed gives the same
-    street for all of them.
+    The readings are drawn from the law of a `noise.SonarModel`, given the true distance, bearing, incidence and
+    reflectance of the nearest point in each cone. The street does not depend on the model: the same seed gives the
+    same street for every model.
 
     ## Action Space
 
@@ -44,11 +44,11 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     | Num | Action | -1 | 1 |
     |---|---|---|---|
-    | 0 | steering angle wanted | 30 deg to the right | 30 deg to the left |
-    | 1 | speed wanted | 0.5 m/s backwards | 0.5 m/s forwards |
+    | 0 | commanded steering angle | 30 deg to the right | 30 deg to the left |
+    | 1 | commanded speed | 0.5 m/s backwards | 0.5 m/s forwards |
 
-    Servo and motor follow with lag and limited rate. Values beyond the limits are clipped; NaN and infinity are
-    refused with a `SettingError`.
+    Servo and motor follow with a lag and a limited rate. Values beyond the limits are clipped. NaN and infinity raise
+    `SettingError`.
 
     ## Observation Space
 
@@ -56,37 +56,37 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     | Key | Shape | Meaning |
     |---|---|---|
-    | `ranges` | (n,) | reading over the maximum range of 3.01 m, 0 to 1; 1 without an echo |
+    | `ranges` | (n,) | reading divided by the maximum range of 3.01 m, 0 to 1; 1 without an echo |
     | `credence` | (n,) | P(reading within 10 % of the truth), given the reading alone; 0 without an echo |
-    | `echo` | (n,) | 1 echo, 0 silence, -1 no answer (a dead wire) |
-    | `age` | (n,) | time since the ping that the reading answers, s, at most 1 |
-    | `ego` | (7,) | what wheel encoder, gyro and clock tell, see below |
+    | `echo` | (n,) | 1 echo, 0 no echo, -1 no answer (a broken connection) |
+    | `age` | (n,) | time since the ping of the reading, s, at most 1 |
+    | `ego` | (7,) | measurements of wheel encoder, gyro and clock, see below |
 
-    `ego`: speed and steering angle as shares of the greatest; cosine and sine of the turn since the start; metres gone
-    along the first heading / 10 and across it / 2; time / 40 s.
+    `ego`: speed and steering angle as fractions of their maximum; cosine and sine of the change of heading since the
+    start; displacement along the initial heading / 10 m and across it / 2 m; time / 40 s.
 
     ## Rewards
 
-    The sum of `info["reward_terms"]`: `progress` (metres by which the cost to go along a reference path falls),
-    `time` (-0.01 a step), `parked` (+10, once), `crashed` (-10, once). Weights are `RewardWeights`.
+    The sum of `info["reward_terms"]`: `progress` (decrease of the cost to go along a reference path, m), `time` (-0.01
+    per step), `parked` (+10, once), `crashed` (-10, once). The weights are `RewardWeights`.
 
     ## Starting State
 
-    The car stands at the beginning of its lane, some millimetres and degrees off it. Number, length, reflectance and
-    texture of boxes, number and length of spaces are drawn anew (`StreetSettings`).
+    The car stands at the beginning of its lane with a small offset and heading error. The number, length, reflectance
+    and texture of the boxes and the number and length of the spaces are random (`StreetSettings`).
 
     ## Episode End
 
-    Terminated: the car stands in the gap (`info["is_success"]`): slower than 0.03 m/s, within 10 deg of the kerb's
-    direction, no more than 20 mm over the strip's line; or it touched something (`info["collision"]`), or left the
-    street by the open end behind it (`info["left_street"]`). Truncated after 400 steps (40 s) when made by
-    `gymnasium.make`.
+    Terminated: the car stands in the gap (`info["is_success"]`), that is, slower than 0.03 m/s, within 10 deg of the
+    direction of the kerb, and at most 20 mm over the line of the strip; or it touched an obstacle
+    (`info["collision"]`); or it left the street at the open end behind it (`info["left_street"]`). Truncated after 400
+    steps (40 s) when made by `gymnasium.make`.
 
     ## Information
 
-    `info` holds what a car cannot know. Of the ping that each reading answers, each (n,): `distance` (m; 3.01 where the
-    cone is empty), `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause`, the reading's, by number of
-    `env.unwrapped.causes`; `credence_given_condition`, unless the model can only be drawn from. Of the car:
+    `info` holds the hidden truth. For the ping of each reading, each (n,): `distance` (m; 3.01 for an empty cone),
+    `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause`, the cause of the reading as an index of
+    `env.unwrapped.causes`; `credence_given_condition`, unless the model can only be sampled. For the car:
     `is_success`, `collision`, `left_street`, `reward_terms`.
 
     ## Arguments
@@ -97,27 +97,27 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     - `sonar`: "ideal" (default), "gaussian", another name of `noise.model_names()`, the path of a saved model, or a
       `SonarModel`.
-    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never together, and
-      readings come in 20 ms later), "four", or a list of `Mount` or mappings of their fields: place, cone, period,
-      phase and latency.
-    - `difficulty`: "easy", "normal" (default) or "hard": how tight the gap is, how many spaces are too short, how dark
-      boxes are, how far off the car starts.
-    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields; those of
-      a street take the place of the difficulty's.
-    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: how far off
-      what `ego` tells of the way gone is.
+    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never fire together;
+      latency 20 ms), "four", or a list of `Mount` or of mappings of their fields: position, cone, period, phase and
+      latency.
+    - `difficulty`: "easy", "normal" (default) or "hard": length of the gap, number of spaces that are too short,
+      reflectance of the boxes, offset of the start.
+    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields. Fields
+      of `street` override those of the difficulty.
+    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of
+      the odometry in `ego`.
     - `render_mode`: None, "rgb_array" or "human".
 
-    `reset(options=...)` fixes what is not to be drawn: `difficulty`; `street`, a mapping of fields of `StreetSettings`
-    or a `Street`; `boxes`, a list of mappings of `begin`, `length` and, where wanted, `recess`, `reflectance`,
-    `texture_deg`; `start`, the car's x, y, heading in m, m, rad.
+    To fix what is normally random, pass `options` to `reset()`: `difficulty`; `street`, a mapping of fields of
+    `StreetSettings`, or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`,
+    `reflectance`, `texture_deg`; `start`, x, y, heading of the car in m, m, rad.
 
     ## Version History
 
-    - v0: the first.
+    - v0: first version.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 - as Gymnasium
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 - as in Gymnasium
 
     def __init__(
         self,
@@ -142,9 +142,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     # ---- world -------------------------------------------------------------------------------------------------------
 
     @property
-    def world(self) -> World:
-        """The world as it is now."""
-        return self.fleet.world(0)
+    def world(self) -> WorldView:
+        """A view of the present state."""
+        return self.fleet.view(0)
 
     @property
     def street(self) -> Street:
@@ -153,7 +153,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the causes of readings, by number: those of the scene, then the model's own faults."""
+        """Names of the causes of readings, by number: causes in the scene, then the faults of the model."""
         return self.fleet.causes
 
     @property
@@ -163,7 +163,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     @property
     def car(self) -> Car:
-        """The car as it is now; another may be put in its place."""
+        """The present state of the car; it can be replaced."""
         return self.world.car
 
     @car.setter
@@ -173,7 +173,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a street and put the car at its beginning; `options` fixes what is not to be drawn."""
+        """Draw a street and place the car at its start. `options` fixes what is normally random."""
         super().reset(seed=seed)
         if seed is not None or not self._streams_seeded:
             self.fleet.seed(self.np_random_seed if seed is None else seed)
@@ -183,7 +183,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         return self.fleet.observation(0), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive for 0.1 s towards the wanted steering and speed, then listen."""
+        """Drive for 0.1 s with the commanded steering and speed, then take readings."""
         self._check_begun("step")
         self.fleet.step(ONE, self._checked(action))
         self._show()
@@ -210,7 +210,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         info["reward_terms"] = {name: float(value) for name, value in info["reward_terms"].items()}
         return info
 
-    # ---- pictures ----------------------------------------------------------------------------------------------------
+    # ---- rendering ---------------------------------------------------------------------------------------------------
 
     def _show(self) -> None:
         if self.render_mode == "human":
@@ -223,20 +223,20 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
             return None
         self._check_begun("render")
         if self._renderer is None:
-            from sonar_gym.parking.rendering import Renderer  # pygame is imported when it is first drawn
+            from sonar_gym.parking.rendering import Renderer  # imports pygame
 
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
         picture: NDArray[np.uint8] | None = self._renderer.draw(self.world)
         return picture
 
     def close(self) -> None:
-        """Close the window, where there is one."""
+        """Close the window, if any."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
 
 def check_render_mode(mode: str | None) -> None:
-    """Refuse a render mode that there is not."""
+    """Raise SettingError for an unknown render mode."""
     if mode is not None and mode not in SonarParkingEnv.metadata["render_modes"]:
         raise SettingError(f"render_mode {mode!r}: expected None, 'human' or 'rgb_array'")

@@ -1,7 +1,7 @@
-"""A fleet: n cars, each in a street of its own, as arrays. The single environment is a fleet of one.
+"""A fleet: n cars as arrays, each in its own street. The single environment is a fleet of one.
 
-World number i is row i of every array and has two random streams of its own, one for its streets and one for its
-sonars; so it says the same alone as among a thousand.
+World i is row i of every array. It has its own random streams for streets, sonars and odometer, so its results do not
+depend on the number of worlds.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from acquisition import Ping, SettingError
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.prior import street_credence
-from sonar_gym.parking.step_kernel import Rules, Worlds
+from sonar_gym.parking.step_kernel import StepConstants, Worlds
 from sonar_gym.parking.street import (
-    BEHIND,
+    STREET_BEHIND_M,
     Goal,
     Street,
     StreetSettings,
@@ -32,7 +32,7 @@ from sonar_gym.parking.street import (
     street_settings,
 )
 from sonar_gym.parking.vehicle import CarSettings
-from sonar_gym.parking.world import World
+from sonar_gym.parking.world import WorldView
 from sonar_gym.sensing.mounts import Layout, layout, mount_arrays, timing_array
 from sonar_gym.sensing.odometry import Odometer, OdometryChoice
 from sonar_gym.sensing.odometry import odometry as odometry_settings
@@ -42,31 +42,31 @@ from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Observation = dict[str, NDArray[np.float32]]
-STEP_S = 0.1  # s; the SRF08 ranges in 65 ms, all of them at once after a general call (Devantech)
+STEP_S = 0.1  # s; an SRF08 ranges in 65 ms; a general call starts all of them together (Devantech)
 MAX_RANGE = 3.01  # m; SRF08 with range register 69: (69 + 1) * 43 mm
-MAX_STEPS = 400  # of an episode, by the time limit that `gymnasium.make` and `make_vec` set
-ODOMETRY_SPAN = (10.0, 2.0)  # m; odometry along and across the start's heading is given as shares of these
+MAX_STEPS = 400  # time limit of an episode in `gymnasium.make` and `make_vec`
+ODOMETRY_SPAN = (10.0, 2.0)  # m; scale of the odometry along and across the initial heading
 PARKED_ANGLE = np.radians(10.0)
 PARKED_SPEED = 0.03  # m/s
-PARKED_OVERHANG = 0.02  # m; how far a parked body may stand out over the strip's line
-THREAD_ROWS = 64  # worlds below which a thread costs more than it brings
-EGO = 7  # numbers in `ego`
+PARKED_OVERHANG = 0.02  # m; greatest overhang of a parked car over the line of the strip
+THREAD_ROWS = 64  # worlds per thread below which threads do not pay
+EGO = 7  # length of `ego`
 TERMS = ("progress", "time", "parked", "crashed")
-HEARD = ("ranges", "credence", "echo", "age")
+SONAR_KEYS = ("ranges", "credence", "echo", "age")
 OPTIONS = ("difficulty", "street", "boxes", "start")
 
 
 @dataclass(frozen=True)
 class RewardWeights:
-    """What each term of the reward is worth.
+    """Weights of the reward terms.
 
     Attributes:
-        progress: per metre by which the cost to go along a reference path falls.
-        time: per step.
-        parked: once, for standing in the gap.
-        crashed: once, for touching anything or leaving the street.
-        off_path: price of a metre off the reference path, in metres of cost to go.
-        off_heading: price of a radian off its heading, in metres of cost to go.
+        progress: reward per metre of decrease of the cost to go along the reference path.
+        time: reward per step.
+        parked: reward for standing in the gap, once.
+        crashed: reward for a collision or for leaving the street, once.
+        off_path: cost to go of a lateral distance of 1 m from the reference path, m.
+        off_heading: cost to go of a heading error of 1 rad, m.
     """
 
     progress: float = 1.0
@@ -77,15 +77,15 @@ class RewardWeights:
     off_heading: float = 0.5
 
 
-def given_or(cls: type, given: Any) -> Any:
-    """Return settings as they are, from a mapping of fields, or with their defaults."""
+def settings_or_default(cls: type, given: Any) -> Any:
+    """Return settings given as an instance, as a mapping of fields, or as None for the defaults."""
     if given is None:
         return cls()
     return cls(**given) if isinstance(given, Mapping) else given
 
 
 def _faces(n: int, faces: int) -> dict[str, Any]:
-    """Return room for so many faces in each of n streets."""
+    """Return empty arrays for a number of faces in each of n streets."""
     return {
         "segments": np.zeros((n, faces, 4)),
         "surface": np.zeros((n, faces, 2)),
@@ -94,17 +94,17 @@ def _faces(n: int, faces: int) -> dict[str, Any]:
 
 
 class Fleet:
-    """n worlds.
+    """n worlds that are stepped together.
 
     Args:
-        count: of worlds.
-        sonar: name, path or model, shared by all.
+        count: number of worlds n.
+        sonar: name, path or model of the sonars, shared by all worlds.
         sonar_layout: mounts on each car.
-        difficulty: name of a level of `street.LEVELS`.
-        street: what each episode's street is drawn from; a mapping replaces fields of the level's.
+        difficulty: name of a level in `street.LEVELS`.
+        street: distribution of the streets; a mapping replaces fields of the level.
         car, reward: settings, or mappings of their fields.
-        odometry: how far off the cars' knowledge of their way is.
-        threads: that share the work.
+        odometry: errors of the odometry.
+        threads: number of threads.
     """
 
     def __init__(
@@ -122,15 +122,15 @@ class Fleet:
         self.count = count
         self.mounts = layout(sonar_layout)
         self.street_settings = street_settings(difficulty, street)
-        self.car_settings: CarSettings = given_or(CarSettings, car)
-        self.reward_weights: RewardWeights = given_or(RewardWeights, reward)
+        self.car_settings: CarSettings = settings_or_default(CarSettings, car)
+        self.reward_weights: RewardWeights = settings_or_default(RewardWeights, reward)
         model = resolve(sonar)
         tables = street_credence(model, self.street_settings, self.car_settings, self.mounts, MAX_RANGE)
         self.sonar = Sonar(model, len(self.mounts), MAX_RANGE, tables=tables, copies=count)
         self.odometer = Odometer(odometry_settings(odometry), count)
         named = isinstance(sonar, (str, os.PathLike))
         self.sonar_name = Path(str(sonar)).name if named else type(model).__name__
-        parallel = threads > 1 and (count == 1 or self.sonar.at_once)
+        parallel = threads > 1 and (count == 1 or self.sonar.batched)
         self._pool = ThreadPoolExecutor(threads) if parallel else None
         self._threads = threads if parallel else 1
         self._make_arrays(count, len(self.mounts))
@@ -138,18 +138,18 @@ class Fleet:
 
     def _make_arrays(self, n: int, s: int) -> None:
         self.streets: list[Street | None] = [None] * n
-        singles: dict[str, Any] = {name: np.zeros((n, s), dtype=np.float32) for name in HEARD}
+        singles: dict[str, Any] = {name: np.zeros((n, s), dtype=np.float32) for name in SONAR_KEYS}
         self.worlds = Worlds(
             steps=np.full(n, -1, dtype=np.int64),
             car=np.zeros((n, 5)),
-            kept=self.odometer.kept,
+            odometry=self.odometer.state,
             task=np.zeros((n, step_kernel.TASK)),
             counts=np.zeros(n, dtype=np.int64),
             **_faces(n, 4 * (self.street_settings.decoys[1] + 2) + 3),
-            flying=np.zeros((n, s, step_kernel.COLUMNS)),
+            last_pings=np.zeros((n, s, step_kernel.COLUMNS)),
             fired=np.zeros((n, s), dtype=np.bool_),
             in_flight=np.zeros((n, s), dtype=np.bool_),
-            shown=np.zeros((n, s, step_kernel.COLUMNS)),
+            observed=np.zeros((n, s, step_kernel.COLUMNS)),
             terms=np.zeros((n, len(TERMS))),
             ended=np.zeros((n, 3), dtype=np.bool_),
             ego=np.zeros((n, EGO), dtype=np.float32),
@@ -158,16 +158,16 @@ class Fleet:
         )
 
     def _make_room(self, faces: int) -> None:
-        """Make room for so many faces in each street, and keep those that are there."""
+        """Enlarge the arrays of faces, with the present faces copied."""
         wider = _faces(self.count, faces)
         for name, new in wider.items():
             old = getattr(self.worlds, name)
             new[:, : old.shape[1]] = old
         self.worlds = self.worlds._replace(**wider)
 
-    def _rules(self) -> Rules:
+    def _rules(self) -> StepConstants:
         car, (mounts, half) = self.car_settings, mount_arrays(self.mounts)
-        return Rules(
+        return StepConstants(
             measures=car.dynamics,
             body=car.body,
             mounts=mounts,
@@ -176,7 +176,7 @@ class Fleet:
             arc=arc_table(car),
             weights=np.array(astuple(self.reward_weights)),
             share=np.array([car.max_speed, car.max_steering, *ODOMETRY_SPAN, MAX_STEPS]),
-            limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -BEHIND]),
+            limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -STREET_BEHIND_M]),
             edges=self.sonar.edges,
             tables=self.sonar.tables,
             dt=STEP_S,
@@ -185,14 +185,14 @@ class Fleet:
 
     @property
     def observation_space(self) -> spaces.Dict:
-        """Of one world."""
+        """Observation space of one world."""
         n = len(self.mounts)
         own = {"age": spaces.Box(0.0, 1.0, (n,), np.float32), "ego": spaces.Box(-1.0, 1.0, (EGO,), np.float32)}
         return spaces.Dict({**sonar_spaces(n), **own})
 
     @property
     def action_space(self) -> spaces.Box:
-        """Of one world."""
+        """Action space of one world."""
         return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     @property
@@ -200,34 +200,34 @@ class Fleet:
         """Names of the causes of readings, by number."""
         return (*step_kernel.CAUSES, *self.sonar.causes)
 
-    # ---- what happens ------------------------------------------------------------------------------------------------
+    # ---- episodes ----------------------------------------------------------------------------------------------------
 
     def seed(self, seed: int, row: int = 0) -> None:
-        """Start the streams of a world's sonars and odometer anew; that of its streets is the caller's."""
+        """Seed the sonar and odometer streams of a world. The caller owns the stream of its streets."""
         self.sonar.seed(seed, row)
         self.odometer.seed(seed, row)
 
     def reset(self, rows: Ints, rngs: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None) -> None:
-        """Begin new episodes in some worlds: draw a street from each one's generator, stand at its beginning, listen.
+        """Begin new episodes in some worlds: draw the streets, place the cars at their start, and take readings.
 
         Args:
-            rows: which worlds.
-            rngs: one for each of them.
-            options: of `street_for`.
+            rows: worlds.
+            rngs: generator of the street of each of these worlds.
+            options: see `street_for`.
         """
         for row, rng in zip(rows, rngs, strict=True):
-            self._lay(int(row), self.street_for(rng, options))
+            self._place_street(int(row), self.street_for(rng, options))
         self.sonar.forget(rows)
         self.odometer.begin(rows)
         step_kernel.begin(rows, self.worlds, self.rules)
-        self._hear(rows)
+        self._sense(rows)
 
     def step(self, rows: Ints, wanted: Floats) -> None:
-        """Drive some worlds' cars for 0.1 s, then listen.
+        """Drive the cars of some worlds for 0.1 s, then take readings.
 
         Args:
-            rows: which worlds, increasing, (r,).
-            wanted: steering and speed as shares of the greatest, within -1..1, (r, 2).
+            rows: worlds, increasing, (r,).
+            wanted: commanded steering and speed as fractions of their maximum, within -1..1, (r, 2).
         """
         self.odometer.slip(rows)
         if self._pool is None or len(rows) < THREAD_ROWS * self._threads:
@@ -238,10 +238,10 @@ class Fleet:
 
     def _step(self, rows: Ints, wanted: Floats) -> None:
         step_kernel.advance(rows, wanted, self.worlds, self.rules)
-        self._hear(rows)
+        self._sense(rows)
 
-    def _hear(self, rows: Ints) -> None:
-        """Draw what the sonars say that have fired, and show what has come in."""
+    def _sense(self, rows: Ints) -> None:
+        """Draw the readings of the sonars that have fired, and observe the readings that have arrived."""
         fired, s = self.worlds.fired[rows], len(self.mounts)
         if fired.all():
             run = rows[-1] - rows[0] + 1 == len(rows)
@@ -249,14 +249,14 @@ class Fleet:
             self._draw(rows, [s] * len(rows), place)
         elif fired.any():
             self._draw(rows, fired.sum(axis=1).tolist(), (rows[:, None] * s + np.arange(s))[fired])
-        step_kernel.tell(rows, self.worlds, self.rules)
+        step_kernel.observe(rows, self.worlds, self.rules)
 
     def _draw(self, rows: Ints, each: Sequence[int], place: slice | Ints) -> None:
-        pings = self.worlds.flying.reshape(-1, step_kernel.COLUMNS)
+        pings = self.worlds.last_pings.reshape(-1, step_kernel.COLUMNS)
         met = np.ascontiguousarray(pings[place, : step_kernel.SENT + 1].T)
-        seen = met[step_kernel.THING] >= 0.0
+        seen = met[step_kernel.OBJECT] >= 0.0
         run = np.arange(place.start, place.stop) if isinstance(place, slice) else place
-        distance, angle, incidence, reflectance = met[: step_kernel.THING]
+        distance, angle, incidence, reflectance = met[: step_kernel.OBJECT]
         distance = np.where(seen, distance, EMPTY_M)
         ping = Ping(distance, angle, incidence, reflectance, met[step_kernel.SENT], run)
         drawn = self.sonar.draw(ping, rows, each, place)
@@ -272,10 +272,10 @@ class Fleet:
         """Return the street of a new episode.
 
         Args:
-            rng: it is drawn from.
-            options: where something is to be fixed: `difficulty`, a level's name; `street`, a mapping of fields of
-                `StreetSettings`, those whole, or a `Street`; `boxes`, as of `street_of`; `start`, the car's x, y,
-                heading in m, m, rad.
+            rng: generator of everything that the options do not fix.
+            options: `difficulty`, the name of a level; `street`, a mapping of fields of `StreetSettings`, a
+                `StreetSettings` or a `Street`; `boxes`, see `street_of`; `start`, x, y, heading of the car in m, m,
+                rad.
         """
         options = options or {}
         for name in options:
@@ -295,8 +295,8 @@ class Fleet:
         settings = replace(settings, **given) if isinstance(given, Mapping) else (given or settings)
         return street_of(settings, options["boxes"]) if "boxes" in options else draw_street(settings, rng)
 
-    def _lay(self, row: int, street: Street) -> None:
-        """Put a street and a car at its beginning into a row."""
+    def _place_street(self, row: int, street: Street) -> None:
+        """Write a street, and a car at its start, to a row."""
         scene, goal = street.scene, Goal.of(street, self.car_settings)
         faces = len(scene.segments)
         if faces > self.worlds.owner.shape[1]:
@@ -307,17 +307,17 @@ class Fleet:
         worlds.car[row] = (*street.start, 0.0, 0.0)
         worlds.task[row] = (*street.gap, street.line, goal.x, goal.y, goal.turn, goal.ready_x, 0.0)
 
-    # ---- what comes out ----------------------------------------------------------------------------------------------
+    # ---- results -----------------------------------------------------------------------------------------------------
 
     def observation(self, which: int | slice | Ints) -> Observation:
-        """Return what cars can know: of one world, each (s,) or (7,), or of several, each (r, s) or (r, 7)."""
-        return {name: getattr(self.worlds, name)[which].copy() for name in (*HEARD, "ego")}
+        """Return the observations of one world, each (s,) or (7,), or of several worlds, each (r, s) or (r, 7)."""
+        return {name: getattr(self.worlds, name)[which].copy() for name in (*SONAR_KEYS, "ego")}
 
     def truth(self, which: int | slice | Ints) -> dict[str, Any]:
-        """Return what cars cannot know, of one world or of several: of each reading shown, the ping it answers."""
+        """Return the hidden truth of one world or of several, including the conditions behind the readings."""
         w = self.worlds
-        shown, ended = w.shown[which], w.ended[which].copy()
-        pings = shown.transpose(shown.ndim - 1, *range(shown.ndim - 1)).copy()
+        observed, ended = w.observed[which], w.ended[which].copy()
+        pings = observed.transpose(observed.ndim - 1, *range(observed.ndim - 1)).copy()
         out = {
             "is_success": ended[..., step_kernel.PARKED],
             "collision": ended[..., step_kernel.COLLISION],
@@ -326,7 +326,7 @@ class Fleet:
             "bearing": pings[step_kernel.BEARING],
             "incidence": pings[step_kernel.INCIDENCE],
             "reflectance": pings[step_kernel.REFLECTANCE],
-            "in_cone": pings[step_kernel.THING] >= 0.0,
+            "in_cone": pings[step_kernel.OBJECT] >= 0.0,
             "cause": w.cause[which].copy(),
             "reward_terms": dict(zip(TERMS, w.terms[which].copy().T, strict=True)),
         }
@@ -335,11 +335,13 @@ class Fleet:
         return out
 
     def close(self) -> None:
-        """Let the threads go; what is asked afterwards is done without them."""
+        """Shut the threads down. Later steps run in the calling thread."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
 
-    def world(self, row: int) -> World:
-        """Return one world as a picture wants it."""
-        return World(self, row)
+    def view(self, row: int) -> WorldView:
+        """Return a view of one world whose episode has begun."""
+        street = self.streets[row]
+        assert street is not None
+        return WorldView(self.worlds, row, street, self.mounts, self.car_settings, self.sonar_name, self.causes)

@@ -1,8 +1,8 @@
-"""What a car in the street faces before it listens: the prior over which credence given a reading is taken.
+"""Prior distribution of the conditions of each sonar in the street, from which credence given a reading follows.
 
-A robot knows its kind of world and which of its sonars speaks, though not where it stands. So the conditions of each
-sonar are sampled from streets like those of the task, with the car near the path that parks it: a sonar that looks
-along the street mostly meets faces at the edge of its cone, one that looks sideways meets them squarely.
+A robot knows the kind of its world and which sonar gave a reading, but not its own position. The conditions of each
+sonar are therefore sampled from streets of the task with the car near the reference path. A sonar that faces along the
+street mostly measures faces at the edge of its cone; one that faces sideways measures them at normal incidence.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.sonar import bin_edges, broad_table
 
 Floats = NDArray[np.float64]
-SEED = 2016  # the prior is the same for everyone
-STREETS, POSES = 60, 12  # drawn, and poses in each
-OFF_PATH, OFF_HEADING = 0.03, np.radians(5.0)  # m, rad; standard deviations about the path: ours
-BROAD_WEIGHT = 0.05  # kept for readings that the sample never gives
+SEED = 2016  # fixed, so that every process computes the same prior
+STREETS, POSES = 60, 12  # number of streets, and of poses in each
+OFF_PATH, OFF_HEADING = 0.03, np.radians(5.0)  # m, rad; standard deviations from the path, chosen here
+BROAD_WEIGHT = 0.05  # weight of the broad prior, for readings that the sample never gives
 
 
 def _poses(street: Street, car: CarSettings, rng: np.random.Generator) -> list[Floats]:
-    """Return poses near the path from the start to the space at which the car touches nothing."""
+    """Return collision-free poses near the path from the start to the gap."""
     path = reference_path(street, car)[:, :3]
     on_street = path[path[:, 0] >= street.start[0]]
     chosen = on_street[rng.integers(len(on_street), size=POSES)]
@@ -42,7 +42,7 @@ def _poses(street: Street, car: CarSettings, rng: np.random.Generator) -> list[F
 def street_pings(
     streets: StreetSettings, car: CarSettings, mounts: tuple[Mount, ...], max_range: float
 ) -> tuple[Ping, ...]:
-    """Return for each sonar a sample of the conditions that it meets, each (n,); empty cones are among them."""
+    """Return a sample of the conditions of each sonar, each (n,), including empty cones."""
     rng = np.random.default_rng(SEED)
     local, half = mount_arrays(mounts)
     met = []
@@ -60,7 +60,7 @@ FIELDS = ("distance", "angle", "incidence", "reflectance")
 def street_credence(
     model: SonarModel, streets: StreetSettings, car: CarSettings, mounts: tuple[Mount, ...], max_range: float
 ) -> tuple[CredenceTable, ...]:
-    """Return the credence given a reading for each sonar of a car in such streets; computed once a model."""
+    """Return the credence given a reading for each sonar of a car in such streets; cached per model."""
     return _street_credence(cast(Hashable, model), streets, car, mounts, max_range)
 
 

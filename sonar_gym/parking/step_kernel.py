@@ -1,7 +1,6 @@
-"""One step of many cars, each in a street of its own, compiled by numba: what all forms of the environment run.
+"""The step of all forms of the environment, compiled by numba: many cars, each in its own street.
 
-World number i is row i of every array; nothing passes from row to row, so rows can be stepped in any order, by any
-number of threads, and alone.
+World i is row i of every array. Rows are independent, so they can be stepped in any order and by several threads.
 """
 
 from __future__ import annotations
@@ -14,61 +13,60 @@ from numpy.typing import NDArray
 
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.kernels import NOTHING, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
-from sonar_gym.sensing.odometry import PULL, SCALE, count
+from sonar_gym.sensing.odometry import PULL, SCALE, integrate
 
 Bits = NDArray[np.bool_]
 Singles = NDArray[np.float32]
-DISTANCE, BEARING, INCIDENCE, REFLECTANCE, THING, X, Y, SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT = range(12)
+DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBJECT, X, Y, SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT = range(12)
 COLUMNS = 12
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
 TASK = 8
 PARKED, COLLISION, LEFT_STREET = range(3)
-PARTS = 5  # of a step; contact is looked for at the end of each
-NOW = 1e-9  # s; two moments as near as this are one
-# Why a reading is what it is, by number; a model's own faults are counted on from here
+PARTS = 5  # parts of a step; collisions are checked at the end of each
+TIME_TOLERANCE_S = 1e-9  # two times that differ by less are equal
+# Causes of readings, by number; the faults of a model are numbered from FAULTS on
 EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, FAULTS = range(8)
 CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer")
-_ECHO, _NO_ANSWER = 1, 2  # of acquisition.EchoStatus
+_ECHO, _NO_ANSWER = 1, 2  # members of acquisition.EchoStatus
 
 
 class Worlds(NamedTuple):
-    """What differs from world to world, and is written by a step.
+    """State of the worlds, written by a step.
 
     Attributes:
-        steps: taken since the episode began, (n,).
+        steps: number of steps since the start of the episode, (n,).
         car: x, y, heading, speed, steering angle, (n, 5).
-        kept: by the odometer, as `odometry.count` wants it, (n, 7).
-        task: where the gap begins and ends, m; y of the strip's line, m; x and y of the reference path's end, m; the
-            turn of its two arcs, rad; x at which they begin, m; the cost to go, m; in columns `GAP` to `COST`,
-            (n, TASK).
-        counts: of segments, (n,).
+        odometry: state of the odometer, see `odometry.integrate`, (n, 7).
+        task: x of the two ends of the gap, m; y of the line of the strip, m; x and y of the end of the reference path,
+            m; angle of its two arcs, rad; x at which they begin, m; cost to go, m; columns `GAP` to `COST`, (n, TASK).
+        counts: number of segments, (n,).
         segments: m, (n, m, 4).
-        surface: reflectance and texture of each, 1 and rad, (n, m, 2).
-        owner: number of the thing that each belongs to, (n, m).
-        flying: the last ping of each sonar: the condition that it faced, when it was sent, and what was heard of it,
-            in columns `DISTANCE` to `FAULT`, (n, s, COLUMNS).
+        surface: reflectance and texture of each segment, 1 and rad, (n, m, 2).
+        owner: index of the object of each segment, (n, m).
+        last_pings: the last ping of each sonar: its condition, time and reading, columns `DISTANCE` to `FAULT`,
+            (n, s, COLUMNS).
         fired: whether that ping is new, (n, s).
-        in_flight: whether its reading is still to come in, (n, s).
-        shown: the pings whose readings came in last, (n, s, COLUMNS).
-        terms: of the reward: progress, time, parked, crashed, (n, 4).
+        in_flight: whether its reading has not arrived yet, (n, s).
+        observed: the pings of the readings that arrived last, (n, s, COLUMNS).
+        terms: reward terms: progress, time, parked, crashed, (n, 4).
         ended: parked, collision, left the street, (n, 3).
-        ranges, credence, echo, age: what is observed of the sonars, (n, s).
-        ego: what is observed of the car, (n, 7).
-        cause: of each reading, (n, s).
+        ranges, credence, echo, age: observations of the sonars, (n, s).
+        ego: observation of the car, (n, 7).
+        cause: cause of each reading, (n, s).
     """
 
     steps: Ints
     car: Floats
-    kept: Floats
+    odometry: Floats
     task: Floats
     counts: Ints
     segments: Floats
     surface: Floats
     owner: Ints
-    flying: Floats
+    last_pings: Floats
     fired: Bits
     in_flight: Bits
-    shown: Floats
+    observed: Floats
     terms: Floats
     ended: Bits
     ranges: Singles
@@ -79,22 +77,22 @@ class Worlds(NamedTuple):
     cause: Ints
 
 
-class Rules(NamedTuple):
-    """What is alike in all worlds.
+class StepConstants(NamedTuple):
+    """Constants shared by all worlds.
 
     Attributes:
-        measures: of the car, as `CarSettings.dynamics`.
-        body: of the car, (4,).
-        mounts: poses of the sonars in the car's frame, (s, 3).
+        measures: dynamics of the car, see `CarSettings.dynamics`.
+        body: rectangle of the car, (4,).
+        mounts: poses of the sonars in the frame of the car, (s, 3).
         half: half opening angles, rad, (s,).
         timing: period, phase, latency of each sonar, s, (s, 3).
-        arc: of the reference path, as `cost_to_go` wants it.
-        weights: of the reward, in the order of `RewardWeights`.
-        share: what `ego` is told as shares of: speed, steering, way along, way across, steps, (5,).
-        limits: of `is_parked`: speed, m/s, angle, rad, overhang, m; x of the street's open end, m.
-        edges, tables: credence given a reading, one table a sonar, (b + 1,), (s, b).
+        arc: arc of the reference path, see `cost_to_go`.
+        weights: reward weights, in the order of `RewardWeights`.
+        share: scales of `ego`: speed, steering, odometry along and across, steps, (5,).
+        limits: limits of `is_parked`: speed, m/s, angle, rad, overhang, m; x of the open end of the street, m.
+        edges, tables: credence given a reading, one table per sonar, (b + 1,), (s, b).
         dt: duration of a step, s.
-        far: greatest range, m.
+        far: maximum range, m.
     """
 
     measures: Floats
@@ -114,33 +112,33 @@ class Rules(NamedTuple):
 
 @compiled
 def firing(begin: float, dt: float, period: float, phase: float) -> float:
-    """Return how long after `begin` a sonar fires last within dt s, (0, dt]; -1 where it does not.
+    """Return the delay from `begin` to the last ping of a sonar within a step, s, in (0, dt]; -1 without a ping.
 
     Args:
-        begin: s since the episode began.
-        dt: s.
-        period: from ping to ping, s; 0 for one ping at the end of every dt.
+        begin: time since the start of the episode, s.
+        dt: duration of the step, s.
+        period: interval between pings, s; 0 for one ping at the end of every step.
         phase: time of the first ping, s.
     """
     if period <= 0.0:
         return dt
-    last = phase + math.floor((begin + dt - phase + NOW) / period) * period
-    return min(last - begin, dt) if last > begin + NOW and last >= phase - NOW else -1.0
+    last = phase + math.floor((begin + dt - phase + TIME_TOLERANCE_S) / period) * period
+    return min(last - begin, dt) if last > begin + TIME_TOLERANCE_S and last >= phase - TIME_TOLERANCE_S else -1.0
 
 
 @compiled
 def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_radian: float) -> float:
-    """Return the least, over the poses of the reference path, of what is left from there plus the price of being off.
+    """Return the minimum over the reference path of remaining path length plus the cost of the offset from the path.
 
-    The path follows the lane, then two equal arcs backwards. Along the lane the least is known: the way back to the
-    path and the way along it are weighed as light is refracted. On the arcs, poses 1 cm apart are compared.
+    The path follows the lane, then two equal arcs backwards. Along the lane the minimum has a closed form (the law of
+    refraction). On the arcs, poses 1 cm apart are compared.
 
     Args:
-        pose: (3,).
-        task: of this world.
-        arc: rows of angle, way along x, way along y, way along the arc: rad, m, m, m, from 0 on, (k, 4).
-        per_metre: price of a metre off the path, m.
-        per_radian: price of a radian off its heading, m.
+        pose: x, y, heading, (3,).
+        task: task of this world.
+        arc: rows of angle, displacement in x and in y, arc length: rad, m, m, m, increasing from 0, (k, 4).
+        per_metre: cost of a lateral distance of 1 m, m.
+        per_radian: cost of a heading error of 1 rad, m.
     """
     radius = arc[-1, 3] / arc[-1, 0]
     half_way = radius * task[TURN]
@@ -166,7 +164,7 @@ def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_ra
 
 @compiled
 def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool:
-    """Return whether a car stands in its gap: slow, straight, and with no corner out of it."""
+    """Return whether a car is parked: slow, parallel to the kerb, and with every corner inside the gap."""
     if abs(state[3]) > limits[0] or abs(state[2]) > limits[1]:
         return False
     for x, y in ((body[0], body[1]), (body[0], body[3]), (body[2], body[1]), (body[2], body[3])):
@@ -176,12 +174,12 @@ def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool
     return True
 
 
-# Below, bundles are taken apart once a call: to reach into one counts references, which costs more than the work.
+# The functions below unpack named tuples once per call: each access counts references, which costs more than the work.
 
 
 @compiled
-def ping(
-    flying: Floats,
+def cast_ping(
+    last_pings: Floats,
     i: int,
     s: int,
     pose: tuple[float, float, float],
@@ -193,43 +191,43 @@ def ping(
     owner: Ints,
     far: float,
 ) -> None:
-    """Note what sonar s of world i meets with the car at a pose; see `Hits` for the meaning of each number."""
+    """Cast the cone of sonar s of world i from a pose of the car, and write the condition (see `Hits`)."""
     c, sn = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + c * mounts[s, 0] - sn * mounts[s, 1], pose[1] + sn * mounts[s, 0] + c * mounts[s, 1]
     away, bearing, met, face, at_x, at_y = cast_cone(x, y, pose[2] + mounts[s, 2], half[s], segments, far)
-    flying[i, s, DISTANCE], flying[i, s, BEARING], flying[i, s, SENT] = away, bearing, sent
-    flying[i, s, X], flying[i, s, Y] = at_x, at_y
-    flying[i, s, INCIDENCE], flying[i, s, REFLECTANCE], flying[i, s, THING] = 0.0, 0.0, NOTHING
+    last_pings[i, s, DISTANCE], last_pings[i, s, BEARING], last_pings[i, s, SENT] = away, bearing, sent
+    last_pings[i, s, X], last_pings[i, s, Y] = at_x, at_y
+    last_pings[i, s, INCIDENCE], last_pings[i, s, REFLECTANCE], last_pings[i, s, OBJECT] = 0.0, 0.0, NOTHING
     if face != NOTHING:
-        flying[i, s, INCIDENCE] = max(met - surface[i, face, 1], 0.0)
-        flying[i, s, REFLECTANCE], flying[i, s, THING] = surface[i, face, 0], owner[i, face]
+        last_pings[i, s, INCIDENCE] = max(met - surface[i, face, 1], 0.0)
+        last_pings[i, s, REFLECTANCE], last_pings[i, s, OBJECT] = surface[i, face, 0], owner[i, face]
 
 
 @compiled
-def land(flying: Floats, in_flight: Bits, shown: Floats, i: int, s: int, now: float, latency: float) -> None:
-    """Show the reading of a sonar's ping if it has come in by now; what is known when an episode begins is known."""
-    if in_flight[i, s] and (now == 0.0 or now + NOW >= flying[i, s, SENT] + latency):
+def deliver(last_pings: Floats, in_flight: Bits, observed: Floats, i: int, s: int, now: float, latency: float) -> None:
+    """Observe the reading of a ping if it has arrived. At the start of an episode all readings have arrived."""
+    if in_flight[i, s] and (now == 0.0 or now + TIME_TOLERANCE_S >= last_pings[i, s, SENT] + latency):
         in_flight[i, s] = False
         for k in range(COLUMNS):
-            shown[i, s, k] = flying[i, s, k]
+            observed[i, s, k] = last_pings[i, s, k]
 
 
 @compiled
-def note_ego(ego: Singles, car: Floats, kept: Floats, i: int, share: Floats, wheelbase: float, step: int) -> None:
-    """Write what wheels, steering and clock tell: with the same errors as the way that they are summed up to."""
-    x, y, turn, pull = kept[i, 0], kept[i, 1], kept[i, 2], kept[i, PULL]
-    speed, steering = car[i, 3] * (1.0 + kept[i, SCALE]), car[i, 4]
-    if pull != 0.0:  # the steering's zero is off by so much that a straight way is taken for a bend
+def write_ego(ego: Singles, car: Floats, odometry: Floats, i: int, share: Floats, wheelbase: float, step: int) -> None:
+    """Write speed, steering, odometry and time to `ego`, all with the errors of the odometer."""
+    x, y, turn, pull = odometry[i, 0], odometry[i, 1], odometry[i, 2], odometry[i, PULL]
+    speed, steering = car[i, 3] * (1.0 + odometry[i, SCALE]), car[i, 4]
+    if pull != 0.0:  # an offset of the steering sensor: straight motion is measured as a curve
         steering = math.atan(math.tan(steering) + pull * wheelbase)
     shares = (speed / share[0], steering / share[1])
-    told = (*shares, math.cos(turn), math.sin(turn), x / share[2], y / share[3], step / share[4])
+    values = (*shares, math.cos(turn), math.sin(turn), x / share[2], y / share[3], step / share[4])
     for k in range(7):
-        ego[i, k] = min(max(told[k], -1.0), 1.0)
+        ego[i, k] = min(max(values[k], -1.0), 1.0)
 
 
 @compiled
-def pay(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
-    """Write the terms of the reward and the cost to go from here."""
+def write_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
+    """Write the reward terms and the new cost to go."""
     cost = cost_to_go(car[i, :3], task[i], arc, weights[4], weights[5])
     terms[i, 0], terms[i, 1] = weights[0] * (task[i, COST] - cost), weights[1]
     terms[i, 2] = weights[2] if ended[i, PARKED] else 0.0
@@ -238,33 +236,33 @@ def pay(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floa
 
 
 @compiled
-def begin(rows: Ints, w: Worlds, r: Rules) -> None:
-    """Begin episodes in some worlds, whose cars stand and streets lie: all sonars look, everything else is nothing."""
-    flying, car, surface, owner, mounts, half = w.flying, w.car, w.surface, w.owner, r.mounts, r.half
+def begin(rows: Ints, w: Worlds, r: StepConstants) -> None:
+    """Begin episodes in worlds whose street and car are set: all sonars fire, and all other state is reset."""
+    last_pings, car, surface, owner, mounts, half = w.last_pings, w.car, w.surface, w.owner, r.mounts, r.half
     for i in rows:
         w.steps[i] = 0
         pose, segments = (car[i, 0], car[i, 1], car[i, 2]), w.segments[i, : w.counts[i]]
         for s in range(half.shape[0]):
-            ping(flying, i, s, pose, 0.0, mounts, half, segments, surface, owner, r.far)
+            cast_ping(last_pings, i, s, pose, 0.0, mounts, half, segments, surface, owner, r.far)
         w.fired[i], w.in_flight[i], w.ended[i] = True, False, False
-        pay(w.terms, car, w.task, w.ended, i, r.arc, r.weights)
+        write_reward(w.terms, car, w.task, w.ended, i, r.arc, r.weights)
         w.terms[i] = 0.0
-        note_ego(w.ego, car, w.kept, i, r.share, r.measures[0], 0)
+        write_ego(w.ego, car, w.odometry, i, r.share, r.measures[0], 0)
 
 
 @compiled
-def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
-    """Drive the cars of some worlds for a step, each sonar looking from where the car is when it fires.
+def advance(rows: Ints, wanted: Floats, w: Worlds, r: StepConstants) -> None:
+    """Drive the cars of some worlds for one step. Each sonar fires from the pose that the car has at that time.
 
     Args:
-        rows: which worlds.
-        wanted: steering and speed as shares of the greatest, one row for each of `rows`, (k, 2).
-        w: the worlds.
-        r: what is alike in all.
+        rows: worlds.
+        wanted: commanded steering and speed as fractions of their maximum, one row per world of `rows`, (k, 2).
+        w: state of the worlds.
+        r: constants.
     """
     steps, car, task, counts, faces, surface, owner = w.steps, w.car, w.task, w.counts, w.segments, w.surface, w.owner
-    flying, fired, in_flight, shown = w.flying, w.fired, w.in_flight, w.shown
-    terms, ended, ego, kept = w.terms, w.ended, w.ego, w.kept
+    last_pings, fired, in_flight, observed = w.last_pings, w.fired, w.in_flight, w.observed
+    terms, ended, ego, odometry = w.terms, w.ended, w.ego, w.odometry
     measures, body, mounts, half, timing = r.measures, r.body, r.mounts, r.half, r.timing
     arc, weights, share, limits, dt, far = r.arc, r.weights, r.share, r.limits, r.dt, r.far
     h, start, before, due = dt / PARTS, np.empty(3), np.empty(3), np.empty(half.shape[0])
@@ -276,7 +274,9 @@ def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
         for s in range(half.shape[0]):
             due[s] = firing(begun, dt, timing[s, 0], timing[s, 1])
             fired[i, s] = due[s] > 0.0
-            land(flying, in_flight, shown, i, s, begun + dt, timing[s, 2])  # what is in by then, before it is replaced
+            deliver(
+                last_pings, in_flight, observed, i, s, begun + dt, timing[s, 2]
+            )  # before the ping is replaced by a new one
         for part in range(PARTS):
             before[0], before[1], before[2] = state[0], state[1], state[2]
             steering, speed = wanted[k, 0] * measures[5], wanted[k, 1] * measures[6]
@@ -285,39 +285,39 @@ def advance(rows: Ints, wanted: Floats, w: Worlds, r: Rules) -> None:
             for s in range(half.shape[0]):
                 since = due[s] - part * h
                 if due[s] > 0.0 and since > 0.0 and (last or since <= h):
-                    there = since >= h - NOW  # the end of the part, or later, where the car was stopped
+                    there = since >= h - TIME_TOLERANCE_S  # at the end of the part, or later if the car was stopped
                     pose = (state[0], state[1], state[2]) if there else roll(before, state[3] * since, curvature)
-                    ping(flying, i, s, pose, begun + due[s], mounts, half, segments, surface, owner, far)
+                    cast_ping(last_pings, i, s, pose, begun + due[s], mounts, half, segments, surface, owner, far)
             if last:
                 break
         if hit != NOTHING:
             state[3] = 0.0
         ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NOTHING, state[0] < limits[3]
         ended[i, PARKED] = hit == NOTHING and is_parked(state, body, task[i], limits)
-        count(kept[i], start, state[:3])
-        pay(terms, car, task, ended, i, arc, weights)
-        note_ego(ego, car, kept, i, share, measures[0], steps[i])
+        integrate(odometry[i], start, state[:3])
+        write_reward(terms, car, task, ended, i, arc, weights)
+        write_ego(ego, car, odometry, i, share, measures[0], steps[i])
 
 
 @compiled
 def bin_of(range_: float, edges: Floats) -> int:
-    """Return the bin that a range in m falls into; the bins are equally wide, and what lies beyond is in the last."""
+    """Return the bin of a range in m. Bins have equal width; ranges beyond the last bin belong to it."""
     last = edges.shape[0] - 2
     place = min(int((range_ - edges[0]) / (edges[1] - edges[0])), last)
-    if range_ < edges[place]:  # the division may be off by a rounding
+    if range_ < edges[place]:  # rounding error of the division
         return place - 1
     return place + 1 if place < last and range_ >= edges[place + 1] else place
 
 
 @compiled
-def cause_of(fault: float, status: float, thing: float, said: float, true: float) -> int:
-    """Return why a reading is what it is; right is within 10 % of the truth, as for credence (Esmi 2016).
+def cause_of(fault: float, status: float, object_index: float, range_: float, true: float) -> int:
+    """Return the cause of a reading. A reading within 10 % of the distance is correct, as for credence (Esmi 2016).
 
     Args:
-        fault: number of the model's fault that struck, 0 for none.
-        status: of the reading, an `EchoStatus`.
-        thing: that the ping met, -1 for none.
-        said: reading, m.
+        fault: number of the fault of the model behind the reading, 0 for none.
+        status: `EchoStatus` of the reading.
+        object_index: object in the cone, -1 for none.
+        range_: reading, m.
         true: distance, m.
     """
     if fault > 0.0:
@@ -325,33 +325,34 @@ def cause_of(fault: float, status: float, thing: float, said: float, true: float
     if status == _NO_ANSWER:
         return NO_ANSWER
     if status != _ECHO:
-        return MISSED if thing >= 0.0 else EMPTY
-    if thing < 0.0:
+        return MISSED if object_index >= 0.0 else EMPTY
+    if object_index < 0.0:
         return GHOST
-    if abs(said - true) <= 0.1 * true:
+    if abs(range_ - true) <= 0.1 * true:
         return TARGET
-    return EARLY if said < true else LATE
+    return EARLY if range_ < true else LATE
 
 
 @compiled
-def tell(rows: Ints, w: Worlds, r: Rules) -> None:
-    """Show the readings of some worlds that have come in by now.
+def observe(rows: Ints, w: Worlds, r: StepConstants) -> None:
+    """Write the observations of the readings that have arrived in some worlds.
 
-    A sonar's reading comes in a latency after its ping, and stays until the next. A sonar has one ping in flight.
+    A reading arrives one latency after its ping and is observed until the next one arrives. Each sonar has at most one
+    ping in flight.
     """
-    flying, shown, fired, in_flight, steps = w.flying, w.shown, w.fired, w.in_flight, w.steps
+    last_pings, observed, fired, in_flight, steps = w.last_pings, w.observed, w.fired, w.in_flight, w.steps
     ranges, credence, echo, age, cause = w.ranges, w.credence, w.echo, w.age, w.cause
     timing, edges, tables, dt, far = r.timing, r.edges, r.tables, r.dt, r.far
     for i in rows:
         now = steps[i] * dt
         for s in range(timing.shape[0]):
             in_flight[i, s] |= fired[i, s]
-            land(flying, in_flight, shown, i, s, now, timing[s, 2])
-            said, status = shown[i, s, RANGE], shown[i, s, STATUS]
+            deliver(last_pings, in_flight, observed, i, s, now, timing[s, 2])
+            range_, status = observed[i, s, RANGE], observed[i, s, STATUS]
             ranges[i, s], credence[i, s], echo[i, s] = 1.0, 0.0, -1.0 if status == _NO_ANSWER else 0.0
             if status == _ECHO:
-                ranges[i, s], echo[i, s] = min(said / far, 1.0), 1.0
-                credence[i, s] = tables[s, bin_of(said, edges)]
-            age[i, s] = min(max(now - shown[i, s, SENT], 0.0), 1.0)
-            fault, thing, true = shown[i, s, FAULT], shown[i, s, THING], shown[i, s, DISTANCE]
-            cause[i, s] = cause_of(fault, status, thing, said, true)
+                ranges[i, s], echo[i, s] = min(range_ / far, 1.0), 1.0
+                credence[i, s] = tables[s, bin_of(range_, edges)]
+            age[i, s] = min(max(now - observed[i, s, SENT], 0.0), 1.0)
+            fault, object_index, true = observed[i, s, FAULT], observed[i, s, OBJECT], observed[i, s, DISTANCE]
+            cause[i, s] = cause_of(fault, status, object_index, range_, true)

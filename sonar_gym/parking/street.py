@@ -1,7 +1,7 @@
-"""The street of the parking task: boxes on the right, gaps between them, one of them wide enough.
+"""The street of the parking task: boxes on the right with spaces between them, one of which is long enough to park.
 
-The lane's centre is the x axis, driven towards +x. The parking strip lies on the right, between its line and the
-kerb. Esmi (2016), section 6.1 and figure 6.1, tells the scenario; its measures are ours.
+The centre of the lane is the x axis; the car drives towards +x. The parking strip lies on the right, between its line
+and the kerb. The scenario is from Esmi (2016), section 6.1 and figure 6.1; the dimensions are chosen here.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.scene import Box, Scene, box_faces
 
 Floats = NDArray[np.float64]
-REAR_ROOM = (0.02, 0.12)  # m; least and most left behind the car where the reference path ends
-TURN_ROOM = 0.27  # m; by so much a space must exceed the car to be entered in one move with nothing left behind it
-ARC_MARGIN = 1.1  # arcs of the reference path are this much wider than the tightest turn
+REAR_ROOM = (0.02, 0.12)  # m; least and greatest distance behind the car at the end of the reference path
+TURN_ROOM = 0.27  # m; least excess of the gap over the car for parking in one move
+ARC_MARGIN = 1.1  # radius of the arcs of the reference path over the least turning radius
 PATH_STEP = 0.01  # m between poses of the reference path
 
 
 @dataclass(frozen=True)
 class StreetSettings:
-    """What is drawn for each episode, and the fixed measures; pairs are the limits of a uniform draw.
+    """Distribution of the streets. Pairs are the limits of a uniform distribution; single numbers are fixed.
 
     Attributes:
         gap: length of the space to park in, m.
-        decoy: length of the spaces too short to park in, m.
-        decoys: least and greatest number of those spaces.
+        decoy: length of the spaces that are too short, m.
+        decoys: least and greatest number of such spaces.
         box: length of a box, m.
-        recess: how far a box stands back from the strip's line, m.
-        reflectance: of a box, 0..1.
-        texture_deg: slope of the facets of a box's faces; see `scene.Wall`.
-        kerb_reflectance: of kerbs and of the wall that ends the street, 0..1.
-        line: from the lane's centre to the strip's line, m.
-        depth: of the strip, from its line to the kerb, m.
-        far_side: from the lane's centre to the kerb on the left, m.
-        lead: from the car's start to the first box, m.
-        tail: from the last box to the street's end, m.
-        start_offset: greatest offset of the start from the lane's centre, m.
-        start_heading_deg: greatest error of the start's heading.
+        recess: distance of a box from the line of the strip, m.
+        reflectance: reflectance of a box, 0..1.
+        texture_deg: slope of the facets of the faces of a box; see `scene.WallSegment`.
+        kerb_reflectance: reflectance of the kerbs and of the wall at the end of the street, 0..1.
+        line: distance from the centre of the lane to the line of the strip, m.
+        depth: distance from the line of the strip to the kerb, m.
+        far_side: distance from the centre of the lane to the kerb on the left, m.
+        lead: distance from the start of the car to the first box, m.
+        tail: distance from the last box to the end of the street, m.
+        start_offset: greatest lateral offset of the start, m.
+        start_heading_deg: greatest heading error at the start.
     """
 
     gap: tuple[float, float] = (0.85, 1.15)
@@ -64,7 +64,7 @@ class StreetSettings:
     start_heading_deg: float = 3.0
 
     def __post_init__(self) -> None:
-        """Refuse pairs out of order, surfaces that cannot be, and a gap no wider than a decoy."""
+        """Raise SettingError for unordered pairs, invalid surfaces, and a gap that is not longer than the decoys."""
         for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
             pair = tuple(getattr(self, name))
             if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
@@ -107,7 +107,7 @@ LEVELS: dict[str, StreetSettings] = {
 
 
 def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
-    """Return the settings of a level, with some fields replaced, or those given whole.
+    """Return the settings of a level, with the fields of a mapping replaced, or the given settings.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap
     (0.75, 0.85)
@@ -124,11 +124,11 @@ class Street:
     """One street.
 
     Attributes:
-        settings: it was drawn from.
-        strip: the boxes on the strip, from the first met to the last, in rows of begin, length, recess, reflectance,
-            texture: m, m, m, 1, deg, (k, 5).
-        gap: where the space to park in begins and ends, m.
-        start: x, y, heading of the car's rear axle: m, m, rad, (3,).
+        settings: distribution of the street.
+        strip: boxes on the strip in order of x; rows of begin, length, recess, reflectance, texture: m, m, m, 1, deg,
+            (k, 5).
+        gap: x of the two ends of the space to park in, m.
+        start: initial x, y, heading of the rear axle of the car: m, m, rad, (3,).
     """
 
     settings: StreetSettings
@@ -138,46 +138,48 @@ class Street:
 
     @property
     def end(self) -> float:
-        """X of the wall that closes the street, m."""
+        """The x of the wall at the end of the street, m."""
         return float(self.strip[-1, 0] + self.strip[-1, 1] + self.settings.tail)
 
     @property
     def line(self) -> float:
-        """Where the strip's line lies, y in m."""
+        """The y of the line of the strip, m."""
         return -self.settings.line
 
     @property
     def kerb(self) -> float:
-        """Where the kerb lies, y in m."""
+        """The y of the kerb, m."""
         return -self.settings.line - self.settings.depth
 
     @property
     def boxes(self) -> tuple[Box, ...]:
-        """The boxes on the strip, from the first met to the last."""
+        """The boxes on the strip, in order of x."""
         kinds = self.strip[:, 3:]
         return tuple(Box(*map(float, (*place, *kind))) for place, kind in zip(self._places(), kinds, strict=True))
 
     def _places(self) -> Floats:
-        """Return centre, length, width and heading of the boxes, as `box_faces` wants them."""
+        """Return centre, length, width and heading of the boxes, for `box_faces`."""
         begin, length, recess = self.strip[:, :3].T
         width = self.settings.depth - recess
         return np.column_stack([begin + 0.5 * length, self.line - recess - 0.5 * width, length, width, 0.0 * begin])
 
     @cached_property
     def scene(self) -> Scene:
-        """Everything that reflects and stops: the boxes, the kerb on the right, the end, the kerb on the left."""
+        """All reflecting obstacles: the boxes, the kerb on the right, the wall at the end, the kerb on the left."""
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
-        walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
+        walls = np.array(
+            [[-STREET_BEHIND_M, kerb, end, kerb], [end, kerb, end, left], [end, left, -STREET_BEHIND_M, left]]
+        )
         kinds = np.concatenate([np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3])
         owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
         return Scene.of(np.concatenate([box_faces(self._places()), walls]), kinds, owner)
 
 
-BEHIND = 1.5  # m of street behind the start
+STREET_BEHIND_M = 1.5  # m of street behind the start
 
 
 def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
-    """Draw a street; the same state of `rng` gives the same street."""
+    """Draw a street. The same state of `rng` gives the same street."""
     count = int(rng.integers(settings.decoys[0], settings.decoys[1] + 1))
     spaces = rng.uniform(*settings.decoy, size=count + 1)
     place = int(rng.integers(0, count + 1))
@@ -196,11 +198,11 @@ BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, 
 
 
 def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) -> Street:
-    """Return a street with boxes where they are wanted; the widest space between two of them is the gap.
+    """Return a street with given boxes. The longest space between two boxes is the gap.
 
     Args:
-        settings: of everything else; the car starts in the lane's middle.
-        boxes: mappings of begin and length, m, and, where wanted, recess, reflectance and texture_deg.
+        settings: all other dimensions. The car starts at the centre of the lane.
+        boxes: mappings of begin and length, m, and optionally recess, reflectance and texture_deg.
 
     >>> street = street_of(StreetSettings(), [{"begin": 0.6, "length": 0.4}, {"begin": 2.0, "length": 0.4}])
     >>> street.gap
@@ -211,7 +213,7 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
         raise SettingError(f"boxes: no field {unknown[0]!r}; expected {', '.join(BOX_FIELDS)}")
     if len(boxes) < 2 or any(name not in box for box in boxes for name in ("begin", "length")):
         raise SettingError(f"boxes must be two or more, each with begin and length in m, got {list(boxes)}")
-    rows = [[box.get(name, usual) for name, usual in BOX_FIELDS.items()] for box in boxes]
+    rows = [[box.get(name, default) for name, default in BOX_FIELDS.items()] for box in boxes]
     strip = np.array(sorted(rows), dtype=np.float64)
     spaces = strip[1:, 0] - strip[:-1, :2].sum(axis=1)
     if np.min(spaces) < 0.0:
@@ -219,18 +221,18 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     widest = int(np.argmax(spaces))
     gap = (float(strip[widest, :2].sum()), float(strip[widest + 1, 0]))
     street = Street(settings, strip, gap, np.zeros(3))
-    _ = street.boxes  # refuses what no box can be
+    _ = street.boxes  # raises SettingError for an invalid box
     return street
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where the reference path leads, and how.
+    """Geometry of the reference path.
 
     Attributes:
-        x, y: of the rear axle at its end, m.
-        turn: of each of its two arcs, rad.
-        ready_x: where they begin on the lane, m.
+        x, y: position of the rear axle at its end, m.
+        turn: angle of each of its two arcs, rad.
+        ready_x: x on the lane at which the arcs begin, m.
     """
 
     x: float
@@ -240,7 +242,7 @@ class Goal:
 
     @classmethod
     def of(cls, street: Street, car: CarSettings) -> Goal:
-        """Return the middle of the strip, as far from the gap's first box as a single move allows."""
+        """Return the goal at the centre of the strip, as far behind the first box as a single move allows."""
         spare = street.gap[1] - street.gap[0] - car.length - TURN_ROOM
         x = street.gap[0] + car.rear_overhang + min(max(spare, REAR_ROOM[0]), REAR_ROOM[1])
         y, radius = 0.5 * (street.line + street.kerb), arc_radius(car)
@@ -254,25 +256,25 @@ def arc_radius(car: CarSettings) -> float:
 
 
 def arc_table(car: CarSettings) -> Floats:
-    """Return poses along an arc: angle, way along x, way along y, way along the arc: rad, m, m, m, (k, 4)."""
+    """Return points of an arc: angle, displacement in x and in y, arc length: rad, m, m, m, (k, 4)."""
     radius = arc_radius(car)
     angle = np.arange(0.0, np.pi, PATH_STEP / radius)
     return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])
 
 
 def reference_path(street: Street, car: CarSettings) -> Floats:
-    """Return a path by which the street can be mastered: along the lane, then back in two equal arcs.
+    """Return a path that parks the car: along the lane, then backwards in two equal arcs.
 
     Args:
-        street: to park in.
-        car: that parks.
+        street: the street.
+        car: the car.
 
     Returns:
-        Rows x, y, heading of the rear axle and m left to the end, (k, 4).
+        Rows of x, y, heading of the rear axle and remaining length: m, m, rad, m, (k, 4).
     """
     goal, radius, arc = Goal.of(street, car), arc_radius(car), arc_table(car)
     angle, along, across, way = np.vstack([arc[arc[:, 0] < goal.turn], _arc_end(radius, goal.turn)]).T
-    arcs, lane_x = 2.0 * radius * goal.turn, np.arange(-BEHIND, goal.ready_x, PATH_STEP)
+    arcs, lane_x = 2.0 * radius * goal.turn, np.arange(-STREET_BEHIND_M, goal.ready_x, PATH_STEP)
     lane = np.column_stack([lane_x, 0 * lane_x, 0 * lane_x, arcs + goal.ready_x - lane_x])
     first = np.column_stack([goal.ready_x - along, -across, angle, arcs - way])
     second = np.column_stack([goal.x + along, goal.y + across, angle, way])[::-1]

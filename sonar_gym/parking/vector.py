@@ -1,4 +1,4 @@
-"""Many SonarParking-v0 at once: `gymnasium.make_vec("SonarParking-v0", num_envs=1024)`."""
+"""Vector form of SonarParking-v0: `gymnasium.make_vec("SonarParking-v0", num_envs=1024)`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Bits = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Outcome = tuple[Observation, Floats, Bits, Bits, dict[str, Any]]
-MASK = "reset_mask"  # the option by which Gymnasium resets some of the environments
+MASK = "reset_mask"  # option of `reset` in Gymnasium that selects environments
 
 
 def cores() -> int:
@@ -35,22 +35,21 @@ def cores() -> int:
 
 
 class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
-    """n streets with a car each, stepped together; each says just what a `SonarParkingEnv` of its seed says.
+    """n environments that are stepped together. Each is identical to a `SonarParkingEnv` with its seed.
 
-    Environment i is seeded with `seed + i`, or with item i where seeds are given as a list, and has its own random
-    streams from then on. Infos are arrays with a leading axis of n, each beside a mask under the same name with "_"
-    before it, as in Gymnasium.
+    Environment i is seeded with `seed + i`, or with item i of a list of seeds, and has its own random streams. Infos
+    are arrays with a leading axis of n. Each has a mask under the same name with the prefix "_", as in Gymnasium.
 
     Args:
-        num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, render_mode: of `SonarParkingEnv`.
-        max_episode_steps: after which an episode is truncated; None for never.
+        num_envs: number of environments n.
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, render_mode: see `SonarParkingEnv`.
+        max_episode_steps: time limit of an episode; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
-        threads: that share the work; without, one for each processor, where there are many environments.
-        pictured: which environments `render` draws.
+        threads: number of threads; by default one per processor if there are many environments.
+        pictured: indices of the environments that `render` draws.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as in Gymnasium
         **SonarParkingEnv.metadata,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -98,7 +97,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         self._rows = np.arange(num_envs)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
-        self._over = np.zeros(num_envs, dtype=np.bool_)  # ended, and not reset since
+        self._over = np.zeros(num_envs, dtype=np.bool_)  # ended and not yet reset
         self._renderers: dict[int, Any] = {}
 
     @property
@@ -108,16 +107,16 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """Generator of each environment's streets."""
+        """Generator of the streets of each environment."""
         return tuple(self._stream(i) for i in range(self.num_envs))
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the causes of readings, by number, as of `SonarParkingEnv`."""
+        """Names of the causes of readings, by number; see `SonarParkingEnv`."""
         return self.fleet.causes
 
     def _stream(self, i: int, seed: int | None = None) -> np.random.Generator:
-        """Return an environment's generator, begun anew where a seed is given, and where there is none yet."""
+        """Return the generator of an environment, newly seeded if a seed is given or none exists yet."""
         stream = self._streams[i]
         if stream is None or seed is not None:
             stream, self._seeds[i] = seeding.np_random(seed)
@@ -133,8 +132,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         """Begin new episodes in all environments, or in those of `options["reset_mask"]`.
 
         Args:
-            seed: of the first environment, the others following; or one for each; None goes on as it is.
-            options: of `SonarParkingEnv.reset`, and `reset_mask`, bool, (n,).
+            seed: seed of the first environment, increasing by one; or one seed per environment; None keeps the streams.
+            options: see `SonarParkingEnv.reset`; and `reset_mask`, bool, (n,).
         """
         seeds = self._seed_each(seed)
         options = dict(options or {})
@@ -152,14 +151,14 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         if isinstance(seed, (int, np.integer)):
             return [int(seed) + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise SettingError(f"seed holds {len(seed)} seeds, expected {self.num_envs}: one for each environment")
+            raise SettingError(f"seed holds {len(seed)} seeds, expected {self.num_envs}: one per environment")
         return seed
 
     def _mask(self, given: Any) -> Bits:
         mask = np.asarray(given)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise SettingError(
-                f"reset option '{MASK}' must be {self.num_envs} booleans, one or more true; "
+                f"reset option '{MASK}' must be {self.num_envs} booleans with at least one True; "
                 f"got {mask.dtype} of shape {mask.shape}"
             )
         return mask
@@ -169,10 +168,10 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         self._over[rows] = False
 
     def step(self, actions: ArrayLike) -> Outcome:
-        """Drive all cars for 0.1 s; what becomes of episodes that end is up to `autoreset_mode`.
+        """Drive all cars for 0.1 s. `autoreset_mode` determines how ended episodes are reset.
 
-        Actions beyond -1..1 are clipped; NaN and infinity are refused with a `SettingError`, and nothing is stepped.
-        The action of an environment that begins anew is not looked at.
+        Actions beyond -1..1 are clipped. NaN and infinity raise `SettingError` before any environment is stepped. The
+        action of an environment that is reset is ignored.
         """
         if np.any(self.fleet.worlds.steps < 0):
             raise gymnasium.error.ResetNeeded("SonarParking-v0: step() before the first reset(); call reset() first")
@@ -188,7 +187,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         return self._outcome()
 
     def _checked(self, actions: ArrayLike, going: Ints) -> Floats:
-        """Return what is wanted of the environments that are going, clipped to -1..1."""
+        """Return the actions of the running environments, clipped to -1..1."""
         value = np.asarray(actions, dtype=np.float64)
         if value.shape != (self.num_envs, 2):
             raise SettingError(f"actions have shape {value.shape}, expected ({self.num_envs}, 2): steering and speed")
@@ -200,7 +199,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         return np.minimum(np.maximum(value, -1.0), 1.0)
 
     def _outcome(self) -> Outcome:
-        """Return what a step says, and begin anew where an episode ended and the next begins in the same step."""
+        """Return the results of a step, and reset ended episodes in the mode "SameStep"."""
         fleet, everyone = self.fleet, np.ones(self.num_envs, dtype=np.bool_)
         rewards: Floats = fleet.worlds.terms.sum(axis=1)
         terminated: Bits = np.any(fleet.worlds.ended, axis=1)
@@ -217,13 +216,13 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         return masked(self.fleet.truth(slice(None)), mask)
 
     def _finals(self, over: Bits) -> dict[str, Any]:
-        """Return what the environments say whose episodes are over."""
+        """Return the final observations and infos of ended episodes."""
         observations: NDArray[Any] = np.full(self.num_envs, None, dtype=object)
         for i in self._rows[over]:
             observations[i] = self.fleet.observation(i)
         return masked({"final_obs": observations, "final_info": self._infos(over)}, over)
 
-    # ---- pictures ----------------------------------------------------------------------------------------------------
+    # ---- rendering ---------------------------------------------------------------------------------------------------
 
     def _show(self) -> None:
         if self.render_mode == "human":
@@ -236,17 +235,17 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
             return None
         if np.any(self.fleet.worlds.steps < 0):
             raise gymnasium.error.ResetNeeded("SonarParking-v0: render() before the first reset(); call reset() first")
-        from sonar_gym.parking.rendering import Renderer  # pygame is imported when it is first drawn
+        from sonar_gym.parking.rendering import Renderer  # imports pygame
 
         shown = self.pictured if self.render_mode == "rgb_array" else self.pictured[:1]
         for i in shown:
             if i not in self._renderers:
                 self._renderers[i] = Renderer(self.render_mode, self.metadata["render_fps"])
-        pictures = [self._renderers[i].draw(self.fleet.world(i)) for i in shown]
+        pictures = [self._renderers[i].draw(self.fleet.view(i)) for i in shown]
         return tuple(pictures) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **_: Any) -> None:
-        """Close windows and threads."""
+        """Close windows and shut threads down."""
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()
@@ -254,7 +253,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
 
 
 def masked(infos: Mapping[str, Any], mask: Bits) -> dict[str, Any]:
-    """Return infos, inner ones too, with a mask beside each that says which environments it is of."""
+    """Return infos, including nested ones, each with its mask of environments."""
     out: dict[str, Any] = {}
     for name, value in infos.items():
         out[name] = masked(value, mask) if isinstance(value, dict) and not name.startswith("final") else value

@@ -1,4 +1,4 @@
-"""The miniature car: a kinematic bicycle about its rear axle, at 1:10."""
+"""The miniature car at 1:10: a kinematic bicycle model with the rear axle as reference point."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CarSettings:
-    """Measures of the car; those of the miniature cars of Esmi (2016) are about a tenth of a real car's.
+    """Dimensions and dynamics of the car. The miniature cars of Esmi (2016) have a tenth of the size of a real car.
 
     Attributes:
-        length, width: of the body, m.
-        wheelbase: between the axles, m.
-        rear_overhang: of the body behind the rear axle, m.
-        max_steering: greatest steering angle to either side, rad.
-        max_speed: greatest speed forwards and backwards, m/s.
-        steering_rate: greatest change of the steering angle, rad/s.
+        length, width: dimensions of the body, m.
+        wheelbase: distance between the axles, m.
+        rear_overhang: length of the body behind the rear axle, m.
+        max_steering: maximum steering angle to either side, rad.
+        max_speed: maximum speed forwards and backwards, m/s.
+        steering_rate: maximum rate of the steering angle, rad/s.
         steering_lag: time constant of the servo, s.
-        acceleration: greatest change of speed, m/s^2.
+        acceleration: maximum acceleration, m/s^2.
         speed_lag: time constant of the motor, s.
     """
 
@@ -42,7 +42,7 @@ class CarSettings:
     speed_lag: float = 0.05
 
     def __post_init__(self) -> None:
-        """Refuse measures that no car can have."""
+        """Raise SettingError for invalid dimensions."""
         for name in ("length", "width", "wheelbase", "max_steering", "max_speed", "steering_rate", "acceleration"):
             if not getattr(self, name) > 0.0:
                 raise SettingError(f"CarSettings.{name} must be > 0, got {getattr(self, name):g}")
@@ -51,33 +51,33 @@ class CarSettings:
 
     @property
     def turning_radius(self) -> float:
-        """Least radius of the rear axle's path, m."""
+        """Least turning radius of the rear axle, m."""
         return float(self.wheelbase / np.tan(self.max_steering))
 
     @property
     def centre(self) -> float:
-        """How far the body's centre lies before the rear axle, m."""
+        """Distance from the rear axle forward to the centre of the body, m."""
         return 0.5 * self.length - self.rear_overhang
 
     @cached_property
     def body(self) -> Floats:
-        """The body's rectangle in the car's frame: rear, right, front, left, m, (4,)."""
+        """Rectangle of the body in the frame of the car: rear, right, front, left, m, (4,)."""
         front = self.length - self.rear_overhang
         return np.array([-self.rear_overhang, -0.5 * self.width, front, 0.5 * self.width])
 
     @cached_property
     def dynamics(self) -> Floats:
-        """What the kernels want to know of the drive, (7,)."""
+        """Parameters of the drive for the kernels: wheelbase, rates and lags, maximum steering and speed, (7,)."""
         follow = (self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag)
         return np.array([self.wheelbase, *follow, self.max_steering, self.max_speed])
 
 
 @dataclass(frozen=True)
 class Car:
-    """A car at one moment.
+    """State of a car.
 
     Attributes:
-        settings: its measures.
+        settings: its dimensions and dynamics.
         state: x, y, heading of the rear axle, speed, steering angle: m, m, rad, m/s, rad, (5,).
     """
 
@@ -86,7 +86,7 @@ class Car:
 
     @classmethod
     def at(cls, settings: CarSettings, x: float, y: float, heading: float) -> Car:
-        """Return a car that stands with straight wheels."""
+        """Return a car at rest with straight wheels."""
         return cls(settings, np.array([x, y, heading, 0.0, 0.0]))
 
     @property
@@ -96,7 +96,7 @@ class Car:
 
     @property
     def speed(self) -> float:
-        """Forwards, m/s."""
+        """Speed, positive forwards, m/s."""
         return float(self.state[3])
 
     @property
@@ -108,14 +108,14 @@ class Car:
         """Drive for dt s.
 
         Args:
-            steering: wanted, as a share of the greatest, -1 (right) to 1 (left).
-            speed: wanted, as a share of the greatest, -1 to 1.
-            segments: what must not be touched, m, (m, 4).
+            steering: command as a fraction of the maximum, -1 (right) to 1 (left).
+            speed: command as a fraction of the maximum, -1 to 1.
+            segments: obstacles, m, (m, 4).
             dt: duration, s.
-            parts: equal parts in which contact is looked for.
+            parts: number of equal parts after which collisions are checked.
 
         Returns:
-            The car after dt, and the number of the segment it ran into, or -1.
+            The car after dt, and the index of the segment it collided with, or -1.
         """
         s = self.settings
         state, hit = kernels.drive(
@@ -124,7 +124,7 @@ class Car:
         return Car(s, state), hit
 
     def corners(self) -> Floats:
-        """The body's corners in the world: front left, rear left, rear right, front right, m, (4, 2)."""
+        """Return the corners of the body in the world: front left, rear left, rear right, front right, m, (4, 2)."""
         rear, right, front, left = self.settings.body
         local = np.array([[front, left], [rear, left], [rear, right], [front, right]])
         c, s = np.cos(self.state[2]), np.sin(self.state[2])

@@ -1,40 +1,42 @@
-"""One world of a fleet as pictures, tests and people want it: street, car, what the pings met and what was heard."""
+"""View of one world of a fleet, for rendering and tests: street, car, cone hits and readings."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition import Reading
 from sonar_gym.parking import step_kernel
+from sonar_gym.parking.step_kernel import Worlds
 from sonar_gym.parking.street import Street
-from sonar_gym.parking.vehicle import Car
+from sonar_gym.parking.vehicle import Car, CarSettings
+from sonar_gym.sensing.mounts import Mount
 from sonar_gym.sensing.scene import Hits
-from sonar_gym.sensing.sonar import Heard
-
-if TYPE_CHECKING:
-    from sonar_gym.parking.fleet import Fleet
+from sonar_gym.sensing.sonar import SonarReadings
 
 
-class World:
-    """One world of a fleet, as it is now.
+@dataclass(frozen=True)
+class WorldView:
+    """The present state of one world.
 
-    Args:
-        fleet: it belongs to.
-        row: its number.
+    Attributes:
+        worlds: arrays of all worlds.
+        row: row of this world.
+        street: street of the episode.
+        mounts: sonars on the car.
+        car_settings: dimensions and dynamics of the car.
+        sonar_name: name of the sonar model, for display.
+        cause_names: names of the causes of readings, by number.
     """
 
-    def __init__(self, fleet: Fleet, row: int) -> None:
-        self.fleet, self.worlds, self.row = fleet, fleet.worlds, row
-        self.mounts, self.sonar_name, self.car_settings = fleet.mounts, fleet.sonar_name, fleet.car_settings
-
-    @property
-    def street(self) -> Street:
-        """The street of this episode."""
-        street = self.fleet.streets[self.row]
-        assert street is not None
-        return street
+    worlds: Worlds
+    row: int
+    street: Street
+    mounts: tuple[Mount, ...]
+    car_settings: CarSettings
+    sonar_name: str
+    cause_names: tuple[str, ...]
 
     @property
     def car(self) -> Car:
@@ -43,31 +45,30 @@ class World:
 
     @property
     def steps(self) -> int:
-        """Taken since the episode began; -1 before the first."""
+        """Number of steps since the start of the episode."""
         return int(self.worlds.steps[self.row])
 
     @property
     def hits(self) -> Hits:
-        """What the pings met whose readings are shown."""
-        ping = self.worlds.shown[self.row].T.copy()
-        thing = ping[step_kernel.THING].astype(np.int64)
+        """What the pings faced whose readings are observed."""
+        ping = self.worlds.observed[self.row].T.copy()
+        index = ping[step_kernel.OBJECT].astype(np.int64)
         point = ping[[step_kernel.X, step_kernel.Y]].T.copy()
-        distance, bearing, incidence, reflectance = ping[: step_kernel.THING]
-        return Hits(distance, bearing, incidence, reflectance, thing >= 0, thing, point)
+        distance, bearing, incidence, reflectance = ping[: step_kernel.OBJECT]
+        return Hits(distance, bearing, incidence, reflectance, index >= 0, index, point)
 
     @property
-    def heard(self) -> Heard:
-        """What is shown of the sonars."""
-        ping = self.worlds.shown[self.row].T
+    def readings(self) -> SonarReadings:
+        """The observed readings."""
+        ping = self.worlds.observed[self.row].T
         reading = Reading(ping[step_kernel.RANGE].copy(), ping[step_kernel.STATUS].astype(np.uint8))
         credence = self.worlds.credence[self.row].astype(np.float64)
-        return Heard(reading, credence, ping[step_kernel.GIVEN_CONDITION].copy())
+        return SonarReadings(reading, credence, ping[step_kernel.GIVEN_CONDITION].copy())
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Why each reading is what it is, by name."""
-        names = self.fleet.causes
-        return tuple(names[number] for number in self.worlds.cause[self.row])
+        """Name of the cause of each reading."""
+        return tuple(self.cause_names[number] for number in self.worlds.cause[self.row])
 
     @property
     def parked(self) -> bool:
@@ -76,10 +77,10 @@ class World:
 
     @property
     def collision(self) -> bool:
-        """Whether it touches anything."""
+        """Whether the car touches an obstacle."""
         return bool(self.worlds.ended[self.row, step_kernel.COLLISION])
 
     @property
     def left_street(self) -> bool:
-        """Whether it has left by the open end."""
+        """Whether the car has left the street at its open end."""
         return bool(self.worlds.ended[self.row, step_kernel.LEFT_STREET])

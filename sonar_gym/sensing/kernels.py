@@ -1,6 +1,6 @@
-"""Geometry on plain arrays, compiled by numba: pure functions, one world at a time.
+"""Geometry and motion kernels on plain arrays, compiled by numba.
 
-Segments are rows (x1, y1, x2, y2) in m; poses are rows (x, y, heading) in m, m, rad. Angles count anticlockwise.
+Segments are rows (x1, y1, x2, y2) in m; poses are rows (x, y, heading) in m, m, rad. Angles are anticlockwise.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sonar_gym.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-NOTHING = -1  # index of the hit where a cone is empty
-TIE = 1e-9  # m; two faces that meet in a corner are equally near up to rounding
+NOTHING = -1  # index for an empty cone
+TIE = 1e-9  # m; tolerance for two faces that share a corner
 
 
 @compiled
 def clip_half_plane(f0: float, f1: float, low: float, high: float) -> tuple[float, float]:
-    """Narrow [low, high] to where f0 + t (f1 - f0) >= 0; an empty interval has low > high."""
+    """Intersect [low, high] with the set of t where f0 + t (f1 - f0) >= 0. An empty interval has low > high."""
     slope = f1 - f0
     if slope == 0.0:
         return (low, high) if f0 >= 0.0 else (1.0, 0.0)
@@ -30,7 +30,7 @@ def clip_half_plane(f0: float, f1: float, low: float, high: float) -> tuple[floa
 
 @compiled
 def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
-    """Return a point of the world in the frame of a pose."""
+    """Transform a point from the world to the frame of a pose."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = x - pose[0], y - pose[1]
     return c * dx + s * dy, c * dy - s * dx
@@ -40,15 +40,15 @@ def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
 def nearest_in_wedge(
     x1: float, y1: float, x2: float, y2: float, cosine: float, sine: float
 ) -> tuple[float, float, bool]:
-    """Return the point of a segment nearest to the origin among those within a wedge about the x axis.
+    """Return the point of a segment nearest to the origin within a wedge about the x axis.
 
-    A wedge below half a turn is convex, so the segment's part inside is one piece, and the nearest point of a piece
-    is the foot of the perpendicular, clamped to it. Cosine and sine are those of half the wedge's opening angle.
+    A wedge narrower than half a turn is convex, so the part of the segment inside is one piece. Its nearest point is
+    the foot of the perpendicular, clamped to the piece. `cosine` and `sine` are those of half the opening angle.
     """
     left1, left2 = sine * x1 - cosine * y1, sine * x2 - cosine * y2
     right1, right2 = sine * x1 + cosine * y1, sine * x2 + cosine * y2
     if (left1 < 0.0 and left2 < 0.0) or (right1 < 0.0 and right2 < 0.0):
-        return 0.0, 0.0, False  # most are passed over here, without a division
+        return 0.0, 0.0, False  # most segments are rejected here, without a division
     low, high = clip_half_plane(left1, left2, 0.0, 1.0)
     low, high = clip_half_plane(right1, right2, low, high)
     if low > high:
@@ -69,7 +69,7 @@ def squareness(x: float, y: float, dx: float, dy: float) -> float:
 
 @compiled
 def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
-    """Return a point in the frame of a pose in the world."""
+    """Transform a point from the frame of a pose to the world."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + c * x - s * y, pose[1] + s * x + c * y
 
@@ -78,7 +78,7 @@ def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
 def cast_cone(
     x: float, y: float, heading: float, half: float, segments: Floats, limit: float
 ) -> tuple[float, float, float, int, float, float]:
-    """Find the nearest point of any segment within one cone; see `cast_cones`. Faces wholly behind are passed over."""
+    """Find the nearest point of any segment within one cone; see `cast_cones`."""
     best, square, index, at_x, at_y = limit, 0.0, NOTHING, 0.0, 0.0
     c, s, cosine, sine = math.cos(heading), math.sin(heading), math.cos(half), math.sin(half)
     for k in range(segments.shape[0]):
@@ -96,7 +96,7 @@ def cast_cone(
             best, square, index, at_x, at_y = away, met, k, px, py
     if index == NOTHING:
         return limit, 0.0, 0.0, NOTHING, x, y
-    bearing = math.atan2(at_y, at_x) if best > TIE else 0.0  # on the face itself no direction is left
+    bearing = math.atan2(at_y, at_x) if best > TIE else 0.0  # undefined on the face itself
     return best, bearing, math.acos(square), index, x + c * at_x - s * at_y, y + s * at_x + c * at_y
 
 
@@ -104,21 +104,19 @@ def cast_cone(
 def cast_cones(
     poses: Floats, half: Floats, segments: Floats, limit: float
 ) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-    """Find for each cone the nearest point of any segment within it.
+    """Find the nearest point of any segment within each cone.
 
-    The line to the nearest point of all lies inside the convex cone, so nothing can stand in its way: no occlusion
-    test is needed.
+    The line to the nearest point lies inside the convex cone, so nothing occludes it: no occlusion test is needed.
 
     Args:
-        poses: of the sensors, (s, 3).
+        poses: poses of the sensors, (s, 3).
         half: half opening angles, rad, below pi/2, (s,).
         segments: (m, 4).
-        limit: nothing farther is found, m.
+        limit: maximum range, m.
 
     Returns:
-        distance, m, (s,), `limit` where the cone is empty; bearing off the axis, rad, (s,); incidence to the
-        surface normal, rad, (s,), of the face met more squarely where two meet; segment's index, (s,), -1 for none;
-        point in the world, m, (s, 2).
+        Distance, m, (s,), `limit` for an empty cone; bearing off the axis, rad, (s,); angle of incidence, rad, (s,),
+        the smaller one at a corner of two faces; index of the segment, (s,), -1 for none; point in the world, m, (s, 2).
     """
     count = poses.shape[0]
     distance, bearing, incidence = np.empty(count), np.empty(count), np.empty(count)
@@ -133,7 +131,7 @@ def cast_cones(
 
 @compiled
 def mounted(mounts: Floats, car: Floats) -> Floats:
-    """Return poses of the car's frame in the world, (s, 3)."""
+    """Transform poses from the frame of the car to the world, (s, 3)."""
     out = np.empty_like(mounts)
     for i in range(mounts.shape[0]):
         out[i, 0], out[i, 1] = out_of_frame(mounts[i, 0], mounts[i, 1], car)
@@ -143,11 +141,11 @@ def mounted(mounts: Floats, car: Floats) -> Floats:
 
 @compiled
 def touches(pose: Floats, body: Floats, segments: Floats) -> int:
-    """Return the first segment that meets a rectangle, or -1.
+    """Return the first segment that intersects a rectangle, or -1.
 
     Args:
-        pose: of the body's frame, (3,).
-        body: the rectangle in that frame, (rear, right, front, left), m.
+        pose: pose of the frame of the body, (3,).
+        body: rectangle in that frame, (rear, right, front, left), m.
         segments: (m, 4).
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -173,16 +171,16 @@ def touches(pose: Floats, body: Floats, segments: Floats) -> int:
 
 @compiled
 def approach(value: float, target: float, rate: float, lag: float, dt: float) -> float:
-    """Return a first-order follower's value after dt s: time constant `lag` s, slope at most `rate` a second."""
+    """Return the value of a first-order lag after dt s: time constant `lag` s, rate at most `rate` per second."""
     change = (target - value) * (1.0 - math.exp(-dt / lag)) if lag > 0.0 else target - value
     return value + min(max(change, -rate * dt), rate * dt)
 
 
 @compiled
 def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, float]:
-    """Return a pose after `travel` m of the rear axle along an arc of `curvature` 1/m: exact.
+    """Return the exact pose after the rear axle travels `travel` m along an arc of `curvature` 1/m.
 
-    The chord of an arc of angle a is travel * sin(a/2)/(a/2) long and leaves at half the angle.
+    The chord of an arc of angle a has the length travel * sin(a/2)/(a/2) and the direction a/2.
     """
     turn = travel * curvature
     half = 0.5 * turn
@@ -196,10 +194,10 @@ def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, f
 def drive_part(
     state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, h: float
 ) -> tuple[int, float]:
-    """Drive a car for h s in place; it stops dead where its body touches a segment. See `drive`.
+    """Drive a car for h s and update `state` in place. See `drive`.
 
     Returns:
-        The index of the segment touched or -1, and the curvature of the way, 1/m.
+        Index of the segment of a collision or -1, and curvature of the path, 1/m.
     """
     state[4] = approach(state[4], steering, car[1], car[2], h)
     state[3] = approach(state[3], speed, car[3], car[4], h)
@@ -212,20 +210,20 @@ def drive_part(
 def drive(
     state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, dt: float, parts: int
 ) -> tuple[Floats, int]:
-    """Drive a car for dt s in equal parts; it stops dead where its body touches a segment.
+    """Drive a car for dt s in equal parts. The car stops where its body touches a segment.
 
     Args:
         state: x, y, heading, speed, steering angle: m, m, rad, m/s, rad.
-        steering: wanted steering angle, rad.
-        speed: wanted speed, m/s.
+        steering: commanded steering angle, rad.
+        speed: commanded speed, m/s.
         car: wheelbase m, steering rate rad/s, steering lag s, acceleration m/s^2, speed lag s, ...
-        body: the rectangle in the car's frame, (rear, right, front, left), m.
-        segments: what must not be touched, (m, 4).
+        body: rectangle in the frame of the car, (rear, right, front, left), m.
+        segments: obstacles, m, (m, 4).
         dt: duration, s.
         parts: number of equal parts of dt.
 
     Returns:
-        The state after dt, and the index of the segment touched or -1.
+        The state after dt, and the index of the segment of a collision or -1.
     """
     out, hit = state.copy(), NOTHING
     for _ in range(parts):

@@ -1,9 +1,9 @@
-"""What a car knows of its own way: the turns of its wheels and of its steering, with the errors that both have.
+"""Odometry of the car from wheel and steering sensors, with systematic and random errors.
 
-Systematic errors are those that Borenstein and Feng (1996, "Measurement and correction of systematic odometry errors")
-find to rule on smooth floors: a wheel's diameter, which stretches every way alike, and a straight ahead that is none.
-They are drawn once an episode. Random ones, from slip, grow with the square root of the way, as in Thrun, Burgard and
-Fox (2005, "Probabilistic robotics", section 5.4).
+The systematic errors are the dominant ones on smooth floors (Borenstein and Feng 1996, "Measurement and correction of
+systematic odometry errors"): the wheel diameter, which scales all distances, and an offset of the steering angle. They
+are drawn once per episode. The random errors, from slip, grow with the square root of the distance (Thrun, Burgard and
+Fox 2005, "Probabilistic robotics", section 5.4).
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from acquisition import SettingError
 from sonar_gym.compiled import compiled
 
 Floats = NDArray[np.float64]
-ODOMETRY_TAG = 0x57E9  # another stream than those of the world and of the sonars
+ODOMETRY_TAG = 0x57E9  # separates this stream from those of the world and of the sonars
 
 
 @dataclass(frozen=True)
 class OdometrySettings:
-    """Standard deviations of what is wrong with it; all 0 is exact.
+    """Standard deviations of the errors; all 0 is exact odometry.
 
     Attributes:
-        scale: of the way gone, as a share; a wheel's diameter, drawn once an episode.
-        pull: heading gained on a straight way, rad/m; a steering angle's zero, drawn once an episode.
-        slip: of the way gone, m per square root of a metre.
-        wander: of the heading, rad per square root of a metre.
+        scale: relative error of distance (wheel diameter), drawn once per episode.
+        pull: heading error per distance (offset of the steering angle), rad/m, drawn once per episode.
+        slip: random error of distance, m per square root of a metre.
+        wander: random error of heading, rad per square root of a metre.
     """
 
     scale: float = 0.0
@@ -40,7 +40,7 @@ class OdometrySettings:
     wander: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no deviation."""
+        """Raise SettingError for negative or non-finite values."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value >= 0.0):
@@ -48,12 +48,12 @@ class OdometrySettings:
 
     @property
     def exact(self) -> bool:
-        """Whether nothing is wrong with it."""
+        """Whether all errors are 0."""
         return self == OdometrySettings()
 
 
-# A wheel of 60 mm that is 1 mm off stretches the way by 1.7 %; 0.4 deg off at the steering of a wheelbase of 0.26 m
-# turn the car by 1.5 deg a metre. Thrun et al. tune the random ones to the robot; these are ours.
+# An error of 1 mm in a wheel diameter of 60 mm scales distances by 1.7 %. A steering offset of 0.4 deg at a wheelbase
+# of 0.26 m turns the car by 1.5 deg per metre. Thrun et al. tune the random errors to the robot; these are chosen here.
 ODOMETRIES: dict[str, OdometrySettings] = {
     "exact": OdometrySettings(),
     "wheels": OdometrySettings(scale=0.02, pull=float(np.radians(1.5)), slip=0.005, wander=float(np.radians(0.5))),
@@ -63,7 +63,7 @@ OdometryChoice = str | OdometrySettings | Mapping[str, Any]
 
 
 def odometry(given: OdometryChoice) -> OdometrySettings:
-    """Return settings by name, from a mapping of their fields, or as they are.
+    """Return settings given by name, as a mapping of their fields, or as an instance.
 
     >>> odometry("exact").exact
     True
@@ -75,22 +75,22 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
     return given if isinstance(given, OdometrySettings) else OdometrySettings(**given)
 
 
-X, Y, HEADING, SCALE, PULL, SLIP, WANDER = range(7)  # columns of what an odometer keeps
+X, Y, HEADING, SCALE, PULL, SLIP, WANDER = range(7)  # columns of the state of an odometer
 
 
 @compiled
-def reckoned(
+def dead_reckoned(
     estimate: Floats, before: Floats, after: Floats, stretch: float, pull: float, wander: float
 ) -> tuple[float, float, float]:
-    """Return where a car takes itself to be after a step.
+    """Return the estimated pose of a car after a step.
 
     Args:
-        estimate: x, y, heading where it took itself to be before, (3,).
-        before: where it really was, (3,).
-        after: where it really is, (3,).
-        stretch: share by which the way is overestimated.
-        pull: heading gained per metre gone forwards, rad/m.
-        wander: heading gained besides, rad.
+        estimate: estimated x, y, heading before the step, (3,).
+        before: true pose before the step, (3,).
+        after: true pose after the step, (3,).
+        stretch: relative error of the distance.
+        pull: heading error per distance driven forwards, rad/m.
+        wander: further heading error, rad.
     """
     c, s = math.cos(before[2]), math.sin(before[2])
     dx, dy = after[0] - before[0], after[1] - before[1]
@@ -102,62 +102,62 @@ def reckoned(
 
 
 @compiled
-def count(kept: Floats, before: Floats, after: Floats) -> None:
-    """Count a step between two poses of the world.
+def integrate(state: Floats, before: Floats, after: Floats) -> None:
+    """Integrate one step between two true poses.
 
     Args:
-        kept: x, y, heading; scale and pull of the episode; slip and wander of this step, (7,).
-        before: x, y, heading where the car was, (3,).
-        after: where it is, (3,).
+        state: x, y, heading; scale and pull of the episode; slip and wander of this step, (7,); updated in place.
+        before: true x, y, heading before the step, (3,).
+        after: true pose after the step, (3,).
     """
     way = math.hypot(after[0] - before[0], after[1] - before[1])
-    stretch = kept[SCALE] + kept[SLIP] * math.sqrt(way) / max(way, 1e-12)
-    now = reckoned(kept[:3], before, after, stretch, kept[PULL], kept[WANDER] * math.sqrt(way))
-    kept[X], kept[Y], kept[HEADING] = now
+    stretch = state[SCALE] + state[SLIP] * math.sqrt(way) / max(way, 1e-12)
+    now = dead_reckoned(state[:3], before, after, stretch, state[PULL], state[WANDER] * math.sqrt(way))
+    state[X], state[Y], state[HEADING] = now
 
 
 class Odometer:
-    """Counts the ways of cars from their starts, each in its start's frame.
+    """Odometry of several cars, each in the frame of its start.
 
     Args:
-        settings: what is wrong with it.
-        copies: cars, each with a random stream of its own.
+        settings: standard deviations of the errors.
+        copies: number of cars, each with its own random stream.
 
     Attributes:
-        kept: x, y, heading, and what is wrong with them in columns `SCALE` to `WANDER`, (copies, 7).
+        state: x, y, heading, and errors in columns `SCALE` to `WANDER`, (copies, 7).
     """
 
     def __init__(self, settings: OdometrySettings, copies: int = 1) -> None:
         self.settings = settings
         self._exact = settings.exact
         self.rngs = [np.random.default_rng() for _ in range(copies)]
-        self.kept = np.zeros((copies, 7))
+        self.state = np.zeros((copies, 7))
 
     @property
     def pose(self) -> Floats:
-        """Where the first car takes itself to be, (3,)."""
-        return self.kept[0, :SCALE].copy()
+        """Estimated pose of the first car, (3,)."""
+        return self.state[0, :SCALE].copy()
 
     def seed(self, seed: int, copy: int = 0) -> None:
-        """Start a stream anew; worlds and sonars seeded alike are left alone."""
+        """Seed the stream of a copy. It differs from those of the world and of the sonars."""
         self.rngs[copy] = np.random.default_rng(np.random.SeedSequence([seed, ODOMETRY_TAG]))
 
     def begin(self, rows: Iterable[int] = (0,)) -> None:
-        """Begin episodes: the cars stand at the origin, and have the wheels that they have."""
+        """Begin episodes at the origin, and draw the systematic errors."""
         for row in rows:
-            self.kept[row] = 0.0
+            self.state[row] = 0.0
             if not self._exact:
                 spread = self.settings.scale, self.settings.pull
-                self.kept[row, SCALE : PULL + 1] = self.rngs[row].normal(size=2) * spread
+                self.state[row, SCALE : PULL + 1] = self.rngs[row].normal(size=2) * spread
 
     def slip(self, rows: Iterable[int] = (0,)) -> None:
-        """Draw what slips in the next step."""
+        """Draw the random errors of the next step."""
         if not self._exact:
             spread = self.settings.slip, self.settings.wander
             for row in rows:
-                self.kept[row, SLIP : WANDER + 1] = self.rngs[row].normal(size=2) * spread
+                self.state[row, SLIP : WANDER + 1] = self.rngs[row].normal(size=2) * spread
 
     def step(self, before: Floats, after: Floats) -> None:
-        """Count a step of the first car between two poses of the world, (3,) each."""
+        """Integrate one step of the first car between two true poses, (3,) each."""
         self.slip()
-        count(self.kept[0], before, after)
+        integrate(self.state[0], before, after)

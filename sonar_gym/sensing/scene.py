@@ -1,4 +1,4 @@
-"""Scenes: straight reflecting faces with a reflectance each, and the cones of sonars cast on them."""
+"""Scenes of straight reflecting faces, and casting of sonar cones on them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from acquisition import Ping, SettingError
 from sonar_gym.sensing import kernels
 
 Floats = NDArray[np.float64]
-CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # of a square of side 2
-EMPTY_M = 20.0  # m; distance given to a model for an empty cone: beyond what any of the sonars can hear
+CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # corners of a square with side 2
+EMPTY_M = 20.0  # m; distance given to a model for an empty cone, beyond the range of every sonar
 
 
 def check_surface(what: str, reflectance: float, texture_deg: float) -> None:
-    """Refuse a surface that reflects more than all or less than nothing, or whose facets stand on edge."""
+    """Raise SettingError for a reflectance outside 0..1 or a texture outside 0..90 deg."""
     if not 0.0 <= reflectance <= 1.0:
         raise SettingError(f"{what}.reflectance must lie in [0, 1], got {reflectance:g}")
     if not 0.0 <= texture_deg < 90.0:
@@ -25,14 +25,14 @@ def check_surface(what: str, reflectance: float, texture_deg: float) -> None:
 
 
 @dataclass(frozen=True)
-class Wall:
+class WallSegment:
     """A straight face.
 
     Attributes:
-        x1, y1, x2, y2: its ends, m.
+        x1, y1, x2, y2: end points, m.
         reflectance: 0..1.
-        texture_deg: slope of the facets of a rough face: sound that meets it obliquely by less is thrown back as from
-            a smooth face met squarely.
+        texture_deg: slope of the facets of a rough face, deg. The face reflects at incidence angles up to this slope as
+            a smooth face does at normal incidence.
     """
 
     x1: float
@@ -43,8 +43,8 @@ class Wall:
     texture_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what reflects more than all, or less than nothing."""
-        check_surface("Wall", self.reflectance, self.texture_deg)
+        """Raise SettingError for an invalid surface."""
+        check_surface("WallSegment", self.reflectance, self.texture_deg)
 
     @property
     def faces(self) -> Floats:
@@ -57,11 +57,11 @@ class Box:
     """A rectangular obstacle.
 
     Attributes:
-        x, y: its centre, m.
-        length, width: its sides along and across its heading, m.
+        x, y: centre, m.
+        length, width: sides along and across the heading, m.
         heading: rad.
         reflectance: 0..1.
-        texture_deg: slope of its facets, as of `Wall`.
+        texture_deg: slope of the facets, see `WallSegment`.
     """
 
     x: float
@@ -73,7 +73,7 @@ class Box:
     texture_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a box without extent, and what reflects more than all, or less than nothing."""
+        """Raise SettingError for a box without extent or with an invalid surface."""
         if self.length <= 0.0 or self.width <= 0.0:
             raise SettingError(f"Box sides must be > 0 m, got {self.length:g} m x {self.width:g} m")
         check_surface("Box", self.reflectance, self.texture_deg)
@@ -90,7 +90,7 @@ class Box:
 
 
 def box_faces(boxes: Floats) -> Floats:
-    """Return the faces of boxes as segments, corner after corner, m, (4 b, 4).
+    """Return the faces of b boxes as segments, m, (4 b, 4).
 
     Args:
         boxes: rows of centre x, y, length, width, heading: m, m, m, m, rad, (b, 5).
@@ -105,15 +105,15 @@ def box_faces(boxes: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Hits:
-    """What s cones met.
+    """Nearest points in s cones.
 
     Attributes:
-        distance: to the nearest point in the cone, m, (s,); the listening limit where the cone is empty.
-        bearing: of that point off the beam axis, rad, (s,).
-        incidence: between the ray and the surface normal, less the slope of a rough face's facets, rad, (s,).
-        reflectance: of the face, (s,); 0 where the cone is empty.
-        seen: whether there was anything in the cone, (s,).
-        thing: number of the wall or box in its scene, (s,); -1 where the cone is empty.
+        distance: distance of the nearest point, m, (s,); the range limit for an empty cone.
+        bearing: angle of that point off the beam axis, rad, (s,).
+        incidence: angle between ray and surface normal, less the slope of the facets of a rough face, rad, (s,).
+        reflectance: reflectance of the face, (s,); 0 for an empty cone.
+        seen: whether the cone holds a reflector, (s,).
+        object_index: index of the wall or box in its scene, (s,); -1 for an empty cone.
         point: the nearest point, m, (s, 2).
     """
 
@@ -122,11 +122,11 @@ class Hits:
     incidence: Floats
     reflectance: Floats
     seen: NDArray[np.bool_]
-    thing: NDArray[np.int64]
+    item: NDArray[np.int64]
     point: Floats
 
     def ping(self, time: float) -> Ping:
-        """Return the conditions that the sensors faced at a time in s; each sensor is a run of its own."""
+        """Return the conditions of the sensors at a time in s. Each sensor is its own run."""
         n = len(self.distance)
         return Ping(
             distance=np.where(self.seen, self.distance, EMPTY_M),
@@ -139,45 +139,45 @@ class Hits:
 
 
 class Scene:
-    """Things that reflect sound and stop cars.
+    """Obstacles that reflect sound.
 
     Args:
-        things: walls and boxes.
+        objects: walls and boxes.
 
     Attributes:
         segments: all faces, m, (m, 4).
-        surface: reflectance and slope of the facets of each, 1 and rad, (m, 2).
-        owner: number of the thing that each belongs to, (m,).
+        surface: reflectance and slope of the facets of each face, 1 and rad, (m, 2).
+        owner: index of the object of each face, (m,).
 
-    >>> hits = Scene([Wall(2.0, -1.0, 2.0, 1.0)]).cast(np.array([[0.0, 0.0, 0.0]]), np.array([0.3]), limit=3.0)
+    >>> hits = Scene([WallSegment(2.0, -1.0, 2.0, 1.0)]).cast(np.array([[0.0, 0.0, 0.0]]), np.array([0.3]), limit=3.0)
     >>> float(hits.distance[0]), float(hits.incidence[0])
     (2.0, 0.0)
     """
 
-    def __init__(self, things: Iterable[Wall | Box]) -> None:
-        things = tuple(things)
-        faces = [thing.faces for thing in things]
+    def __init__(self, objects: Iterable[WallSegment | Box]) -> None:
+        objects = tuple(objects)
+        faces = [item.faces for item in objects]
         owner = np.repeat(np.arange(len(faces)), [len(face) for face in faces])
-        kind = np.array([[thing.reflectance, thing.texture_deg] for thing in things]).reshape(-1, 2)
-        self._keep(np.vstack(faces) if faces else np.empty((0, 4)), kind[owner], owner)
+        kind = np.array([[item.reflectance, item.texture_deg] for item in objects]).reshape(-1, 2)
+        self._store(np.vstack(faces) if faces else np.empty((0, 4)), kind[owner], owner)
 
     @classmethod
     def of(cls, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> Scene:
-        """Return a scene of faces.
+        """Return a scene of given faces.
 
         Args:
             segments: m, (m, 4).
-            surface: reflectance and texture in deg of each, (m, 2).
-            owner: number of the thing that each belongs to, (m,).
+            surface: reflectance and texture in deg of each face, (m, 2).
+            owner: index of the object of each face, (m,).
         """
         scene = cls.__new__(cls)
-        scene._keep(segments, surface, owner)
+        scene._store(segments, surface, owner)
         return scene
 
-    def _keep(self, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> None:
+    def _store(self, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> None:
         self.segments, self.owner = segments, owner.astype(np.int64)
         self.surface = np.column_stack([surface[:, 0], np.radians(surface[:, 1])])
-        # one entry more: an empty cone has index -1, which must find nothing rather than the last thing
+        # one extra entry: an empty cone has index -1, which must not select the last object
         self._surface = np.vstack([self.surface, [0.0, 0.0]])
         self._owner = np.append(self.owner, kernels.NOTHING)
 
@@ -185,9 +185,9 @@ class Scene:
         """Cast cones.
 
         Args:
-            poses: of the sensors, rows x, y, heading: m, m, rad, (s, 3).
+            poses: poses of the sensors, rows x, y, heading: m, m, rad, (s, 3).
             half: half opening angles, rad, (s,).
-            limit: nothing farther is found, m.
+            limit: maximum range, m.
         """
         distance, bearing, incidence, index, point = kernels.cast_cones(poses, half, self.segments, limit)
         reflectance, texture = self._surface[index].T

@@ -1,7 +1,7 @@
-"""When sonars ping and when their readings come in: periods, phases and latencies in seconds, on any clock.
+"""Schedules of sonars: period, phase and latency in seconds, independent of the step of the environment.
 
-An environment is seen at its observations only. A ping sent between two of them meets the world as it was at the first,
-and its reading is shown at the first observation that is not before its arrival; until the next, it stays.
+The world is known at the observations only. A ping between two observations faces the world at the first of them. Its
+reading is observed from the first observation after its arrival until the next reading arrives.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from sonar_gym.sensing.sonar import ECHO_CODE, Sonar
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bits = NDArray[np.bool_]
-NOW = 1e-9  # s; two moments as near as this are one
+TIME_TOLERANCE_S = 1e-9  # s; two moments as near as this are one
 DISTANCE, BEARING, INCIDENCE, REFLECTANCE, SEEN, SENT, RANGE, STATUS, GIVEN_CONDITION = range(9)
-COLUMNS, MET = 9, 5  # of a ping, and those of them that say what it met
+COLUMNS, MET = 9, 5  # number of columns of a ping, and of those with its condition
 Times = tuple[ArrayLike, ArrayLike, ArrayLike]  # period, phase and latency, s
-OLDEST_S = 1.0  # greatest age in an observation
+MAX_AGE_S = 1.0  # maximum age in an observation
 
 
-class Met(NamedTuple):
-    """What the cones of r cars meet, s each.
+class ConeConditions(NamedTuple):
+    """Conditions in the cones of r cars with s sonars each.
 
     Attributes:
-        distance: m, (r, s); whatever where a cone is empty.
-        bearing: of the reflector off the beam axis, rad, (r, s).
-        incidence: between beam and surface normal, rad, (r, s).
+        distance: m, (r, s); undefined for an empty cone.
+        bearing: angle of the reflector off the beam axis, rad, (r, s).
+        incidence: angle between beam and surface normal, rad, (r, s).
         reflectance: (r, s).
-        seen: whether there is anything in the cone, (r, s).
+        seen: whether the cone holds a reflector, (r, s).
     """
 
     distance: Floats
@@ -47,35 +47,35 @@ def timing(count: int, step_s: float, times: Times) -> Floats:
     """Return period, phase and latency of each sonar, s, (count, 3).
 
     Args:
-        count: of sonars.
-        step_s: from observation to observation.
-        times: s, each one number or one for each sonar: from ping to ping, 0 for a ping at every observation; of the
-            first ping, unused where the period is 0; from a ping to its reading.
+        count: number of sonars.
+        step_s: time between observations, s.
+        times: period (0 for a ping at every observation), phase (time of the first ping; unused if the period is 0) and
+            latency, s; each one number, or one per sonar.
     """
     columns = []
     for name, given in zip(("period_s", "phase_s", "latency_s"), times, strict=True):
         value = np.asarray(given, dtype=np.float64)
         if value.shape not in ((), (count,)):
-            raise SettingError(f"{name} has shape {value.shape}, expected one number or {count}, one for each sonar")
+            raise SettingError(f"{name} has shape {value.shape}, expected one number or {count} numbers, one per sonar")
         if not np.all((value >= 0.0) & np.isfinite(value)):
             raise SettingError(f"{name} must be finite and >= 0 s, got {given}")
         columns.append(np.broadcast_to(value, count))
-    often = (columns[0] > 0.0) & (columns[0] < step_s - NOW)
+    often = (columns[0] > 0.0) & (columns[0] < step_s - TIME_TOLERANCE_S)
     if often.any():
         raise SettingError(
-            f"period_s is {columns[0][often][0]:g} s, less than the {step_s:g} s from one observation to the next: "
-            "give 0 for a ping at each"
+            f"period_s is {columns[0][often][0]:g} s, less than the {step_s:g} s between observations: "
+            "use 0 for a ping at every observation"
         )
     return np.stack(columns, axis=1)
 
 
-class Listener:
-    """What the sonars of n cars say, ping by ping, as it comes in.
+class ScheduledSonar:
+    """Sonars of n cars that fire on a schedule, and whose readings arrive after a latency.
 
     Args:
-        sonar: that draws; its copies are the cars.
+        sonar: the sonars; one copy per car.
         when: period, phase and latency of each sonar, s, (s, 3).
-        step_s: from observation to observation.
+        step_s: time between observations, s.
     """
 
     def __init__(self, sonar: Sonar, when: Floats, step_s: float) -> None:
@@ -83,25 +83,27 @@ class Listener:
         self._period, self._phase, self._latency = when.T
         self._always = not (self._period.any() or self._latency.any())
         n, s = sonar.copies, sonar.count
-        flying = self._latency / np.maximum(self._period, step_s)
-        self._depth = int(np.floor(flying.max() + NOW)) + 2  # pings on their way, and the one that has just come in
-        self._flying = np.zeros((n, s, self._depth, COLUMNS))
+        last_pings = self._latency / np.maximum(self._period, step_s)
+        self._depth = (
+            int(np.floor(last_pings.max() + TIME_TOLERANCE_S)) + 2
+        )  # pings in flight, and the one that arrived last
+        self._in_flight = np.zeros((n, s, self._depth, COLUMNS))
         self._slot = np.zeros((n, s), dtype=np.int64)
         self._before = np.zeros((MET, n, s))
         self._steps, self._sonars = np.zeros(n, dtype=np.int64), np.arange(s)
         self.shown = np.zeros((n, s, COLUMNS))
 
-    def begin(self, rows: Ints, met: Met) -> None:
-        """Begin episodes of some cars: nothing is remembered, all sonars ping, and are heard at once."""
+    def begin(self, rows: Ints, met: ConeConditions) -> None:
+        """Begin episodes of some cars: clear previous readings; all sonars fire, and their readings arrive at once."""
         self.sonar.forget(rows)
         self._steps[rows] = 0
-        self._flying[rows, :, :, SENT] = np.inf
+        self._in_flight[rows, :, :, SENT] = np.inf
         now: Floats = np.stack(met)
         self._before[:, rows] = now
         self.shown[rows] = self._pinged(rows, now, 0.0)
 
-    def step(self, rows: Ints, met: Met) -> None:
-        """Go on by one observation with some cars."""
+    def step(self, rows: Ints, met: ConeConditions) -> None:
+        """Advance some cars by one observation."""
         self._steps[rows] += 1
         world: Floats = np.stack(met)
         now: Floats = np.asarray(self._steps[rows, None] * self.step_s, dtype=np.float64)
@@ -109,22 +111,22 @@ class Listener:
             self.shown[rows] = self._pinged(rows, world, now)
             return
         sent, fired = self._firing(now)
-        faced = np.where(sent < now - NOW, self._before[:, rows], world)
+        faced = np.where(sent < now - TIME_TOLERANCE_S, self._before[:, rows], world)
         self._before[:, rows] = world
         if fired.any():
             self._send(rows, fired, self._pinged(rows, faced, sent, fired))
         self._show(rows, now)
 
     def _firing(self, now: Floats) -> tuple[Floats, Bits]:
-        """Return when each sonar pinged last by now, s, and whether that was since the observation before, (r, s)."""
+        """Return the time of the last ping of each sonar, s, and whether it is after the last observation, (r, s)."""
         period = np.where(self._period > 0.0, self._period, 1.0)
-        last = self._phase + np.floor((now - self._phase) / period + NOW) * period
+        last = self._phase + np.floor((now - self._phase) / period + TIME_TOLERANCE_S) * period
         last = np.where(self._period > 0.0, last, now)
-        begun = (self._period == 0.0) | (last >= self._phase - NOW)
-        return last, begun & (last > now - self.step_s + NOW)
+        begun = (self._period == 0.0) | (last >= self._phase - TIME_TOLERANCE_S)
+        return last, begun & (last > now - self.step_s + TIME_TOLERANCE_S)
 
     def _pinged(self, rows: Ints, met: Floats, sent: ArrayLike, fired: Bits | None = None) -> Floats:
-        """Draw the readings of pings; return all that is known of them, (r, s, COLUMNS); None: all have fired."""
+        """Draw the readings of pings and return all columns, (r, s, COLUMNS); `fired` None means all sonars."""
         count = self.sonar.count
         out = np.empty((len(rows), count, COLUMNS))
         out[..., :MET], out[..., SENT], out[..., GIVEN_CONDITION] = np.moveaxis(met, 0, -1), np.asarray(sent), 0.0
@@ -143,31 +145,31 @@ class Listener:
         return out
 
     def _send(self, rows: Ints, fired: Bits, pings: Floats) -> None:
-        """Put new pings on their way, in the places of those that came in longest ago."""
+        """Store new pings in the slots of the oldest."""
         row, sonar = np.nonzero(fired)
         slot = self._slot[rows[row], sonar]
-        self._flying[rows[row], sonar, slot] = pings[fired]
+        self._in_flight[rows[row], sonar, slot] = pings[fired]
         self._slot[rows[row], sonar] = (slot + 1) % self._depth
 
     def _show(self, rows: Ints, now: Floats) -> None:
-        """Show the newest pings whose readings have come in."""
-        flying = self._flying[rows]
-        sent = flying[..., SENT]
-        arrived = np.where(sent + self._latency[:, None] <= now[..., None] + NOW, sent, -np.inf)
+        """Observe the newest pings whose readings have arrived."""
+        last_pings = self._in_flight[rows]
+        sent = last_pings[..., SENT]
+        arrived = np.where(sent + self._latency[:, None] <= now[..., None] + TIME_TOLERANCE_S, sent, -np.inf)
         newest = np.argmax(arrived, axis=-1)[..., None]
         latest = np.take_along_axis(arrived, newest, axis=-1)[..., 0]
-        came = np.take_along_axis(flying, newest[..., None], axis=2)[:, :, 0]
+        came = np.take_along_axis(last_pings, newest[..., None], axis=2)[:, :, 0]
         newer = latest > self.shown[rows][..., SENT]
         self.shown[rows] = np.where(newer[..., None], came, self.shown[rows])
 
-    # ---- what comes out ----------------------------------------------------------------------------------------------
+    # ---- results -----------------------------------------------------------------------------------------------------
 
     def observation(self) -> dict[str, NDArray[np.float32]]:
-        """Return what agents get, each (n, s): `ranges`, `credence`, `echo` and `age` of the readings shown."""
+        """Return the observations, each (n, s): `ranges`, `credence`, `echo` and `age`."""
         n, s = self.sonar.copies, self.sonar.count
         reading = Reading(self.shown[..., RANGE].ravel(), self.shown[..., STATUS].astype(np.uint8).ravel())
         ranges = np.where(reading.status == EchoStatus.ECHO, reading.range / self.sonar.max_range, 1.0)
-        age = np.minimum(self._steps[:, None] * self.step_s - self.shown[..., SENT], OLDEST_S)
+        age = np.minimum(self._steps[:, None] * self.step_s - self.shown[..., SENT], MAX_AGE_S)
         return {
             "ranges": np.minimum(ranges, 1.0).astype(np.float32).reshape(n, s),
             "credence": self.sonar.credence(reading).astype(np.float32).reshape(n, s),
@@ -176,7 +178,7 @@ class Listener:
         }
 
     def truth(self) -> dict[str, Any]:
-        """Return what agents cannot know of the pings whose readings are shown, each (n, s)."""
+        """Return the true conditions of the pings behind the observed readings, each (n, s)."""
         columns = np.moveaxis(self.shown, -1, 0).copy()
         out: dict[str, Any] = {
             "distance": columns[DISTANCE],

@@ -1,7 +1,7 @@
-"""Where the conditions of pings come from: ranges that an environment observes, or the truth of the parking street.
+"""Sources of the conditions of pings: ranges that an environment observes, or the true state of the parking street.
 
-A source serves n environments alike, one or many: what it is given has a leading axis of n, which a single environment
-may leave out. `sonar_gym.wrappers.highway` is the third source.
+A source serves one environment or n of them. Its inputs have a leading axis of n, which a single environment may omit.
+`sonar_gym.wrappers.highway` contains the third source.
 """
 
 from __future__ import annotations
@@ -19,85 +19,91 @@ from sonar_gym.parking.fleet import MAX_RANGE, STEP_S, Fleet
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.sensing.sonar import bin_edges
 from sonar_gym.sensing.timing import Met, Times
-from sonar_gym.wrappers.settings import CONDITIONS, USUAL_RANGE, Condition, Hearing, prior_ping, usual_step
+from sonar_gym.wrappers.settings import (
+    CONDITION_NAMES,
+    DEFAULT_MAX_RANGE,
+    ConditionSetting,
+    SonarSettings,
+    default_step,
+    prior_ping,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Generators = Sequence[np.random.Generator]
-REST = "rest"  # where the numbers beside the ranges go, when the observation was one vector
+REST = "rest"  # key of the numbers that are not ranges, if the observation was a single array
 
 
-class Source(Protocol):
-    """Where the conditions of pings come from.
+class ConditionSource(Protocol):
+    """Source of the conditions of pings.
 
     Attributes:
-        count: of sonars.
-        max_range: m.
-        step_s: from observation to observation, s.
-        times: of the sonars' pings.
-        kept: spaces of what is kept of a single environment's observation.
+        count: number of sonars.
+        max_range: maximum range, m.
+        step_s: time between observations, s.
+        times: period, phase and latency of the pings, s.
+        retained_spaces: spaces of the retained parts of an observation, for one environment.
     """
 
     count: int
     max_range: float
     step_s: float
     times: Times
-    kept: dict[str, spaces.Space[Any]]
+    retained_spaces: dict[str, spaces.Space[Any]]
 
     def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading of each sonar."""
+        """Return the credence given a reading, one table per sonar."""
         ...
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
-        """Begin episodes in some environments, of which observation and info are."""
+        """Begin episodes in some environments, given their observations and infos."""
         ...
 
-    def meet(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
-        """Return what the cones of some environments meet."""
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
+        """Return the conditions of pings sent now in some environments."""
         ...
 
-    def rest(self, observation: Any) -> dict[str, Any]:
-        """Return what is kept of an observation."""
+    def retained(self, observation: Any) -> dict[str, Any]:
+        """Return the retained parts of an observation."""
         ...
 
 
 class RangesSource:
-    """Ranges in a `Box`, or in a `Box` of a `Dict`.
+    """Conditions from ranges in a `Box`, or in a `Box` of a `Dict`.
 
     Args:
         space: observation space of one environment.
-        hearing: which of its numbers are ranges, and what is known of the rest.
-        base: the environment, whose `dt` is the time between steps where it has one.
-        copies: environments.
+        settings: which numbers are ranges, and where the other conditions come from.
+        base: the environment; its `dt`, if any, is the time between steps.
+        copies: number of environments.
     """
 
-    def __init__(self, space: spaces.Space[Any], hearing: Hearing, base: Any, copies: int) -> None:
-        self.space, self.hearing, self.key = space, hearing, hearing.key
-        self.step_s, self.times = hearing.step_s or usual_step(base), hearing.times
-        self.max_range = hearing.max_range or USUAL_RANGE
+    def __init__(self, space: spaces.Space[Any], settings: SonarSettings, base: Any, copies: int) -> None:
+        self.space, self.settings, self.key = space, settings, settings.key
+        self.step_s, self.times = settings.step_s or default_step(base), settings.times
+        self.max_range = settings.max_range or DEFAULT_MAX_RANGE
         box = self._box()
         self._shape, self._mask = box.shape, self._range_mask(box)
         self.count = int(self._mask.sum())
-        self.kept = self._rest_spaces(box)
-        self.conditions: dict[str, Condition] = {name: getattr(hearing, name) for name in CONDITIONS}
+        self.retained_spaces = self._retained_spaces(box)
+        self._sources: dict[str, ConditionSetting] = {name: getattr(settings, name) for name in CONDITION_NAMES}
         self._reflectance = np.ones((copies, self.count))
 
     def _box(self) -> spaces.Box:
         space = self.space
         if isinstance(space, spaces.Dict):
             if self.key not in space.spaces:
-                raise SettingError(
-                    f"SonarObservation.key {self.key!r}: the observation holds {', '.join(space.spaces)}"
-                )
+                names = ", ".join(space.spaces)
+                raise SettingError(f"SonarObservation.key {self.key!r}: not in the observation, which has {names}")
             space = space.spaces[self.key]
         elif self.key is not None:
-            raise SettingError(f"SonarObservation.key {self.key!r}: the observation is no Dict; leave the key out")
+            raise SettingError(f"SonarObservation.key {self.key!r}: the observation is not a Dict; omit the key")
         if not isinstance(space, spaces.Box):
-            raise SettingError(f"SonarObservation needs ranges in a Box, got {space}: give the key of one")
+            raise SettingError(f"SonarObservation needs ranges in a Box, got {space}: give the key of a Box")
         return space
 
     def _range_mask(self, box: spaces.Box) -> NDArray[np.bool_]:
-        size, indices = int(np.prod(box.shape)), self.hearing.indices
+        size, indices = int(np.prod(box.shape)), self.settings.indices
         mask = np.full(size, indices is None)
         for index in indices if indices is not None else ():
             if not 0 <= index < size:
@@ -107,101 +113,103 @@ class RangesSource:
             raise SettingError("SonarObservation.indices holds 0 indices, expected 1 or more")
         return mask
 
-    def _rest_spaces(self, box: spaces.Box) -> dict[str, spaces.Space[Any]]:
+    def _retained_spaces(self, box: spaces.Box) -> dict[str, spaces.Space[Any]]:
         parts = self.space.spaces if isinstance(self.space, spaces.Dict) else {}
-        rest: dict[str, spaces.Space[Any]] = {name: part for name, part in parts.items() if name != self.key}
+        out: dict[str, spaces.Space[Any]] = {name: part for name, part in parts.items() if name != self.key}
         if not self._mask.all():
             low, high = box.low.ravel()[~self._mask], box.high.ravel()[~self._mask]
-            rest[self.key or REST] = spaces.Box(low, high, dtype=box.dtype.type)
-        return rest
+            out[self.key or REST] = spaces.Box(low, high, dtype=box.dtype.type)
+        return out
 
     def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading, under the prior that the conditions make."""
-        ping = prior_ping(self.conditions, self.max_range)
+        """Return the credence given a reading under the prior that the settings imply, one table per sonar."""
+        ping = prior_ping(self._sources, self.max_range)
         return [CredenceTable.over(model, ping, bin_edges(self.max_range))] * self.count
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
-        """Draw what stays as it is through an episode: the reflectances, where they are not told at every step."""
-        self._reflectance[rows] = self._drawn("reflectance", rows, observation, info, rngs)
+        """Draw the reflectances of the episode."""
+        self._reflectance[rows] = self._values("reflectance", rows, observation, info, rngs)
 
-    def meet(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
-        """Take the ranges out of the observation, and the other conditions from where they come."""
-        told = self._flat(observation)[..., self._mask].reshape(len(rows), self.count)
-        distance = told * self.hearing.metres_per_unit
-        if self.hearing.empty is not None:
-            distance[told == self.hearing.empty] = np.inf
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
+        """Return the observed ranges with the other conditions, from their keys, constants or priors."""
+        ranges = self._flat(observation)[..., self._mask].reshape(len(rows), self.count)
+        distance = ranges * self.settings.metres_per_unit
+        if self.settings.empty is not None:
+            distance[ranges == self.settings.empty] = np.inf
         if np.any(np.isnan(distance)) or np.any(distance < 0.0):
-            raise SettingError("SonarObservation met a range that is negative or NaN: check key, indices and unit")
-        seen = distance < self.max_range * (1.0 - 1e-6)  # float32 rounds a maximum range to either side
-        anew = isinstance(self.conditions["reflectance"], str)
-        bearing, incidence = (self._drawn(name, rows, observation, info, rngs) for name in ("bearing", "incidence"))
-        reflectance = self._drawn("reflectance", rows, observation, info, rngs) if anew else self._reflectance[rows]
-        return Met(distance, bearing, incidence, reflectance, seen)
+            raise SettingError("SonarObservation: a range is negative or NaN; check key, indices and empty")
+        in_range = distance < self.max_range * (1.0 - 1e-6)  # float32 rounds a maximum range to either side
+        every_step = isinstance(self._sources["reflectance"], str)
+        bearing, incidence = (self._values(name, rows, observation, info, rngs) for name in ("bearing", "incidence"))
+        reflectance = (
+            self._values("reflectance", rows, observation, info, rngs) if every_step else self._reflectance[rows]
+        )
+        return Met(distance, bearing, incidence, reflectance, in_range)
 
-    def rest(self, observation: Any) -> dict[str, Any]:
-        """Return the other keys, and the numbers beside the ranges."""
-        rest = {name: value for name, value in observation.items() if name != self.key} if self.key else {}
+    def retained(self, observation: Any) -> dict[str, Any]:
+        """Return the other keys, and the numbers that are not ranges."""
+        out = {name: value for name, value in observation.items() if name != self.key} if self.key else {}
         if not self._mask.all():
             part = observation[self.key] if self.key else observation
-            rest[self.key or REST] = self._flat(observation)[..., ~self._mask].astype(part.dtype)
-        return rest
+            out[self.key or REST] = self._flat(observation)[..., ~self._mask].astype(part.dtype)
+        return out
 
     def _flat(self, observation: Any) -> Floats:
-        """Return the array that holds the ranges, (..., size)."""
+        """Return the array that contains the ranges, (..., size)."""
         whole = np.asarray(observation[self.key] if self.key else observation, dtype=np.float64)
         return whole.reshape(*whole.shape[: whole.ndim - len(self._shape)], -1)
 
-    def _drawn(self, name: str, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Floats:
-        """Return a condition of every sonar, (r, s)."""
-        source, shape = self.conditions[name], (len(rows), self.count)
+    def _values(self, name: str, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Floats:
+        """Return one condition for every sonar, (r, s)."""
+        source, shape = self._sources[name], (len(rows), self.count)
         if isinstance(source, tuple):
             return np.stack([rngs[row].uniform(*source, size=self.count) for row in rows])
         if not isinstance(source, str):
             return np.full(shape, source)
-        inside = self.key is not None and source in observation
-        if not inside and source not in info:
-            raise SettingError(f"SonarObservation.{name} {source!r}: neither the observation nor info holds that key")
-        value = np.asarray(observation[source] if inside else info[source], dtype=np.float64)
+        observed = self.key is not None and source in observation
+        if not observed and source not in info:
+            raise SettingError(f"SonarObservation.{name} {source!r}: neither the observation nor info has that key")
+        value = np.asarray(observation[source] if observed else info[source], dtype=np.float64)
         if value.shape not in (shape, shape[1:]):
             raise SettingError(f"SonarObservation.{name} {source!r} has shape {value.shape}, expected {shape[1:]}")
         return value.reshape(shape)
 
 
 class StreetSource:
-    """The truth of SonarParking-v0, whatever sonar it has of its own.
+    """True conditions of SonarParking-v0, whatever the sonar inside the environment.
 
     Args:
-        fleet: of the environment, single or many.
-        hearing: maximum range and times alone count.
+        fleet: state of the environments, one or many.
+        settings: maximum range and times; the other settings are not used.
     """
 
-    def __init__(self, fleet: Fleet, hearing: Hearing) -> None:
-        self.fleet, self.count, self.step_s, self.times = fleet, len(fleet.mounts), STEP_S, hearing.times
-        self.max_range = hearing.max_range or MAX_RANGE
+    def __init__(self, fleet: Fleet, settings: SonarSettings) -> None:
+        self.fleet, self.count, self.step_s, self.times = fleet, len(fleet.mounts), STEP_S, settings.times
+        self.max_range = settings.max_range or MAX_RANGE
         if any(mount.period_s or mount.latency_s for mount in fleet.mounts):
             raise SettingError(
-                "SonarObservation needs the truth at every step, and this layout's sonars ping less often or are heard "
-                "later: make the environment with sonar_layout='eight', and give periods and latencies to the wrapper"
+                "SonarObservation needs the true conditions at every step, but the sonars of this layout have periods "
+                "or latencies: make the environment with sonar_layout='eight', and give the times to the wrapper"
             )
-        self.kept = {"ego": fleet.observation_space.spaces["ego"]}
+        self.retained_spaces = {"ego": fleet.observation_space.spaces["ego"]}
 
     def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading in streets of the task's kind."""
+        """Return the credence given a reading in streets of the task, one table per sonar."""
         return street_credence(
             model, self.fleet.street_settings, self.fleet.car_settings, self.fleet.mounts, self.max_range
         )
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
-        """Begin episodes: nothing stays from the last, nothing is drawn."""
+        """Do nothing: no condition is drawn per episode."""
 
-    def meet(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
-        """Take the truth from info."""
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Met:
+        """Return the true conditions in `info`."""
         parts = (info[name] for name in ("distance", "bearing", "incidence", "reflectance", "in_cone"))
         distance, bearing, incidence, reflectance, in_cone = (
             np.asarray(part).reshape(len(rows), self.count) for part in parts
         )
         return Met(distance, bearing, incidence, reflectance, in_cone & (distance < self.max_range))
 
-    def rest(self, observation: Any) -> dict[str, Any]:
-        """Return what odometry and clock tell."""
+    def retained(self, observation: Any) -> dict[str, Any]:
+        """Return the odometry and the elapsed time."""
         return {"ego": observation["ego"]}

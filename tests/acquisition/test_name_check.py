@@ -1,4 +1,4 @@
-"""Another distribution called `noise` is told apart, by name and with a way out."""
+"""Another distribution's package `noise` is an error with a remedy."""
 
 import subprocess
 import sys
@@ -11,12 +11,12 @@ from acquisition.name_check import check_noise
 ROOT = Path(__file__).parents[2]
 
 
-def test_ours_passes():
+def test_the_package_of_this_project_passes():
     check_noise()
 
 
 @pytest.mark.parametrize("code", ["import sonar_gym", "from training.cli import main; main(['effects'])"])
-def test_a_foreign_noise_is_named(tmp_path, code):
+def test_another_package_noise_is_an_error(tmp_path, code):
     (tmp_path / "noise").mkdir()
     (tmp_path / "noise" / "__init__.py").write_text("def pnoise2(): ...\n", encoding="utf-8")
     path = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; "

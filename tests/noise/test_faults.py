@@ -1,4 +1,4 @@
-"""The laws of faults: what holds for every fault on every model, and known answers for each."""
+"""Faults: properties of every fault on every model, and known answers for each fault."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_probability_sums_to_one_and_is_the_difference_of_the_cdf(model, fault):
 
 @every_model
 @every_fault
-def test_a_fault_that_never_strikes_leaves_the_law_alone(model, fault):
+def test_a_fault_of_rate_zero_leaves_the_law_unchanged(model, fault):
     null = type(fault)(**{**vars(fault), "rate": 0.0})
     law, readings = every_step(Faulty(model, [null]))
     np.testing.assert_allclose(law.log_prob(readings), every_step(model)[0].log_prob(readings), atol=1e-9)
@@ -69,7 +69,7 @@ def test_samples_agree_with_log_prob(model, fault):
 
 @settings(max_examples=25, deadline=None)
 @given(st.tuples(*[st.just(0.0) | st.floats(1e-6, 0.25)] * 4), st.integers(0, 2**31))
-def test_each_cause_strikes_at_its_rate(rates, seed):
+def test_each_fault_occurs_at_its_rate(rates, seed):
     kinds = (Short, Noise, Constant, Calibration)
     faulty = Faulty(MODELS["gaussian"], [kind(rate) for kind, rate in zip(kinds, rates, strict=True)])
     _, cause = faulty.law(Ping.of(distance=np.full(2000, 1.0))).draw(np.random.default_rng(seed))
@@ -81,13 +81,13 @@ def test_the_posterior_of_a_cause_is_calibrated():
     faulty = Faulty(MODELS["gaussian"], [Short(0.1, span=REACH), Noise(0.2, sigma=0.2), Constant(0.05, value=1.4)])
     law = faulty.law(Ping.of(distance=np.full(40_000, 1.5)))
     reading, cause = law.draw(np.random.default_rng(0))
-    said = law.cause_given(reading)
-    np.testing.assert_allclose(said.sum(axis=0), 1.0)
+    posterior = law.cause_given(reading)
+    np.testing.assert_allclose(posterior.sum(axis=0), 1.0)
     for k in range(len(faulty.causes)):
         for low in (0.0, 0.25, 0.5, 0.75):
-            here = (said[k] >= low) & (said[k] < low + 0.25)
+            here = (posterior[k] >= low) & (posterior[k] < low + 0.25)
             if here.sum() > 50:
-                gap = (cause[here] == k).mean() - said[k][here].mean()
+                gap = (cause[here] == k).mean() - posterior[k][here].mean()
                 assert abs(gap) < 5 * np.sqrt(0.25 / here.sum())
 
 
@@ -98,7 +98,7 @@ def test_calibration_scales_offsets_and_drifts_with_time():
     np.testing.assert_allclose(drawn.range, [0.92, 1.94, 2.24], atol=1e-9)
 
 
-def test_a_stuck_sensor_says_one_thing_and_noise_keeps_silence():
+def test_constant_gives_one_reading_and_noise_preserves_no_echo():
     stuck = Faulty(IdealModel(STEP, REACH), [Constant(1.0, value=1.01)])
     drawn = stuck.law(Ping.of(distance=[0.5, 3.0, 9.0])).sample(np.random.default_rng(0))
     assert len(set(drawn.range)) == 1
@@ -108,7 +108,7 @@ def test_a_stuck_sensor_says_one_thing_and_noise_keeps_silence():
 
 
 class DeadLaw(EchoLaw):
-    """No answer, ever."""
+    """A law without any answer."""
 
     def arrival(self, z):
         return np.zeros(np.shape(z))
@@ -119,7 +119,7 @@ class DeadLaw(EchoLaw):
 
 
 class Unplugged:
-    """A model whose wire is always dead."""
+    """A model of a disconnected sensor."""
 
     resolution, remembers = STEP, False
 
@@ -128,13 +128,13 @@ class Unplugged:
 
 
 @every_fault
-def test_a_dead_wire_stays_dead(fault):
+def test_faults_preserve_no_answer(fault):
     law = Faulty(Unplugged(), [fault]).law(Ping.of(distance=[0.5, 1.0]))
     np.testing.assert_allclose(law.no_answer, 1.0)
     np.testing.assert_allclose(law.echo, 0.0, atol=1e-12)
 
 
-def test_settings_that_cannot_be_are_refused_by_name():
+def test_invalid_settings_raise_with_the_name_of_the_setting():
     with pytest.raises(SettingError, match=r"Short\.rate must lie in \[0, 1\], got 1\.5"):
         Short(1.5)
     with pytest.raises(SettingError, match=r"Noise\.sigma must be > 0 m, got 0 m"):

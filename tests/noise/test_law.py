@@ -1,4 +1,4 @@
-"""What every law promises, stated of laws with random parameters, and the models that need no torch."""
+"""Properties of every law, for random parameters, and the models that need no torch."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
-from noise import GaussianModel, IdealModel, simulate
+from noise import Faulty, GaussianModel, IdealModel, listener, load_model, model_names, simulate
+from noise.beam import BeamModel
 from noise.effects import CATALOGUE
+from noise.faults import Noise, Short
+from noise.law import EchoLaw
 from noise.physical import PhysicalModel
 
 REACH = 3.0
@@ -24,14 +27,14 @@ distances = st.floats(0.0, 4.0)
 
 
 def every_step(model, distance):
-    """Return the law of one condition, repeated for each step of its register, and those steps."""
+    """Return the law of one condition, repeated for each register step, and the steps."""
     steps = np.arange(1, model.law(Ping.of(distance=distance)).last_step + 1)
     return model.law(Ping.of(distance=np.full(len(steps), distance))), steps
 
 
 @settings(max_examples=60, deadline=None)
 @given(gaussians, distances)
-def test_cdf_grows_and_probability_is_its_difference(model, distance):
+def test_cdf_is_monotonic_and_probability_is_its_difference(model, distance):
     law, steps = every_step(model, distance)
     cdf = law.cdf_step(steps)
     assert np.all(np.diff(cdf) >= -1e-15)
@@ -82,7 +85,7 @@ def test_tails_are_exact():
     np.testing.assert_allclose(law.log_prob(Reading.of([1.2, 0.8])), expected + np.log(np.sinh(1.0)), atol=0.01)
 
 
-def test_same_seed_same_readings_and_another_seed_others():
+def test_readings_are_determined_by_the_seed():
     ping = Ping.of(distance=np.linspace(0.1, 5.0, 50))
     model = GaussianModel()
     first, again, other = (model.law(ping).sample(np.random.default_rng(seed)).range for seed in (1, 1, 2))
@@ -90,7 +93,7 @@ def test_same_seed_same_readings_and_another_seed_others():
     assert np.any(first != other)
 
 
-def test_ideal_sonar_is_certain_and_silent_beyond_its_range():
+def test_ideal_sonar_is_exact_and_gives_no_echo_beyond_its_range():
     law = IdealModel(max_range=6.0).law(Ping.of(distance=[3.0, 7.0]))
     np.testing.assert_array_equal(law.credence(), [1.0, 0.0])
     np.testing.assert_array_equal(law.no_echo, [0.0, 1.0])
@@ -98,15 +101,15 @@ def test_ideal_sonar_is_certain_and_silent_beyond_its_range():
     assert law.log_prob(Reading.of([3.1, 0.0]))[0] == -np.inf
 
 
-def test_settings_that_are_no_deviation_or_probability_are_refused():
+def test_invalid_settings_raise():
     with pytest.raises(SettingError, match=r"GaussianModel\.sigma must be >= 0 m, got -0\.1 m"):
         GaussianModel(sigma=-0.1)
     with pytest.raises(SettingError, match=r"GaussianModel\.miss must lie in \[0, 1\], got 1\.5"):
         GaussianModel(miss=1.5)
 
 
-def test_memory_runs_along_each_run():
-    """A sensor that only ever repeats itself gives each run its first reading for ever."""
+def test_previous_readings_belong_to_a_run():
+    """With frequent repeats, most readings of a run equal their predecessor, and runs differ."""
     stack = [CATALOGUE["stale_repeat"](probability=0.9), CATALOGUE["travel_time_jitter"](sigma_m=0.02)]
     model = PhysicalModel(stack)
     ping = Ping.of(distance=np.full(3000, 2.0), run=np.repeat(np.arange(30), 100))
@@ -117,3 +120,55 @@ def test_memory_runs_along_each_run():
     assert repeats == pytest.approx(0.9 + 0.1 / 71, abs=4 * np.sqrt(0.09 / 2970))
     assert len(np.unique(value[:, 0])) > 15
     assert np.all(drawn.status == EchoStatus.ECHO)
+
+
+class Columns:
+    """Generators of several copies as one source: each copy's columns come from its own generator."""
+
+    def __init__(self, seeds, columns):
+        self.rngs, self.columns = [np.random.default_rng(seed) for seed in seeds], columns
+
+    def random(self, size, /):
+        *lead, n = (size,) if isinstance(size, int) else size
+        assert n == self.columns * len(self.rngs)
+        return np.concatenate([rng.random((*lead, self.columns)) for rng in self.rngs], axis=-1)
+
+
+STACK = [CATALOGUE["travel_time_jitter"](sigma_m=0.02), CATALOGUE["dropped_reading"](probability=0.2)]
+SAMPLED = {name: load_model(name) for name in model_names()} | {
+    "physical": PhysicalModel(STACK),
+    "beam": BeamModel(),
+    "faults": Faulty(GaussianModel(), [Short(0.2), Noise(0.2)]),
+    "faults on an LSTM": Faulty(load_model("srf08-lstm"), [Short(0.2)]),
+}
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+def test_laws_of_one_uniform_number_a_ping_are_sampled_equally_in_one_batch_and_apart(name):
+    ping = Ping.of(distance=[0.2, 1.0, 20.0, 0.7, 2.5, 0.4], run=np.arange(6), time=0.0)
+    law = listener(SAMPLED[name]).law(ping)
+    assert law.uniform_per_ping == (name != "rig")
+    if law.uniform_per_ping:
+        together = law.sample(Columns([4, 5], 3))
+        for copy, rows in enumerate((slice(0, 3), slice(3, 6))):
+            apart = listener(SAMPLED[name]).law(ping[rows]).sample(np.random.default_rng(4 + copy))
+            np.testing.assert_array_equal(together.range[rows], apart.range)
+            np.testing.assert_array_equal(together.status[rows], apart.status)
+
+
+def test_a_law_with_a_sampling_method_of_its_own_does_not_inherit_the_declaration():
+    class Shuffled(EchoLaw):
+        def sample(self, rng):
+            return super().sample(np.random.default_rng(int(rng.random(1)[0] * 100)))
+
+    class Quiet(EchoLaw):
+        pass
+
+    assert not Shuffled.uniform_per_ping
+    assert Quiet.uniform_per_ping
+
+
+def test_the_rig_needs_a_generator():
+    law = load_model("rig").law(Ping.of(distance=[1.0, 2.0], time=0.0))
+    with pytest.raises(TypeError, match=r"needs a numpy\.random\.Generator, got a Columns"):
+        law.sample(Columns([1], 2))

@@ -1,4 +1,4 @@
-"""Known answers: closed forms, another library, and laws that are true by construction."""
+"""Metrics against closed forms, another library, and laws that are true by construction."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from scipy import stats
 from acquisition import Ping, Reading, SettingError
 from noise import GaussianModel, IdealModel
 from noise.effects import CATALOGUE
-from noise.metrics import Score, credence_reliability, crps, evaluate, pit
+from noise.metrics import ClusterMean, credence_reliability, crps, evaluate, pit
 from noise.physical import PhysicalModel
 
 
@@ -17,12 +17,12 @@ def rng():
     return np.random.default_rng(7)
 
 
-def test_crps_is_that_of_the_normal():
+def test_crps_of_a_normal_law():
     sigma = np.array([0.02, 0.05, 0.1])
     laws = [GaussianModel(sigma=s, sigma_per_metre=0.0, resolution=1e-4).law(Ping.of(distance=2.0)) for s in sigma]
     read = np.array([2.01, 1.9, 2.3])
-    ours = [crps(law, Reading.of(y))[0] for law, y in zip(laws, read, strict=True)]
-    np.testing.assert_allclose(ours, scoringrules.crps_normal(read, 2.0, sigma), rtol=0.01)
+    score = [crps(law, Reading.of(y))[0] for law, y in zip(laws, read, strict=True)]
+    np.testing.assert_allclose(score, scoringrules.crps_normal(read, 2.0, sigma), rtol=0.01)
 
 
 def test_crps_is_the_integral_over_the_register():
@@ -40,7 +40,7 @@ def test_crps_is_the_integral_over_the_register():
         assert crps(model.law(Ping.of(distance=2.0)), Reading.of(y))[0] == pytest.approx(integral, rel=0.01, abs=1e-4)
 
 
-def test_crps_of_certainty_is_the_absolute_error():
+def test_crps_of_a_deterministic_law_is_the_absolute_error():
     law = IdealModel().law(Ping.of(distance=[1.0, 1.0, 1.0]))
     np.testing.assert_allclose(crps(law, Reading.of([1.0, 1.25, 0.0])), [0.0, 0.25, np.nan])
 
@@ -59,47 +59,47 @@ def test_pit_of_the_true_law_is_uniform_and_of_another_is_not(rng):
     assert stats.kstest(pit(other.law(ping), drawn, rng), "uniform").pvalue < 1e-9
 
 
-def test_credence_of_the_true_law_comes_true(rng):
+def test_credence_of_the_true_law_is_calibrated(rng):
     model, ping = (
         GaussianModel(sigma=0.05, sigma_per_metre=0.08, miss=0.1),
         Ping.of(distance=rng.uniform(0.2, 5, 20_000)),
     )
     law = model.law(ping)
-    told = credence_reliability(law, law.sample(rng), np.arange(20_000) % 500)
-    filled = told.pings > 200
+    curve = credence_reliability(law, law.sample(rng), np.arange(20_000) % 500)
+    filled = curve.pings > 200
     assert filled.sum() >= 2
-    assert np.all(np.abs(told.said - told.came_true)[filled] < 4.5 * told.error[filled])
-    assert told.gap < 0.02
-    boastful = credence_reliability(IdealModel().law(ping), law.sample(rng), np.arange(20_000) % 500)
-    assert boastful.gap > 0.2
+    assert np.all(np.abs(curve.predicted - curve.observed)[filled] < 4.5 * curve.error[filled])
+    assert curve.gap < 0.02
+    overconfident = credence_reliability(IdealModel().law(ping), law.sample(rng), np.arange(20_000) % 500)
+    assert overconfident.gap > 0.2
 
 
-def test_errors_are_over_clusters(rng):
-    cell = np.repeat(np.arange(50), 40)
-    value = rng.normal(size=50)[cell]
-    score = Score.of(value, cell)
+def test_standard_errors_are_over_clusters(rng):
+    visit = np.repeat(np.arange(50), 40)
+    value = rng.normal(size=50)[visit]
+    score = ClusterMean.of(value, visit)
     assert score.error == pytest.approx(np.std(value[::40], ddof=1) / np.sqrt(50))
     assert score.error > 5 * np.std(value) / np.sqrt(len(value))
-    alone = Score.of(value, np.arange(2000))
+    alone = ClusterMean.of(value, np.arange(2000))
     assert alone.error == pytest.approx(np.std(value, ddof=1) / np.sqrt(2000))
 
 
-def test_one_cluster_tells_nothing_of_its_error():
-    assert np.isnan(Score.of([1.0, 2.0], [0, 0]).error)
+def test_one_cluster_gives_no_standard_error():
+    assert np.isnan(ClusterMean.of([1.0, 2.0], [0, 0]).error)
     with pytest.raises(SettingError, match="got 0 and 0"):
-        Score.of([], [])
+        ClusterMean.of([], [])
 
 
 def test_the_true_model_scores_best(rng):
     ping = Ping.of(distance=np.repeat(rng.uniform(0.3, 4, 60), 20))
-    cell = np.repeat(np.arange(60), 20)
+    visit = np.repeat(np.arange(60), 20)
     true = GaussianModel(sigma=0.02, sigma_per_metre=0.01)
     drawn = true.law(ping).sample(rng)
-    scores = [evaluate(m, ping, drawn, cell) for m in (true, GaussianModel(0.05, 0.01), GaussianModel(0.02, 0.04))]
+    scores = [evaluate(m, ping, drawn, visit) for m in (true, GaussianModel(0.05, 0.01), GaussianModel(0.02, 0.04))]
     assert scores[0].log_likelihood.mean > max(s.log_likelihood.mean for s in scores[1:])
     assert scores[0].crps_mm.mean < min(s.crps_mm.mean for s in scores[1:])
     # entropy of a normal in 1 mm steps: -0.5 log(2 pi e sigma^2) + log step, averaged over the distances
     sigma = 0.02 + 0.01 * ping.distance
     entropy = np.mean(0.5 * np.log(2 * np.pi * np.e * sigma**2) - np.log(0.001))
     assert scores[0].log_likelihood.mean == pytest.approx(-entropy, abs=5 * scores[0].log_likelihood.error)
-    assert evaluate(IdealModel(), ping, drawn, cell).log_likelihood.mean == -np.inf
+    assert evaluate(IdealModel(), ping, drawn, visit).log_likelihood.mean == -np.inf

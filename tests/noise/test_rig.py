@@ -1,4 +1,4 @@
-"""The rig as a sonar model: it can be drawn from, in one batch, and knows no probabilities."""
+"""The rig as a sonar model: it can be sampled in one batch and has no probabilities."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ def conditions(n, seed=0):
     return Ping.of(rng.uniform(0.1, 3.0, n), *angles, reflectance=rng.choice([0.1, 0.9], n), time=np.zeros(n))
 
 
-def test_it_is_a_model_by_name_and_always_says_the_same():
+def test_it_is_a_model_by_name_and_determined_by_the_seed():
     model, ping = load_model("rig"), conditions(50)
     assert isinstance(model, SonarModel)
     first, again = (simulate(model, ping, np.random.default_rng(3)) for _ in range(2))
@@ -28,8 +28,8 @@ def test_it_is_a_model_by_name_and_always_says_the_same():
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
 
 
-def test_batches_say_what_the_rig_says_one_by_one():
-    """Means and detection of 16 conditions, fired 60 times in one batch and as visits of the rig's own."""
+def test_batches_agree_with_single_visits_of_the_rig():
+    """Medians and detection rates of 16 conditions, with 60 pings each, in one batch and as separate visits."""
     ping = conditions(16, 4)
     model = RigModel(Rig(Unit.nominal(), replace(SIMULATED, gain=20, output="us", drift_c=0.0)))
     many = ping[np.tile(np.arange(16), 60)]
@@ -37,39 +37,39 @@ def test_batches_say_what_the_rig_says_one_by_one():
     for k in range(16):
         visit = Ping.of(ping.distance[k], ping.angle[k], ping.incidence[k], ping.reflectance[k], 2.4 * np.arange(60))
         alone = model.rig.ping(visit, np.random.default_rng(k)).reading(model.rig.setup).range
-        heard = [said > 0 for said in (batch[:, k], alone)]
-        assert heard[0].mean() == pytest.approx(heard[1].mean(), abs=0.3)
-        if min(said.mean() for said in heard) > 0.5:
-            centres = [np.median(said[said > 0]) for said in (batch[:, k], alone)]
+        detected = [value > 0 for value in (batch[:, k], alone)]
+        assert detected[0].mean() == pytest.approx(detected[1].mean(), abs=0.3)
+        if min(mask.mean() for mask in detected) > 0.5:
+            centres = [np.median(value[value > 0]) for value in (batch[:, k], alone)]
             assert centres[0] == pytest.approx(centres[1], abs=0.006)
 
 
-def test_sonars_of_one_car_do_not_hear_each_other():
-    """Identical conditions a hundredth of a second apart in one run: no ghosts of each other."""
+def test_sonars_of_one_car_do_not_interfere():
+    """Identical conditions a hundredth of a second apart in one run: no false echoes."""
     ping = Ping.of(np.full(200, 2.0), reflectance=0.9, time=0.01 * np.arange(200))
     reading = load_model("rig").law(ping).sample(np.random.default_rng(0))
     assert np.abs(reading.range[reading.echo] - 2.0).max() < 0.08
 
 
-def test_an_empty_cone_is_silent_and_a_dead_wire_is_not():
+def test_an_empty_cone_gives_no_echo_and_a_disconnected_sensor_no_answer():
     empty = Ping.of(np.full(50, 20.0), time=0.0)
     assert (load_model("rig").law(empty).sample(np.random.default_rng(0)).status != EchoStatus.NO_ANSWER).all()
     dead = RigModel(Rig(Unit.nominal(), Setup(bus=Bus(nack=1.0))))
     assert (dead.law(empty).sample(np.random.default_rng(0)).status == EchoStatus.NO_ANSWER).all()
 
 
-def test_it_knows_no_probabilities_and_says_so():
+def test_probabilities_raise():
     law = load_model("rig").law(conditions(3))
     assert not law.has_probabilities
-    for ask in (law.credence, lambda: law.no_answer, lambda: law.log_prob(law.sample(np.random.default_rng(0)))):
+    for query in (law.credence, lambda: law.no_answer, lambda: law.log_prob(law.sample(np.random.default_rng(0)))):
         with pytest.raises(SampleOnlyError, match=r"draw readings with `sample\(rng\)`"):
-            ask()
+            query()
     assert issubclass(SampleOnlyError, NotImplementedError)
     assert issubclass(SampleOnlyError, SonarError)
 
 
-def test_credence_given_a_reading_is_counted():
-    """One reflector at 1 m, or one at 2 m whose post is read: what is counted is what was drawn."""
+def test_credence_given_a_reading_is_estimated_from_draws():
+    """Exact reflectors have credence 1; tilted ones, whose post is read, less."""
     ping = Ping.of(np.repeat([1.0, 2.0], 200), reflectance=0.9, time=0.0)
     table = CredenceTable.over(RigModel(), ping, np.linspace(0.0, 3.0, 31))
     assert table.values[[10, 20]] == pytest.approx([1.0, 1.0])

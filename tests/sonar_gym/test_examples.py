@@ -1,4 +1,4 @@
-"""The examples run as they stand."""
+"""The examples run unchanged."""
 
 import runpy
 import sys
@@ -10,7 +10,7 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-SAID = {
+READING_LINES = {
     "make_and_step.py": 5,
     "wrap_your_own.py": 5,
     "wrap_range_array.py": 5,
@@ -24,31 +24,33 @@ def printed(name, capsys):
     return capsys.readouterr().out.splitlines()
 
 
-@pytest.mark.parametrize(("name", "count"), SAID.items())
-def test_example_prints_what_was_said_and_what_is_true(name, count, capsys):
-    lines = [line for line in printed(name, capsys) if "said" in line]
+@pytest.mark.parametrize(("name", "count"), READING_LINES.items())
+def test_example_prints_readings_and_true_distances(name, count, capsys):
+    lines = [line for line in printed(name, capsys) if "read" in line]
     assert len(lines) == count
     assert all("true" in line for line in lines)
 
 
-def test_foam_is_heard_less_than_steel(capsys):
-    heard = {line.split(":")[0]: int(line.split(":")[1].split("%")[0]) for line in printed("own_materials.py", capsys)}
-    assert heard["foam"] < heard["cardboard"] <= heard["ribbed steel"]
+def test_foam_is_detected_less_often_than_steel(capsys):
+    detected = {
+        line.split(":")[0]: int(line.split(":")[1].split("%")[0]) for line in printed("own_materials.py", capsys)
+    }
+    assert detected["foam"] < detected["cardboard"] <= detected["ribbed steel"]
 
 
-def test_layout_of_the_example_pings_in_turn(capsys):
+def test_sonars_of_the_layout_example_alternate(capsys):
     lines = printed("own_layout.py", capsys)
     ages = [[int(part.split(" ms")[0].split()[-1]) for part in line.split(";")[:3]] for line in lines]
-    # the first step still shows the pings of the start; later ones come in 25 ms after every second observation
+    # after the first step the readings are those of the reset; later ones arrive 25 ms after every second observation
     assert ages == [[0, 100, 100], [0, 200, 100], [0, 100, 200], [0, 200, 100], [0, 100, 200]]
 
 
-def test_every_example_runs_as_a_test():
-    tested = {*SAID, "own_materials.py", "record_gif.py", "train_highway.py"}
+def test_every_example_is_tested():
+    tested = {*READING_LINES, "own_materials.py", "record_gif.py", "train_highway.py"}
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested
 
 
-def test_gif_is_written_whole(tmp_path, monkeypatch, capsys):
+def test_gif_is_complete(tmp_path, monkeypatch, capsys):
     path = tmp_path / "parking.gif"
     monkeypatch.setattr(sys, "argv", ["record_gif.py", str(path)])
     runpy.run_path(str(EXAMPLES / "record_gif.py"))["main"](str(path), every=20)
@@ -59,7 +61,7 @@ def test_gif_is_written_whole(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_an_agent_learns_to_park_in_highway_env():
+def test_an_agent_improves_in_highway_env():
     before, after = runpy.run_path(str(EXAMPLES / "train_highway.py"))["main"]()
     won = after - before
     assert won.mean() > 2.0 * won.std(ddof=1) / len(won) ** 0.5

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 on the vector environment: what its own vector of single environments says, and learning."""
+"""SonarVecEnv against the vector environment of Stable-Baselines3, and in training."""
 
 import warnings
 
@@ -23,14 +23,14 @@ def same(a, b):
     assert all(np.array_equal(a[key], b[key]) for key in a)
 
 
-def test_it_says_what_their_own_vector_of_single_environments_says():
-    ours, theirs = SonarVecEnv(4, sonar="gaussian"), singles(4, sonar="gaussian")
-    ours.seed(5), theirs.seed(5)
-    same(ours.reset(), theirs.reset())
+def test_results_equal_those_of_dummy_vec_env():
+    vec, dummy = SonarVecEnv(4, sonar="gaussian"), singles(4, sonar="gaussian")
+    vec.seed(5), dummy.seed(5)
+    same(vec.reset(), dummy.reset())
     rng, ends = np.random.default_rng(0), 0
     for k in range(150):
         actions = np.repeat(rng.uniform([-0.8, 0.2], 1.0, (1, 4, 2)), 1, axis=0)[0].astype(np.float32)
-        (a, r, done, infos), (b, q, over, others) = ours.step(actions), theirs.step(actions)
+        (a, r, done, infos), (b, q, over, others) = vec.step(actions), dummy.step(actions)
         same(a, b)
         assert np.array_equal(r, q)
         assert np.array_equal(done, over)
@@ -38,13 +38,13 @@ def test_it_says_what_their_own_vector_of_single_environments_says():
             same(infos[i]["terminal_observation"], others[i]["terminal_observation"])
             for name in ("TimeLimit.truncated", "is_success", "collision", "left_street"):
                 assert infos[i][name] == others[i][name]
-            same(ours.reset_infos[i]["reward_terms"], theirs.reset_infos[i]["reward_terms"])
+            same(vec.reset_infos[i]["reward_terms"], dummy.reset_infos[i]["reward_terms"])
         ends += done.sum()
         assert k < 400
     assert ends > 4
 
 
-def test_an_episode_cut_by_time_is_told_apart():
+def test_truncated_episodes_are_marked():
     envs = SonarVecEnv(2, max_episode_steps=3)
     envs.reset()
     for _ in range(3):
@@ -53,16 +53,16 @@ def test_an_episode_cut_by_time_is_told_apart():
     assert all(info["TimeLimit.truncated"] for info in infos)
 
 
-def test_monitor_counts_episodes():
+def test_monitor_records_episodes():
     envs = VecMonitor(SonarVecEnv(3, max_episode_steps=10), info_keywords=("is_success",))
     envs.reset()
-    told = [info["episode"] for _ in range(25) for info in envs.step(np.zeros((3, 2)))[3] if "episode" in info]
-    assert len(told) == 6
-    assert {episode["l"] for episode in told} == {10}
-    assert not any(episode["is_success"] for episode in told)
+    episodes = [info["episode"] for _ in range(25) for info in envs.step(np.zeros((3, 2)))[3] if "episode" in info]
+    assert len(episodes) == 6
+    assert {episode["l"] for episode in episodes} == {10}
+    assert not any(episode["is_success"] for episode in episodes)
 
 
-def test_stable_baselines_finds_nothing_that_is_no_number():
+def test_check_nan_passes():
     envs = VecCheckNan(SonarVecEnv(16, sonar="srf08-mlp", odometry="worn", difficulty="hard"), raise_exception=True)
     envs.reset()
     rng = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def test_ppo_learns_on_it_without_a_warning():
     assert np.isfinite(mean)
 
 
-def test_options_and_pictures():
+def test_options_and_images():
     envs = SonarVecEnv(2, render_mode="rgb_array", pictured=[0, 1], infos=True)
     envs.set_options({"difficulty": "easy", "start": [0.5, 0.0, 0.0]})
     envs.reset()
@@ -92,7 +92,7 @@ def test_options_and_pictures():
     envs.close()
 
 
-def test_what_is_shared_is_set_for_all():
+def test_attributes_are_set_for_all_environments():
     envs = SonarVecEnv(3)
     assert envs.get_attr("render_mode", [0, 1]) == [None, None]
     assert envs.env_is_wrapped(gymnasium.Wrapper) == [False] * 3

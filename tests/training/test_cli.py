@@ -1,4 +1,4 @@
-"""The console command as a user meets it: a process, its output, its exit code."""
+"""The console command as a process: output and exit code."""
 
 import subprocess
 import sys

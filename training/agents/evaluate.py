@@ -1,50 +1,70 @@
-"""Drive the streets of given seeds, many at once, and say how often it went well, with intervals."""
+"""Drive the same streets with each agent and sonar, and print success and collision rates with 95 % intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
+from rich.console import Console
+from rich.table import Table
 
+import sonar_gym
 from acquisition import SettingError
-from sonar_gym.agent import Agents, Policy
-from sonar_gym.control.driver import ParkingDriver
+from acquisition.io.files import write_text
+from noise.credence import wilson
+from sonar_gym.agent import AgentDriver, Agents, Policy, load_policy
+from sonar_gym.control.driver import Driver, Episode, ParkingDriver, run_episode
 from sonar_gym.parking.fleet import MAX_STEPS
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from training.common.paired import CONFIDENCE
+from training.agents.sonars import mismatched
+from training.common.paired import Paired
+from training.common.progress import bars
 
 Bits = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Observation = dict[str, Singles]
-TOGETHER = 250  # streets driven at the same time
-SCRIPTED = "scripted"  # name of the driver written by hand
+OnProgress = Callable[[str, int, int], None]  # name of the task, steps done, steps in total
+STREETS_AT_ONCE = 250
+SCRIPTED = "scripted"  # name of the scripted driver
+FRAME_STEPS = 3  # steps from frame to frame of a film
+
+# ---- evaluation ------------------------------------------------------------------------------------------------------
 
 
-class Crew(Protocol):
-    """Anything that drives many cars from what each observes."""
+class DriverPool(Protocol):
+    """Drives many cars from their observations."""
 
     def forget(self, rows: Ints) -> None:
-        """Begin episodes with some cars."""
+        """Begin new episodes with some cars."""
 
     def act(self, observation: Observation, rows: Ints) -> Singles:
         """Return an action for each of some cars, (r, 2)."""
         ...
 
 
-class Scripted:
-    """The driver written by hand, once a car."""
+class ScriptedPool:
+    """One scripted driver per car.
 
-    def __init__(self, count: int) -> None:
-        self._drivers = [ParkingDriver() for _ in range(count)]
+    Args:
+        count: number of cars.
+        settings: arguments of `ParkingDriver`.
+    """
+
+    def __init__(self, count: int, **settings: Any) -> None:
+        self._drivers = [ParkingDriver(**settings) for _ in range(count)]
 
     def forget(self, rows: Ints) -> None:
-        """Begin episodes with some cars."""
+        """Begin new episodes with some cars."""
         for row in rows:
             self._drivers[row].reset()
 
@@ -54,37 +74,32 @@ class Scripted:
         return np.stack([self._drivers[row].act(one) for row, one in zip(rows, each, strict=True)])
 
 
-def crew_of(policy: Policy | str) -> Callable[[int], Crew]:
-    """Return what makes a crew of n: of a policy, or of the driver written by hand."""
+def pool_of(policy: Policy | str) -> Callable[[int], DriverPool]:
+    """Return a function that makes a pool of n drivers, from a policy or the name of the scripted driver."""
     if isinstance(policy, Policy):
         return lambda count: Agents(policy, count)
     if policy != SCRIPTED:
         raise SettingError(f"driver {policy!r}: expected a policy or {SCRIPTED!r}")
-    return Scripted
+    return ScriptedPool
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something happened.
-
-    Attributes:
-        count: how often.
-        of: how many times it could have.
-    """
+    """Number of events in a number of trials."""
 
     count: int
-    of: int
+    trials: int
 
     @property
     def share(self) -> float:
-        """0..1."""
-        return self.count / self.of
+        """Relative frequency, 0..1."""
+        return self.count / self.trials
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's score interval at 95 % (Wilson 1927)."""
-        found = binomtest(self.count, self.of).proportion_ci(CONFIDENCE, method="wilson")
-        return float(found.low), float(found.high)
+        """Wilson interval at 95 %."""
+        low, high = wilson(self.count, self.trials)
+        return float(low), float(high)
 
     def __str__(self) -> str:
         low, high = self.interval
@@ -93,13 +108,13 @@ class Rate:
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """How episodes ended, in the order of their seeds.
+    """Results of episodes, in the order of their seeds.
 
     Attributes:
-        seeds: of the streets, (n,).
-        success, collision: (n,).
-        steps: actions taken, (n,).
-        score: sums of rewards, (n,).
+        seeds: seeds of the streets, (n,).
+        success, collision: whether the car parked, and whether it collided, (n,).
+        steps: number of steps, (n,).
+        score: sum of rewards, (n,).
     """
 
     seeds: Ints
@@ -110,59 +125,208 @@ class Outcomes:
 
     @property
     def successes(self) -> Rate:
-        """How often the car parked."""
+        """Rate of parking."""
         return Rate(int(self.success.sum()), len(self.success))
 
     @property
     def collisions(self) -> Rate:
-        """How often it touched something."""
+        """Rate of collisions."""
         return Rate(int(self.collision.sum()), len(self.collision))
+
+    @property
+    def mean_seconds(self) -> float:
+        """Mean length of an episode, s."""
+        return 0.1 * float(self.steps.mean())
 
     @classmethod
     def joined(cls, parts: Sequence[Outcomes]) -> Outcomes:
-        """Return several as one."""
+        """Concatenate several results."""
         names = ("seeds", "success", "collision", "steps", "score")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def evaluate(
-    crew: Callable[[int], Crew],
-    world: dict[str, Any],
+    make_pool: Callable[[int], DriverPool],
+    settings: dict[str, Any],
     seeds: Sequence[int],
-    tell: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
     pooled: bool = False,
 ) -> Outcomes:
     """Drive one episode on the street of each seed.
 
     Args:
-        crew: makes drivers of n cars.
-        world: settings of `SonarParkingVectorEnv`.
-        seeds: of the streets, and of sonars and odometers.
-        tell: called with how many episodes are over, and how many there are.
-        pooled: whether the sonars of all cars are drawn at once, which a rig does faster; what one car hears is then
-            another draw of the same law when it drives alone.
+        make_pool: makes the drivers of n cars.
+        settings: settings of `SonarParkingVectorEnv`.
+        seeds: seeds of streets, sonars and odometers.
+        on_progress: called with the number of finished episodes and their total.
+        pooled: whether to draw the sonars of all cars at once, which is faster with a rig. The readings of a car then
+            differ from those of the same car driven alone, but follow the same law.
     """
     parts = []
-    for begin in range(0, len(seeds), TOGETHER):
-        some = list(seeds[begin : begin + TOGETHER])
-        parts.append(_drive(crew(len(some)), world, some, pooled, lambda over, b=begin: tell(b + over, len(seeds))))  # type: ignore[misc]
+    for begin in range(0, len(seeds), STREETS_AT_ONCE):
+        some = list(seeds[begin : begin + STREETS_AT_ONCE])
+        on_end = partial(_on_end, on_progress, begin, len(seeds))
+        parts.append(_drive(make_pool(len(some)), settings, some, pooled, on_end))
     return Outcomes.joined(parts)
 
 
-def _drive(crew: Crew, world: dict[str, Any], seeds: list[int], pooled: bool, tell: Callable[[int], None]) -> Outcomes:
-    """Drive some streets at once; cars whose episodes are over are stepped no more, since a rig takes its time."""
+def _on_end(on_progress: Callable[[int, int], None], before: int, total: int, ended: int) -> None:
+    on_progress(before + ended, total)
+
+
+def _drive(
+    pool: DriverPool, settings: dict[str, Any], seeds: list[int], pooled: bool, on_end: Callable[[int], None]
+) -> Outcomes:
+    """Drive some streets at once; finished cars are not stepped, since a rig is slow."""
     n = len(seeds)
-    envs = SonarParkingVectorEnv(n, **world)
+    envs = SonarParkingVectorEnv(n, **settings)
     envs.fleet.sonar.at_once |= pooled
     envs.reset(seed=seeds)
-    crew.forget(np.arange(n))
+    pool.forget(np.arange(n))
     fleet, score, rows = envs.fleet, np.zeros(n), np.arange(n)
     while len(rows):
-        wanted = crew.act(fleet.observation(rows), rows)
-        fleet.step(rows, np.clip(wanted.astype(np.float64), -1.0, 1.0))
+        actions = pool.act(fleet.observation(rows), rows)
+        fleet.step(rows, np.clip(actions.astype(np.float64), -1.0, 1.0))
         score[rows] += fleet.worlds.terms[rows].sum(axis=1)
         rows = rows[~fleet.worlds.ended[rows].any(axis=1) & (fleet.worlds.steps[rows] < MAX_STEPS)]
-        tell(n - len(rows))
+        on_end(n - len(rows))
     envs.close()
     ended, steps = fleet.worlds.ended, fleet.worlds.steps
     return Outcomes(np.asarray(seeds), ended[:, PARKED].copy(), ended[:, COLLISION].copy(), steps.copy(), score)
+
+
+@contextmanager
+def progress_bars() -> Iterator[OnProgress]:
+    """Show one progress bar per task name; yields the function that updates them."""
+    with bars() as progress:
+        tasks: dict[str, Any] = {}
+
+        def on_progress(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = progress.add_task(name, total=total)
+            progress.update(tasks[name], completed=done, total=total)
+
+        yield on_progress
+
+
+# ---- the command -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym evaluate-agent`."""
+
+    agent: tuple[str, ...] = ("parking", SCRIPTED)
+    """Names or folders of agents; "scripted" is the scripted driver. The first is the reference of the comparison."""
+    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
+    """Names or folders of sonar models."""
+    believed: str | None = None
+    """Name or folder of the model for credence, e.g. srf08-mlp for "rig"; by default the model of each sonar."""
+    odometry: str = "exact"
+    """Error of the odometry: exact, wheels, worn."""
+    difficulty: str = "normal"
+    """Difficulty of the streets: easy, normal, hard."""
+    episodes: int = 500
+    """Number of streets; the same streets for every agent and sonar."""
+    seed: int = 0
+    """Seed of the first street; the others follow. No agent was trained on seeds below 2147483648."""
+    out: Path | None = None
+    """JSON file for the results."""
+    film: Path | None = None
+    """GIF file for a film of the first agent on the first street with each sonar."""
+    render: bool = False
+    """Show the first agent on the first street in a window, with each sonar."""
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for invalid values."""
+        if self.episodes < 1 or not self.agent or not self.sonars:
+            raise SettingError(f"give at least one episode (got {self.episodes}), one agent and one sonar")
+        if self.film is not None and self.film.suffix != ".gif":
+            raise SettingError(f"--film {self.film}: must end with .gif")
+
+    def env_settings(self, sonar: str) -> dict[str, Any]:
+        """Return the settings of the environment with a sonar."""
+        return {"sonar": mismatched(sonar, self.believed), "odometry": self.odometry, "difficulty": self.difficulty}
+
+
+Results = dict[tuple[str, str], Outcomes]  # by agent and sonar
+
+
+def driver_of(name: str) -> Driver:
+    """Return the driver of one car, by an agent's name or folder."""
+    return ParkingDriver() if name == SCRIPTED else AgentDriver(load_policy(name))
+
+
+def compare(args: Args, on_progress: OnProgress = lambda name, done, total: None) -> Results:
+    """Drive all streets with every agent and sonar."""
+    results: Results = {}
+    pools = {name: pool_of(name if name == SCRIPTED else load_policy(name)) for name in args.agent}
+    seeds, pooled = range(args.seed, args.seed + args.episodes), args.believed is not None
+    for sonar in args.sonars:
+        for name, pool in pools.items():
+            update = partial(on_progress, f"{Path(name).name}, {Path(sonar).name}")
+            results[name, sonar] = evaluate(pool, args.env_settings(sonar), seeds, update, pooled)
+    return results
+
+
+def table(args: Args, results: Results) -> Table:
+    """Return the results as a table for the terminal."""
+    last, reference = args.seed + args.episodes - 1, args.agent[0]
+    assumed = "" if args.believed is None else f"credence from {Path(args.believed).name}; "
+    title = f"streets {args.seed} to {last}, {args.difficulty}, odometry {args.odometry}; {assumed}intervals at 95 %"
+    out = Table("sonar", "agent", title=title)
+    for heading in ("parked", "collided", "seconds", f"difference to {Path(reference).name}, points"):
+        out.add_column(heading, justify="right")
+    for (name, sonar), one in results.items():
+        first = results[reference, sonar]
+        change = "" if one is first else str(Paired.of(first.success, one.success))
+        rates = (str(one.successes), str(one.collisions))
+        out.add_row(Path(sonar).name, Path(name).name, *rates, f"{one.mean_seconds:.1f}", change)
+    return out
+
+
+def records(args: Args, results: Results) -> list[dict[str, Any]]:
+    """Return the results as plain data, one record per agent and sonar."""
+    return [
+        {
+            "agent": name,
+            "sonar": sonar,
+            "episodes": len(one.seeds),
+            "first_seed": args.seed,
+            "believed": args.believed,
+            "odometry": args.odometry,
+            "difficulty": args.difficulty,
+            "success": one.successes.share,
+            "success_interval": one.successes.interval,
+            "collision": one.collisions.share,
+            "collision_interval": one.collisions.interval,
+            "mean_seconds": one.mean_seconds,
+            "failed_seeds": one.seeds[~one.success].tolist(),
+        }
+        for (name, sonar), one in results.items()
+    ]
+
+
+def drive(args: Args, sonar: str, mode: str) -> Episode:
+    """Drive the first street with the first agent, and render it."""
+    env = gymnasium.make(sonar_gym.ENV_ID, render_mode=mode, **args.env_settings(sonar))
+    try:
+        return run_episode(env, driver_of(args.agent[0]), args.seed, every=FRAME_STEPS)
+    finally:
+        env.close()
+
+
+def main(args: Args) -> None:
+    """Evaluate, print the table, and write the requested files."""
+    with progress_bars() as on_progress:
+        results = compare(args, on_progress)
+    Console(soft_wrap=True).print(table(args, results))
+    if args.out is not None:
+        write_text(args.out, json.dumps(records(args, results), indent=2) + "\n")
+    if args.film is not None:
+        from training.diagnosis.demo_page import gif  # loads the whole diagnosis
+
+        gif({Path(sonar).name: drive(args, sonar, "rgb_array").frames for sonar in args.sonars}, args.film)
+    if args.render:
+        for sonar in args.sonars:
+            drive(args, sonar, "human")

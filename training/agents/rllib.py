@@ -1,4 +1,4 @@
-"""The parking task under RLlib on Ray, for machines with more than one box. Needs the extra `ray`."""
+"""The parking task for RLlib on Ray. Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -16,18 +16,16 @@ from ray.tune.registry import register_env
 import sonar_gym
 from sonar_gym.control.memory import Memory, MemorySettings
 
-NAME = "SonarParkingRemembered-v0"
+NAME = "SonarParkingMemory-v0"
 ONE = np.zeros(1, dtype=np.int64)
 Singles = NDArray[np.float32]
 
 
-class Remembered(
-    gymnasium.Wrapper[Singles, NDArray[np.float32], dict[str, Any], NDArray[np.float32]], RecordConstructorArgs
-):
-    """SonarParking-v0 shown as an agent's memory: one vector, from which a network without a state can park.
+class MemoryObservation(gymnasium.Wrapper[Singles, Singles, dict[str, Any], Singles], RecordConstructorArgs):
+    """Observes SonarParking-v0 through an agent's memory: one vector, sufficient for a network without state.
 
     Args:
-        env: to wrap.
+        env: environment to wrap.
         memory: fields of `MemorySettings`.
         repeat: steps for which an action holds.
     """
@@ -41,13 +39,13 @@ class Remembered(
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Singles, dict[str, Any]]:
-        """Begin an episode, and forget the last."""
+        """Begin an episode with an empty memory."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._memory.forget(ONE)
         return self._shown(observation), info
 
     def step(self, action: ArrayLike) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
-        """Hold an action for some steps, or until the episode ends."""
+        """Repeat an action for `repeat` steps, or until the episode ends."""
         score = 0.0
         for _ in range(self._repeat):
             observation, reward, terminated, truncated, info = self.env.step(np.asarray(action, dtype=np.float32))
@@ -62,27 +60,28 @@ class Remembered(
         return shown
 
 
-def environment(config: Mapping[str, Any]) -> Remembered:
-    """Return an environment as RLlib asks for one: `memory`, `repeat`, and what `gymnasium.make` takes."""
-    rest = {name: value for name, value in config.items() if name not in ("memory", "repeat")}
-    return Remembered(gymnasium.make(sonar_gym.ENV_ID, **rest), config.get("memory"), config.get("repeat", 2))
+def environment(config: Mapping[str, Any]) -> MemoryObservation:
+    """Return an environment from RLlib's `env_config`: `memory`, `repeat`, and arguments of `gymnasium.make`."""
+    settings = {name: value for name, value in config.items() if name not in ("memory", "repeat")}
+    env = gymnasium.make(sonar_gym.ENV_ID, **settings)
+    return MemoryObservation(env, config.get("memory"), config.get("repeat", 2))
 
 
 def register() -> str:
-    """Make the environment known to RLlib; returns the name it is known by."""
+    """Register the environment with RLlib; returns its name."""
     register_env(NAME, environment)
     return NAME
 
 
-def ppo(sonar: str = "ideal", runners: int = 2, envs_each: int = 8, **world: Any) -> PPOConfig:
-    """Return settings of RLlib's PPO on this task; `.build_algo()` makes the learner.
+def ppo(sonar: str = "ideal", runners: int = 2, envs_each: int = 8, **settings: Any) -> PPOConfig:
+    """Return the configuration of RLlib's PPO on this task; `.build_algo()` makes the learner.
 
     Args:
-        sonar: name or folder of a model.
-        runners: processes that drive, on one machine or many.
-        envs_each: cars that each of them drives.
-        world: further settings of the environment.
+        sonar: name or folder of a sonar model.
+        runners: number of processes that drive, on one machine or a cluster.
+        envs_each: number of cars of each process.
+        settings: further settings of the environment.
     """
-    config = PPOConfig().environment(register(), env_config={"sonar": sonar, **world})
+    config = PPOConfig().environment(register(), env_config={"sonar": sonar, **settings})
     config = config.env_runners(num_env_runners=runners, num_envs_per_env_runner=envs_each)
     return config.training(gamma=0.995, lambda_=0.95, lr=3e-4, train_batch_size=4096, minibatch_size=1024, num_epochs=4)

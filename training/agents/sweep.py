@@ -1,12 +1,13 @@
-"""Train agents of several seeds and settings on Ray Tune, on one machine or many; killed, it goes on where it was.
+"""Train agents with several seeds and settings on Ray Tune, on one machine or a cluster. Needs the extra `ray`.
 
-Needs the extra `ray`. Every trial is a training of `sonar-gym train-agent` with a folder and checkpoints of its own.
+Each trial is a `sonar-gym train-agent` in a folder of its own. To continue an interrupted sweep, give the same command
+again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from acquisition.io.files import write_text
 from noise.fitting.threads import one_thread
 from training.agents import train
 
-NAME = "tune"  # folder of Ray Tune's own notes
+NAME = "tune"  # folder of Ray Tune's own state
 VARIED = ("seed", "learning_rate", "sonar")
 
 
@@ -28,38 +29,40 @@ class Args:
     """Settings of `sonar-gym sweep`."""
 
     out: Path = Path("runs/sweep")
-    """Folder of trials and results; on many machines one that all of them see."""
+    """Folder for trials and results; on a cluster, one that all machines share."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Seeds to train with."""
+    """Seeds of training."""
     learning_rates: tuple[float, ...] = (1e-4,)
-    """Of PPO."""
+    """Learning rates of PPO."""
     sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
-    """Names or folders of models to train with, each apart."""
+    """Names or folders of sonar models; each agent trains with one."""
     lessons: int = 1000
     """Rounds of imitation of each agent."""
     steps: int = 1_000_000
-    """Steps of trial of each agent."""
+    """Environment steps of PPO of each agent."""
     num_envs: int = 128
-    """Cars of each agent."""
+    """Number of cars of each agent."""
     workers: int = 2
-    """Trials at the same time, a processor each."""
+    """Number of trials that run at the same time, one processor each."""
     address: str | None = None
-    """Of a Ray cluster, for example auto; without, Ray is started on this machine."""
+    """Address of a Ray cluster, e.g. auto; by default Ray starts on this machine."""
 
     def __post_init__(self) -> None:
-        """Refuse a sweep of nothing."""
+        """Raise SettingError for invalid values."""
         if self.workers < 1 or not (self.seeds and self.learning_rates and self.sonars):
-            raise SettingError(f"give a worker or more ({self.workers}), and seeds, learning rates and sonars")
+            raise SettingError(
+                f"give at least one worker (got {self.workers}), one seed, one learning rate and one sonar"
+            )
 
     @property
     def space(self) -> dict[str, Any]:
-        """What is varied, every value of each with every one of the others."""
+        """Ray Tune's parameter space: the full grid."""
         values = dict(zip(VARIED, (self.seeds, self.learning_rates, self.sonars), strict=True))
         return {name: tune.grid_search(list(value)) for name, value in values.items()}
 
 
 def trial(args: Args) -> Callable[[dict[str, Any]], None]:
-    """Return what Ray Tune runs: a training with the values of one trial, told leg by leg."""
+    """Return the function that Ray Tune runs: the training of one trial, reported after every leg."""
 
     def run(config: dict[str, Any]) -> None:
         folder = "-".join(f"{name}={Path(str(config[name])).name}" for name in VARIED)
@@ -84,38 +87,38 @@ def trial(args: Args) -> Callable[[dict[str, Any]], None]:
 
 
 def run(args: Args) -> pd.DataFrame:
-    """Run or go on with a sweep; returns a trial a row, with its last numbers."""
+    """Run or continue a sweep; returns the last results of each trial."""
     if not ray.is_initialized():
-        own = {"num_cpus": args.workers, "include_dashboard": False} if args.address is None else {}
-        ray.init(address=args.address, **own)
-    home = args.out.absolute()
-    held = Args(**{**vars(args), "out": home})
-    known = tune.Tuner.can_restore(str(home / NAME))
-    tuner = (
-        tune.Tuner.restore(str(home / NAME), trial(held), resume_errored=True, restart_errored=False)
-        if known
-        else tune.Tuner(
-            trial(held),
-            param_space=args.space,
-            tune_config=tune.TuneConfig(max_concurrent_trials=args.workers),
-            run_config=tune.RunConfig(name=NAME, storage_path=str(home), verbose=0),
-        )
+        local = {"num_cpus": args.workers, "include_dashboard": False} if args.address is None else {}
+        ray.init(address=args.address, **local)
+    results = _tuner(replace(args, out=args.out.absolute())).fit()
+    if results.errors:
+        raise SettingError(f"{len(results.errors)} trials of the sweep failed; the first error: {results.errors[0]}")
+    return table(results.get_dataframe())
+
+
+def _tuner(args: Args) -> tune.Tuner:
+    """Return the tuner of a sweep, restored where there is one."""
+    path = str(args.out / NAME)
+    if tune.Tuner.can_restore(path):
+        return tune.Tuner.restore(path, trial(args), resume_errored=True, restart_errored=False)
+    return tune.Tuner(
+        trial(args),
+        param_space=args.space,
+        tune_config=tune.TuneConfig(max_concurrent_trials=args.workers),
+        run_config=tune.RunConfig(name=NAME, storage_path=str(args.out), verbose=0),
     )
-    found = tuner.fit()
-    if found.errors:
-        raise SettingError(f"{len(found.errors)} trials of the sweep failed, the first by {found.errors[0]}")
-    return table(found.get_dataframe())
 
 
-def table(found: pd.DataFrame) -> pd.DataFrame:
-    """Return what was varied and what came of it, a trial a row."""
+def table(results: pd.DataFrame) -> pd.DataFrame:
+    """Return parameters and results, one trial per row."""
     names = {f"config/{name}": name for name in VARIED}
     columns = [*names, "steps", "success", "collision", "score", "seconds_an_episode"]
-    return found[columns].rename(columns=names).sort_values(list(VARIED)).reset_index(drop=True)
+    return results[columns].rename(columns=names).sort_values(list(VARIED)).reset_index(drop=True)
 
 
 def main(args: Args) -> None:
-    """Run the sweep, print its table, write sweep.csv."""
-    found = run(args)
-    write_text(args.out / "sweep.csv", found.to_csv(index=False))
-    print(found.to_string(index=False))
+    """Run the sweep, print its table, and write sweep.csv."""
+    results = run(args)
+    write_text(args.out / "sweep.csv", results.to_csv(index=False))
+    print(results.to_string(index=False))

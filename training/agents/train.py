@@ -1,14 +1,15 @@
-"""Train an agent that parks: first it imitates a teacher, then it learns by itself (PPO of Stable-Baselines3).
+"""Train an agent that parks: imitation of a teacher, then PPO where it is requested (Stable-Baselines3).
 
-Killed, it goes on where its last checkpoint was: give the same command again. Each leg of the training begins with
-streets and chances drawn from the seed and its own number, so a training that was killed comes to the same agent.
+Training is divided into legs with a checkpoint after each. To continue an interrupted training, give the same command
+again: each leg draws its streets and random numbers from the seed and its own number, so the result is the same agent.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,20 @@ from torch import nn
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes
+from noise.credence import wilson
 from noise.fitting.threads import one_thread
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.control.memory import MemorySettings
-from training.agents.imitation import Lessons, imitate
-from training.agents.learning_curve import learning_curve
-from training.agents.worlds import AgentVecEnv, Ended, World, worlds_of
+from training.agents.evaluate import OnProgress, progress_bars
+from training.agents.imitation import ImitationSettings, imitate
+from training.agents.vec_env import AgentVecEnv, EnvSettings, EpisodeResult, settings_of
+from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.common.checkpoint import check_same, load_checkpoint, read_state, save_checkpoint
-from training.common.progress import bars
 
 CHECKPOINT, AGENT, BOARD, CURVE = "checkpoint.safetensors", "agent", "tensorboard", "learning.png"
-UNSEEN = 2**31  # training draws its streets from seeds of this and more; those below are for evaluation
-TENTHS = 10  # of imitation whose episodes are counted apart
-Tell = Callable[[str, int, int], None]  # what is being done, how much of it, and of how much
+FIRST_TRAINING_SEED = 2**31  # streets of training have this seed or a higher one; lower seeds are for evaluation
+IMITATION_PARTS = 10  # parts of imitation whose episodes are counted separately
+MILLION = 1e6
 
 
 @dataclass(frozen=True)
@@ -43,150 +45,147 @@ class Args:
     """Settings of `sonar-gym train-agent`."""
 
     out: Path
-    """Folder to write: checkpoint.safetensors, tensorboard/, and agent/, which `sonar_gym.agent.load_agent` reads."""
+    """Folder for checkpoint.safetensors, tensorboard/, and agent/, which `sonar_gym.agent.load_agent` reads."""
     sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
-    """Names or folders of the models to learn with; cars are shared out evenly among them."""
+    """Names or folders of sonar models; the cars are divided evenly among them."""
     faults: bool = True
-    """Whether to learn with each also when 5 % of its readings tell of things that are not there and 10 % scatter by
-    50 mm: what makes a driver cope with sonars that it has never heard."""
+    """Whether to add each sonar with 5 % arbitrary readings and 50 mm of scatter in 10 %, for robust agents."""
     odometry: tuple[str, ...] = ("exact",)
-    """How far off the car's knowledge of its way is: exact, wheels, worn; each with each sonar."""
+    """Errors of the odometry: exact, wheels, worn; each with each sonar."""
     difficulty: tuple[str, ...] = ("normal",)
-    """Of the streets: easy, normal, hard; each with each sonar."""
+    """Difficulties of the streets: easy, normal, hard; each with each sonar."""
     lessons: int = 2000
-    """Rounds of imitation, each a decision of every car; 0 to learn by trial alone."""
+    """Rounds of imitation, each one decision of every car; 0 for PPO alone."""
     steps: int = 0
-    """Steps of 0.1 s of the environments to learn from by trial after that, as 1000000; it makes agents quicker, and
-    less careful where they have met few sonars. 0 for imitation alone."""
+    """Environment steps (0.1 s) of PPO after imitation: faster agents, less reliable with other sonars; 0 for none."""
     num_envs: int = 256
-    """Cars that drive at the same time."""
+    """Number of cars."""
     repeat: int = 2
-    """Steps for which a decision holds."""
+    """Steps for which an action holds."""
     hidden: tuple[int, ...] = (256, 128)
     """Widths of the hidden layers."""
     learning_rate: float = 1e-4
-    """Of PPO, at its highest; it falls along a straight line."""
+    """Initial learning rate of PPO; it decays linearly."""
     credence: bool = True
-    """Whether the agent is told credence; without, every echo counts alike."""
+    """Whether the agent observes credence; without it all echoes have equal weight."""
     seed: int = 0
-    """Same seed, same agent."""
+    """The same seed gives the same agent."""
 
     def __post_init__(self) -> None:
-        """Refuse what trains nothing."""
+        """Raise SettingError for invalid values."""
         if min(self.lessons, self.steps) < 0 or self.lessons + self.steps == 0:
             raise SettingError(f"lessons {self.lessons} and steps {self.steps} must be >= 0, and one of them > 0")
         kinds = len(self.sonars) * (1 + self.faults) * len(self.odometry) * len(self.difficulty)
         if not 0 < kinds <= self.num_envs:
-            raise SettingError(f"{self.num_envs} cars for {kinds} kinds of world: give one or more for each")
+            raise SettingError(f"{self.num_envs} cars for {kinds} kinds of environment: give at least one car for each")
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Plain data that a training must be gone on with unchanged; its length may be another."""
-        kept = {name: value for name, value in asdict(self).items() if name not in ("out", "steps")}
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in kept.items()}
+        """Plain data that must not change when a training is continued; `steps` may."""
+        fixed = {name: value for name, value in asdict(self).items() if name not in ("out", "steps")}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in fixed.items()}
 
     @property
-    def worlds(self) -> list[World]:
-        """The kinds of world that it learns in."""
-        return worlds_of(self.sonars, self.odometry, self.difficulty, self.faults)
+    def env_settings(self) -> list[EnvSettings]:
+        """Settings of the kinds of environment."""
+        return settings_of(self.sonars, self.odometry, self.difficulty, self.faults)
 
 
 @dataclass(frozen=True)
-class Trials:
-    """How the agent learns by trial: settings of PPO (Schulman et al. 2017), in decisions.
+class PPOSettings:
+    """Settings of PPO (Schulman et al. 2017); lengths are counted in decisions.
 
     Attributes:
-        length: decisions of each car between two updates.
-        updates: in a leg, after which there is a checkpoint.
-        batch: most decisions a step of the optimiser.
-        epochs: passes over what was just gone through.
-        discount: of rewards, a decision.
-        target_kl: an update stops where the policy has changed by half as much again.
-        spread: standard deviation of actions at first, as a share of the greatest.
-        watching: legs in which only the value of states is learned, after imitation.
+        rollout: decisions of each car between two updates.
+        updates: updates per leg.
+        max_batch: maximum decisions per optimiser step.
+        epochs: passes over the rollouts of an update.
+        discount: discount of rewards per decision.
+        target_kl: an update stops where the policy's KL divergence exceeds 1.5 times this.
+        action_std: initial standard deviation of actions, as a fraction of the maximum.
+        value_legs: legs after imitation in which only the value function is trained.
     """
 
-    length: int = 64
+    rollout: int = 64
     updates: int = 8
-    batch: int = 2048
+    max_batch: int = 2048
     epochs: int = 4
     discount: float = 0.995
     target_kl: float = 0.02
-    spread: float = 0.14
-    watching: int = 1
+    action_std: float = 0.14
+    value_legs: int = 1
 
     def rows(self, num_envs: int) -> int:
-        """Return how many decisions of each car make a step of the optimiser: a divisor of `length`."""
-        return max(
-            k for k in range(1, self.length + 1) if self.length % k == 0 and (k == 1 or k * num_envs <= self.batch)
-        )
+        """Return the decisions of each car per optimiser step: a divisor of `rollout`."""
+        divisors = (k for k in range(1, self.rollout + 1) if self.rollout % k == 0)
+        return max(k for k in divisors if k == 1 or k * num_envs <= self.max_batch)
 
 
-def make_model(args: Args, envs: AgentVecEnv, trials: Trials) -> PPO:
-    """Return the learner, untrained."""
+def make_model(args: Args, envs: AgentVecEnv, ppo: PPOSettings) -> PPO:
+    """Return the untrained learner."""
     return PPO(
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
-        n_steps=trials.length,
-        batch_size=args.num_envs * trials.rows(args.num_envs),
-        n_epochs=trials.epochs,
-        gamma=trials.discount,
-        target_kl=trials.target_kl,
+        n_steps=ppo.rollout,
+        batch_size=args.num_envs * ppo.rows(args.num_envs),
+        n_epochs=ppo.epochs,
+        gamma=ppo.discount,
+        target_kl=ppo.target_kl,
         policy_kwargs={
             "net_arch": list(args.hidden),
             "activation_fn": nn.Tanh,
-            "log_std_init": float(np.log(trials.spread if args.lessons else 0.6)),
+            "log_std_init": float(np.log(ppo.action_std if args.lessons else 0.6)),
         },
         device="cpu",
     )
 
 
-class _Steps(BaseCallback):
-    """Tells how far a leg is."""
+class _StepCallback(BaseCallback):
+    """Reports the number of decisions."""
 
-    def __init__(self, tell: Callable[[int], None]) -> None:
+    def __init__(self, on_step: Callable[[int], None]) -> None:
         super().__init__()
-        self._tell = tell
+        self._report = on_step
 
     def _on_step(self) -> bool:
-        self._tell(self.num_timesteps)
+        self._report(self.num_timesteps)
         return True
 
 
 class Training:
-    """A training, leg by leg; leg 0 is imitation.
+    """A training in legs; leg 0 is imitation.
 
     Args:
         args: settings.
-        tell: of progress.
-        trials: how it learns by trial.
-        lessons: how it is taught; `args.lessons` rounds of it.
-        worlds: settings of `SonarParkingVectorEnv`, in the place of those that `args` names.
+        on_progress: called with task, steps done and steps in total.
+        ppo: settings of PPO.
+        imitation: settings of imitation; `args.lessons` replaces its number of rounds.
+        env_settings: settings of `SonarParkingVectorEnv`, instead of those that `args` gives.
     """
 
     def __init__(
         self,
         args: Args,
-        tell: Tell = lambda what, done, of: None,
-        trials: Trials | None = None,
-        lessons: Lessons | None = None,
-        worlds: Sequence[World] | None = None,
+        on_progress: OnProgress = lambda name, done, total: None,
+        ppo: PPOSettings | None = None,
+        imitation: ImitationSettings | None = None,
+        env_settings: Sequence[EnvSettings] | None = None,
     ) -> None:
-        self.args, self.trials, self._tell = args, trials or Trials(), tell
-        self.lessons = Lessons(**{**asdict(lessons or Lessons()), "rounds": args.lessons})
+        self.args, self.ppo, self._on_progress = args, ppo or PPOSettings(), on_progress
+        self.imitation = ImitationSettings(**{**asdict(imitation or ImitationSettings()), "rounds": args.lessons})
         self.memory = MemorySettings(credence=args.credence)
         set_random_seed(_seeds(args.seed, 0)[1])
-        self.envs = AgentVecEnv(args.num_envs, worlds or args.worlds, self.memory, args.repeat)
-        self.model = make_model(args, self.envs, self.trials)
+        self.envs = AgentVecEnv(args.num_envs, env_settings or args.env_settings, self.memory, args.repeat)
+        self.model = make_model(args, self.envs, self.ppo)
         self.history: list[dict[str, Any]] = []
-        self._course: list[dict[str, Any]] = []  # of imitation, a tenth of it an entry; begun anew with it
+        self._course: list[dict[str, Any]] = []  # results of each part of imitation
         self.leg = 0 if args.lessons else 1
         self.model.set_logger(Logger(None, []))
 
     @property
     def path(self) -> Path:
-        """Of the checkpoint."""
+        """Path of the checkpoint."""
         return self.args.out / CHECKPOINT
 
     @property
@@ -198,11 +197,11 @@ class Training:
 
     @property
     def steps(self) -> int:
-        """Of the environments, learned from by trial so far."""
+        """Environment steps of PPO so far."""
         return self.model.num_timesteps * self.args.repeat
 
     def resume(self) -> bool:
-        """Go on from the checkpoint where there is one; returns whether there was."""
+        """Load the checkpoint if there is one; returns whether there was."""
         if not self.path.exists():
             return False
         check_same(self.path, self.args.settings, read_state(self.path)["settings"])
@@ -211,57 +210,56 @@ class Training:
         self.model.num_timesteps, self.model._n_updates = int(state["decisions"]), int(state["updates"])
         return True
 
-    def run(self, after: Callable[[], None] = lambda: None) -> None:
-        """Do the legs that are left, with a checkpoint after each, and call `after` then."""
+    def run(self, after_leg: Callable[[], None] = lambda: None) -> None:
+        """Run the remaining legs, with a checkpoint and a call of `after_leg` after each."""
         board = self.args.out / BOARD
         self.model.set_logger(configure(str(board), ["tensorboard"]))
         while self.leg == 0 or self.steps < self.args.steps:
             begin = time.perf_counter()
             self._begin_leg()
-            self._imitate() if self.leg == 0 else self._try()
-            self._note(time.perf_counter() - begin)
+            self._imitate() if self.leg == 0 else self._reinforce()
+            self._log(time.perf_counter() - begin)
             self.leg += 1
             self._save()
-            after()
+            after_leg()
 
     def _begin_leg(self) -> None:
-        """Begin with streets and chances of the leg's own; Stable-Baselines3 draws from the global generators."""
+        """Seed streets and random numbers of a leg; Stable-Baselines3 uses the global generators."""
         streets, chance = _seeds(self.args.seed, self.leg)
         set_random_seed(chance)
-        self.envs.seed(UNSEEN + streets % (UNSEEN // 2))
+        self.envs.seed(FIRST_TRAINING_SEED + streets % (FIRST_TRAINING_SEED // 2))
         self.envs.ended.clear()
         self.model._last_obs = None
 
     def _imitate(self) -> None:
-        rounds = self.lessons.rounds
         rng = np.random.default_rng(_seeds(self.args.seed, 0)[1])
+        imitate(self.actor_critic, self.envs, self.imitation, rng, self._on_round)
 
-        def tell(done: int, loss: float) -> None:
-            self._tell("imitation", done, rounds)
-            if done % (rounds // 20 or 1) == 0:
-                self.model.logger.record("imitation/loss", loss)
-                self.model.logger.dump(done)
-            if done % (rounds // TENTHS or 1) == 0 and done < rounds:
-                self._course.append({"steps": done * self.envs.num_envs * self.args.repeat, **self._ended()})
-                self.envs.ended.clear()  # what is noted of the leg itself is how it ended
+    def _on_round(self, done: int, loss: float) -> None:
+        rounds = self.imitation.rounds
+        self._on_progress("imitation", done, rounds)
+        if done % (rounds // 20 or 1) == 0:
+            self.model.logger.record("imitation/loss", loss)
+            self.model.logger.dump(done)
+        if done % (rounds // IMITATION_PARTS or 1) == 0 and done < rounds:
+            self._course.append({"steps": done * self.envs.num_envs * self.args.repeat, **self._results()})
+            self.envs.ended.clear()  # the results of the leg are those of its last part
 
-        imitate(self.actor_critic, self.envs, self.lessons, rng, tell)
-
-    def _try(self) -> None:
-        """Learn by trial for a leg; what was imitated is left alone until the value of states is known."""
-        watching = bool(self.args.lessons) and self.leg <= self.trials.watching
+    def _reinforce(self) -> None:
+        """Run PPO for a leg; the actor is frozen until the value function is trained."""
+        frozen = bool(self.args.lessons) and self.leg <= self.ppo.value_legs
         for parameter in actor(self.actor_critic):
-            parameter.requires_grad_(not watching)
-        left = max(0.05, 1.0 - self.steps / self.args.steps)
-        self.model.lr_schedule = lambda _: self.args.learning_rate * (1.0 if watching else left)
-        decisions = self.trials.length * self.trials.updates * self.args.num_envs
+            parameter.requires_grad_(not frozen)
+        remaining = max(0.05, 1.0 - self.steps / self.args.steps)
+        self.model.lr_schedule = lambda _: self.args.learning_rate * (1.0 if frozen else remaining)
+        decisions = self.ppo.rollout * self.ppo.updates * self.args.num_envs
         total, repeat = self.args.steps, self.args.repeat
-        callback = _Steps(lambda done: self._tell("trial", min(done * repeat, total), total))
+        callback = _StepCallback(lambda done: self._on_progress("PPO", min(done * repeat, total), total))
         self.model.learn(decisions, callback=callback, reset_num_timesteps=False)
 
-    def _ended(self) -> dict[str, Any]:
-        """Return what the episodes came to that are over."""
-        ended = self.envs.ended or [Ended(False, False, 0.0, 0)]
+    def _results(self) -> dict[str, Any]:
+        """Return the mean results of finished episodes."""
+        ended = self.envs.ended or [EpisodeResult(False, False, 0.0, 0)]
         success, collision, score, length = np.mean(ended, axis=0)
         return {
             "episodes": len(self.envs.ended),
@@ -271,8 +269,8 @@ class Training:
             "seconds_an_episode": round(0.1 * self.args.repeat * float(length), 2),
         }
 
-    def _note(self, seconds: float) -> None:
-        one = {"leg": self.leg, "steps": self.steps, "seconds": round(seconds, 1), **self._ended()}
+    def _log(self, seconds: float) -> None:
+        one = {"leg": self.leg, "steps": self.steps, "seconds": round(seconds, 1), **self._results()}
         self.history.append(one if self.leg else {**one, "course": self._course})
         for name in ("success", "collision", "score", "seconds_an_episode"):
             self.model.logger.record(f"episodes/{name}", one[name])
@@ -290,39 +288,95 @@ class Training:
         self.policy().save(self.args.out / AGENT)
         write_bytes(self.args.out / CURVE, learning_curve(self.history))
 
-    def policy(self, card: str = "") -> Policy:
-        """Return the agent as it is now, for use without torch."""
+    def policy(self) -> Policy:
+        """Return the present agent, for use without torch."""
         about = {
             "settings": self.args.settings,
             "steps": self.steps,
             "planned": self.args.steps,
             "history": self.history,
         }
-        return Policy(layers(self.actor_critic), self.memory, self.args.repeat, about, card)
+        return Policy(layers(self.actor_critic), self.memory, self.args.repeat, about)
 
 
 def _seeds(seed: int, leg: int) -> tuple[int, int]:
-    """Return seeds of a leg's streets and of its chances."""
+    """Return the seeds of a leg's streets and of its random numbers."""
     streets, chance = np.random.SeedSequence([seed, leg]).generate_state(2)
     return int(streets), int(chance)
 
 
 def actor(policy: ActorCriticPolicy) -> list[nn.Parameter]:
-    """Return the parameters on which actions depend."""
+    """Return the parameters of the action distribution."""
     nets = (policy.mlp_extractor.policy_net, policy.action_net)
     return [*(p for net in nets for p in net.parameters()), policy.log_std]
 
 
 def layers(policy: ActorCriticPolicy) -> Sequence[Layer]:
-    """Return the layers between what is shown and the mean action, as `Policy` wants them."""
+    """Return weights and biases of the network of the mean action, as `Policy` takes them."""
     linear = [m for m in (*policy.mlp_extractor.policy_net, policy.action_net) if isinstance(m, nn.Linear)]
     return [(m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy()) for m in linear]
 
 
-def train(args: Args, tell: Tell = lambda what, done, of: None, worlds: Sequence[World] | None = None) -> Training:
-    """Train an agent, or go on with it; in other worlds than `args` names, where some are given."""
+# ---- the learning curve ----------------------------------------------------------------------------------------------
+
+Points = Sequence[tuple[float, Mapping[str, Any]]]
+
+
+def learning_curve(history: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return success and collision rates with 95 % intervals and episode lengths over environment steps, as PNG.
+
+    Args:
+        history: one entry per leg (`Policy.about["history"]`); leg 0, if present, is imitation.
+    """
+    imitated, points = course(history)
+    return panels([partial(_draw_rates, imitated, points), partial(_draw_lengths, imitated, points)], (9.0, 3.4))
+
+
+def course(history: Sequence[Mapping[str, Any]]) -> tuple[float, Points]:
+    """Return the end of imitation and the results with their positions, in million steps of all cars."""
+    parts = [part for one in history for part in one.get("course", ())]
+    imitated = (parts[-1]["steps"] + parts[0]["steps"]) / MILLION if parts else 0.0
+    points = [(one["steps"] / MILLION, one) for one in parts]
+    points += [(imitated + one["steps"] / MILLION, one) for one in history]
+    return imitated, [(at, one) for at, one in points if one["episodes"]]
+
+
+def _draw_rates(imitated: float, points: Points, ax: Axes) -> None:
+    steps = [at for at, _ in points]
+    for name, label, colour in (("success", "parked", AFTER), ("collision", "collided", BEFORE)):
+        share = np.array([one[name] for _, one in points])
+        ended = np.array([one["episodes"] for _, one in points])
+        errors = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share)
+        ax.errorbar(steps, 100 * share, yerr=100 * errors, color=colour, marker="o", ms=4, capsize=3, label=label)
+    _shade(imitated, ax)
+    ax.set(title="During training, with exploration", ylabel="episodes, %", ylim=(-3, 103))
+    ax.legend(loc="center right")
+
+
+def _draw_lengths(imitated: float, points: Points, ax: Axes) -> None:
+    lengths = [one["seconds_an_episode"] for _, one in points]
+    ax.plot([at for at, _ in points], lengths, color=SOFT, marker="o", ms=4)
+    _shade(imitated, ax)
+    ax.set(title="Length of an episode", ylabel="s", ylim=(0, None))
+
+
+def _shade(imitated: float, ax: Axes) -> None:
+    ax.set_xlabel("million steps of 0.1 s, all cars")
+    if imitated:
+        ax.axvspan(0.0, imitated, color=SOFT, alpha=0.12, lw=0, label="imitation")
+
+
+# ---- the command -----------------------------------------------------------------------------------------------------
+
+
+def train(
+    args: Args,
+    on_progress: OnProgress = lambda name, done, total: None,
+    env_settings: Sequence[EnvSettings] | None = None,
+) -> Training:
+    """Train an agent, or continue; `env_settings` replaces the environments that `args` gives."""
     with one_thread():
-        training = Training(args, tell, worlds=worlds)
+        training = Training(args, on_progress, env_settings=env_settings)
         training.resume()
         training.run()
     training.envs.close()
@@ -330,20 +384,11 @@ def train(args: Args, tell: Tell = lambda what, done, of: None, worlds: Sequence
 
 
 def main(args: Args) -> None:
-    """Train, and say how it went and where the agent is."""
-    console = Console(highlight=False, soft_wrap=True)
-    with bars() as progress:
-        tasks: dict[str, Any] = {}
-
-        def tell(what: str, done: int, of: int) -> None:
-            if what not in tasks:
-                tasks[what] = progress.add_task(what, total=of)
-            progress.update(tasks[what], completed=done, total=of)
-
-        training = train(args, tell)
-    last = training.history[-1]
-    console.print(
-        f"{args.out / AGENT}: parked in {100 * last['success']:.1f} % of the last {last['episodes']} episodes of its "
-        f"training, touched something in {100 * last['collision']:.1f} %; "
-        f"look at it with `sonar-gym evaluate-agent --agent {args.out / AGENT}`"
+    """Train, and print the last results and the agent's folder."""
+    with progress_bars() as on_progress:
+        last = train(args, on_progress).history[-1]
+    Console(highlight=False, soft_wrap=True).print(
+        f"{args.out / AGENT}: parked in {100 * last['success']:.1f} % and collided in {100 * last['collision']:.1f} % "
+        f"of the last {last['episodes']} training episodes; "
+        f"evaluate it with `sonar-gym evaluate-agent --agent {args.out / AGENT}`"
     )

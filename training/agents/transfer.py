@@ -1,8 +1,8 @@
-"""Does realistic sonar make a better driver? Train with several sonars, test all where the sonar is the rig.
+"""Train agents with several sonars, and test all of them in two worlds where the sonar is the waveform rig.
 
-Two worlds stand for the real one: the rig as the laboratory knows it, and the rig with its sensors moved back, which
-the simulator does not know and the diagnosis has to find. All agents have the same budget, and drive the same streets.
-What is done already is kept, so the experiment can be killed and gone on with.
+The first world is the rig as surveyed in the laboratory. In the second its sensors stand further back, which the
+simulator does not model and the diagnosis has to find. All agents have the same budget and drive the same streets. To
+continue an interrupted experiment, give the same command again.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -27,23 +28,24 @@ from noise.model import MAX_RANGE
 from noise.rig import SIMULATED, RigModel
 from sonar_gym.agent import load_policy
 from training.agents import train
-from training.agents.evaluate import Rate, crew_of, evaluate
-from training.agents.real import MovedModel, RealModel
-from training.agents.worlds import with_faults
+from training.agents.evaluate import Rate, evaluate, pool_of
+from training.agents.sonars import MismatchedModel, ShiftedModel, with_faults
 from training.common.canvas import AFTER, INK, SOFT, Axes, panels
 from training.common.paired import Paired
 from training.common.progress import bar
+from training.common.tables import markdown_table
 from training.diagnosis import diagnose
 from training.diagnosis.demo import record
 from training.noise.train import fit_gaussian
 
 LEARNED = "srf08-mlp"
-FOUND = "learned+found"
-FAULTS = "+faults"  # the same, and in half of the cars the same made worse
-PLAIN = ("ideal", "gaussian", "beam", "learned", "corrected", FOUND)
-ARMS = (*PLAIN, "ideal" + FAULTS, "learned" + FAULTS, FOUND + FAULTS)
+WITH_FOUND = "learned+found"
+FAULTS = "+faults"  # suffix of arms in which half of the cars have the same sonar with faults
+WITHOUT_FAULTS = ("ideal", "gaussian", "beam", "learned", "corrected", WITH_FOUND)
+ARMS = (*WITHOUT_FAULTS, "ideal" + FAULTS, "learned" + FAULTS, WITH_FOUND + FAULTS)
 WORLDS = {"rig": "the rig", "moved": "the rig, sensors moved back"}
-GAIN = 31  # of the SRF08 as in the learned model's survey
+GAIN = 31  # gain of the SRF08, as in the survey of the learned model
+HEADER = ("world", "trained with", "parked", "each seed", "collided", "difference to ideal, points")
 
 
 @dataclass(frozen=True)
@@ -51,37 +53,37 @@ class Args:
     """Settings of `sonar-gym transfer`."""
 
     out: Path = Path("runs/transfer")
-    """Folder of recordings, diagnosis, agents and scores; what is in it already is not done again."""
+    """Folder for recordings, diagnosis, agents and scores; files that exist are not made again."""
     seeds: int = 3
-    """Agents trained with each sonar."""
+    """Number of agents trained with each sonar."""
     episodes: int = 30
-    """Streets that each agent drives in each world; the same for all."""
+    """Number of streets that each agent drives in each world; the same streets for all."""
     lessons: int = 500
     """Rounds of imitation of each agent."""
     steps: int = 0
-    """Steps of trial of each agent, after imitation."""
+    """Environment steps of PPO of each agent, after imitation."""
     num_envs: int = 128
-    """Cars that drive at the same time in training."""
+    """Number of cars in training."""
     moved_mm: float = 50.0
-    """How far behind its place each sensor stands in the second world."""
+    """Distance by which each sensor of the second world stands back, mm."""
     workers: int = 2
-    """Processes."""
+    """Number of processes."""
     seed: int = 0
-    """Of recordings, agents and streets."""
+    """Seed of recordings and agents."""
 
     def __post_init__(self) -> None:
-        """Refuse to compare nothing."""
+        """Raise SettingError for invalid values."""
         if min(self.seeds, self.episodes, self.workers) < 1:
             raise SettingError(
                 f"seeds {self.seeds}, episodes {self.episodes} and workers {self.workers} must be 1 or more"
             )
 
 
-# ---- what is trained with, and where it is tested --------------------------------------------------------------------
+# ---- sonars of training and test -------------------------------------------------------------------------------------
 
 
 def prepare(args: Args) -> None:
-    """Record the laboratory and the world that differs, fit the baselines, and diagnose."""
+    """Record surveys in both worlds, fit the baselines, and diagnose the second world."""
     simulated, recorded = args.out / "simulated.csv", args.out / "recorded.csv"
     if (args.out / "diagnosis" / "corrected").exists():
         return
@@ -95,31 +97,32 @@ def prepare(args: Args) -> None:
 
 
 def baselines(recording: Recording) -> dict[str, SonarModel]:
-    """Return the usual stand-ins for a sonar, fitted to a recording."""
-    seen, step = recording.reading.answered, recording.resolution
-    ping, reading = recording.ping[seen], recording.reading[seen]
+    """Return common sonar models fitted to a recording."""
+    answered, step = recording.reading.answered, recording.resolution
+    ping, reading = recording.ping[answered], recording.reading[answered]
     reach = max(MAX_RANGE, float(reading.range.max()) + step)
     return {"gaussian": fit_gaussian(ping, reading, step, reach), "beam": fit_beam(ping, reading, step, reach)[0]}
 
 
 def name_of(arm: str, out: Path) -> str:
-    """Return the name or folder of the sonar that an arm trains with, faults aside."""
+    """Return the name or folder of the sonar model of an arm, without faults."""
     arm = arm.removesuffix(FAULTS)
-    places = {"ideal": "ideal", "learned": LEARNED, FOUND: FOUND, "corrected": str(out / "diagnosis" / "corrected")}
-    return places.get(arm, str(out / "models" / arm))
+    corrected = str(out / "diagnosis" / "corrected")
+    names = {"ideal": "ideal", "learned": LEARNED, WITH_FOUND: WITH_FOUND, "corrected": corrected}
+    return names.get(arm, str(out / "models" / arm))
 
 
 def sonar_of(arm: str, out: Path) -> SonarModel:
-    """Return the sonar that an arm trains with.
+    """Return the sonar model of an arm, without faults.
 
-    "corrected" is the diagnosis's own model, an emulator of the survey with what was found in it; "learned+found" is
-    the learned law with the zero that the diagnosis found. Faults are in none of them.
+    "corrected" is the corrected model of the diagnosis: an emulator of the survey with the effects found.
+    "learned+found" is the learned model with the zero offset found.
     """
     arm = arm.removesuffix(FAULTS)
-    if arm != FOUND:
+    if arm != WITH_FOUND:
         return load_model(name_of(arm, out))
     effects = load_model(out / "diagnosis" / "corrected").to_dict()["effects"]  # type: ignore[attr-defined]
-    return MovedModel(load_model(LEARNED), float(effects.get("zero_offset", {}).get("offset_m", 0.0)))
+    return ShiftedModel(load_model(LEARNED), float(effects.get("zero_offset", {}).get("offset_m", 0.0)))
 
 
 def rig_of(world: str, args: Args) -> RigModel:
@@ -131,18 +134,23 @@ def rig_of(world: str, args: Args) -> RigModel:
 # ---- jobs ------------------------------------------------------------------------------------------------------------
 
 
-def place(args: Args, arm: str, seed: int) -> Path:
+def agent_folder(args: Args, arm: str, seed: int) -> Path:
     """Return the folder of an agent's training."""
     return args.out / "agents" / f"{arm}-{seed}"
 
 
-def train_agent(args: Args, arm: str, seed: int) -> str:
-    """Train one agent, where that is not done."""
+def score_path(args: Args, arm: str, seed: int, world: str) -> Path:
+    """Return the file of an agent's episodes in one world."""
+    return args.out / "scores" / f"{world}-{arm}-{seed}.csv"
+
+
+def train_agent(args: Args, arm: str, seed: int) -> None:
+    """Train one agent, or continue."""
     sonar = sonar_of(arm, args.out)
-    heard = (sonar, with_faults(sonar)) if arm.endswith(FAULTS) else (sonar,)
+    sonars = (sonar, with_faults(sonar)) if arm.endswith(FAULTS) else (sonar,)
     train.train(
         train.Args(
-            place(args, arm, seed),
+            agent_folder(args, arm, seed),
             sonars=(name_of(arm, args.out),),
             faults=arm.endswith(FAULTS),
             lessons=args.lessons,
@@ -151,98 +159,91 @@ def train_agent(args: Args, arm: str, seed: int) -> str:
             hidden=(128, 64),
             seed=1000 * args.seed + seed,
         ),
-        worlds=[{"sonar": one} for one in heard],
+        env_settings=[{"sonar": one} for one in sonars],
     )
-    return f"{arm}-{seed}"
 
 
-def test(args: Args, arm: str, seed: int, world: str) -> str:
-    """Let one agent drive in one world, where that is not done."""
-    path = args.out / "scores" / f"{world}-{arm}-{seed}.csv"
-    if not path.exists():
-        policy = load_policy(place(args, arm, seed) / train.AGENT)
-        sonar = RealModel(rig_of(world, args), sonar_of(arm, args.out))
-        seeds = range(args.episodes)
-        with one_thread():
-            one = evaluate(crew_of(policy), {"sonar": sonar, "threads": 1}, seeds, pooled=True)
-        ends = {"success": one.success, "collision": one.collision, "steps": one.steps}
-        about = {"world": world, "arm": arm, "seed": seed}
-        write_text(path, pd.DataFrame({**about, "street": one.seeds, **ends}).to_csv(index=False))
-    return path.stem
+def test_agent(args: Args, arm: str, seed: int, world: str) -> None:
+    """Drive with one agent in one world, unless its scores exist."""
+    path = score_path(args, arm, seed, world)
+    if path.exists():
+        return
+    policy = load_policy(agent_folder(args, arm, seed) / train.AGENT)
+    sonar = MismatchedModel(rig_of(world, args), sonar_of(arm, args.out))
+    with one_thread():
+        one = evaluate(pool_of(policy), {"sonar": sonar, "threads": 1}, range(args.episodes), pooled=True)
+    ends = {"success": one.success, "collision": one.collision, "steps": one.steps}
+    about = {"world": world, "arm": arm, "seed": seed}
+    write_text(path, pd.DataFrame({**about, "street": one.seeds, **ends}).to_csv(index=False))
 
 
 def run(args: Args) -> pd.DataFrame:
-    """Do everything that is not done; returns an episode a row."""
+    """Run or continue the experiment; returns one episode per row."""
     prepare(args)
-    agents = list(product(range(args.seeds), ARMS))
+    agents = [(arm, seed) for seed, arm in product(range(args.seeds), ARMS)]
+    tests = [(*agent, world) for agent, world in product(agents, WORLDS)]
     with ProcessPoolExecutor(args.workers, initializer=keep_one_thread) as pool:
-        trainings = [pool.submit(train_agent, args, arm, seed) for seed, arm in agents]
-        _await(trainings, "training")
-        tests = [pool.submit(test, args, arm, seed, world) for (seed, arm), world in product(agents, WORLDS)]
-        _await(tests, "driving in the rig")
-    paths = [args.out / "scores" / f"{w}-{a}-{s}.csv" for (s, a), w in product(agents, WORLDS)]
-    return pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
+        _await([pool.submit(train_agent, args, *agent) for agent in agents], "training")
+        _await([pool.submit(test_agent, args, *one) for one in tests], "driving in the rig")
+    return pd.concat([pd.read_csv(score_path(args, *one)) for one in tests], ignore_index=True)
 
 
-def _await(jobs: Sequence[Future[str]], what: str) -> None:
-    with bar(what, len(jobs)) as tell:
+def _await(jobs: Sequence[Future[None]], task: str) -> None:
+    with bar(task, len(jobs)) as on_progress:
         for k, job in enumerate(as_completed(jobs)):
             job.result()
-            tell(k + 1, len(jobs))
+            on_progress(k + 1, len(jobs))
 
 
-# ---- what came of it -------------------------------------------------------------------------------------------------
+# ---- results ---------------------------------------------------------------------------------------------------------
 
 
-def table(found: pd.DataFrame) -> str:
-    """Return the results in Markdown; differences are against the agents of the ideal sonar, street by street."""
-    heads = ("world", "trained with", "parked", "each seed", "touched something", "against ideal, points")
-    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-    for world, arm in product(WORLDS, ARMS):
-        one = _of(found, world, arm)
-        seeds = ", ".join(f"{100 * share:.0f}" for share in one.groupby("seed")["success"].mean())
-        parked, touched = (Rate(int(one[name].sum()), len(one)) for name in ("success", "collision"))
-        ideal = _of(found, world, "ideal")["success"].to_numpy(bool)
-        against = "" if arm == "ideal" else str(Paired.of(ideal, one["success"].to_numpy(bool)))
-        lines.append(f"| {WORLDS[world]} | {arm} | {parked} | {seeds} | {touched} | {against} |")
-    return "\n".join(lines)
+def table(results: pd.DataFrame) -> str:
+    """Return the results in Markdown; differences are paired by street with the agents of the ideal sonar."""
+    return markdown_table(HEADER, (_row(results, world, arm) for world, arm in product(WORLDS, ARMS)))
 
 
-def _of(found: pd.DataFrame, world: str, arm: str) -> pd.DataFrame:
-    return found[(found["world"] == world) & (found["arm"] == arm)].sort_values(["seed", "street"])
+def _row(results: pd.DataFrame, world: str, arm: str) -> tuple[object, ...]:
+    one = _of(results, world, arm)
+    seeds = ", ".join(f"{100 * share:.0f}" for share in one.groupby("seed")["success"].mean())
+    parked, collided = (Rate(int(one[name].sum()), len(one)) for name in ("success", "collision"))
+    ideal = _of(results, world, "ideal")["success"].to_numpy(bool)
+    difference = "" if arm == "ideal" else Paired.of(ideal, one["success"].to_numpy(bool))
+    return WORLDS[world], arm, parked, seeds, collided, difference
 
 
-def figure(found: pd.DataFrame) -> bytes:
-    """Return success and collisions of each arm in each world, with intervals and each seed's own share, as PNG."""
-    draws = [lambda ax, w=world: _draw(ax, found, w) for world in WORLDS]
-    return panels(draws, (12.0, 4.2), share_y=True)
+def _of(results: pd.DataFrame, world: str, arm: str) -> pd.DataFrame:
+    return results[(results["world"] == world) & (results["arm"] == arm)].sort_values(["seed", "street"])
 
 
-def _draw(axes: Axes, found: pd.DataFrame, world: str) -> None:
-    for name, colour, shift in (("success", AFTER, -0.1), ("collision", SOFT, 0.1)):
+def figure(results: pd.DataFrame) -> bytes:
+    """Return success and collision rates by arm and world, with intervals and single agents, as PNG."""
+    return panels([partial(_draw, results, world) for world in WORLDS], (12.0, 4.2), share_y=True)
+
+
+def _draw(results: pd.DataFrame, world: str, axes: Axes) -> None:
+    for name, label, colour, shift in (("success", "parked", AFTER, -0.1), ("collision", "collided", SOFT, 0.1)):
         for x, arm in enumerate(ARMS):
-            one = _of(found, world, arm)
+            one = _of(results, world, arm)
             rate = Rate(int(one[name].sum()), len(one))
             low, high = rate.interval
-            ends = [[100 * (rate.share - low)], [100 * (high - rate.share)]]
-            axes.errorbar(
-                [x + shift], [100 * rate.share], ends, fmt="o", color=colour, capsize=3,
-                label=("parked" if name == "success" else "touched something") if x == 0 else None,
-            )  # fmt: skip
+            errors = [[100 * (rate.share - low)], [100 * (high - rate.share)]]
+            y, shown = 100 * rate.share, label if x == 0 else None
+            axes.errorbar([x + shift], [y], errors, fmt="o", color=colour, capsize=3, label=shown)
             each = 100 * one.groupby("seed")[name].mean().to_numpy()
             axes.plot(np.full(len(each), x + 2 * shift), each, ".", color=colour, alpha=0.5, markersize=4)
     axes.set_xticks(range(len(ARMS)), ARMS, rotation=25, ha="right", rotation_mode="anchor")
     axes.set_ylim(-3, 118)
     axes.set_title(WORLDS[world])
-    axes.set_ylabel("of episodes, %", color=INK)
+    axes.set_ylabel("episodes, %", color=INK)
     axes.legend(loc="upper left", ncols=2)
 
 
 def main(args: Args) -> None:
-    """Run the experiment, print its table, write transfer.csv, transfer.md and transfer.png."""
-    found = run(args)
-    text = table(found)
-    write_text(args.out / "transfer.csv", found.to_csv(index=False))
+    """Run the experiment, print its table, and write transfer.csv, transfer.md and transfer.png."""
+    results = run(args)
+    text = table(results)
+    write_text(args.out / "transfer.csv", results.to_csv(index=False))
     write_text(args.out / "transfer.md", text + "\n")
-    write_bytes(args.out / "transfer.png", figure(found))
+    write_bytes(args.out / "transfer.png", figure(results))
     Console(soft_wrap=True, highlight=False).print(text)

@@ -1,1 +1,9 @@
-"""."""
+"""Helpers shared by the commands.
+
+canvas      one style for every figure
+checkpoint  state of an interrupted training
+commit      version of the code that made a file
+progress    progress bars
+statistics  comparison of paired proportions
+tables      Markdown tables
+"""

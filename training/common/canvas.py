@@ -1,4 +1,4 @@
-"""What every figure is drawn on: one style, figures as SVG text or PNG. The only module that imports matplotlib."""
+"""Style and output of figures, as SVG text or PNG. The only module that imports matplotlib."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ from matplotlib.projections.polar import PolarAxes
 
 __all__ = ["AFTER", "BEFORE", "INK", "SOFT", "STYLE", "Axes", "Draw", "PolarAxes", "TwoSlopeNorm", "panels", "svg"]
 Draw = Callable[[Axes], None]
-INK, SOFT, BEFORE, AFTER = "#1d2733", "#8794a3", "#c2571a", "#1b6ca8"  # orange and blue stay apart for the colour-blind
+INK, SOFT, BEFORE, AFTER = (
+    "#1d2733",
+    "#8794a3",
+    "#c2571a",
+    "#1b6ca8",
+)  # distinct for the colour-blind
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 11,
@@ -38,12 +43,12 @@ STYLE: dict[Any, Any] = {
 
 
 def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.4, 3.5)) -> str:
-    """Return a figure of one pair of axes as SVG text that scales with the page.
+    """Return a figure with one pair of axes as scalable SVG text.
 
     Args:
-        draw: what to draw.
-        name: keeps identifiers of several figures in one page apart, the same in every run.
-        size: inches.
+        draw: draws on the axes.
+        name: seed of the identifiers, which must differ between the figures of a page.
+        size: width and height, inches.
     """
     with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=size, layout="constrained")
@@ -64,15 +69,15 @@ def panels(
     colours: tuple[str, float, float] | None = None,
     projection: str | None = None,
 ) -> bytes:
-    """Return a figure of several pairs of axes as PNG.
+    """Return a figure with several pairs of axes as PNG.
 
     Args:
-        draws: what to draw in each.
-        size: inches.
-        columns: axes a row; all in one row if 0.
-        share_y: one scale for all.
-        colours: name, least and greatest value of a bar of colours beside them all.
-        projection: "polar", or plain axes.
+        draws: draw on one pair of axes each.
+        size: width and height, inches.
+        columns: axes per row; 0 puts all in one row.
+        share_y: whether all axes share the y scale.
+        colours: label, minimum and maximum of a shared colour bar.
+        projection: "polar", or None for Cartesian axes.
     """
     columns = columns or len(draws)
     with mpl.rc_context(STYLE):

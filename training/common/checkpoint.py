@@ -1,4 +1,4 @@
-"""A training that can be killed: weights, optimiser and history in one safetensors file. Nothing is ever unpickled."""
+"""Checkpoints of a training: weights, optimiser and history in one safetensors file, without pickle."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ POLICY, ADAM, STATE = "policy.", "adam.", "state"
 
 
 def save_checkpoint(path: Path, policy: ActorCriticPolicy, state: Mapping[str, Any]) -> None:
-    """Write a checkpoint, whole or not at all.
+    """Write a checkpoint atomically.
 
     Args:
-        path: of the file.
-        policy: whose weights and optimiser are kept.
-        state: plain data: settings, what is done, history.
+        path: file to write.
+        policy: policy with its optimiser.
+        state: plain data: settings, progress, history.
     """
     tensors = {POLICY + name: value for name, value in policy.state_dict().items()}
     for number, moments in policy.optimizer.state_dict()["state"].items():
@@ -37,17 +37,17 @@ def read_state(path: Path) -> dict[str, Any]:
     """Return the plain data of a checkpoint.
 
     Raises:
-        ModelError: it is damaged, or something else.
+        ModelError: the file is not a valid checkpoint.
     """
     try:
         with safe_open(path, "pt") as file:
             return dict(json.loads(file.metadata()[STATE]))
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"{path}: cannot be read as a checkpoint ({error}); begin anew in another folder") from None
+        raise ModelError(f"{path}: is not a valid checkpoint ({error}); start again in another folder") from None
 
 
 def load_checkpoint(path: Path, policy: ActorCriticPolicy) -> dict[str, Any]:
-    """Put weights and optimiser of a checkpoint into a policy; returns its plain data."""
+    """Load weights and optimiser state into a policy, and return the plain data."""
     state = read_state(path)
     with safe_open(path, "pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
@@ -63,14 +63,14 @@ def load_checkpoint(path: Path, policy: ActorCriticPolicy) -> dict[str, Any]:
 
 
 def check_same(path: Path, now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
-    """Make sure that a training goes on with the settings that it was begun with.
+    """Check that a resumed training has its original settings.
 
     Raises:
-        SettingError: one differs; the message names it.
+        SettingError: a setting differs.
     """
     for name, value in now.items():
         if before.get(name) != value:
             raise SettingError(
-                f"{path.parent}: was begun with {name} = {before.get(name)}, not {value}: "
-                "go on with the same settings, or give another --out"
+                f"{path.parent}: was started with {name} = {before.get(name)}, not {value}; "
+                "use the same settings or another --out"
             )

@@ -1,4 +1,4 @@
-"""Which program made a page, a table or a ledger."""
+"""Version of the code that made a page, a table or a ledger."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def commit() -> str:
-    """Return the commit that this code is of, "+" where files differ from it; the version where there is no clone.
+    """Return the commit of this code, with "+" if files differ from it; outside a clone, the package version.
 
-    Ask before anything is written: a page inside the clone would itself be such a difference.
+    Call it before writing any file into the clone, which would count as a difference.
     """
     words = ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"]
     try:
-        told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return f"version {version('sonar-gym')}"
-    return told.stdout.strip()
+    return done.stdout.strip()

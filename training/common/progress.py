@@ -1,4 +1,4 @@
-"""One kind of progress bar for every command: on stderr, gone when done, nothing where stderr is no terminal."""
+"""Progress bars on stderr, removed when done, and disabled if stderr is not a terminal."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ TERMINAL = Console(stderr=True)
 
 
 def bars() -> Progress:
-    """Return bars with count and time left, to be entered with `with`."""
+    """Return progress bars with count and remaining time, as a context manager."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=TERMINAL, transient=True, disable=not TERMINAL.is_terminal)
 
 
 @contextmanager
-def bar(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
-    """Show the progress of one thing; yields a function of how much is done, and of how much there is in all.
+def bar(task_name: str, total: int) -> Iterator[Callable[[int, int], None]]:
+    """Show one progress bar; yields a function (done, total) that updates it.
 
     Args:
-        what: is being done.
-        total: number of steps, as far as it is known now.
+        task_name: text beside the bar.
+        total: number of steps, if known approximately.
     """
     with bars() as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done, of: progress.update(task, completed=done, total=of)
+        task = progress.add_task(task_name, total=total)
+        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -1,4 +1,4 @@
-"""The whole chain in three minutes: conceal an effect, record, diagnose, correct, and park with what was learned."""
+"""Demonstration in three minutes: conceal an effect, record, diagnose, correct the model, and park with it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from noise.discrepancy import Diagnosis
 from sonar_gym.agent import load_agent
 from training.common.progress import bar
 from training.diagnosis import diagnose
-from training.diagnosis.demo_page import Shown, gif, render
+from training.diagnosis.demo_page import DemoResult, gif, render
 from training.diagnosis.drive import Drive, drive
 from training.diagnosis.envelope import CONCEALED, Envelope, conceal
 
@@ -27,7 +27,7 @@ PLAN = Plan(
     pings=20,
     facing=True,
 )
-HIDDEN = ["temperature_c", "humidity_pct"]  # what would give the answer away
+HIDDEN = ["temperature_c", "humidity_pct"]  # columns that would reveal the effect
 SONARS = ("ideal", "srf08-mlp")
 AGENT = "srf08-mlp, trained agent"
 
@@ -37,43 +37,43 @@ class Args:
     """Settings of `sonar-gym demo`."""
 
     out: Path = Path("demo")
-    """Folder to write: report.html, parking.gif, both recordings, the diagnosis, the corrected model."""
+    """Output folder: report.html, parking.gif, both recordings, the diagnosis, the corrected model."""
     seed: int = 12
-    """Same seed, same everything."""
+    """Seed; the same seed gives the same demonstration."""
     conceal: str | None = None
-    """Effect to conceal (sound_speed, zero_offset, dropped_reading); drawn from the seed where none is given."""
+    """Effect to conceal (sound_speed, zero_offset, dropped_reading); drawn from the seed by default."""
 
 
 def main(args: Args) -> None:
-    """Run the chain and say where the pictures are."""
+    """Run the demonstration and print its results."""
     if args.conceal is not None and args.conceal not in CONCEALED:
-        raise SettingError(f"--conceal {args.conceal}: not one of {', '.join(CONCEALED)}")
+        raise SettingError(f"--conceal {args.conceal}: unknown effect; choose one of {', '.join(CONCEALED)}")
     console = Console(highlight=False, soft_wrap=True)
     setup = Setup(gain=31)
     changed, envelope = conceal(setup, np.random.default_rng([args.seed, 0]), args.conceal)
     console.print(
-        f"[bold]1[/] something is wrong with the sonar; the sealed answer has SHA-256 {envelope.seal[:16]}..."
+        f"[bold]1[/] an effect is concealed in the sonar; SHA-256 of its description: {envelope.seal[:16]}..."
     )
     simulated = record(setup, args.out / "simulated.csv", args.seed, 1)
     recorded = record(changed, args.out / "recorded.csv", args.seed, 2)
-    console.print(f"[bold]2[/] recorded {len(recorded)} pings of it on the rig, and {len(simulated)} of the simulator")
+    console.print(f"[bold]2[/] recorded {len(recorded)} pings with the effect and {len(simulated)} without it")
     diagnosis = diagnose.examine(
         diagnose.Args(args.out / "recorded.csv", args.out / "diagnosis", simulated=args.out / "simulated.csv")
     )
     console.print("[bold]3[/] " + "\n  ".join(diagnose.summary(diagnosis, args.out / "diagnosis")))
     drives = park(args)
     for name, one in drives.items():
-        console.print(f"[bold]4[/] {name}: {one.told}")
+        console.print(f"[bold]4[/] {name}: {one.summary}")
     finish(args, envelope, diagnosis, drives)
-    console.print(f"[bold]5[/] envelope opened: {envelope.told} ({envelope.effect})")
-    console.print(f"look at {args.out / 'report.html'} and {args.out / 'parking.gif'}")
+    console.print(f"[bold]5[/] concealed effect: {envelope.effect}: {envelope.description}")
+    console.print(f"see {args.out / 'report.html'} and {args.out / 'parking.gif'}")
 
 
 def record(setup: Setup, path: Path, seed: int, stream: int) -> Recording:
-    """Survey one unit on the rig; the columns that would tell are left out."""
+    """Record the survey on the rig, without the columns that would reveal the effect."""
     path.unlink(missing_ok=True)
-    with bar(f"recording {path.name}", PLAN.pings * len(PLAN)) as tell:
-        Session(PLAN, RigSource(Rig(Unit.nominal(), setup), seed * 10 + stream), path).run(tell)
+    with bar(f"recording {path.name}", PLAN.pings * len(PLAN)) as update:
+        Session(PLAN, RigSource(Rig(Unit.nominal(), setup), seed * 10 + stream), path).run(update)
     recording = Recording.load(path)
     recording = replace(recording, table=recording.table.drop(columns=HIDDEN))
     recording.save(path)
@@ -81,20 +81,20 @@ def record(setup: Setup, path: Path, seed: int, stream: int) -> Recording:
 
 
 def park(args: Args) -> dict[str, Drive]:
-    """Park with ideal, learned and corrected sonar on the same street; the shipped agent with the learned one."""
+    """Park on one street with the ideal, learned and corrected sonar, and with the shipped agent."""
     sonars = {name: name for name in SONARS} | {"corrected": str(args.out / "diagnosis" / "corrected")}
-    with bar("parking", len(sonars) + 1) as tell:
+    with bar("parking", len(sonars) + 1) as update:
         drives = {}
         for k, (name, sonar) in enumerate(sonars.items()):
             drives[name] = drive(sonar, args.seed)
-            tell(k + 1, len(sonars) + 1)
+            update(k + 1, len(sonars) + 1)
         drives[AGENT] = drive(SONARS[-1], args.seed, load_agent())
     return drives
 
 
 def finish(args: Args, envelope: Envelope, diagnosis: Diagnosis, drives: dict[str, Drive]) -> None:
-    """Open the envelope, write the film and the page."""
+    """Write the concealed effect, the film and the page."""
     envelope.save(args.out / "envelope.json")
     film = gif({name: one.frames for name, one in drives.items()}, args.out / "parking.gif")
-    shown = Shown(envelope, diagnosis, drives, film, args.seed)
-    render(shown, args.out / "report.html")
+    result = DemoResult(envelope, diagnosis, drives, film, args.seed)
+    render(result, args.out / "report.html")

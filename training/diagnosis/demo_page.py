@@ -1,4 +1,4 @@
-"""The demonstration's film and its one self-contained page."""
+"""Film and self-contained page of the demonstration."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from training.diagnosis.figures import all_figures
 from training.diagnosis.report import TEMPLATES, facts
 
 Picture = NDArray[np.uint8]
-WIDTH = 620  # px of a film strip
-SCENE = (0.08, 0.735)  # what share of a picture, from the top, is street
+WIDTH = 620  # px, of a film
+SCENE = (0.08, 0.735)  # top and bottom of the street, as shares of the height
 FRAME_MS, LAST_MS = 160, 2500
 INK, PAPER = (29, 39, 51), (247, 246, 241)
 TITLE = 26  # px
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What the page tells of."""
+class DemoResult:
+    """Content of the page."""
 
     envelope: Envelope
     diagnosis: Diagnosis
@@ -41,11 +41,11 @@ class Shown:
 
 
 def gif(films: Mapping[str, Sequence[Picture]], path: Path) -> Path:
-    """Write films one above the other, each under its name; those that end early stand still.
+    """Write films one above the other, each with its name; shorter films end with a still picture.
 
     Args:
-        films: pictures of each drive, (height, width, 3) uint8.
-        path: of the GIF.
+        films: frames of each drive, (height, width, 3) uint8.
+        path: GIF file to write.
     """
     length = max(map(len, films.values()))
     frames = [_stack({name: film[min(k, len(film) - 1)] for name, film in films.items()}) for k in range(length)]
@@ -76,19 +76,19 @@ def _strip(name: str, picture: Picture) -> Image.Image:
     return strip
 
 
-def render(shown: Shown, path: Path) -> Path:
-    """Write the page: envelope, verdict, before and after, film, all inside one file."""
+def render(result: DemoResult, path: Path) -> Path:
+    """Write the page with verdict, figures and film as one file."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
     )
-    figures = {name: Markup(text) for name, text in all_figures(shown.diagnosis).items()}
-    film = base64.b64encode(shown.film.read_bytes()).decode()
+    figures = {name: Markup(text) for name, text in all_figures(result.diagnosis).items()}
+    film = base64.b64encode(result.film.read_bytes()).decode()
     page = environment.get_template("demo.html").render(
-        **facts(shown.diagnosis),
-        envelope=shown.envelope,
-        drives=shown.drives,
+        **facts(result.diagnosis),
+        envelope=result.envelope,
+        drives=result.drives,
         figures=figures,
         film=film,
-        seed=shown.seed,
+        seed=result.seed,
     )
     return write_text(path, page)

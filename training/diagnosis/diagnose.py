@@ -1,4 +1,4 @@
-"""Say where a simulation and a recording differ and why, in a report for people and a verdict for machines."""
+"""Diagnosis of the differences between a simulation and a recording, as an HTML report and a JSON verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from acquisition import Recording, SettingError
 from acquisition.io.files import write_text
 from noise.discrepancy import Diagnosis, diagnose
 from noise.discrepancy.emulate import Simulator
-from noise.discrepancy.search import Progress as Tell
+from noise.discrepancy.search import Progress
 from noise.discrepancy.workers import usable
 from noise.fitting.threads import one_thread
 from noise.store import load_model, save_model
@@ -30,35 +30,37 @@ class Args:
     """Settings of `sonar-gym diagnose`."""
 
     recorded: Annotated[Path, tyro.conf.Positional]
-    """Recording of the real sonar (CSV, one row a ping)."""
+    """Recording of the real sonar (CSV, one row per ping)."""
     out: Path
-    """Folder to write: verdict.json, report.html, and the corrected model in corrected/."""
+    """Output folder: verdict.json, report.html, and the corrected model in corrected/."""
     model: str = "ideal"
-    """What the simulation uses: a model's name (ideal, gaussian, ...) or the folder of a saved one."""
+    """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""
     simulated: Path | None = None
-    """What stands in the place of the model: a simulator's readings in the recording format, or module:function, which
-    is called as function(pings, rng) and returns readings."""
+    """Simulator in place of the model: its readings in the recording format, or module:function, which is called as
+    function(pings, rng) and returns readings."""
     seed: int = 0
-    """Same seed, same verdict."""
+    """Seed; the same seed gives the same verdict."""
     workers: int = field(default_factory=usable)
-    """Processes that share the work, some 400 MB each; the verdict is the same with any number."""
+    """Number of processes, about 400 MB each; it does not affect the verdict."""
 
 
 def main(args: Args) -> None:
-    """Diagnose, write the folder, print the verdict."""
+    """Diagnose, write the output folder, print the verdict."""
     print("\n".join(summary(examine(args), args.out)))
 
 
 def examine(args: Args) -> Diagnosis:
-    """Diagnose and write the folder."""
+    """Diagnose and write the output folder."""
     recorded = Recording.load(args.recorded)
     simulator = None if args.simulated is None else simulator_of(args.simulated)
     simulated = None if args.simulated is None or simulator is not None else Recording.load(args.simulated)
     model = simulator or load_model(args.model)
     _check_out(args.out)
-    with one_thread(), _told() as tell:
-        diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=tell, workers=args.workers)
-        tell("drawing the report", 0.97)
+    with one_thread(), _progress() as update:
+        diagnosis = diagnose(
+            model, recorded, simulated=simulated, seed=args.seed, progress=update, workers=args.workers
+        )
+        update("drawing the report", 0.97)
         page = render(diagnosis, str(args.out / "corrected"), args.seed)
     write_text(args.out / "verdict.json", json.dumps(diagnosis.to_verdict(), indent=1, allow_nan=False) + "\n")
     write_text(args.out / "report.html", page)
@@ -66,59 +68,59 @@ def examine(args: Args) -> Diagnosis:
     return diagnosis
 
 
-def simulator_of(spelled: Path) -> Simulator | None:
-    """Return the function that `module:function` names, looked for in the working directory too; None of a file.
+def simulator_of(given: Path) -> Simulator | None:
+    """Return the function `module:function`, also from the working directory; None if a file is given.
 
     Raises:
-        SettingError: there is no such module or function.
+        SettingError: the module or function does not exist.
     """
-    module, _, function = str(spelled).partition(":")
-    if spelled.exists() or not function.isidentifier():
+    module, _, function = str(given).partition(":")
+    if given.exists() or not function.isidentifier():
         return None
     sys.path.insert(0, "")
     try:
         found = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
-        raise SettingError(f"--simulated {spelled}: {error}; give FILE.csv or module:function") from None
+        raise SettingError(f"--simulated {given}: {error}; give FILE.csv or module:function") from None
     finally:
         sys.path.remove("")
     if not callable(found):
-        raise SettingError(f"--simulated {spelled}: {function} is a {type(found).__name__}, expected a function")
+        raise SettingError(f"--simulated {given}: {function} is a {type(found).__name__}, expected a function")
     return cast(Simulator, found)
 
 
 def _check_out(out: Path) -> None:
     if out.exists() and not out.is_dir():
-        raise SettingError(f"--out {out}: is a file, expected a folder to write into; give another name")
+        raise SettingError(f"--out {out}: is a file, expected a folder; give another name")
     out.mkdir(parents=True, exist_ok=True)
 
 
 @contextmanager
-def _told() -> Iterator[Tell]:
-    """Show a progress bar on stderr, where it is a terminal."""
+def _progress() -> Iterator[Progress]:
+    """Show a progress bar on stderr if it is a terminal."""
     with bars() as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda message, share: bar.update(task, completed=share, description=message)
 
 
 def summary(diagnosis: Diagnosis, out: Path) -> list[str]:
-    """Return the verdict in about ten lines."""
+    """Return the verdict as about ten lines of text."""
     verdict = diagnosis.verdict
-    held, p = verdict.held_out, verdict.p_value
-    lines = [f"verdict: {verdict.verdict} (p = {p:.2g})", headline(diagnosis)]
+    test = verdict.held_out
+    lines = [f"verdict: {verdict.verdict} (p = {verdict.p_value:.2g})", headline(diagnosis)]
     for named in verdict.effects:
-        alike = ", ".join(named.indistinguishable_from)
-        doubt = f"; not told apart from {alike}" if alike else ""
+        rivals = ", ".join(named.indistinguishable_from)
+        doubt = f"; indistinguishable from {rivals}" if rivals else ""
         lines.append(f"  {named.effect}: {named.gain_nats:.0f} ± {named.gain_se:.0f} nats{doubt}")
     if verdict.unknown.present:
-        lines.append(f"  left over: {verdict.unknown.description}")
+        lines.append(f"  unexplained: {verdict.unknown.description}")
     lines += [f"  next: {m.do}" + (f" ({m.pings} pings)" if m.pings > 1 else "") for m in verdict.next_measurement[:2]]
     lines.append(
-        f"unseen cells ({held.n_pings} pings): error {held.before.crps_mm:.1f} -> {held.after.crps_mm:.1f} mm (CRPS), "
-        f"gain {held.gain_per_ping_low:.3f} to {held.gain_per_ping_high:.3f} nats a ping"
+        f"test set ({test.n_pings} pings): CRPS {test.before.crps_mm:.1f} -> {test.after.crps_mm:.1f} mm, "
+        f"gain {test.gain_per_ping_low:.3f} to {test.gain_per_ping_high:.3f} nats per ping"
     )
     if not verdict.baseline_check.describes_simulation:
         lines.append(f"caution: {verdict.baseline_check.note}")
     if diagnosis.unanswered:
-        lines.append(f"caution: {diagnosis.unanswered} pings were not answered (wire?) and left out")
+        lines.append(f"caution: {diagnosis.unanswered} pings without an answer were omitted; check the wires")
     return [*lines, f"report: {out / 'report.html'}   model: {out / 'corrected'}"]

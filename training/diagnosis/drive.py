@@ -1,4 +1,4 @@
-"""Drive the parking environment with one sonar, and say how well its readings told the truth."""
+"""One parking episode with a given sonar, with the accuracy of its readings."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 import sonar_gym
 from sonar_gym.control.driver import Driver, Episode, ParkingDriver, run_episode
 
-EVERY = 4  # steps from picture to picture
+EVERY = 4  # steps between frames
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One episode, in numbers and pictures.
+    """Results of one episode.
 
     Attributes:
-        success, collision: how it ended.
-        steps: actions taken.
+        success: whether the car parked.
+        collision: whether it collided.
+        steps: number of actions.
         error_mm: median of |reading - truth| over all echoes, mm.
-        silent: share of looks at something in reach that gave no echo.
-        frames: pictures.
+        silent: share of pings without an echo among those with a target in range.
+        frames: pictures, (height, width, 3) uint8.
     """
 
     success: bool
@@ -35,7 +36,7 @@ class Drive:
 
     @classmethod
     def of(cls, episode: Episode) -> Drive:
-        """Sum an episode up."""
+        """Return the results of an episode."""
         echo = episode.echoes > 0
         error = np.abs(episode.readings - episode.truths)[echo]
         reach = np.isfinite(episode.truths) & (episode.truths < episode.readings.max())
@@ -44,17 +45,15 @@ class Drive:
         return cls(episode.success, episode.collision, episode.steps, median, float(silent), episode.frames)
 
     @property
-    def told(self) -> str:
-        """In one line."""
-        end = "parked" if self.success else "hit something" if self.collision else "did not find its place"
-        return (
-            f"{end} after {self.steps} steps; readings off by {self.error_mm:.0f} mm (median), "
-            f"{100 * self.silent:.0f} % silent"
-        )
+    def summary(self) -> str:
+        """Result as one line of text."""
+        end = "parked" if self.success else "collided" if self.collision else "did not park"
+        silent = f"{100 * self.silent:.0f} % without echo"
+        return f"{end} after {self.steps} steps; median error {self.error_mm:.0f} mm, {silent}"
 
 
 def drive(sonar: str, seed: int, driver: Driver | None = None) -> Drive:
-    """Park once on the street of a seed, by the scripted driver where no other is given."""
+    """Park once on the street of a seed, by default with the scripted driver."""
     env = gymnasium.make(sonar_gym.ENV_ID, sonar=sonar, render_mode="rgb_array")
     try:
         return Drive.of(run_episode(env, driver or ParkingDriver(), seed, every=EVERY))

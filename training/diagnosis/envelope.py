@@ -1,4 +1,4 @@
-"""A concealed effect in a sealed envelope: what is wrong with a sonar is written, hashed, and opened at the end."""
+"""Concealed effects: each is described and hashed before the recording, and published after the diagnosis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Change = Callable[[Setup, np.random.Generator], tuple[Setup, str]]
 
 def _warm_hall(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
     celsius = round(rng.uniform(29.0, 36.0), 1)
-    return replace(setup, temperature_c=celsius), f"the hall was at {celsius} degC, not at {setup.temperature_c} degC"
+    return replace(setup, temperature_c=celsius), f"the air was at {celsius} degC instead of {setup.temperature_c} degC"
 
 
 def _moved_zero(setup: Setup, rng: np.random.Generator) -> tuple[Setup, str]:
@@ -38,35 +38,35 @@ CONCEALED: dict[str, Change] = {"sound_speed": _warm_hall, "zero_offset": _moved
 
 @dataclass(frozen=True)
 class Envelope:
-    """What was concealed.
+    """Description of a concealed effect.
 
     Attributes:
-        effect: id in the catalogue.
-        told: in plain English.
-        salt: random text, so that the hash cannot be guessed from a list of effects.
+        effect: effect id.
+        description: description in plain English.
+        salt: random text, so that the hash cannot be guessed.
     """
 
     effect: str
-    told: str
+    description: str
     salt: str
 
     @property
     def content(self) -> str:
-        """What is written in it, as JSON."""
-        return json.dumps({"effect": self.effect, "told": self.told, "salt": self.salt}, sort_keys=True)
+        """Content as JSON."""
+        return json.dumps({"effect": self.effect, "description": self.description, "salt": self.salt}, sort_keys=True)
 
     @property
     def seal(self) -> str:
-        """SHA-256 of the content: anyone can check afterwards that it was not exchanged."""
+        """SHA-256 of the content, which proves afterwards that it was not changed."""
         return hashlib.sha256(self.content.encode()).hexdigest()
 
     def save(self, path: Path) -> None:
-        """Write the content."""
+        """Write the content to a file."""
         write_text(path, self.content + "\n")
 
 
 def conceal(setup: Setup, rng: np.random.Generator, effect: str | None = None) -> tuple[Setup, Envelope]:
-    """Change a setup by one effect, drawn unless it is given, and put the answer into an envelope."""
+    """Return the setup changed by one effect, drawn by default, and its description."""
     name = effect or str(rng.choice(list(CONCEALED)))
-    changed, told = CONCEALED[name](setup, rng)
-    return changed, Envelope(name, told, rng.bytes(16).hex())
+    changed, description = CONCEALED[name](setup, rng)
+    return changed, Envelope(name, description, rng.bytes(16).hex())

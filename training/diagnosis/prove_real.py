@@ -1,6 +1,6 @@
-"""Diagnose real recordings with a column or fact of theirs hidden, and hold the verdicts against it.
+"""Diagnoses of real recordings with a hidden column or fact, compared with what was hidden.
 
-The recordings are not part of the project: give the folder that holds them, each in a folder of its own.
+The recordings are not part of the project; each lies in a folder of its own.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from noise import IdealModel
 from noise.discrepancy import diagnose
 from training.common.commit import commit
 from training.common.progress import bar
+from training.common.tables import markdown_table
 from training.proof.real import CASES, Case
+
+HEADER = ("recording", "hidden", "verdict", "right", "CRPS on the test set, mm")
 
 
 @dataclass(frozen=True)
@@ -27,30 +30,30 @@ class Args:
     recordings: Path
     """Folder of the real recordings."""
     out: Path
-    """Folder of the page, real.md, and of what it was made of, real.json; what is there already is not done again."""
+    """Output folder: the page real.md, and the results real.json; recordings with a result are skipped."""
     seed: int = 0
-    """Of the diagnosis."""
+    """Seed of the diagnosis."""
 
 
 def main(args: Args) -> None:
-    """Diagnose what is there, and publish."""
+    """Diagnose the available recordings and write the page."""
     here = [case for case in CASES if (args.recordings / case.name).is_dir()]
     if not here:
         names = ", ".join(case.name for case in CASES)
-        raise SettingError(f"{args.recordings}: holds none of {names}")
+        raise SettingError(f"{args.recordings}: contains none of the recordings {names}")
     done: dict[str, Any] = _read(args.out / "real.json")
-    with bar("recordings", len(here)) as tell:
+    with bar("recordings", len(here)) as update:
         for count, case in enumerate(here, start=1):
             if case.name not in done:
                 done[case.name] = diagnosed(case, args.recordings / case.name, args.seed)
                 write_text(args.out / "real.json", json.dumps(done, indent=1) + "\n")
-            tell(count, len(here))
+            update(count, len(here))
     write_text(args.out / "real.md", page([case for case in here if case.name in done], done))
     print(f"{len(here)} recordings in {args.out / 'real.md'}")
 
 
 def diagnosed(case: Case, folder: Path, seed: int) -> dict[str, Any]:
-    """Return the verdict on one recording, and its score."""
+    """Return verdict and score of one recording."""
     hidden = case.made(folder)
     found = diagnose(IdealModel(), hidden.recorded, simulated=hidden.simulated, seed=seed)
     return {"commit": commit(), "verdict": found.to_verdict(), "score": hidden.score or {}}
@@ -58,41 +61,34 @@ def diagnosed(case: Case, folder: Path, seed: int) -> dict[str, Any]:
 
 def page(cases: Sequence[Case], done: dict[str, Any]) -> str:
     """Return the page as Markdown."""
-    rows = ["| recording | hidden | said | an answer that fits | held-out CRPS, mm |", "|---|---|---|---|---|"]
-    for case in cases:
-        verdict = done[case.name]["verdict"]
-        held = verdict["held_out"]
-        scores = f"{held['before']['crps_mm']:.1f} → {held['after']['crps_mm']:.1f}"
-        rows.append(f"| {case.name} | {case.hidden} | {_said(verdict)} | {_fits(case, verdict)} | {scores} |")
+    table = markdown_table(HEADER, [_row(case, done[case.name]["verdict"]) for case in cases])
     notes = [f"- {case.name}: {_scores(done[case.name]['score'])}" for case in cases if done[case.name]["score"]]
-    left = [
-        f"- {case.name}: {done[case.name]['verdict']['unknown']['description']}" for case in cases if _left(done, case)
-    ]
-    parts = ["\n".join(rows)]
-    parts += ["Held against what was hidden:", "\n".join(notes)] if notes else []
-    parts += ["What was left over, as the tool described it:", "\n".join(left)] if left else []
+    unexplained = {case.name: done[case.name]["verdict"]["unknown"]["description"] for case in cases}
+    rest = [f"- {name}: {description}" for name, description in unexplained.items() if description]
+    parts = [table]
+    parts += ["Comparison with what was hidden:", "\n".join(notes)] if notes else []
+    parts += ["Unexplained structure, as described by the diagnosis:", "\n".join(rest)] if rest else []
     return "\n\n".join(parts) + "\n"
 
 
-def _left(done: dict[str, Any], case: Case) -> bool:
-    return bool(done[case.name]["verdict"]["unknown"]["description"])
+def _row(case: Case, verdict: dict[str, Any]) -> list[str]:
+    before, after = (verdict["held_out"][key]["crps_mm"] for key in ("before", "after"))
+    return [case.name, case.hidden, _in_words(verdict), _fits(case, verdict), f"{before:.1f} → {after:.1f}"]
 
 
-def _said(verdict: dict[str, Any]) -> str:
-    """Return a verdict in one cell."""
+def _in_words(verdict: dict[str, Any]) -> str:
     each = [" or ".join([e["effect"], *e["indistinguishable_from"]]) for e in verdict["effects"]]
     return f"{verdict['verdict']}: {'; '.join(each)}" if each else str(verdict["verdict"])
 
 
 def _fits(case: Case, verdict: dict[str, Any]) -> str:
-    """Tell whether a verdict holds one of the answers that fit."""
-    if verdict["verdict"] in ("none", "unknown"):
+    """Return whether a verdict names the expected causes."""
+    groups = [{e["effect"], *e["indistinguishable_from"]} for e in verdict["effects"]]
+    right = [bool(group & set(case.expected)) for group in groups]
+    if verdict["verdict"] in ("none", "unknown") or not any(right):
         return "no"
-    told = {name for e in verdict["effects"] for name in (e["effect"], *e["indistinguishable_from"])}
-    more = [
-        e["effect"] for e in verdict["effects"] if not {e["effect"], *e["indistinguishable_from"]} & set(case.expected)
-    ]
-    return ("yes" if not more else f"in part: also {', '.join(more)}") if told & set(case.expected) else "no"
+    others = [e["effect"] for e, fits in zip(verdict["effects"], right, strict=True) if not fits]
+    return f"in part: also {', '.join(others)}" if others else "yes"
 
 
 def _scores(score: dict[str, float]) -> str:

@@ -1,4 +1,4 @@
-"""One self-contained page for people: what differs, where, how much, what else was considered, what to do next."""
+"""HTML report of a diagnosis: differences, causes, rivals, next measurements."""
 
 from __future__ import annotations
 
@@ -22,35 +22,34 @@ BADGES = {
     "none": ("No difference found", "good"),
     "named": ("Cause found", "found"),
     "confounded": ("Cause narrowed down", "found"),
-    "named_with_rest": ("Cause found, something remains", "partly"),
+    "named_with_rest": ("Cause found, part unexplained", "partly"),
     "unknown": ("Difference without a known cause", "open"),
 }
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict in one or two sentences of plain English, with the number that matters."""
+    """Return the verdict as one or two sentences."""
     verdict = diagnosis.verdict
     if silent(diagnosis):
-        first = "check the sensor's power, gain and range setting, and what it points at, before anything else"
-        return f"Not one of {diagnosis.pings:,} pings brought an echo: {first}."
+        first = "check the sensor's power, gain, range setting and direction"
+        return f"None of {diagnosis.pings:,} pings had an echo: {first}."
     if verdict.verdict == "none":
-        held = verdict.held_out
-        return f"The model agrees with the recording: its readings are {held.before.crps_mm:.1f} mm off on average."
+        return f"The model agrees with the recording: its CRPS is {verdict.held_out.before.crps_mm:.1f} mm."
     if verdict.verdict == "unknown":
         what = verdict.unknown.description or "; ".join(in_words(f) for f in verdict.where[:1])
         what = what.split(";")[0].replace(" (a description, not a cause)", "")
         return f"The recording differs from the model, and no known effect explains it: {what}."
-    told = " ".join(named.statement for named in verdict.effects[:2])
-    alike = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
+    statements = " ".join(named.statement for named in verdict.effects[:2])
+    rivals = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
     others = len(verdict.effects) - 2
     more = "" if others < 1 else f" And {others} smaller effect{'s' if others > 1 else ''}."
-    doubt = f" These data cannot tell this from {_list(alike)}." if verdict.verdict == "confounded" else ""
-    rest = " Something smaller remains unexplained." if verdict.verdict == "named_with_rest" else ""
-    return told + more + doubt + rest
+    doubt = f" These data do not distinguish this from {_list(rivals)}." if verdict.verdict == "confounded" else ""
+    rest = " A smaller difference remains unexplained." if verdict.verdict == "named_with_rest" else ""
+    return statements + more + doubt + rest
 
 
 def silent(diagnosis: Diagnosis) -> bool:
-    """Tell whether no ping of the recording brought an echo."""
+    """Return whether no ping of the recording had an echo."""
     return not diagnosis.split.whole.reading.echo.any()
 
 
@@ -68,9 +67,9 @@ def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
     """Return the page as HTML.
 
     Args:
-        diagnosis: to tell of.
-        corrected: where the corrected model is saved, for the instructions.
-        seed: of randomised PIT values.
+        diagnosis: diagnosis to report.
+        corrected: folder of the corrected model, for the instructions.
+        seed: seed of randomised PIT values.
     """
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
@@ -81,7 +80,7 @@ def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
 
 
 def facts(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return everything that the page prints, ready to be printed."""
+    """Return the variables of the page's template."""
     verdict = diagnosis.verdict
     badge, kind = BADGES[verdict.verdict]
     return {
@@ -104,7 +103,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def matched(diagnosis: Diagnosis) -> str:
-    """Return what positions that both files share say without any model; nothing where they share too few."""
+    """Return a sentence on the positions that both files share, compared without a model; empty if too few."""
     found = diagnosis.verdict.matched
     if found is None:
         return ""
@@ -115,24 +114,24 @@ def matched(diagnosis: Diagnosis) -> str:
 
 
 def by_chance(verdict: Verdict) -> float:
-    """Return the p-value of the difference: what no single place shows may show from one place to the next."""
+    """Return the p-value of the difference, that of unexplained structure included."""
     return min(verdict.p_value, verdict.unknown.p_value) if verdict.unknown.present else verdict.p_value
 
 
 def certainty(p_value: float) -> str:
-    """Return a p-value as a roboticist would say it."""
+    """Return a p-value as a sentence."""
     if p_value > 0.05:
-        return "The difference is no larger than chance."
-    return f"Chance alone would do this in fewer than one recording in {int(1 / max(p_value, 1e-6)):,}."
+        return "The difference is not significant."
+    return f"Chance alone causes such a difference in fewer than one recording in {int(1 / max(p_value, 1e-6)):,}."
 
 
 def effect_facts(named: Named) -> dict[str, Any]:
-    """Return what is printed of one named effect."""
+    """Return the template variables of one named effect."""
     return {
         **asdict(named),
         "title": plain(named.effect),
         "summary": CATALOGUE[named.effect].summary,
-        "alike": [plain(name) for name in named.indistinguishable_from],
+        "rivals": [plain(name) for name in named.indistinguishable_from],
         "percent": f"{100 * named.probability:.0f}",
         "numbers": [(parameter(name, value.unit), interval(value)) for name, value in named.parameters.items()],
         "gain": f"{named.gain_nats:.0f} ± {named.gain_se:.0f}",
@@ -140,7 +139,7 @@ def effect_facts(named: Named) -> dict[str, Any]:
 
 
 def parameter(name: str, unit: str) -> str:
-    """Return a parameter's name as words, without the unit at its end, which is printed with its value."""
+    """Return a parameter's name as words, without the unit at its end."""
     return plain(name.removesuffix("_" + unit.lower().replace("/", "_per_").replace("degc", "c")))
 
 
@@ -153,10 +152,10 @@ def interval(value: Interval) -> str:
 
 
 def rival_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
-    """Return one row for each effect that was tried in the place of a named one."""
+    """Return one row for each effect that was fitted instead of a named one."""
     rows = []
     for rival in diagnosis.rivals:
-        reason = "cannot be excluded" if rival.survives else f"fits worse by {rival.observed:.0f} nats"
+        reason = "not excluded" if rival.survives else f"fits worse by {rival.observed:.0f} nats"
         if not rival.survives and rival.observed > 10.8:
             reason += ": excluded"
         rows.append({"rival": plain(rival.effect), "instead": plain(rival.replaces), "why": reason})
@@ -164,7 +163,7 @@ def rival_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
 
 
 def tried_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
-    """Return one row for each effect that was fitted in the search and judged on unseen cells."""
+    """Return one row for each effect that was fitted in the search and scored by cross-validation."""
     rows = []
     for attempt in diagnosis.verdict.attempts:
         if attempt.gain_nats == attempt.gain_nats:

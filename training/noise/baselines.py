@@ -1,4 +1,4 @@
-"""What noise models are compared with: the scatter of simulators, conditions as they were recorded, fitted physics."""
+"""Baselines for noise models: fitted Gaussian, empirical law of each recorded condition, fitted physics."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from noise.fitting.fit import fit
 from noise.law import EchoLaw, Floats
 from noise.model import GaussianModel, SonarModel
 from noise.physical import PhysicalModel
-from training.noise.corpus import thinned
+from training.noise.corpus import first_pings
 
-# how different two conditions are: m, rad, rad, 1 that weigh alike; ours
-ALIKE = np.array([0.1, 0.05, 0.05, 0.5])
-PRIOR_PINGS = 1.0  # weight of the smooth law against a condition's own pings; ours
-PHYSICS = {  # a stack with everything that the thesis's laboratory shows, what of it is fitted, and from where
+# m, rad, rad, 1: differences of equal weight in the distance between conditions; project choice
+CONDITION_SCALE = np.array([0.1, 0.05, 0.05, 0.5])
+PRIOR_PINGS = 1.0  # weight of the smooth law, in pings of the condition; project choice
+PHYSICS_START = {  # effects of the thesis's laboratory, and initial values of their fitted parameters
     "sensitivity": {"loss_db": 30.0},
     "scintillation": {"sigma_at_6m_db": 2.0},
     "beam_width": {"ka": 4.8},
@@ -31,11 +31,11 @@ PHYSICS = {  # a stack with everything that the thesis's laboratory shows, what 
     "spike": {"probability": 0.01},
     "dropped_reading": {"probability": 0.02},
 }
-PINGS_A_VISIT, ITERATIONS = 2, 80  # that the physics is fitted to; pings of one visit tell little more
+PINGS_PER_VISIT, ITERATIONS = 2, 80  # of the fit of the physics; further pings of a visit add little
 
 
 def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: float) -> GaussianModel:
-    """Return the most likely `GaussianModel` of answered pings: what is usually put in a simulator."""
+    """Return the maximum-likelihood `GaussianModel` of answered pings, as commonly used in simulators."""
     echo = reading.echo
     miss = float(np.clip(1.0 - echo.mean(), 0.0, 0.999))
 
@@ -50,79 +50,79 @@ def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: flo
     return model(found.x)
 
 
-class CellLaw(EchoLaw):
-    """What was read in the nearest condition recorded, moved along with the distance; a smooth law where it ends."""
+class NearestConditionLaw(EchoLaw):
+    """Empirical error distribution of the nearest recorded condition, mixed with a smooth law."""
 
-    def __init__(self, smooth: EchoLaw, model: CellModel, place: NDArray[np.int64]) -> None:
+    def __init__(self, smooth: EchoLaw, model: NearestConditionModel, nearest: NDArray[np.int64]) -> None:
         super().__init__(smooth.distance, smooth.resolution, smooth.max_range)
-        self.smooth, self.model, self.place = smooth, model, place
-        self._weight = PRIOR_PINGS / (PRIOR_PINGS + model.pings[place])
+        self.smooth, self.model, self.nearest = smooth, model, nearest
+        self._weight = PRIOR_PINGS / (PRIOR_PINGS + model.pings[nearest])
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
         z = np.asarray(z, dtype=np.float64)
-        off = np.broadcast_to(z - self.distance + 1e-9, z.shape)
+        error = np.broadcast_to(z - self.distance + 1e-9, z.shape)
         share = np.empty(z.shape)
-        for cell in np.unique(self.place):
-            rows = self.place == cell
-            share[..., rows] = np.searchsorted(self.model.off[cell], off[..., rows], side="right")
-        share /= self.model.pings[self.place]
+        for condition in np.unique(self.nearest):
+            rows = self.nearest == condition
+            share[..., rows] = np.searchsorted(self.model.error[condition], error[..., rows], side="right")
+        share /= self.model.pings[self.nearest]
         return (1.0 - self._weight) * share + self._weight * self.smooth.arrival(z)
 
     @property
     def no_answer(self) -> Floats:
-        """P(the sensor does not answer), (n,): the smooth law's."""
+        """P(the sensor does not answer), (n,), from the smooth law."""
         return self.smooth.no_answer
 
 
 @dataclass(frozen=True)
-class CellModel:
-    """The empirical law of each condition.
+class NearestConditionModel:
+    """Empirical law of each condition.
 
     Attributes:
-        condition: distance, angle, incidence, reflectance of each, in units of `ALIKE`, (cells, 4).
-        off: by how much each echo in it read too far, sorted, m.
-        pings: answered, in each, (cells,).
-        smooth: law of what was never read.
+        condition: distance, angle, incidence, reflectance of each, in units of `CONDITION_SCALE`, (conditions, 4).
+        error: sorted range errors of the echoes in each condition, m.
+        pings: number of answered pings in each condition, (conditions,).
+        smooth: law of readings that were never recorded.
     """
 
     condition: Floats
-    off: tuple[Floats, ...]
+    error: tuple[Floats, ...]
     pings: Floats
     smooth: SonarModel
     remembers: bool = False
 
     @classmethod
-    def of(cls, recording: Recording, smooth: SonarModel) -> CellModel:
+    def of(cls, recording: Recording, smooth: SonarModel) -> NearestConditionModel:
         """Collect the readings of each condition."""
         answered = recording.reading.answered
         ping, reading = recording.ping[answered], recording.reading[answered]
-        _, cell = np.unique(recording.condition[answered], return_inverse=True)
-        first = np.unique(cell, return_index=True)[1]
-        off = reading.range - ping.distance
-        each = tuple(np.sort(off[(cell == k) & reading.echo]) for k in range(len(first)))
-        return cls(_condition(ping[first]), each, np.bincount(cell).astype(np.float64), smooth)
+        _, condition = np.unique(recording.condition[answered], return_inverse=True)
+        first = np.unique(condition, return_index=True)[1]
+        error = reading.range - ping.distance
+        each = tuple(np.sort(error[(condition == k) & reading.echo]) for k in range(len(first)))
+        return cls(_scaled_condition(ping[first]), each, np.bincount(condition).astype(np.float64), smooth)
 
     @property
     def resolution(self) -> float:
         """Step of the register, m."""
         return self.smooth.resolution
 
-    def law(self, ping: Ping, past: Reading | None = None) -> CellLaw:
-        """Return the law of n pings, each that of the condition nearest to its own."""
-        asked, place = np.unique(_condition(ping), axis=0, return_inverse=True)
-        nearest = np.array([np.argmin(np.abs(self.condition - one).sum(axis=1)) for one in asked])
-        return CellLaw(self.smooth.law(ping), self, nearest[place.ravel()])
+    def law(self, ping: Ping, past: Reading | None = None) -> NearestConditionLaw:
+        """Return the law of n pings, each from the nearest recorded condition."""
+        conditions, place = np.unique(_scaled_condition(ping), axis=0, return_inverse=True)
+        nearest = np.array([np.argmin(np.abs(self.condition - one).sum(axis=1)) for one in conditions])
+        return NearestConditionLaw(self.smooth.law(ping), self, nearest[place.ravel()])
 
 
-def _condition(ping: Ping) -> Floats:
-    return np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1) / ALIKE
+def _scaled_condition(ping: Ping) -> Floats:
+    return np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1) / CONDITION_SCALE
 
 
 def fit_physics(recording: Recording, max_range: float) -> PhysicalModel:
-    """Return the most likely parameters of a stack of effects for single pings."""
-    stack = [CATALOGUE[name](**values) for name, values in PHYSICS.items()]
+    """Return a stack of effects for single pings with maximum-likelihood parameters."""
+    stack = [CATALOGUE[name](**values) for name, values in PHYSICS_START.items()]
     start = PhysicalModel(stack, recording.resolution, max_range)
-    some = recording.select(thinned(recording, PINGS_A_VISIT))
-    free = [(name, parameter) for name, values in PHYSICS.items() for parameter in values]
+    some = recording.select(first_pings(recording, PINGS_PER_VISIT))
+    free = [(name, parameter) for name, values in PHYSICS_START.items() for parameter in values]
     return fit(start, some, free, nuisances=False, iterations=ITERATIONS).stack.model

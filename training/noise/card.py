@@ -1,4 +1,4 @@
-"""What is told of a trained model: scores for the terminal, for model.json, and its card."""
+"""Scores of a trained model for the terminal and for model.json, and its model card."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from acquisition import Recording
 from noise.learned.networks import MlpModel
 from noise.learned.recurrent import LstmModel
 from noise.metrics import Evaluation
-from training.noise.networks import LONGEST
+from training.common.tables import markdown_table
+from training.noise.networks import MAX_RUN_PINGS
 
 CARD = Path(__file__).parent / "templates" / "model_card.md"
-HEADINGS = ("model", "log-likelihood, nats a ping", "CRPS, mm", "credence gap")
+HEADINGS = ("model", "log-likelihood, nats per ping", "CRPS, mm", "credence gap")
 
 
-def rows(scores: dict[str, Evaluation]) -> list[tuple[str, ...]]:
+def score_rows(scores: dict[str, Evaluation]) -> list[tuple[str, ...]]:
     """Return a row of text for each model: name, log-likelihood, CRPS, credence gap."""
     return [(k, str(s.log_likelihood), str(s.crps_mm), f"{s.credence_gap:.3f}") for k, s in scores.items()]
 
 
-def table(scores: dict[str, Evaluation], unit: str) -> Table:
+def score_table(scores: dict[str, Evaluation], unit: str) -> Table:
     """Return the scores as a table for the terminal."""
     first = next(iter(scores.values())).log_likelihood
-    out = Table(title=f"{first.pings} pings in {first.clusters} held-out {unit}, standard errors over these")
+    out = Table(title=f"{first.pings} pings in {first.clusters} test {unit}, standard errors over these")
     for heading in HEADINGS:
         out.add_column(heading, justify="left" if heading == "model" else "right")
-    for row in rows(scores):
+    for row in score_rows(scores):
         out.add_row(*row)
     return out
 
 
-def plain(scores: dict[str, Evaluation]) -> dict[str, Any]:
-    """Return scores as numbers for model.json, where minus infinity becomes null."""
+def scores_as_numbers(scores: dict[str, Evaluation]) -> dict[str, Any]:
+    """Return scores as numbers for model.json; infinite values become null."""
     return {
         name: {
             "log_likelihood_per_ping": _finite(s.log_likelihood.mean),
@@ -54,21 +55,19 @@ def _finite(value: float) -> float | None:
 
 
 def _network(model: MlpModel | LstmModel) -> str:
-    """Return what kind of network it is, and its widths."""
+    """Return the type of the network and its layer widths."""
     sizes = " - ".join(map(str, model.sizes))
     if isinstance(model, MlpModel):
         return f"a perceptron ({sizes})"
     lstm = f"an LSTM over the pings of each run (state of {model.cell.hidden}) and a perceptron ({sizes})"
-    return lstm if model.base is None else f"{lstm}, which correct a perceptron without memory,"
+    return lstm if model.base is None else f"{lstm} that correct a perceptron without memory,"
 
 
 def _memory(model: MlpModel | LstmModel) -> str:
-    """Return what it does not know of the past."""
+    """Return the start of the sentence on the limits of the law's memory."""
     if isinstance(model, MlpModel):
-        return "The law knows nothing of time or of the previous reading, nor of"
-    return (
-        f"The law remembers what one sensor reads in one run, learned on {LONGEST} pings at most; it knows nothing of"
-    )
+        return "The law depends neither on time nor on previous readings, and does not cover"
+    return f"The law depends on previous readings of the run (trained on at most {MAX_RUN_PINGS}) and does not cover"
 
 
 def card(
@@ -84,15 +83,16 @@ def card(
 
     Args:
         name: of the model.
-        model: that was trained.
-        scores: on what was held out, by model.
-        unit: what was held out whole: "conditions".
-        recording: that it learned from.
-        commands: that make it again, in order.
+        model: the trained model.
+        scores: on the test data, by model.
+        unit: what the test data are split by: "conditions".
+        recording: training data.
+        commands: that make the model, in order.
         note: on the data: what was in front of the sensor, where.
     """
     inputs, tested = model.inputs, next(iter(scores.values())).log_likelihood
-    learned = zip(inputs.names, inputs.low, inputs.high, strict=True)
+    limits = zip(inputs.names, inputs.low, inputs.high, strict=True)
+    ranges = [(f"`{quantity}`", f"{low:.4g}", f"{high:.4g}") for quantity, low, high in limits]
     return Template(CARD.read_text(encoding="utf-8")).substitute(
         name=name,
         network=_network(model),
@@ -101,15 +101,15 @@ def card(
         fixed=model.head.fixed,
         recording=recording.name if " and " in recording.name else Path(recording.name).name,
         pings=len(recording),
-        cells=int(recording.condition.max()) + 1,
+        conditions=int(recording.condition.max()) + 1,
         step=f"{1e3 * model.resolution:g}",
         no_answer=f"{model.head.no_answer:.3g}",
         note=note,
         unit=unit,
         commands="\n".join(f"    {line}" for line in commands),
         tested=tested.pings,
-        tested_cells=tested.clusters,
-        scores="\n".join(f"| {' | '.join(row)} |" for row in rows(scores)),
-        learned="\n".join(f"| `{n}` | {low:.4g} | {high:.4g} |" for n, low, high in learned),
-        tied=" Incidence always equalled bearing here, so other incidences count as outside." if inputs.tied else "",
+        tested_conditions=tested.clusters,
+        scores=markdown_table(HEADINGS, score_rows(scores)),
+        ranges=markdown_table(("quantity", "from", "to"), ranges),
+        tied=" Incidence equals bearing in the data, so other incidences count as outside." if inputs.tied else "",
     )

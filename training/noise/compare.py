@@ -1,8 +1,8 @@
-"""Compare noise models on recordings they have not seen, such as those of other sensors, between two known ends.
+"""Score noise models on other recordings, for example of other sensors, on a scale between two references.
 
-The lower end is a normal scatter fitted as simulators have it; the upper is what the sensor repeats of itself: each
-ping predicted from all others of its condition, which know where the target truly stood, as no model can.
-Every model is given 3 arbitrary readings in 10,000, so that no single reading decides.
+The lower reference is a fitted Gaussian. The upper one is the sensor's repeatability: each ping predicted from all
+other pings of its condition. These share the target's actual position, which a model of single pings lacks. Every
+model is mixed with 3e-4 of uniform outliers, so that no single reading dominates the score.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from noise.law import Floats
 from noise.metrics import Evaluation, Score, evaluate
 from noise.model import MAX_RANGE
 from training.common.progress import bar
-from training.noise.baselines import PRIOR_PINGS, CellModel, fit_gaussian, fit_physics
+from training.common.tables import markdown_table
+from training.noise.baselines import PRIOR_PINGS, NearestConditionModel, fit_gaussian, fit_physics
 
-ARBITRARY = Short(3e-4)  # in every model, so that no single reading decides; as in `noise.fitting.visit_effects`
+OUTLIERS = Short(3e-4)  # mixed into every model; as in `noise.fitting.visit_effects`
 GAUSSIAN, BEAM = "Gaussian, fitted", "beam model, by EM"
-HEADINGS = ("model", "log-likelihood, nats a ping", "of the way", "CRPS, mm", "credence gap")
+HEADINGS = ("model", "log-likelihood, nats per ping", "gap closed", "CRPS, mm", "credence gap")
 
 
 @dataclass(frozen=True)
@@ -38,105 +39,106 @@ class Args:
     learn: Annotated[Path, tyro.conf.Positional]
     """Recording to fit the baselines to."""
     test: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Recordings to score all models on: other sensors, other conditions. Each condition needs two pings or more."""
+    """Recordings to score all models on: other sensors, other conditions. Each condition needs at least two pings."""
     models: tuple[str, ...] = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Models to compare with the baselines, by name or folder."""
 
 
 @dataclass(frozen=True)
-class Compared:
-    """Scores of models on fresh pings, and what the sensor's own pings are worth as a law of each other.
+class ModelComparison:
+    """Scores of models on the scored pings, and the sensor's repeatability on the same pings.
 
     Attributes:
         scores: by model.
-        repeatability: log-likelihood of the same pings, nats, each condition's law taken from its other pings.
+        repeatability: log-likelihood, nats, of each ping under the law of its condition's other pings.
     """
 
     scores: dict[str, Evaluation]
     repeatability: Score
 
-    def way(self, name: str) -> float:
-        """Return how much of the way from the Gaussian to the repeatability a model goes: 1 is all of it."""
+    def gap_closed(self, name: str) -> float:
+        """Return the position of a model's log-likelihood between the Gaussian, 0, and the repeatability, 1."""
         low, high = self.scores[GAUSSIAN].log_likelihood.mean, self.repeatability.mean
         return (self.scores[name].log_likelihood.mean - low) / (high - low)
 
 
-def halves(cell: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return every second ping of each cell, beginning with its second, (n,) bool.
+def alternate_pings(condition: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return every second ping of each condition, beginning with its second, (n,) bool.
 
-    >>> halves(np.array([0, 1, 0, 0, 1])).tolist()
+    >>> alternate_pings(np.array([0, 1, 0, 0, 1])).tolist()
     [False, False, True, False, True]
     """
-    order = np.argsort(cell, kind="stable")
-    first = np.r_[True, np.diff(cell[order]) != 0]
-    start = np.maximum.accumulate(np.where(first, np.arange(len(cell)), 0))
-    fresh = np.empty(len(cell), dtype=bool)
-    fresh[order] = (np.arange(len(cell)) - start) % 2 == 1
-    return fresh
+    order = np.argsort(condition, kind="stable")
+    first = np.r_[True, np.diff(condition[order]) != 0]
+    start = np.maximum.accumulate(np.where(first, np.arange(len(condition)), 0))
+    scored = np.empty(len(condition), dtype=bool)
+    scored[order] = (np.arange(len(condition)) - start) % 2 == 1
+    return scored
 
 
-def repeatability(recording: Recording, fresh: NDArray[np.bool_], base: SonarModel) -> Floats:
-    """Return the log probability of fresh pings, each under all of its condition's other pings, (fresh,).
+def repeatability(recording: Recording, scored: NDArray[np.bool_], base: SonarModel) -> Floats:
+    """Return the log probability of the scored pings, each given all other pings of its condition, (scored,).
 
-    It is the predictive probability of a Dirichlet process about `base`, worth `PRIOR_PINGS` pings: shares of what else
-    was read, and a remainder for what never was.
+    This is the predictive probability of a Dirichlet process with base law `base` and concentration `PRIOR_PINGS`.
     """
-    reading, cell = recording.reading, place(recording)
-    said = np.rint(reading.range / recording.resolution).astype(np.int64)
-    _, name = np.unique(np.stack([cell, reading.status, said]), axis=1, return_inverse=True)
-    alike, known = np.bincount(name)[name[fresh]] - 1, np.bincount(cell)[cell[fresh]] - 1
-    prior = np.exp(base.law(recording.ping[fresh]).log_prob(reading[fresh]))
-    return np.log((alike + PRIOR_PINGS * prior) / (known + PRIOR_PINGS))
+    reading, condition = recording.reading, sensor_conditions(recording)
+    step = np.rint(reading.range / recording.resolution).astype(np.int64)
+    _, outcome = np.unique(np.stack([condition, reading.status, step]), axis=1, return_inverse=True)
+    equal, others = np.bincount(outcome)[outcome[scored]] - 1, np.bincount(condition)[condition[scored]] - 1
+    prior = np.exp(base.law(recording.ping[scored]).log_prob(reading[scored]))
+    return np.log((equal + PRIOR_PINGS * prior) / (others + PRIOR_PINGS))
 
 
 def baselines(learn: Recording) -> dict[str, SonarModel]:
-    """Return what simulators have, fitted to a recording."""
-    step, seen = learn.resolution, learn.reading.answered
+    """Return the baselines fitted to a recording."""
+    step, answered = learn.resolution, learn.reading.answered
     reach = max(MAX_RANGE, learn.reading.range.max() + step)
-    ping, reading = learn.ping[seen], learn.reading[seen]
+    ping, reading = learn.ping[answered], learn.reading[answered]
     beam, _ = fit_beam(ping, reading, step, reach)
     return {
         "ideal": IdealModel(step, reach),
         GAUSSIAN: fit_gaussian(ping, reading, step, reach),
         BEAM: beam,
-        "each condition as recorded": CellModel.of(learn, beam),
-        "physics, fitted": fit_physics(learn.select(seen), reach),
+        "each condition as recorded": NearestConditionModel.of(learn, beam),
+        "physics, fitted": fit_physics(learn.select(answered), reach),
     }
 
 
-def compare(test: Recording, models: dict[str, SonarModel]) -> Compared:
-    """Score models on the fresh pings of a recording; those that remember have heard all pings before.
+def compare(test: Recording, models: dict[str, SonarModel]) -> ModelComparison:
+    """Score models on alternate pings of a recording; recurrent models condition on all previous pings.
 
     Raises:
-        SettingError: a register differs, or no condition was met twice.
+        SettingError: a register differs, or no condition has two pings.
     """
     for name, model in models.items():
         if abs(model.resolution - test.resolution) > 1e-9:
             own, wanted = (f"{1e3 * one.resolution:g} mm" for one in (model, test))
-            raise SettingError(f"{name}: counts in steps of {own}, {test.name} in {wanted}: choose alike ones")
-    cell = place(test)
-    fresh = halves(cell) & test.reading.answered
-    if not fresh.any():
-        raise SettingError(f"{test.name}: no condition was met twice: record two pings or more of each")
-    every = {name: Faulty(model, [ARBITRARY]) for name, model in models.items()}
-    scores = {name: evaluate(model, test.ping, test.reading, cell, fresh) for name, model in every.items()}
-    return Compared(scores, Score.of(repeatability(test, fresh, models[BEAM]), cell[fresh]))
+            raise SettingError(f"{name}: counts in steps of {own}, {test.name} in {wanted}: choose equal ones")
+    condition = sensor_conditions(test)
+    scored = alternate_pings(condition) & test.reading.answered
+    if not scored.any():
+        raise SettingError(f"{test.name}: no condition has two pings: record at least two of each")
+    every = {name: Faulty(model, [OUTLIERS]) for name, model in models.items()}
+    scores = {name: evaluate(model, test.ping, test.reading, condition, scored) for name, model in every.items()}
+    return ModelComparison(scores, Score.of(repeatability(test, scored, models[BEAM]), condition[scored]))
 
 
-def place(recording: Recording) -> NDArray[np.int64]:
-    """Return the number of the condition, as met by one sensor, of each ping, (n,)."""
+def sensor_conditions(recording: Recording) -> NDArray[np.int64]:
+    """Return the index of each ping's combination of condition and sensor, (n,)."""
     sensor = recording.table["sensor"] if recording.has("sensor") else pd.Series(0, recording.table.index)
     both = np.stack([recording.condition, pd.factorize(sensor)[0]])
     return np.unique(both, axis=1, return_inverse=True)[1].ravel()
 
 
-def rows(compared: Compared) -> list[tuple[str, ...]]:
-    """Return a row of text for each model and one for the sensor's repeatability."""
-    out = [
-        (name, str(s.log_likelihood), _percent(compared.way(name)), str(s.crps_mm), f"{s.credence_gap:.3f}")
-        for name, s in compared.scores.items()
+def comparison_text(comparison: ModelComparison) -> str:
+    """Return the scores as a table in Markdown below a line on the test data."""
+    score = comparison.repeatability
+    rows = [
+        (name, str(s.log_likelihood), _percent(comparison.gap_closed(name)), str(s.crps_mm), f"{s.credence_gap:.3f}")
+        for name, s in comparison.scores.items()
     ]
-    return [*out, ("own repeatability", str(compared.repeatability), "100 %", "", "")]
+    table = markdown_table(HEADINGS, [*rows, ("repeatability", str(score), "100 %", "", "")])
+    return f"{score.pings} scored pings in {score.clusters} conditions, standard errors over these.\n\n{table}"
 
 
 def _percent(share: float) -> str:
@@ -144,18 +146,11 @@ def _percent(share: float) -> str:
 
 
 def main(args: Args) -> None:
-    """Print a table in Markdown for each recording tested on."""
+    """Print a table in Markdown for each test recording."""
     models = {**baselines(Recording.load(args.learn)), **{name: load_model(name) for name in args.models}}
     pages = []
     with bar("scoring", len(args.test)) as progress:
         for done, path in enumerate(args.test, start=1):
-            pages.append(_table(path, compare(Recording.load(path), models)))
+            pages.append(f"{path.name}: {comparison_text(compare(Recording.load(path), models))}")
             progress(done, len(args.test))
     print("\n\n".join(pages))
-
-
-def _table(path: Path, compared: Compared) -> str:
-    score = compared.repeatability
-    head = f"{path.name}: {score.pings} fresh pings in {score.clusters} conditions, standard errors over these."
-    lines = [f"| {' | '.join(row)} |" for row in (HEADINGS, ("---",) * len(HEADINGS), *rows(compared))]
-    return "\n".join([head, "", *lines])

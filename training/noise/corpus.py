@@ -1,8 +1,8 @@
-"""What the shipped networks learn from: many sensors on the waveform rig, each in many short sessions.
+"""Corpus of the shipped networks: many sensors on the waveform rig, each in many short sessions.
 
-A session is one sensor in air of one temperature. Most are surveys: reflectors are set up one after the other, by lot,
-and each is met for a few pings. Some are drives: the reflector comes and goes, and no ping meets what the one before
-met. Reflectors are the thesis's plate and disc, turned to and fro; walls; and nothing at all, or too far away.
+A session is one sensor in air of one temperature. In a survey, reflectors at random conditions are recorded for a few
+pings each; in a drive, the distance changes at every ping. Reflectors are the thesis's plate and disc at various
+angles, walls, and none or beyond the range gate.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from noise.model import steps
 
 Floats = NDArray[np.float64]
 DEG = np.pi / 180.0
-NEAR, FAR, EMPTY_M = 0.03, 6.0, 20.0  # m; what is farther than the range gate is silent wherever it stands
-STEP_S, MOVE_S = 0.1, 20.0  # s; from ping to ping, and to set up the next reflector
-PINGS = (1, 2, 4, 8, 16, 30)  # a visit, and how often each
-PINGS_SHARE = (0.35, 0.20, 0.15, 0.12, 0.10, 0.08)
-STAND, WALL, NOTHING = range(3)
+MIN_DISTANCE_M, MAX_DISTANCE_M, EMPTY_DISTANCE_M = 0.03, 6.0, 20.0  # the last is far beyond the range gate
+STEP_S, MOVE_S = 0.1, 20.0  # s; between pings, and to place the next reflector
+VISIT_PINGS = (1, 2, 4, 8, 16, 30)  # numbers of pings per visit
+VISIT_PINGS_PROBABILITY = (0.35, 0.20, 0.15, 0.12, 0.10, 0.08)
+STAND, WALL, EMPTY = range(3)
 SCENES = {
     STAND: Setup(gain=31),
     WALL: Setup(gain=31, reflector=Wall(), post=None),
-    NOTHING: Setup(gain=31, post=None),
+    EMPTY: Setup(gain=31, post=None),
 }
-SCENES_SHARE = (0.82, 0.10, 0.08)
+SCENES_PROBABILITY = (0.82, 0.10, 0.08)
 TEMPERATURE_C = (14.0, 26.0)
 
 
 @dataclass(frozen=True)
 class Sessions:
-    """Which sessions to record.
+    """Sessions to record.
 
     Attributes:
         units: serial numbers of the sensors.
-        surveys, drives: number of sessions of each kind with each sensor.
-        visits: of a survey.
-        pings: of a drive.
-        faulty: whether wires are loose and sensors are cold, in one session in two each.
-        seed: of everything.
+        surveys, drives: number of sessions of each kind per sensor.
+        visits: number of visits per survey.
+        pings: number of pings per drive.
+        faulty: whether sessions have a loose wire, a sensor that warms up, or both.
+        seed: of all random draws.
     """
 
     units: tuple[int, ...]
@@ -64,67 +64,69 @@ class Sessions:
 
 
 @dataclass(frozen=True)
-class Course:
-    """The conditions of one session: a `Ping`, and the scene of each, (n,)."""
+class SessionCourse:
+    """Conditions of one session: a `Ping`, and the scene of each, (n,)."""
 
     ping: Ping
     scene: NDArray[np.int64]
 
 
-def survey(visits: int, rng: np.random.Generator) -> Course:
-    """Draw a session in which reflectors are set up by lot."""
-    scene = rng.choice(len(SCENES), visits, p=SCENES_SHARE)
-    distance, bearing, incidence, reflectance = _conditions(scene, rng)
-    pings = rng.choice(PINGS, visits, p=PINGS_SHARE)
+def survey(visits: int, rng: np.random.Generator) -> SessionCourse:
+    """Draw a session with reflectors at random conditions."""
+    scene = rng.choice(len(SCENES), visits, p=SCENES_PROBABILITY)
+    distance, bearing, incidence, reflectance = _draw_conditions(scene, rng)
+    pings = rng.choice(VISIT_PINGS, visits, p=VISIT_PINGS_PROBABILITY)
     begin = MOVE_S * np.arange(visits) + STEP_S * (np.cumsum(pings) - pings)
     visit = np.repeat(np.arange(visits), pings)
     within = np.arange(len(visit)) - np.repeat(np.cumsum(pings) - pings, pings)
     ping = Ping.of(
         distance[visit], bearing[visit], incidence[visit], reflectance[visit], begin[visit] + STEP_S * within
     )
-    return Course(ping, scene[visit])
+    return SessionCourse(ping, scene[visit])
 
 
-def drive(pings: int, rng: np.random.Generator) -> Course:
-    """Draw a session in which one reflector comes, goes and turns, a new condition at each ping."""
+def drive(pings: int, rng: np.random.Generator) -> SessionCourse:
+    """Draw a session in which one reflector moves to and fro and turns, with a new condition at each ping."""
     scene = np.full(pings, rng.choice([STAND, WALL]))
-    far = np.exp(rng.uniform(np.log(0.3), np.log(FAR)))
+    far_m = np.exp(rng.uniform(np.log(0.3), np.log(MAX_DISTANCE_M)))
     turns, phase = rng.uniform(0.5, 3.0), rng.uniform(0.0, 1.0)
-    way = np.abs(2.0 * ((turns * np.arange(pings) / pings + phase) % 1.0) - 1.0)  # to and fro
-    distance = NEAR + (far - NEAR) * way
-    bearing = _turning(30.0, pings, rng)
-    incidence = _turning(40.0, pings, rng)
+    position = np.abs(2.0 * ((turns * np.arange(pings) / pings + phase) % 1.0) - 1.0)  # to and fro
+    distance = MIN_DISTANCE_M + (far_m - MIN_DISTANCE_M) * position
+    bearing = _angle_sweep(30.0, pings, rng)
+    incidence = _angle_sweep(40.0, pings, rng)
     incidence = np.where(scene == WALL, 0.0, incidence)
-    return Course(Ping.of(distance, bearing, incidence, rng.uniform(0.1, 1.0), STEP_S * np.arange(pings)), scene)
+    return SessionCourse(Ping.of(distance, bearing, incidence, rng.uniform(0.1, 1.0), STEP_S * np.arange(pings)), scene)
 
 
-def _turning(most_deg: float, pings: int, rng: np.random.Generator) -> Floats:
-    """Draw an angle that goes evenly from one side towards another, without its sign, rad, (pings,)."""
-    begin, end = rng.uniform(-most_deg, most_deg, 2)
+def _angle_sweep(max_deg: float, pings: int, rng: np.random.Generator) -> Floats:
+    """Draw the magnitude of an angle that changes linearly between two random values, rad, (pings,)."""
+    begin, end = rng.uniform(-max_deg, max_deg, 2)
     return np.abs(np.linspace(begin, end, pings)) * DEG
 
 
-def _conditions(scene: NDArray[np.int64], rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
+def _draw_conditions(scene: NDArray[np.int64], rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
     """Draw distance, bearing, incidence and reflectance of v visits, each (v,)."""
     n = len(scene)
-    even, near_more = rng.uniform(NEAR, FAR, n), np.exp(rng.uniform(np.log(NEAR), np.log(FAR), n))
-    distance = np.where(rng.random(n) < 0.6, even, near_more)
+    uniform = rng.uniform(MIN_DISTANCE_M, MAX_DISTANCE_M, n)
+    log_uniform = np.exp(rng.uniform(np.log(MIN_DISTANCE_M), np.log(MAX_DISTANCE_M), n))
+    distance = np.where(rng.random(n) < 0.6, uniform, log_uniform)
     bearing = np.where(rng.random(n) < 0.15, 0.0, rng.uniform(0.0, 30.0, n))
     bearing = np.where(rng.random(n) < 0.1, rng.uniform(30.0, 45.0, n), bearing)
-    turned = rng.choice(3, n, p=[0.35, 0.45, 0.20])  # parallel to the sensor's face, any way, facing it
+    turned = rng.choice(3, n, p=[0.35, 0.45, 0.20])  # parallel to the sensor's face, any orientation, facing the sensor
     incidence = np.choose(turned, [bearing, 85.0 * rng.random(n) ** 2, np.zeros(n)])
     incidence = np.where(scene == WALL, 0.0, incidence)
     thesis = rng.choice([0.1, 0.9], n)
     reflectance = np.where(rng.random(n) < 0.5, thesis, rng.uniform(0.1, 1.0, n))
-    too_far, nothing = (scene == NOTHING) & (rng.random(n) < 0.5), scene == NOTHING
-    distance = np.where(nothing, np.where(too_far, rng.uniform(FAR + 0.2, EMPTY_M, n), EMPTY_M), distance)
-    reflectance = np.where(nothing & ~too_far, 0.0, reflectance)
-    bearing, incidence = (np.where(nothing & ~too_far, 0.0, value) for value in (bearing, incidence))
+    too_far, empty = (scene == EMPTY) & (rng.random(n) < 0.5), scene == EMPTY
+    beyond = np.where(too_far, rng.uniform(MAX_DISTANCE_M + 0.2, EMPTY_DISTANCE_M, n), EMPTY_DISTANCE_M)
+    distance = np.where(empty, beyond, distance)
+    reflectance = np.where(empty & ~too_far, 0.0, reflectance)
+    bearing, incidence = (np.where(empty & ~too_far, 0.0, value) for value in (bearing, incidence))
     return distance, bearing * DEG, incidence * DEG, reflectance
 
 
-def _laboratory(faulty: bool, unit: Unit, rng: np.random.Generator) -> tuple[Unit, dict[str, Any]]:
-    """Draw what holds for a session: the air, and where faults are wanted a loose wire, a cold sensor, or both."""
+def _draw_laboratory(faulty: bool, unit: Unit, rng: np.random.Generator) -> tuple[Unit, dict[str, Any]]:
+    """Draw the settings of a session: the air, and if `faulty` a loose wire, a cold sensor, or both."""
     settings: dict[str, Any] = {"temperature_c": float(rng.uniform(*TEMPERATURE_C))}
     kind = rng.choice(3) if faulty else -1
     if kind in (0, 2):
@@ -135,9 +137,9 @@ def _laboratory(faulty: bool, unit: Unit, rng: np.random.Generator) -> tuple[Uni
     return unit, settings
 
 
-def session(unit: Unit, course: Course, faulty: bool, name: str, rng: np.random.Generator) -> pd.DataFrame:
-    """Record one session with the rig; returns a recording's table."""
-    unit, settings = _laboratory(faulty, unit, rng)
+def session(unit: Unit, course: SessionCourse, faulty: bool, name: str, rng: np.random.Generator) -> pd.DataFrame:
+    """Record one session with the rig and return the recording's table."""
+    unit, settings = _draw_laboratory(faulty, unit, rng)
     rigs = {scene: Rig(unit, replace(setup, **settings)) for scene, setup in SCENES.items()}
     drift = rigs[STAND].draw_drift(rng)
     parts = []
@@ -147,41 +149,41 @@ def session(unit: Unit, course: Course, faulty: bool, name: str, rng: np.random.
         registers = rig.ping(ping, rng, drift)
         columns: dict[str, Any] = {**rig.columns(ping, registers), "session": name, "sensor": str(unit.serial)}
         table = Recording.of(ping, registers.reading(rig.setup), "corpus", **columns).table
-        parts.append(_slim(table))
+        parts.append(_first_echo_only(table))
     return pd.concat(parts).sort_values("time_s", kind="stable")
 
 
-def _slim(table: pd.DataFrame) -> pd.DataFrame:
+def _first_echo_only(table: pd.DataFrame) -> pd.DataFrame:
     """Return a recording's table without the echoes after the first."""
     return table[[column for column in table.columns if not column.startswith("echo_")]]
 
 
 def record_unit(sessions: Sessions, serial: int) -> pd.DataFrame:
-    """Record all sessions of one sensor; the same numbers give the same table in every process."""
+    """Record all sessions of one sensor; the table depends only on the numbers in `sessions` and `serial`."""
     rng = np.random.default_rng([sessions.seed, serial, int(sessions.faulty)])
     unit, tables = Unit.draw(serial), []
     for k in range(sessions.surveys + sessions.drives):
         course = survey(sessions.visits, rng) if k < sessions.surveys else drive(sessions.pings, rng)
-        if sessions.faulty:  # a wire that loses commands repeats the ping before, so all pings must be of one rig
+        if sessions.faulty:  # a lost command repeats the previous ping, so all pings must be of one rig
             course = replace(course, scene=np.full(len(course.scene), STAND))
         tables.append(session(unit, course, sessions.faulty, f"{serial}-{k}", rng))
     return pd.concat(tables)
 
 
-def nothing(done: int, of: int) -> None:
-    """Report no progress."""
+def no_progress(done: int, of: int) -> None:
+    """Ignore progress."""
 
 
-def record(sessions: Sessions, jobs: int = 1, progress: Callable[[int, int], None] = nothing) -> Recording:
+def record(sessions: Sessions, jobs: int = 1, progress: Callable[[int, int], None] = no_progress) -> Recording:
     """Record all sessions of all sensors."""
     tables = []
-    for table in _each(sessions, jobs):
+    for table in _tables(sessions, jobs):
         tables.append(table)
         progress(len(tables), len(sessions.units))
     return Recording(pd.concat(tables, ignore_index=True), "corpus")
 
 
-def _each(sessions: Sessions, jobs: int) -> Iterator[pd.DataFrame]:
+def _tables(sessions: Sessions, jobs: int) -> Iterator[pd.DataFrame]:
     if jobs == 1:
         yield from (record_unit(sessions, serial) for serial in sessions.units)
         return
@@ -189,53 +191,53 @@ def _each(sessions: Sessions, jobs: int) -> Iterator[pd.DataFrame]:
         yield from pool.map(record_unit, [sessions] * len(sessions.units), sessions.units)
 
 
-def thinned(recording: Recording, most: int) -> NDArray[np.bool_]:
-    """Return the first few pings of each visit of a condition, (n,) bool."""
+def first_pings(recording: Recording, count: int) -> NDArray[np.bool_]:
+    """Return a mask of the first `count` pings of each visit, (n,) bool."""
     visit = np.unique(np.stack([recording.run, recording.condition]), axis=1, return_inverse=True)[1].ravel()
     keep = np.zeros(len(recording), dtype=bool)
-    for rows in steps(visit)[:most]:
+    for rows in steps(visit)[:count]:
         keep[rows] = True
     return keep
 
 
-QUICK = PLANS["quick"]
-THIRD = QUICK.distances_mm[::3]
-BETWEEN = replace(  # conditions between those of the quick plan
-    QUICK, angles_deg=(1.0, 4.0, 10.0, 20.0), distances_mm=tuple(float(d) for d in range(300, 3001, 600)), pings=24
+QUICK_PLAN = PLANS["quick"]
+EVERY_THIRD_DISTANCE = QUICK_PLAN.distances_mm[::3]
+INTERMEDIATE_PLAN = replace(  # conditions between those of the quick plan
+    QUICK_PLAN, angles_deg=(1.0, 4.0, 10.0, 20.0), distances_mm=tuple(float(d) for d in range(300, 3001, 600)), pings=24
 )
-LEARNED, CHOOSING = tuple(range(1001, 1161)), tuple(range(1201, 1249))  # serial numbers
-KNOWN, HELD_OUT = LEARNED[:80], tuple(range(201, 281))  # sensors differ so much that a few tell little of the others
-# what is recorded, by name: sessions to learn from, and surveys of half a plan with some sensors each, with their seeds
+TRAINING_SENSORS, VALIDATION_SENSORS = tuple(range(1001, 1161)), tuple(range(1201, 1249))  # serial numbers
+KNOWN_SENSORS, TEST_SENSORS = TRAINING_SENSORS[:80], tuple(range(201, 281))  # many, as sensors differ widely
+# recordings by file name: sessions, or alternate conditions of a plan with its sensors and seed
 RECORDINGS: dict[str, Sessions | tuple[Plan, tuple[int, ...], int]] = {
-    "train": Sessions(LEARNED, surveys=8, drives=2),
-    "validation": Sessions(CHOOSING, surveys=4, drives=1),
-    "faulty": Sessions(LEARNED, surveys=2, drives=0, faulty=True),
-    "faulty-validation": Sessions(CHOOSING, surveys=1, drives=0, faulty=True),
-    "known": (replace(QUICK, pings=6), KNOWN, 1),
-    "cells": (BETWEEN, KNOWN, 2),
-    "units": (replace(QUICK, distances_mm=THIRD, pings=24), HELD_OUT, 3),
-    "fresh-cells": Sessions(KNOWN, surveys=1, drives=1, seed=4),
-    "fresh-units": Sessions(HELD_OUT, surveys=1, drives=1, seed=4),
+    "train": Sessions(TRAINING_SENSORS, surveys=8, drives=2),
+    "validation": Sessions(VALIDATION_SENSORS, surveys=4, drives=1),
+    "faulty": Sessions(TRAINING_SENSORS, surveys=2, drives=0, faulty=True),
+    "faulty-validation": Sessions(VALIDATION_SENSORS, surveys=1, drives=0, faulty=True),
+    "known": (replace(QUICK_PLAN, pings=6), KNOWN_SENSORS, 1),
+    "conditions": (INTERMEDIATE_PLAN, KNOWN_SENSORS, 2),
+    "sensors": (replace(QUICK_PLAN, distances_mm=EVERY_THIRD_DISTANCE, pings=24), TEST_SENSORS, 3),
+    "fresh-conditions": Sessions(KNOWN_SENSORS, surveys=1, drives=1, seed=4),
+    "fresh-sensors": Sessions(TEST_SENSORS, surveys=1, drives=1, seed=4),
 }
 
 
-def by_plan(plan: Plan, units: tuple[int, ...], seed: int) -> Recording:
-    """Record every second condition of a plan with each of some sensors, the others with the next sensor."""
+def record_plan(plan: Plan, units: tuple[int, ...], seed: int) -> Recording:
+    """Record alternate conditions of a plan with each sensor, the other half with the next sensor."""
     tables = []
     for serial in units:
         rng = np.random.default_rng([seed, serial])
-        cells = [replace(plan, seed=seed + serial).ping(k) for k in range(serial % 2, len(plan), 2)]
+        visits = [replace(plan, seed=seed + serial).ping(k) for k in range(serial % 2, len(plan), 2)]
         names = ("distance", "angle", "incidence", "reflectance", "time")
-        ping = Ping.of(**{name: np.concatenate([getattr(cell, name) for cell in cells]) for name in names})
+        ping = Ping.of(**{name: np.concatenate([getattr(visit, name) for visit in visits]) for name in names})
         table = Rig(Unit.draw(serial), SCENES[STAND]).record(ping, rng).table
-        tables.append(_slim(table.assign(session=f"{seed}-{serial}", sensor=str(serial))))
+        tables.append(_first_echo_only(table.assign(session=f"{seed}-{serial}", sensor=str(serial))))
     return Recording(pd.concat(tables, ignore_index=True), "survey")
 
 
-def written(folder: Path, name: str, jobs: int = 1, progress: Callable[[int, int], None] = nothing) -> Path:
-    """Record what `RECORDINGS` has under a name, unless it is there already; returns the file."""
+def ensure_recorded(folder: Path, name: str, jobs: int = 1, progress: Callable[[int, int], None] = no_progress) -> Path:
+    """Record an entry of `RECORDINGS` unless its file exists; returns the file."""
     path, what = folder / f"{name}.csv", RECORDINGS[name]
     if not path.exists():
-        recording = record(what, jobs, progress) if isinstance(what, Sessions) else by_plan(*what)
+        recording = record(what, jobs, progress) if isinstance(what, Sessions) else record_plan(*what)
         recording.save(path)
     return path

@@ -1,8 +1,8 @@
-"""What is found out about noise models, and which of the aims set for them it reaches."""
+"""Results of the noise report, and the targets that they are checked against."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,146 +13,142 @@ from noise.credence import wilson
 from noise.faults import Faulty
 from noise.metrics import Score, credence_reliability
 from noise.model import steps
-from training.noise.compare import ARBITRARY, GAUSSIAN, Compared, place
-from training.noise.draw_speed import FEW, LIMITS, MANY, Speed
-from training.noise.memory_gain import CORRELATED, UNCORRELATED, Gain
-from training.noise.recent_credence import CredenceScore, right
+from training.noise.compare import OUTLIERS, ModelComparison, sensor_conditions
+from training.noise.experiments import CORRELATED, UNCORRELATED, CredenceScore, MemoryGain, is_correct
 
-BAYES, ALONE, RECENT = "Bayes over the conditions met", "learned, this reading", "learned, last 8 readings"
-WHERE = {"cells": "other conditions, known sensors", "units": "other sensors"}
-WAY, GAP_GIVEN_CONDITION, GAP_GIVEN_READINGS, SURE = 0.95, 0.02, 0.05, 1.96
+BAYES, ALONE, RECENT = "Bayes over the training conditions", "learned, this reading", "learned, last 8 readings"
+TEST_SETS = {"conditions": "new conditions, known sensors", "sensors": "new sensors"}
+POSITIONS = {"first": (0, 0), "second": (1, 1), "third to sixth": (2, 5), "later": (6, 10_000)}
+MIN_GAP_CLOSED, MAX_GAP_GIVEN_CONDITION, MAX_GAP_GIVEN_READINGS = 0.95, 0.02, 0.05
+NEGLIGIBLE_GAIN = 0.01  # nats per ping
+Z_95 = 1.96
 
 
 @dataclass(frozen=True)
-class Told:
-    """How credence given the condition, as a model says it, compares with what was recorded.
+class ConditionCredence:
+    """Predicted credence given the condition, against the recorded fraction of correct readings.
 
     Attributes:
-        gap: mean of |said - came true| over bins of what was said.
-        off: mean distance from each condition's own share.
-        inside: share of conditions whose Wilson interval holds what was said.
+        gap: mean of |predicted - observed| over bins of the prediction.
+        error: mean of |predicted - observed| over conditions.
+        coverage: fraction of conditions whose Wilson interval contains the prediction.
     """
 
     gap: float
-    off: float
-    inside: float
+    error: float
+    coverage: float
 
     @classmethod
-    def by(cls, model: SonarModel, test: Recording) -> Told:
-        """Compare a model with a recording of which it remembers what came before each ping."""
-        cell, true = place(test), right(test.ping, test.reading)
-        hits, trials = np.bincount(cell, weights=true), np.bincount(cell)
+    def of(cls, model: SonarModel, test: Recording) -> ConditionCredence:
+        """Compare a model with a recording; a recurrent model conditions on all previous pings."""
+        condition, correct = sensor_conditions(test), is_correct(test.ping, test.reading)
+        hits, trials = np.bincount(condition, weights=correct), np.bincount(condition)
         low, high = wilson(hits, trials)
         law = follow(model, test.ping, test.reading)
-        mean = np.bincount(cell, weights=law.credence()) / trials
-        inside = float(((mean >= low) & (mean <= high)).mean())
-        return cls(
-            credence_reliability(law, test.reading, cell).gap, float(np.abs(mean - hits / trials).mean()), inside
-        )
+        mean = np.bincount(condition, weights=law.credence()) / trials
+        gap, error = credence_reliability(law, test.reading, condition).gap, np.abs(mean - hits / trials).mean()
+        return cls(gap, float(error), float(((mean >= low) & (mean <= high)).mean()))
 
 
-NTH = {"first": (0, 0), "second": (1, 1), "third to sixth": (2, 5), "later": (6, 10_000)}
-
-
-def by_nth(model: SonarModel, test: Recording) -> dict[str, Score]:
-    """Return the log-likelihood of pings, nats, by how many of the same condition were heard before (`NTH`)."""
-    cell, nth = place(test), np.empty(len(test), dtype=np.int64)
-    for k, which in enumerate(steps(cell)):
-        nth[which] = k
-    value = follow(Faulty(model, [ARBITRARY]), test.ping, test.reading).log_prob(test.reading)
-    rows = {name: (nth >= low) & (nth <= high) & test.reading.answered for name, (low, high) in NTH.items()}
-    return {name: Score.of(value[which], cell[which]) for name, which in rows.items()}
+def by_position_in_condition(model: SonarModel, test: Recording) -> dict[str, Score]:
+    """Return the log-likelihood of pings, nats, by their position among the pings of a condition (`POSITIONS`)."""
+    condition, position = sensor_conditions(test), np.empty(len(test), dtype=np.int64)
+    for k, rows in enumerate(steps(condition)):
+        position[rows] = k
+    value = follow(Faulty(model, [OUTLIERS]), test.ping, test.reading).log_prob(test.reading)
+    masks = {
+        name: (position >= first) & (position <= last) & test.reading.answered
+        for name, (first, last) in POSITIONS.items()
+    }
+    return {name: Score.of(value[mask], condition[mask]) for name, mask in masks.items()}
 
 
 @dataclass(frozen=True)
-class Findings:
-    """All that the page tells.
+class NoiseFindings:
+    """Results of the noise report.
 
     Attributes:
-        compared: models side by side, by where they were tested (`WHERE`).
-        told: credence given the condition, by where and model.
-        given: credence given the readings, by where and kind.
-        gains: of memory, by world.
-        heard: log-likelihood by model and by how many pings of a condition were heard before.
-        speeds, paths: of models, and of ways to draw from one.
+        comparisons: scores of all models, by test set (`TEST_SETS`).
+        condition_credence: credence given the condition, by test set and model.
+        given: credence given the readings, by test set and method.
+        gains: gain of memory, by scenario.
+        by_position: log-likelihood by model and position in the condition.
         shipped: names of the models under test.
     """
 
-    compared: Mapping[str, Compared]
-    told: Mapping[str, Mapping[str, Told]]
+    comparisons: Mapping[str, ModelComparison]
+    condition_credence: Mapping[str, Mapping[str, ConditionCredence]]
     given: Mapping[str, Mapping[str, CredenceScore]]
-    gains: Mapping[str, Gain]
-    heard: Mapping[str, Mapping[str, Score]]
-    speeds: Mapping[str, Speed]
-    paths: Mapping[str, Speed]
+    gains: Mapping[str, MemoryGain]
+    by_position: Mapping[str, Mapping[str, Score]]
     shipped: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Aim:
-    """One aim: what was wanted, what came of it, and whether that is enough."""
+class Target:
+    """Target of the noise models, its result, and whether it is met."""
 
-    wanted: str
-    came: str
+    target: str
+    result: str
     met: bool
 
     @property
-    def row(self) -> str:
-        """A row of a table in Markdown."""
-        return f"| {self.wanted} | {self.came} | {'yes' if self.met else '**no**'} |"
+    def row(self) -> tuple[str, str, str]:
+        """Row of a table in Markdown."""
+        return self.target, self.result, "yes" if self.met else "**no**"
 
 
-def aims(found: Findings) -> list[Aim]:
-    """Return every aim with what came of it."""
+def targets(found: NoiseFindings) -> list[Target]:
+    """Return every target with its result."""
     return [
-        *(aim for where in WHERE for aim in _likelihood(found, where)),
-        *(_told(found, where) for where in WHERE),
-        *(_given(found, where) for where in WHERE),
-        *(_gain(found, name) for name in found.gains if name in (*CORRELATED, *UNCORRELATED)),
-        *(_fast(found, n) for n in LIMITS),
+        *(target for name in found.comparisons for target in _likelihood_targets(found, name)),
+        *(_condition_target(found, name) for name in found.condition_credence),
+        *(_readings_target(found, name) for name in found.given),
+        *(_memory_target(found, name) for name in found.gains if name in (*CORRELATED, *UNCORRELATED)),
     ]
 
 
-def _likelihood(found: Findings, where: str) -> list[Aim]:
-    one = found.compared[where]
-    rivals = {k: s.log_likelihood.mean for k, s in one.scores.items() if k not in found.shipped}
-    top, own = max(rivals, key=lambda k: rivals[k]), {k: one.scores[k].log_likelihood.mean for k in found.shipped}
-    below = [name for name, value in own.items() if value <= rivals[top]]
-    beaten = f"all above {top} ({rivals[top]:.2f})" if not below else f"{', '.join(below)} below {top}"
-    way = {name: one.way(name) for name in found.shipped}
-    gone = ", ".join(f"{100 * share:.0f} % {name}" for name, share in way.items())
+def _likelihood_targets(found: NoiseFindings, name: str) -> list[Target]:
+    comparison, shipped = found.comparisons[name], found.shipped
+    value = {model: score.log_likelihood.mean for model, score in comparison.scores.items()}
+    best = max((model for model in value if model not in shipped), key=value.__getitem__)
+    below = [model for model in shipped if value[model] <= value[best]]
+    result = f"{', '.join(below)} below {best}" if below else f"all above {best} ({value[best]:.2f})"
+    closed = {model: comparison.gap_closed(model) for model in shipped}
     return [
-        Aim(f"{WHERE[where]}: likelihood above every baseline", beaten, not below),
-        Aim(f"{WHERE[where]}: 95 % of the way from {GAUSSIAN}, by the best", gone, max(way.values()) >= WAY),
+        Target(f"{TEST_SETS[name]}: log-likelihood above every baseline", result, not below),
+        Target(
+            f"{TEST_SETS[name]}: best model closes 95 % of the gap from fitted Gaussian to repeatability",
+            _listed(f"{100 * share:.0f} % {model}" for model, share in closed.items()),
+            max(closed.values()) >= MIN_GAP_CLOSED,
+        ),
     ]
 
 
-def _told(found: Findings, where: str) -> Aim:
-    gaps = {name: one.gap for name, one in found.told[where].items()}
-    said = ", ".join(f"{gap:.3f} {name}" for name, gap in gaps.items())
-    wanted = f"{WHERE[where]}: credence given the condition off by 0.02 at most"
-    return Aim(wanted, said, max(gaps.values()) <= GAP_GIVEN_CONDITION)
+def _condition_target(found: NoiseFindings, name: str) -> Target:
+    gaps = {model: score.gap for model, score in found.condition_credence[name].items()}
+    text = f"{TEST_SETS[name]}: calibration gap of credence given the condition at most {MAX_GAP_GIVEN_CONDITION:g}"
+    return Target(text, _gaps(gaps), max(gaps.values()) <= MAX_GAP_GIVEN_CONDITION)
 
 
-def _given(found: Findings, where: str) -> Aim:
-    gaps = {name: one.reliability.gap for name, one in found.given[where].items()}
-    said = ", ".join(f"{gap:.3f} {name}" for name, gap in gaps.items())
-    wanted = f"{WHERE[where]}: credence given the readings off by 0.05 at most"
-    return Aim(wanted, said, max(gaps.values()) <= GAP_GIVEN_READINGS)
+def _readings_target(found: NoiseFindings, name: str) -> Target:
+    gaps = {method: score.reliability.gap for method, score in found.given[name].items()}
+    text = f"{TEST_SETS[name]}: calibration gap of credence given the readings at most {MAX_GAP_GIVEN_READINGS:g}"
+    return Target(text, _gaps(gaps), max(gaps.values()) <= MAX_GAP_GIVEN_READINGS)
 
 
-def _gain(found: Findings, name: str) -> Aim:
+def _gaps(gaps: Mapping[str, float]) -> str:
+    return _listed(f"{gap:.3f} {name}" for name, gap in gaps.items())
+
+
+def _listed(parts: Iterable[str]) -> str:
+    return ", ".join(parts)
+
+
+def _memory_target(found: NoiseFindings, name: str) -> Target:
     gain = found.gains[name].gain
-    low, high = gain.mean - SURE * gain.error, gain.mean + SURE * gain.error
-    said = f"{gain.mean:.3f} nats a ping, 95 %: {low:.3f} to {high:.3f}"
+    low, high = gain.mean - Z_95 * gain.error, gain.mean + Z_95 * gain.error
+    result = f"{gain.mean:.3f} nats per ping, 95 %: {low:.3f} to {high:.3f}"
     if name in UNCORRELATED:
-        return Aim(f"memory gains nothing: {name}", said, low <= 0.0 <= high or abs(gain.mean) < 0.01)
-    return Aim(f"memory gains: {name}", said, low > 0.0)
-
-
-def _fast(found: Findings, n: int) -> Aim:
-    name = found.shipped[0]
-    taken = found.speeds[name].seconds[n]
-    text = {FEW: f"{1e6 * taken:.0f} us", MANY: f"{1e3 * taken:.1f} ms"}
-    limit = {FEW: "100 us", MANY: "15 ms"}
-    return Aim(f"one draw of {n} pings in {limit[n]}", f"{text[n]}, {name}", taken <= LIMITS[n])
+        return Target(f"no gain of memory: {name}", result, low <= 0.0 <= high or abs(gain.mean) < NEGLIGIBLE_GAIN)
+    return Target(f"gain of memory: {name}", result, low > 0.0)

@@ -1,4 +1,4 @@
-"""Train a noise model on a recording and say, on pings held out, what it is worth."""
+"""Train a noise model on a recording and score it on test data."""
 
 from __future__ import annotations
 
@@ -28,16 +28,24 @@ from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
 from noise.store import check_model_folder, save_model
 from training.common.progress import bars
 from training.noise.baselines import fit_gaussian
-from training.noise.card import card, plain, table
-from training.noise.networks import LONGEST, Batch, Memory, Network, Schedule, fit_network, with_memory
+from training.noise.card import card, score_table, scores_as_numbers
+from training.noise.networks import (
+    MAX_RUN_PINGS,
+    LstmNetwork,
+    MixtureNetwork,
+    Schedule,
+    TrainingBatch,
+    fit_network,
+    recurrent_head,
+)
 
-FEWEST_GROUPS = 10
+MIN_GROUPS = 10
 Law = Literal["mlp", "lstm", "hybrid"]
 Report = Callable[[int, float], None]
 
 
-def silent(epoch: int, score: float) -> None:
-    """Report nothing."""
+def no_report(epoch: int, score: float) -> None:
+    """Ignore the report."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +53,13 @@ class Args:
     """Settings of `sonar-gym train-noise`."""
 
     recording: Annotated[Path, tyro.conf.Positional]
-    """CSV file to learn from, one row a ping."""
+    """Training data: CSV file with one row per ping."""
     out: Path
     """Folder to write the model to: model.json, weights.safetensors, README.md."""
     law: Law = "mlp"
-    """mlp: no memory. lstm: remembers the pings of a run. hybrid: an LSTM on top of the perceptron `base`."""
+    """mlp: no memory. lstm: memory of the pings of a run. hybrid: an LSTM that corrects the perceptron `base`."""
     base: str = "srf08-mlp"
-    """hybrid: perceptron whose law is corrected, by name or folder; it learns no more."""
+    """hybrid: perceptron to correct, by name or folder; its weights are fixed."""
     hidden: int = 64
     """Width of each hidden layer."""
     depth: int = 2
@@ -59,45 +67,45 @@ class Args:
     state: int = 48
     """lstm, hybrid: width of the state."""
     components: int = 6
-    """Mixture components placed about the true distance."""
+    """Number of mixture components centred near the true distance."""
     fixed: int = 2
-    """Mixture components placed anywhere on the scale: clutter, ghosts."""
+    """Number of mixture components anywhere on the scale, for clutter and ghosts."""
     covariates: tuple[str, ...] = ()
-    """Logged columns to learn from besides the geometry, for example temperature_c; where one is not given when the
-    model is used, its law is that over all of the values learned."""
+    """Logged columns used as inputs besides the geometry, for example temperature_c; if one is missing in use, the law
+    is the average over its training values."""
     horizon: float | None = None
-    """Distance from which on nothing is heard, m: all farther pings teach one law, that of an empty cone."""
+    """Distance beyond which there are no echoes, m: all farther pings share one law, that of an empty cone."""
     epochs: int = 300
-    """Most passes over the training pings."""
+    """Largest number of passes over the training pings."""
     patience: int = 40
-    """Passes without a better validation score after which training stops."""
+    """Number of passes without a better validation score after which training stops."""
     batch: int = 512
-    """Pings a step."""
+    """Pings per step."""
     learning_rate: float = 4e-3
-    """Of Adam, at its highest; it falls to a hundredth along a cosine."""
+    """Initial learning rate of AdamW, annealed to a hundredth along a cosine."""
     weight_decay: float = 1e-3
-    """Pull of all weights towards zero."""
+    """Weight decay of AdamW."""
     validation: float = 0.15
-    """Share of cells, or of runs where the law remembers, by which the best weights are chosen."""
+    """Fraction of conditions (runs for recurrent laws) on which the best weights are chosen."""
     test: float = 0.2
-    """Share of cells, or of runs where the law remembers, held out for the scores that are reported."""
+    """Fraction of conditions (runs for recurrent laws) used for the reported scores."""
     seed: int = 0
-    """Decides the split, the first weights and the order of pings."""
+    """Seed of the split, the initial weights and the order of pings."""
     made_by: tuple[str, ...] = ()
-    """Commands that made the recording, for the card."""
+    """Commands that made the recording, for the model card."""
     note: str = ""
-    """On the data, for the card: which sensor, what was in front of it, where."""
+    """Remark on the data for the model card: which sensor, what was in front of it, where."""
 
     @property
     def schedule(self) -> Schedule:
-        """How the network is trained; a run of a law that remembers stands for its pings."""
+        """Settings of the optimisation; a run of a recurrent law counts as 32 pings."""
         batch = self.batch if self.law == "mlp" else max(1, self.batch // 32)
         return Schedule(self.epochs, self.patience, batch, self.learning_rate, self.weight_decay)
 
 
 @dataclass(frozen=True)
-class Split:
-    """Which rows train, validate and test; whole groups each, (n,) bool."""
+class DataSplit:
+    """Masks of training, validation and test rows, in whole groups, (n,) bool."""
 
     train: NDArray[np.bool_]
     validation: NDArray[np.bool_]
@@ -106,65 +114,65 @@ class Split:
     @classmethod
     def by_group(
         cls, group: NDArray[np.int64], validation: float, test: float, rng: np.random.Generator, what: str = "groups"
-    ) -> Split:
-        """Deal whole groups out at random.
+    ) -> DataSplit:
+        """Assign whole groups at random.
 
         Raises:
-            SettingError: too few groups, or shares that leave none to train on.
+            SettingError: too few groups, or fractions that leave none to train on.
         """
-        names, place = np.unique(group, return_inverse=True)
+        names, segment = np.unique(group, return_inverse=True)
         groups = len(names)
-        if groups < FEWEST_GROUPS:
-            raise SettingError(f"the recording holds {groups} {what}, training needs {FEWEST_GROUPS}: record more")
+        if groups < MIN_GROUPS:
+            raise SettingError(f"the recording holds {groups} {what}, training needs {MIN_GROUPS}: record more")
         if not (0 < validation < 1 and 0 < test < 1 and validation + test < 0.9):
             raise SettingError(f"validation {validation:g} and test {test:g} must be > 0 and together < 0.9")
         n_test, n_validation = max(1, round(test * groups)), max(1, round(validation * groups))
         part = np.full(groups, 2)
         order = rng.permutation(groups)
         part[order[:n_test]], part[order[n_test : n_test + n_validation]] = 0, 1
-        return cls(part[place] == 2, part[place] == 1, part[place] == 0)
+        return cls(part[segment] == 2, part[segment] == 1, part[segment] == 0)
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What training gave: the model, the scores of it and of its rivals on what was held out, and what that was."""
+    """Trained model, scores of the model and the baselines on the test data, and the unit of the split."""
 
     model: MlpModel | LstmModel
     scores: dict[str, Evaluation]
     unit: str
 
 
-def train(recording: Recording, args: Args, report: Report = silent) -> Trained:
-    """Train a network on some of a recording and score it on the rest.
+def train(recording: Recording, args: Args, report: Report = no_report) -> Trained:
+    """Train a network on part of a recording and score it on the rest.
 
     Args:
-        recording: what to learn from.
+        recording: the data.
         args: settings.
-        report: called after each pass with its number and the validation score.
+        report: called after each epoch with its number and the validation score.
 
     Raises:
         SettingError: too few conditions or runs, no echo at all, or a covariate that was not logged in every row.
     """
-    group, unit = groups(recording) if args.law == "mlp" else stretches(recording)
-    split = Split.by_group(group, args.validation, args.test, np.random.default_rng(args.seed), unit)
+    group, unit = groups(recording) if args.law == "mlp" else run_segments(recording)
+    split = DataSplit.by_group(group, args.validation, args.test, np.random.default_rng(args.seed), unit)
     rows = {name: getattr(split, name) for name in ("train", "validation", "test")}
     if args.law == "mlp":
         rows = {name: mask & recording.reading.answered for name, mask in rows.items()}
     if not (recording.reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
         raise SettingError(f"{recording.name}: too few echoes or answers to train, validate and test on: record more")
-    parts = {name: Pings.of(recording, mask, group) for name, mask in rows.items()}
+    parts = {name: TrainingPings.of(recording, mask, group) for name, mask in rows.items()}
     head = head_of(recording, args)
-    model = learn(parts["train"], parts["validation"], Inputs.of(recording.ping, told(recording, args), args.horizon),
-                  head, args, report)  # fmt: skip
-    seen = (rows["train"] | rows["validation"]) & recording.reading.answered
-    rivals: dict[str, SonarModel] = {
+    inputs = Inputs.of(recording.ping, input_names(recording, args), args.horizon)
+    model = learn(parts["train"], parts["validation"], inputs, head, args, report)
+    answered = (rows["train"] | rows["validation"]) & recording.reading.answered
+    baselines: dict[str, SonarModel] = {
         "ideal": IdealModel(head.resolution, head.max_range),
         "Gaussian, fitted": fit_gaussian(
-            recording.ping[seen], recording.reading[seen], head.resolution, head.max_range
+            recording.ping[answered], recording.reading[answered], head.resolution, head.max_range
         ),
     }
     test = parts["test"]
-    every: dict[str, SonarModel] = {**rivals, "network": model}
+    every: dict[str, SonarModel] = {**baselines, "network": model}
     scores = {
         name: evaluate(m, test.ping, test.reading, recording.condition[rows["test"]]) for name, m in every.items()
     }
@@ -172,25 +180,27 @@ def train(recording: Recording, args: Args, report: Report = silent) -> Trained:
 
 
 @dataclass(frozen=True)
-class Pings:
-    """Pings to learn from: conditions, with the run within which a law may remember, and readings, (n,)."""
+class TrainingPings:
+    """Pings and readings to train on, (n,); `run` of the pings bounds the memory of a recurrent law."""
 
     ping: Ping
     reading: Reading
 
     @classmethod
-    def of(cls, recording: Recording, rows: NDArray[np.bool_], run: NDArray[np.int64]) -> Pings:
+    def of(cls, recording: Recording, rows: NDArray[np.bool_], run: NDArray[np.int64]) -> TrainingPings:
         """Take some rows of a recording; `run` is of all rows."""
         return cls(replace(recording.ping[rows], run=run[rows]), recording.reading[rows])
 
-    def batch(self, network: Network | Memory) -> Batch:
-        """Return them as a network learns them: in runs, where it remembers."""
-        batch = Batch.of(network.inputs, network.head, self.ping, self.reading)
-        return batch.in_runs(self.ping.run) if isinstance(network, Memory) else batch
+    def batch(self, network: MixtureNetwork | LstmNetwork) -> TrainingBatch:
+        """Return the tensors of a network, in runs if it is recurrent."""
+        batch = TrainingBatch.of(network.inputs, network.head, self.ping, self.reading)
+        return batch.in_runs(self.ping.run) if isinstance(network, LstmNetwork) else batch
 
 
-def learn(train: Pings, validation: Pings, inputs: Inputs, head: Head, args: Args, report: Report = silent) -> Any:
-    """Train a network on some pings, keeping the weights that are best on others; returns a model."""
+def learn(
+    train: TrainingPings, validation: TrainingPings, inputs: Inputs, head: Head, args: Args, report: Report = no_report
+) -> Any:
+    """Train a network, choose the best weights on validation data, and return the model."""
     with torch.random.fork_rng(), one_thread():
         torch.manual_seed(args.seed)
         network = _network(inputs, head, args)
@@ -198,41 +208,41 @@ def learn(train: Pings, validation: Pings, inputs: Inputs, head: Head, args: Arg
     return network.to_model({"epoch": epoch, "validation_log_likelihood": score})
 
 
-def _network(inputs: Inputs, head: Head, args: Args) -> Network | Memory:
+def _network(inputs: Inputs, head: Head, args: Args) -> MixtureNetwork | LstmNetwork:
     if args.law == "mlp":
-        return Network(inputs, head, args.hidden, args.depth)
+        return MixtureNetwork(inputs, head, args.hidden, args.depth)
     if args.law == "lstm":
-        return Memory(inputs, with_memory(head), args.state, args.hidden)
+        return LstmNetwork(inputs, recurrent_head(head), args.state, args.hidden)
     base = load_model(args.base)
     if not isinstance(base, MlpModel) or abs(base.resolution - head.resolution) > 1e-9:
         raise SettingError(
-            f"base {args.base!r}: expected a perceptron that counts in steps of {1e3 * head.resolution:g} mm; "
+            f"base {args.base!r}: expected a perceptron with register steps of {1e3 * head.resolution:g} mm; "
             "train one with `sonar-gym train-noise`"
         )
-    return Memory(base.inputs, with_memory(base.head), args.state, args.hidden, base)
+    return LstmNetwork(base.inputs, recurrent_head(base.head), args.state, args.hidden, base)
 
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
-    """Return what is held out whole, (n,), and its name: conditions, or stretches of pings where none was met twice."""
+    """Return the groups of the split, (n,), and their name: conditions, or visits if no condition recurs."""
     if np.bincount(recording.condition).mean() < 2.0:
-        return visits_of(recording)[0], "stretches of a run"
+        return visits_of(recording)[0], "visits"
     return recording.condition, "conditions"
 
 
-def stretches(recording: Recording) -> tuple[NDArray[np.int64], str]:
-    """Return runs cut into stretches of at most `LONGEST` pings, (n,), and their name."""
-    place = np.empty(len(recording), dtype=np.int64)
+def run_segments(recording: Recording) -> tuple[NDArray[np.int64], str]:
+    """Return runs cut into segments of at most `MAX_RUN_PINGS` pings, (n,), and their name."""
+    segment = np.empty(len(recording), dtype=np.int64)
     for k, rows in enumerate(steps(recording.run)):
-        place[rows] = k // LONGEST
-    cut = np.unique(np.stack([recording.run, place]), axis=1, return_inverse=True)[1].ravel()
-    return cut, "stretches of runs"
+        segment[rows] = k // MAX_RUN_PINGS
+    cut = np.unique(np.stack([recording.run, segment]), axis=1, return_inverse=True)[1].ravel()
+    return cut, "segments of runs"
 
 
-def told(recording: Recording, args: Args) -> tuple[str, ...]:
-    """Return the names of what the network is told: only what was logged.
+def input_names(recording: Recording, args: Args) -> tuple[str, ...]:
+    """Return the names of the network's inputs.
 
     Raises:
-        SettingError: a covariate was not.
+        SettingError: a covariate is not logged in every row.
     """
     missing = [name for name in args.covariates if name not in recording.ping.covariates]
     if missing:
@@ -250,7 +260,7 @@ def head_of(recording: Recording, args: Args) -> Head:
 
 
 def command(args: Args) -> str:
-    """Return the command line that these settings stand for."""
+    """Return the equivalent command line of settings."""
     words = ["sonar-gym", "train-noise", args.recording.name, "--out", args.out.name]
     for f in fields(args):
         value = getattr(args, f.name)
@@ -271,8 +281,8 @@ def main(args: Args) -> None:
             lambda epoch, score: progress.update(task, completed=epoch, description=f"validation {score:.3f} nats"),
         )
     model, commands = trained.model, [*args.made_by, command(args)]
-    model.about |= {"commands": commands, "seed": args.seed, "scores": plain(trained.scores)}
+    model.about |= {"commands": commands, "seed": args.seed, "scores": scores_as_numbers(trained.scores)}
     model.card = card(args.out.name, model, trained.scores, trained.unit, recording, commands, args.note)
     save_model(model, args.out)
-    console.print(table(trained.scores, trained.unit))
+    console.print(score_table(trained.scores, trained.unit))
     print(f"{args.out}: best after {model.about['epoch']} passes; load it with noise.load_model({str(args.out)!r})")

@@ -1,4 +1,4 @@
-"""Figures of a recording alone: credence surfaces as in the thesis's figures 4.1 and 4.2, readings, detection, time."""
+"""Figures of a recording: credence surfaces (thesis, figures 4.1 and 4.2), readings, detection, time series."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from acquisition import EchoStatus, Recording
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, PolarAxes, panels
 
 Floats = NDArray[np.float64]
-TOLERANCE = 0.10  # a reading is right within this share of the true distance (Esmi 2016, section 4.1)
-MOST_PANELS, MOST_POINTS = 4, 6000
-MOST_ANGLES, MOST_DISTANCES = 61, 250  # levels of a surface; more are put into that many bins
-WIDEST_DEG, WIDEST_SHARE = 2.5, 0.04  # how far to each side of a measurement its colour may reach, deg and of the span
+TOLERANCE = 0.10  # a reading is correct within this share of the true distance (Esmi 2016, section 4.1)
+MAX_PANELS, MAX_POINTS = 4, 6000
+MAX_ANGLES, MAX_DISTANCES = 61, 250  # levels of a surface; more are binned
+MAX_HALF_WIDTH_DEG, MAX_HALF_WIDTH = 2.5, 0.04  # of the area of one level: deg, and share of the distance span
 BLANK = "#eceff3"
 DEG, CM = np.pi / 180.0, 0.01
 
 
 @dataclass(frozen=True)
 class Levels:
-    """One axis of a surface: where each ping falls, and from where to where each level is drawn.
+    """Levels of one axis of a surface.
 
     Attributes:
         index: level of each ping, (n,).
-        low, high: of each level, (levels,), ascending and apart.
+        low: lower edge of each level, (levels,), ascending.
+        high: upper edge of each level, (levels,); levels do not overlap.
     """
 
     index: NDArray[np.int64]
@@ -35,28 +36,30 @@ class Levels:
     high: Floats
 
     @classmethod
-    def of(cls, value: Floats, most: int, widest: float) -> Levels:
-        """Find the levels of a condition; where there are too many, as in a free run, equal bins."""
+    def of(cls, value: Floats, max_levels: int, max_half_width: float) -> Levels:
+        """Return the unique values as levels, or `max_levels` equal bins if there are more (a moving robot)."""
         centre, index = np.unique(np.round(value, 6), return_inverse=True)
-        if len(centre) > most:
-            edges = np.linspace(centre[0], centre[-1], most + 1)
-            return cls(np.clip(np.searchsorted(edges, value, "right") - 1, 0, most - 1), edges[:-1], edges[1:])
-        half = np.minimum(np.diff(centre) / 2, widest)
-        return cls(index, centre - np.append(widest, half)[: len(centre)], centre + np.append(half, widest))
+        if len(centre) > max_levels:
+            edges = np.linspace(centre[0], centre[-1], max_levels + 1)
+            return cls(np.clip(np.searchsorted(edges, value, "right") - 1, 0, max_levels - 1), edges[:-1], edges[1:])
+        half = np.minimum(np.diff(centre) / 2, max_half_width)
+        return cls(
+            index, centre - np.append(max_half_width, half)[: len(centre)], centre + np.append(half, max_half_width)
+        )
 
     @property
     def edges(self) -> Floats:
-        """Return every edge, (2 levels,): what lies between two levels was not measured."""
+        """Return all edges, (2 levels,); the area between two levels was not measured."""
         return np.stack([self.low, self.high], axis=1).ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Pings of a recording that share a reflector.
+    """Pings of a recording with one reflector.
 
     Attributes:
-        recording: of them.
-        title: what they share.
+        recording: these pings.
+        title: description of the reflector.
     """
 
     recording: Recording
@@ -65,24 +68,24 @@ class Part:
     @cached_property
     def angles(self) -> Levels:
         """Levels of bearing, rad."""
-        return Levels.of(self.recording.ping.angle, MOST_ANGLES, WIDEST_DEG * DEG)
+        return Levels.of(self.recording.ping.angle, MAX_ANGLES, MAX_HALF_WIDTH_DEG * DEG)
 
     @cached_property
     def distances(self) -> Levels:
         """Levels of distance, m."""
         distance = self.recording.ping.distance
         span = float(np.ptp(distance)) or float(distance[0])
-        levels = Levels.of(distance, MOST_DISTANCES, max(WIDEST_SHARE * span, 0.005))
+        levels = Levels.of(distance, MAX_DISTANCES, max(MAX_HALF_WIDTH * span, 0.005))
         return Levels(levels.index, np.maximum(levels.low, 0.0), levels.high)
 
     @cached_property
     def right(self) -> Floats:
-        """1 where a reading lies within 10 % of the truth, else 0."""
+        """1 for readings within 10 % of the truth, else 0, (n,)."""
         ping, reading = self.recording.ping, self.recording.reading
         return (reading.echo & (np.abs(reading.range - ping.distance) <= TOLERANCE * ping.distance)).astype(np.float64)
 
     def surface(self, value: Floats) -> Floats:
-        """Return means over answered pings, for drawing, (2 angles - 1, 2 distances - 1); nan where none was."""
+        """Return means over answered pings, (2 angles - 1, 2 distances - 1); nan without any."""
         rows, columns = len(self.angles.low), len(self.distances.low)
         answered = self.recording.reading.answered
         place = (self.angles.index * columns + self.distances.index)[answered]
@@ -95,12 +98,12 @@ class Part:
 
 
 def parts(recording: Recording) -> list[Part]:
-    """Return the recording by reflectance; as one where there are too many."""
+    """Return the recording by reflectance, or as one part if there are too many levels."""
     if not recording.has("reflectance"):
         return [Part(recording, "all pings")]
     reflectance = recording.ping.reflectance
     levels = np.unique(reflectance)
-    if len(levels) == 1 or len(levels) > MOST_PANELS:
+    if len(levels) == 1 or len(levels) > MAX_PANELS:
         return [Part(recording, "all reflectors" if len(levels) > 1 else _named(float(levels[0])))]
     return [Part(recording.select(reflectance == level), _named(float(level))) for level in levels[::-1]]
 
@@ -111,7 +114,7 @@ def _named(reflectance: float) -> str:
 
 
 def _each(recording: Recording, draw: Callable[[Axes, Part], None]) -> list[Draw]:
-    """Return a drawing for each part."""
+    """Return one drawing function for each part."""
 
     def one(part: Part) -> Draw:
         def run(axes: Axes) -> None:
@@ -124,16 +127,16 @@ def _each(recording: Recording, draw: Callable[[Axes, Part], None]) -> list[Draw
 
 
 def credence_polar(recording: Recording) -> bytes:
-    """Draw the share of readings within 10 % of the truth over bearing and distance, in polar coordinates."""
+    """Return a figure of credence over bearing and distance, in polar coordinates."""
 
     def draw(axes: Axes, part: Part) -> None:
         angle, distance = part.angles.edges, part.distances.edges
         axes.pcolormesh(angle, distance, part.surface(part.right).T, vmin=0.0, vmax=1.0, cmap="viridis")
-        least, most = min(angle[0] / DEG, -WIDEST_DEG), max(angle[-1] / DEG, WIDEST_DEG)
-        if isinstance(axes, PolarAxes):  # as asked for below; only then are there bearings to mark
-            axes.set_theta_zero_location("N" if least < -2 * WIDEST_DEG else "E")
-            axes.set_thetagrids([mark for mark in range(-180, 181, 15) if least <= mark <= most])
-        axes.set(thetamin=least, thetamax=most, rmin=0.0, facecolor=BLANK)
+        low, high = min(angle[0] / DEG, -MAX_HALF_WIDTH_DEG), max(angle[-1] / DEG, MAX_HALF_WIDTH_DEG)
+        if isinstance(axes, PolarAxes):  # as requested below
+            axes.set_theta_zero_location("N" if low < -2 * MAX_HALF_WIDTH_DEG else "E")
+            axes.set_thetagrids([mark for mark in range(-180, 181, 15) if low <= mark <= high])
+        axes.set(thetamin=low, thetamax=high, rmin=0.0, facecolor=BLANK)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.35)
         axes.set_xlabel("distance (m), bearing (deg)", fontsize=9)
@@ -143,7 +146,7 @@ def credence_polar(recording: Recording) -> bytes:
 
 
 def credence_plane(recording: Recording) -> bytes:
-    """Draw the same in the plane, seen from above; a half is mirrored, for the beam is taken to be symmetric."""
+    """Return a figure of credence in the plane, from above; one-sided data are mirrored (symmetric beam)."""
 
     def draw(axes: Axes, part: Part) -> None:
         distance, value = part.distances.edges / CM, part.surface(part.right)
@@ -165,7 +168,7 @@ def _credence_bar() -> tuple[str, float, float]:
 
 
 def detection(recording: Recording) -> bytes:
-    """Draw the share of pings with an echo, right or wrong, over distance and bearing."""
+    """Return a figure of the share of pings with an echo over distance and bearing."""
 
     def draw(axes: Axes, part: Part) -> None:
         echo = part.surface(part.recording.reading.echo.astype(np.float64))
@@ -181,14 +184,14 @@ def detection(recording: Recording) -> bytes:
 
 
 def _along(axes: Axes, part: Part, share: Floats) -> None:
-    """Draw a surface of one bearing as a line over distance."""
+    """Draw a surface with one bearing as a line over distance."""
     middle = (part.distances.low + part.distances.high) / 2
     axes.plot(middle, share[0, ::2], ".-", color=INK, lw=1.0, ms=4)
     axes.set(xlabel="true distance (m)", ylabel="share of pings with an echo", ylim=(-0.05, 1.05))
 
 
 def readings(recording: Recording) -> bytes:
-    """Draw readings against true distances, with silence at the foot and pings without answer below it."""
+    """Return a figure of readings against true distance; pings without echo or answer are marked below."""
 
     def draw(axes: Axes, part: Part) -> None:
         ping, reading = part.recording.ping, part.recording.reading
@@ -214,7 +217,7 @@ def readings(recording: Recording) -> bytes:
 
 
 def course(recording: Recording) -> bytes:
-    """Draw how readings and logged temperature go with time; runs follow one another."""
+    """Return a figure of errors and logged temperature over time, with consecutive runs."""
     hours, unit = _clock(recording)
     shown = _some(len(recording))
     draws: list[Draw] = [lambda axes: _errors(axes, recording, hours, shown)]
@@ -242,7 +245,7 @@ def _errors(axes: Axes, recording: Recording, time: Floats, shown: NDArray[np.in
             axes.plot(x, np.full(len(x), low - place * room), "|", ms=5, color=colour, label=label, rasterized=True)
     axes.axhline(0.0, color=SOFT, lw=0.8)
     axes.set(ylabel="reading - truth (mm)", ylim=(low - 2.1 * room, high + 1.1 * room))
-    axes.set_title("error of each reading; what lies far off is drawn at the edge", fontsize=9)
+    axes.set_title("error of each reading; outliers are drawn at the edge", fontsize=9)
     if axes.get_legend_handles_labels()[1]:
         axes.legend(loc="upper right", fontsize=8)
 
@@ -253,7 +256,7 @@ def _temperature(axes: Axes, recording: Recording, time: Floats, shown: NDArray[
 
 
 def _clock(recording: Recording) -> tuple[Floats, str]:
-    """Return when each ping was, runs one after another, and what to write on the axis."""
+    """Return the time of each ping, runs one after another, and the axis label."""
     if not recording.has("time_s"):
         return np.arange(len(recording), dtype=np.float64), "ping"
     time, run = recording.ping.time, recording.run
@@ -266,17 +269,17 @@ def _clock(recording: Recording) -> tuple[Floats, str]:
 
 
 def _some(n: int) -> NDArray[np.int64]:
-    """Return rows to draw: all, or so many by lot that no stride can hide a part of every cell."""
-    if n <= MOST_POINTS:
+    """Return the rows to draw: all, or a random sample, which unlike a stride has no bias within visits."""
+    if n <= MAX_POINTS:
         return np.arange(n)
-    return np.sort(np.random.default_rng(0).choice(n, MOST_POINTS, replace=False))
+    return np.sort(np.random.default_rng(0).choice(n, MAX_POINTS, replace=False))
 
 
-# file -> (what draws it, what it shows)
+# file -> (function, content)
 FIGURES: dict[str, tuple[Callable[[Recording], bytes], str]] = {
     "credence-polar.png": (credence_polar, "credence over bearing and distance (thesis, figure 4.1)"),
     "credence-plane.png": (credence_plane, "credence in the plane, from above (thesis, figure 4.2)"),
     "detection.png": (detection, "share of pings with an echo"),
     "readings.png": (readings, "readings against true distances"),
-    "course.png": (course, "errors and temperature in the course of time"),
+    "course.png": (course, "errors and temperature over time"),
 }

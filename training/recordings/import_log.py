@@ -1,4 +1,4 @@
-"""Turn the log of another program, or a ROS bag, into a recording, units stated."""
+"""Conversion of a log of another program, or of a ROS bag, into a recording."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ class Args:
     out: Path
     """Recording to write."""
     columns: tuple[str, ...] = ()
-    """CSV: which of their columns become ours: ours=theirs:unit, units mm cm m in us deg rad s ms min h date
-    text; us is an echo's time, 58 us a cm; date is ISO 8601; time_s is made to begin at 0."""
+    """CSV: columns of the recording as name=source:unit, with units mm cm m in us deg rad s ms min h date text;
+    us is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0."""
     constants: tuple[str, ...] = ()
-    """Columns that are the same in every row: ours=value, for example angle_deg=0."""
+    """Columns with one value in every row: name=value, for example angle_deg=0."""
     no_echo: float | None = None
-    """CSV: value (in their unit) that means no echo, besides 0; for example 400 for a sensor that reads full scale."""
+    """CSV: value in the source's unit that means no echo, besides 0; for example 400 for full scale."""
     skip_bad_rows: bool = False
-    """CSV: leave faulty rows out, and say which, rather than refuse the file."""
+    """CSV: omit and list invalid rows instead of rejecting the file."""
     topics: tuple[str, ...] = ()
-    """Bag: topics of the sonars; all of sensor_msgs/Range that are no infrared if none is given."""
+    """Bag: topics of the sonars. Default: all sensor_msgs/Range topics except infrared."""
     truth_topic: str = ""
-    """Bag: topic that tells the true distance: a laser's sensor_msgs/Range, or a position (see truth_point)."""
+    """Bag: topic with the true distance: sensor_msgs/Range of a laser, or a position (see truth_point)."""
     truth_point: tuple[float, float, float] | None = None
-    """Bag: where the reflector stands, m, in the frame of truth_topic's position."""
+    """Bag: position of the reflector, m, in the frame of truth_topic."""
     truth_csv: Path | None = None
     """Bag: CSV with time_s (since the first ping) or stamp_s (the bag's clock), distance_m, and angle_deg if known."""
     longest_gap_s: float = 0.5
-    """Bag: truths further apart than this are not interpolated; pings between them are left out."""
+    """Bag: true distances further apart than this are not interpolated; pings between them are omitted."""
 
 
 def main(args: Args) -> None:
-    """Import one file and say what came in."""
+    """Import one file and print a summary."""
     recording, notes = (_bag if is_bag(args.source) else _table)(args)
     recording.save(args.out)
-    status, cells, runs = recording.reading.status, recording.condition.max() + 1, recording.run.max() + 1
+    status, conditions, runs = recording.reading.status, recording.condition.max() + 1, recording.run.max() + 1
     print(
-        f"{args.out}: {len(recording)} pings in {cells} conditions and {runs} runs; "
+        f"{args.out}: {len(recording)} pings in {conditions} conditions and {runs} runs; "
         f"{(status == EchoStatus.NO_ECHO).sum()} without echo, {(status == EchoStatus.NO_ANSWER).sum()} without answer"
     )
     for note in notes:
@@ -63,19 +63,21 @@ def main(args: Args) -> None:
 
 def _table(args: Args) -> tuple[Recording, list[str]]:
     if not args.columns:
-        raise SettingError(f"{args.source}: --columns is needed, for example distance_mm=true_cm:cm reading_mm=got:cm")
+        raise SettingError(
+            f"{args.source}: --columns is required, for example distance_mm=true_cm:cm reading_mm=got:cm"
+        )
     columns = [ColumnMap.parse(text) for text in args.columns]
     constants = parse_constants(args.constants)
     recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows)
-    return recording, [f"left out: {fault}" for fault in recording.rejected]
+    return recording, [f"omitted: {fault}" for fault in recording.rejected]
 
 
 def _bag(args: Args) -> tuple[Recording, list[str]]:
     truth = Truth(args.truth_topic, args.truth_point, args.truth_csv, args.longest_gap_s)
-    with bar(f"reading {args.source.name}", 1) as tell:
-        imported = import_bag(args.source, args.topics, truth, parse_constants(args.constants), tell)
+    with bar(f"reading {args.source.name}", 1) as update:
+        imported = import_bag(args.source, args.topics, truth, parse_constants(args.constants), update)
     notes = {
-        f"left out: {imported.left_out} pings without a truth": imported.left_out,
-        f"too close to measure (REP 117), kept as no answer: {imported.too_close}": imported.too_close,
+        f"omitted: {imported.left_out} pings without a true distance": imported.left_out,
+        f"too close to measure (REP 117), recorded as no answer: {imported.too_close}": imported.too_close,
     }
     return imported.recording, [note for note, count in notes.items() if count]

@@ -1,4 +1,4 @@
-"""The wizard of a survey: asks somebody to move the stand, and never takes a dead wire for silence."""
+"""Dialogue of a survey with an operator, who moves the reflector and checks sensor and wires."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ from acquisition.survey.quantities import QUANTITIES
 from acquisition.survey.session import Answer
 
 KEYS: Mapping[str, Answer] = {"": Answer.GO, "s": Answer.SKIP, "r": Answer.REPEAT, "q": Answer.QUIT}
-SMALL = 1e-9
+TOLERANCE = 1e-9  # of equal values
 
 
 @dataclass(frozen=True)
-class Asking:
+class TerminalOperator:
     """An operator at a terminal.
 
     Attributes:
-        terminal: to ask on.
-        bar: of progress; rests while a question stands, for it would write over it.
+        terminal: terminal for questions.
+        bar: progress bar, stopped during a question.
     """
 
     terminal: Console
     bar: Progress
 
-    def ready(self, before: Cell | None, cell: Cell, can_repeat: bool) -> Answer:
-        """Ask for what has to be moved by hand; where nothing has, go on unasked."""
-        moves = changes(before, cell)
+    def ready(self, before: Cell | None, condition: Cell, can_repeat: bool) -> Answer:
+        """Ask for the changes that are made by hand; without any, return GO."""
+        moves = changes(before, condition)
         if not moves:
             return Answer.GO
-        again = {"r": "r the one before again"} if can_repeat else {}
-        return self._ask("\n".join(moves), {"": "Enter measured from here", "s": "s later", **again, "q": "q stop"})
+        again = {"r": "r repeat the previous one"} if can_repeat else {}
+        return self._ask("\n".join(moves), {"": "Enter measure", "s": "s postpone", **again, "q": "q quit"})
 
     def unanswered(self, error: NoAnswerError) -> Answer:
-        """Show what the wire does, and ask whether it is mended."""
-        text = f"NO ANSWER. {error}. This condition is not written down."
-        return self._ask(text, {"": "Enter try again", "s": "s leave it for later", "q": "q stop"})
+        """Report the failed connection, and ask for a repair."""
+        text = f"NO ANSWER. {error}. This condition is not recorded."
+        return self._ask(text, {"": "Enter try again", "s": "s postpone", "q": "q quit"})
 
-    def silent(self, cells: int) -> Answer:
-        """Ask for a hand before the sonar, so that a deaf sonar is told from an empty room."""
-        since = f"for {cells} conditions in a row" if cells else "in the first pings"
-        text = f"The sonar answers but hears nothing {since}. Hold a hand 20 to 50 cm before it."
-        return self._ask(text, {"": "Enter test", "s": "s silence is right here", "q": "q stop"})
+    def silent(self, conditions: int) -> Answer:
+        """Ask for a hand in front of the sonar, to distinguish a defective sonar from an empty room."""
+        since = f"in {conditions} consecutive conditions" if conditions else "in the first pings"
+        text = f"The sonar answers but receives no echo {since}. Hold a hand 20 to 50 cm in front of it."
+        return self._ask(text, {"": "Enter test", "s": "s no echo is correct here", "q": "q quit"})
 
     def _ask(self, text: str, keys: Mapping[str, str]) -> Answer:
-        """Ask until one of the keys is given; the end of input means stop."""
+        """Ask until one of the keys is given; the end of input means QUIT."""
         self.bar.stop()
         try:
             while True:
@@ -57,15 +57,15 @@ class Asking:
                 given = self.terminal.input(f"  [{', '.join(keys.values())}] ", markup=False).strip().lower()
                 if given in keys:
                     return KEYS[given]
-                self.terminal.print(f"  {given!r} is none of these.", markup=False, highlight=False)
+                self.terminal.print(f"  {given!r} is not one of these keys.", markup=False, highlight=False)
         except EOFError:
             return Answer.QUIT
         finally:
             self.bar.start()
 
 
-def changes(before: Cell | None, cell: Cell) -> list[str]:
-    """Return a line for each quantity that somebody has to change by hand between two cells; for the first, all.
+def changes(before: Cell | None, condition: Cell) -> list[str]:
+    """Return a line for each quantity that is changed by hand between two conditions; for the first one, all.
 
     >>> changes(Cell(500, 0, 0.9, 0), Cell(750, 0, 0.9, 0))
     ['Move: distance 500 mm -> 750 mm']
@@ -73,9 +73,11 @@ def changes(before: Cell | None, cell: Cell) -> list[str]:
     []
     """
     if before is None:
-        return [f"Set up: {QUANTITIES[name].what} {QUANTITIES[name].say(value)}" for name, value in cell.stand.items()]
+        return [
+            f"Set up: {QUANTITIES[name].what} {QUANTITIES[name].say(value)}" for name, value in condition.stand.items()
+        ]
     return [
         f"Move: {QUANTITIES[name].what} {QUANTITIES[name].say(before.values[name])} -> {QUANTITIES[name].say(value)}"
-        for name, value in cell.stand.items()
-        if abs(value - before.values[name]) > SMALL
+        for name, value in condition.stand.items()
+        if abs(value - before.values[name]) > TOLERANCE
     ]

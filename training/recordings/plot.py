@@ -1,4 +1,4 @@
-"""Draw a recording: credence surfaces, detection, readings against distance, course of time."""
+"""Figures of a recording: credence surfaces, detection, readings against distance and over time."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ class Args:
     recording: Annotated[Path, tyro.conf.Positional]
     """Recording to draw."""
     out: Path
-    """Folder to write the figures to, as PNG."""
+    """Output folder of the figures, PNG."""
     where: tuple[str, ...] = ()
-    """Only rows in which columns have these values: column=value."""
+    """Draw only rows with these values: column=value."""
     bearing: str = "angle_deg"
-    """Column in degrees to draw surfaces over; pitch_deg shows the vertical field of view."""
+    """Column, deg, for the angular axis of surfaces; pitch_deg shows the vertical field of view."""
     skip_bad_rows: bool = False
-    """Leave faulty rows out, and say which, rather than refuse the file."""
+    """Omit and list invalid rows instead of rejecting the file."""
 
 
 def main(args: Args) -> None:
-    """Draw every figure and say what each shows."""
+    """Draw every figure and print its file name and content."""
     recording = Recording.load(args.recording, args.skip_bad_rows)
     for text in args.where:
         recording = chosen(recording, text)
     recording = over(recording, args.bearing)
-    told = []
-    with bar("drawing", len(FIGURES)) as tell:
-        for number, (name, (draw, shows)) in enumerate(FIGURES.items()):
-            told.append(f"{write_bytes(args.out / name, draw(recording))}: {shows}")
-            tell(number + 1, len(FIGURES))
-    print("\n".join([*told, *(f"left out: {fault}" for fault in recording.rejected)]))
+    lines = []
+    with bar("drawing", len(FIGURES)) as update:
+        for number, (name, (draw, content)) in enumerate(FIGURES.items()):
+            lines.append(f"{write_bytes(args.out / name, draw(recording))}: {content}")
+            update(number + 1, len(FIGURES))
+    print("\n".join([*lines, *(f"omitted: {fault}" for fault in recording.rejected)]))
 
 
 def over(recording: Recording, column: str) -> Recording:
-    """Return the recording with another column in the place of the bearing.
+    """Return the recording with another column in place of the bearing.
 
     Raises:
-        SettingError: it has no such column of numbers.
+        SettingError: the recording has no such numeric column.
     """
     if column not in ("angle_deg", *recording.covariates):
         raise SettingError(f"--bearing {column}: expected one of angle_deg, {', '.join(recording.covariates)}")
@@ -61,10 +61,10 @@ def over(recording: Recording, column: str) -> Recording:
 
 
 def chosen(recording: Recording, text: str) -> Recording:
-    """Return the rows in which a column has a value.
+    """Return the rows in which a column has a value, given as column=value.
 
     Raises:
-        SettingError: no such column, or no such row.
+        SettingError: there is no such column or no such row.
     """
     name, equals, value = text.partition("=")
     if not equals or not recording.has(name):
@@ -76,5 +76,5 @@ def chosen(recording: Recording, text: str) -> Recording:
         mask = (column.astype(str) == value).to_numpy()
     if not mask.any():
         some = ", ".join(str(item) for item in column.unique()[:10])
-        raise SettingError(f"--where {text}: no row has that value; there are {some}")
+        raise SettingError(f"--where {text}: no row has that value; values include {some}")
     return recording.select(mask)

@@ -1,4 +1,4 @@
-"""Record a survey: with a real sonar, with the waveform rig, or with a real driver over a simulated sonar."""
+"""Recording of a survey with a real sonar, the waveform rig, or a real driver of a simulated sonar."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from acquisition.survey.session import Nobody, Operator, Session
 from acquisition.survey.sources import DriverSource, RigSource, Source, Thermometer, told
 from acquisition.twins.devantech import BadWire, Srf08Twin
 from training.common.progress import TERMINAL, bars
-from training.recordings.operator import Asking
+from training.recordings.operator import TerminalOperator
 
-MANY_LOST = 0.05  # share of pings without answer from which a wire is worth a look
+MAX_UNANSWERED = 0.05  # share of pings without an answer above which a warning is printed
 
 
 @dataclass(frozen=True)
@@ -36,75 +36,79 @@ class Args:
     """
 
     out: Path
-    """Recording to write; each condition is on disk as soon as it is measured."""
+    """Recording to write; each condition is written as soon as it is measured."""
     driver: Literal["rig", "twin", "srf08", "srf10", "srf02", "hcsr04", "maxbotix"] = "rig"
-    """rig: simulated waveforms. twin: the SRF08's driver over a simulated SRF08. The others: real sensors at `port`."""
+    """rig: simulated waveforms. twin: SRF08 driver with a simulated SRF08. Others: real sensors at `port`."""
     plan: str = "quick"
     """quick (3,600 pings), turned, thesis (133,100 pings), crosstalk, loose, vertical, gain-sweep, or FILE.toml."""
     order: Order | None = None
-    """random: drift cannot pass for distance. walk: few moves by hand. grid. As the plan has it if not given."""
+    """random: separates drift from distance. walk: few moves by hand. grid: in order. Default: as in the plan."""
     resume: bool = False
-    """Go on with a recording that was interrupted; plan, seed and settings must be those it was begun with."""
+    """Resume an interrupted recording; plan, seed and settings must be unchanged."""
     seed: int | None = None
-    """Of the order of conditions, and of everything random in the rig; as the plan has it if not given."""
+    """Seed of the order of conditions and of the rig. Default: as in the plan."""
     pings: int | None = None
-    """Pings a condition; as the plan has it if not given."""
+    """Pings per condition. Default: as in the plan."""
     interval_s: float | None = None
-    """Seconds from ping to ping; as the plan has it if not given."""
+    """Seconds between pings. Default: as in the plan."""
     pose: Literal["plan", "facing", "parallel"] = "plan"
-    """How the reflector is turned aside of the axis: facing the sensor, parallel to its face, or as the plan has it."""
+    """Orientation of a reflector off the axis: facing the sensor, parallel to its face, or as in the plan."""
     gain: int = 14
-    """Code 0..31 of the amplifier's greatest gain."""
+    """Maximum amplifier gain, code 0..31."""
     range_register: int = 140
-    """0..255; echoes are awaited up to 43 mm * (value + 1)."""
+    """0..255; the range limit is 43 mm * (value + 1)."""
     output: Literal["cm", "inch", "us"] = "cm"
-    """Unit in which the sensor counts."""
+    """Unit of the sensor's readings."""
     echoes: int = 4
-    """Echoes of a ping to write down, 1..17."""
+    """Echoes per ping to record, 1..17."""
     sensor: str = "0"
-    """What to call the sensor in the recording."""
+    """Name of the sensor in the recording."""
     unit: int = 0
-    """rig, twin: serial number of the simulated sensor; 0 is the nominal one."""
+    """rig, twin: serial number of the simulated sensor; 0 is the nominal sensor."""
     temperature_c: float = 19.0
-    """Of the air, degC: the rig's own, or what a thermometer beside the real sensor shows."""
+    """Air temperature, degC: of the rig, or measured beside the real sensor."""
     humidity_pct: float = 50.0
-    """Of the air, %."""
+    """Relative humidity, %."""
     thermometer: Path | None = None
-    """Real sensors: file that holds the air's temperature in thousandths of a degree, read every ten seconds, such as
-    /sys/bus/w1/devices/28-*/temperature of a DS18B20; instead of `temperature_c`."""
+    """Real sensors: file with the air temperature in 0.001 degC, read every ten seconds, such as
+    /sys/bus/w1/devices/28-*/temperature of a DS18B20; replaces `temperature_c`."""
     operator: Literal["ask", "none"] = "ask"
-    """Real sensors: ask somebody to move the stand, or go on unasked (nothing has to be moved by hand)."""
+    """Real sensors: ask an operator to move the reflector, or continue without questions."""
     patience: int = 10
-    """Real sensors: pings in a row without an answer after which the wire counts as dead."""
+    """Real sensors: consecutive pings without an answer after which the connection is considered lost."""
     port: str | None = None
     """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch of docs/drivers.md
-    (srf*: either; hcsr04: the Arduino) or of a MaxBotix; /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0 if not given."""
+    (srf*: either; hcsr04: the Arduino) or of a MaxBotix. Defaults: /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0."""
     address: int = 0x70
     """srf*: 7-bit address, 112..127."""
     trigger: int = 9
-    """hcsr04: pin of the Arduino."""
+    """hcsr04: trigger pin of the Arduino."""
     echo: int = 8
-    """hcsr04: pin of the Arduino."""
+    """hcsr04: echo pin of the Arduino."""
     model: Literal["lv", "xl", "xl-long", "hrlv", "hrxl", "hrxl-long"] = "hrlv"
-    """maxbotix: family, which decides unit, digits and the value for no echo."""
+    """maxbotix: model family, which determines unit, digits and the value for no echo."""
 
 
 def main(args: Args) -> None:
-    """Record, show how far it is, and say what came of it."""
+    """Record a survey with a progress bar, and print a summary."""
     plan = plan_of(args)
     source = SOURCES[args.driver](args)
     if not source.simulated:
         TERMINAL.print(effort(plan), highlight=False)
     with bars() as bar:
-        operator: Operator = Nobody() if source.simulated or args.operator == "none" else Asking(TERMINAL, bar)
-        session = Session(plan, source, args.out, args.resume, args.echoes, args.sensor, operator, kept(args))
+        operator: Operator = (
+            Nobody() if source.simulated or args.operator == "none" else TerminalOperator(TERMINAL, bar)
+        )
+        session = Session(
+            plan, source, args.out, args.resume, args.echoes, args.sensor, operator, session_settings(args)
+        )
         task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
         measure(session, lambda done, total: bar.update(task, completed=done, total=total, visible=True))
     print(summary(args.out, plan))
 
 
 def measure(session: Session, progress: Callable[[int, int], None]) -> None:
-    """Run a session; where it breaks off, say how much is on disk and how to go on."""
+    """Run a session; on an error or interruption, report how much is on disk and how to resume."""
     try:
         session.run(progress)
     except DeviceError as error:
@@ -115,16 +119,16 @@ def measure(session: Session, progress: Callable[[int, int], None]) -> None:
 
 
 def _on_disk(session: Session) -> str:
-    """Tell how much is on disk and how to go on."""
+    """Return how much is on disk and how to resume."""
     try:
-        cells = len(Recording.load(session.path)) // session.plan.pings
+        conditions = len(Recording.load(session.path)) // session.plan.pings
     except (ValueError, OSError):
-        cells = 0
-    return f"{cells} of {len(session.plan)} conditions are on disk, go on with --resume"
+        conditions = 0
+    return f"{conditions} of {len(session.plan)} conditions are on disk; continue with --resume"
 
 
 def effort(plan: Plan) -> str:
-    """Return a line on how much work a plan is for somebody who moves stands by hand."""
+    """Return a line on the work of a plan for an operator who moves the reflector by hand."""
     walk, hours = replace(plan, order="walk"), plan.seconds / 3600.0
     hint = f" (--order walk: {walk.way_m:.0f} m)" if walk.way_m < 0.8 * plan.way_m else ""
     size = f"{len(plan)} conditions, {len(plan) * plan.pings} pings, about {hours:.1f} h"
@@ -132,7 +136,7 @@ def effort(plan: Plan) -> str:
 
 
 def plan_of(args: Args) -> Plan:
-    """Return the plan with what the settings change."""
+    """Return the plan with the changes that the settings request."""
     plan = find_plan(args.plan)
     names = ("pings", "interval_s", "order", "seed")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -141,8 +145,8 @@ def plan_of(args: Args) -> Plan:
     return replace(plan, **given)
 
 
-def kept(args: Args) -> dict[str, Any]:
-    """Return the settings that a resumed session must have been begun with."""
+def session_settings(args: Args) -> dict[str, Any]:
+    """Return the settings that must be unchanged when a session is resumed."""
     simulated = ("gain", "range_register", "output", "unit", "temperature_c", "humidity_pct")
     names = ["driver", *SETTINGS.get(args.driver, simulated)]
     names += ["port"] if args.driver in SETTINGS else []
@@ -150,21 +154,21 @@ def kept(args: Args) -> dict[str, Any]:
 
 
 def summary(path: Path, plan: Plan) -> str:
-    """Return a line on what was recorded, and one on what is missing or odd."""
+    """Return one line on the recording, and warnings."""
     if not path.stat().st_size:
-        return f"{path}: nothing was recorded; go on with --resume"
+        return f"{path}: nothing was recorded; continue with --resume"
     recording = Recording.load(path)
     status = recording.reading.status
     shares = [100.0 * float(np.mean(status == kind)) for kind in (EchoStatus.ECHO, EchoStatus.NO_ECHO)]
-    lost, cells = int((status == EchoStatus.NO_ANSWER).sum()), len(recording) // plan.pings
+    unanswered, conditions = int((status == EchoStatus.NO_ANSWER).sum()), len(recording) // plan.pings
     lines = [
-        f"{path}: {len(recording)} pings on {cells} conditions; "
-        f"{shares[0]:.1f} % echoes, {shares[1]:.1f} % silent, {lost} without answer"
+        f"{path}: {len(recording)} pings on {conditions} conditions; "
+        f"{shares[0]:.1f} % with echo, {shares[1]:.1f} % without echo, {unanswered} without answer"
     ]
-    if lost > MANY_LOST * len(recording):
-        lines.append(f"{100 * lost / len(recording):.0f} % of pings had no answer: look at plugs, wires and power")
-    if cells < len(plan):
-        lines.append(f"{len(plan) - cells} of {len(plan)} conditions are still to be measured: go on with --resume")
+    if unanswered > MAX_UNANSWERED * len(recording):
+        lines.append(f"{100 * unanswered / len(recording):.0f} % of pings had no answer: check plugs, wires and power")
+    if conditions < len(plan):
+        lines.append(f"{len(plan) - conditions} of {len(plan)} conditions are not measured yet: continue with --resume")
     return "\n".join(lines)
 
 
@@ -189,25 +193,25 @@ def _rig_source(args: Args) -> Source:
 
 def _twin_source(args: Args) -> Source:
     if args.resume:
-        raise SettingError("--resume does not go with --driver twin, which forgets its state; record it anew")
+        raise SettingError("--resume does not work with --driver twin, which does not save its state; record again")
     rig = _rig(args)
     twin = Srf08Twin(rig, np.random.default_rng([_seed(args), args.unit]))
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
-    def place(cell: Cell) -> None:
-        twin.rig = arranged(rig, cell)
-        loose = cell.values.get("loose_share", 0.0)
+    def place(condition: Cell) -> None:
+        twin.rig = arranged(rig, condition)
+        loose = condition.values.get("loose_share", 0.0)
         twin.wire = BadWire(nack=0.8 * loose, lost_write=0.2 * loose)
-        told(sonar)(cell)
-        bearing, incidence = np.deg2rad([cell.angle_deg, cell.incidence_deg])
-        twin.place(Ping.of(cell.distance_mm * 1e-3, bearing, incidence, cell.reflectance))
+        told(sonar)(condition)
+        bearing, incidence = np.deg2rad([condition.angle_deg, condition.incidence_deg])
+        twin.place(Ping.of(condition.distance_mm * 1e-3, bearing, incidence, condition.reflectance))
 
     return DriverSource(
         sonar, place, _columns(args, sonar), args.patience, sleep=twin.clock.sleep, clock=twin.clock, simulated=True
     )
 
 
-# which settings each real sensor has
+# settings of each real sensor
 SETTINGS: dict[str, tuple[str, ...]] = {
     "srf08": ("address", "gain", "range_register", "output"),
     "srf10": ("address", "gain", "range_register", "output"),
@@ -226,7 +230,7 @@ def _real_source(args: Args) -> Source:
     return DriverSource(sonar, told(sonar), _columns(args, sonar), args.patience)
 
 
-# how each kind of driver becomes something that a session measures with
+# driver -> source of pings
 SOURCES: dict[str, Callable[[Args], Source]] = {
     "rig": _rig_source,
     "twin": _twin_source,
@@ -239,7 +243,7 @@ def _registers(args: Args) -> dict[str, Any]:
 
 
 def _columns(args: Args, sonar: Any) -> dict[str, float | Callable[[], float]]:
-    """Return what is logged beside each ping: the air, and what the sensor was told last."""
+    """Return the logged columns: temperature, humidity, and the sensor's registers."""
     columns: dict[str, float | Callable[[], float]] = {
         "temperature_c": Thermometer(args.thermometer) if args.thermometer else args.temperature_c,
         "humidity_pct": args.humidity_pct,

@@ -1,4 +1,4 @@
-"""Air: how fast sound goes in it, what it takes away, and how it wanders during a session."""
+"""Air: speed of sound, absorption, slow drift and turbulence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 CELSIUS = 273.15
 PRESSURE = 101_325.0  # Pa
 CARBON_DIOXIDE = 4.0e-4  # mole fraction in a room
-CARRIER = 40e3  # Hz, of the SRF08's burst
+CARRIER = 40e3  # Hz, carrier frequency of the SRF08's burst
 
 # Cramer, J. Acoust. Soc. Am. 93 (1993) 2510, table III
 CRAMER = (
@@ -21,7 +21,7 @@ CRAMER = (
     (-85.20931, -0.228525, 5.91e-5),
 )
 CRAMER_SQUARES = (-2.835149, -2.15e-13, 29.179762, 0.000486)
-COMPONENTS = 48  # of the slow drift's harmonic series
+DRIFT_COMPONENTS = 48  # number of terms in the harmonic series of the slow drift
 
 
 def _water(t: Floats, humidity_pct: ArrayLike) -> Floats:
@@ -48,7 +48,7 @@ def sound_speed(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Flo
 
 
 def absorption_db(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, frequency: float = CARRIER) -> Floats:
-    """Return what air takes away, dB/m (ISO 9613-1, eq. 3 to 5, at one atmosphere).
+    """Return the absorption, dB/m (ISO 9613-1, eq. 3 to 5, at one atmosphere).
 
     >>> round(float(absorption_db(19.0, 50.0)), 2)
     1.29
@@ -65,7 +65,7 @@ def absorption_db(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, freq
 
 @dataclass(frozen=True)
 class Drift:
-    """A slow stationary wander, a function of time alone, so a session can be taken up again where it stopped.
+    """Slow stationary random process, a deterministic function of time, so that a session can be continued.
 
     A harmonic series whose frequencies are drawn from a Lorentzian has the covariance sigma^2 exp(-|dt|/tau).
     """
@@ -76,44 +76,45 @@ class Drift:
 
     @classmethod
     def draw(cls, sigma: float, tau: float, rng: np.random.Generator) -> Drift:
-        """Draw one wander of standard deviation `sigma` and correlation time `tau`, s."""
-        return cls(rng.standard_cauchy(COMPONENTS) / tau, rng.uniform(0.0, 2.0 * np.pi, COMPONENTS), sigma)
+        """Draw one process of standard deviation `sigma` and correlation time `tau`, s."""
+        return cls(rng.standard_cauchy(DRIFT_COMPONENTS) / tau, rng.uniform(0.0, 2.0 * np.pi, DRIFT_COMPONENTS), sigma)
 
     def __call__(self, time: Floats) -> Floats:
-        """Return the wander at times in s, (n,)."""
+        """Return the process at times in s, (n,)."""
         if self.sigma == 0.0:
             return np.zeros(len(time))
         waves = np.cos(time[:, None] * self.frequency + self.phase)
-        return self.sigma * np.sqrt(2.0 / COMPONENTS) * waves.sum(axis=1)
+        return self.sigma * np.sqrt(2.0 / DRIFT_COMPONENTS) * waves.sum(axis=1)
 
 
-def flutter(time: Floats, start: NDArray[np.bool_], tau: float, rows: int, rng: np.random.Generator) -> Floats:
-    """Draw `rows` independent Ornstein-Uhlenbeck processes of unit variance at given times, (n, rows).
+def flutter(time: Floats, start: NDArray[np.bool_], tau: float, count: int, rng: np.random.Generator) -> Floats:
+    """Draw independent Ornstein-Uhlenbeck processes of unit variance at given times, (n, count).
 
     Args:
         time: s, (n,).
-        start: where a stretch begins that knows nothing of the one before, (n,).
+        start: whether a ping starts a new, independent series, (n,).
         tau: correlation time, s.
-        rows: number of processes.
-        rng: all randomness.
+        count: number of processes.
+        rng: source of all randomness.
     """
-    white = rng.standard_normal((len(time), rows))
+    white = rng.standard_normal((len(time), count))
     keep = np.exp(-np.abs(np.diff(time, prepend=time[:1])) / tau) if tau > 0 else np.zeros(len(time))
     keep[start] = 0.0
     rank = np.arange(len(time)) - np.maximum.accumulate(np.where(start, np.arange(len(time)), 0))
     order = np.argsort(rank, kind="stable")
-    for now in np.split(order, np.flatnonzero(np.diff(rank[order])) + 1)[1:]:
-        white[now] = keep[now, None] * white[now - 1] + np.sqrt(1.0 - keep[now, None] ** 2) * white[now]
+    for current in np.split(order, np.flatnonzero(np.diff(rank[order])) + 1)[1:]:
+        memory = keep[current, None]
+        white[current] = memory * white[current - 1] + np.sqrt(1.0 - memory**2) * white[current]
     return white
 
 
 @dataclass(frozen=True)
 class Air:
-    """Air of n visits.
+    """Air of n segments.
 
     Attributes:
         temperature_c: at the sensor, degC, (n,).
-        speed: of sound there, m/s, (n,).
+        speed: speed of sound at the sensor, m/s, (n,).
         absorption_db: dB/m, (n,).
     """
 
@@ -123,44 +124,50 @@ class Air:
 
     @classmethod
     def of(cls, temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Air:
-        """Work out the air at temperatures and humidities, (n,) each."""
+        """Compute the properties of air at temperatures and humidities, (n,) each."""
         temperature, humidity = np.broadcast_arrays(np.atleast_1d(temperature_c), np.atleast_1d(humidity_pct))
         temperature = np.asarray(temperature, dtype=np.float64)
         return cls(temperature, sound_speed(temperature, humidity), absorption_db(temperature, humidity))
 
     def __getitem__(self, pick: NDArray[np.generic]) -> Air:
-        """Return some of the visits."""
+        """Return the air of some segments."""
         return Air(self.temperature_c[pick], self.speed[pick], self.absorption_db[pick])
 
-    def thicker(self, extra_db: float) -> Air:
-        """Return air that takes away more, by so many dB/m."""
+    def with_extra_absorption(self, extra_db: float) -> Air:
+        """Return air with additional absorption, dB/m."""
         return replace(self, absorption_db=self.absorption_db + extra_db) if extra_db else self
 
     def loss(self, row: NDArray[np.int64], path: Floats) -> Floats:
-        """Return what is left of the pressure after a way of `path` m there and as much back, in visit `row`."""
+        """Return the pressure factor of a two-way path of half length `path`, m, in segments `row`."""
         return np.exp(-np.log(10.0) / 10.0 * self.absorption_db[row] * path)
 
     def delay(self, row: NDArray[np.int64], path: Floats, ahead: float = 0.0) -> Floats:
-        """Return how long sound takes for `path` m and back, s, in visit `row`; air gets warmer by `ahead` K/m."""
+        """Return the two-way travel time, s, over half length `path`, m, in segments `row`.
+
+        Args:
+            row: segment of each path, (k,).
+            path: half of the path length, m, (k,).
+            ahead: temperature gradient along the path, K/m.
+        """
         if ahead == 0.0:
             return 2.0 * path / self.speed[row]
-        # speed goes with the root of the absolute temperature, of which the way meets the mean
-        warmer = 0.5 * ahead * path / (self.temperature_c[row] + CELSIUS)
-        return 2.0 * path / (self.speed[row] * np.sqrt(np.maximum(1.0 + warmer, 0.01)))
+        # speed is proportional to the root of the absolute temperature, averaged over the path
+        relative_change = 0.5 * ahead * path / (self.temperature_c[row] + CELSIUS)
+        return 2.0 * path / (self.speed[row] * np.sqrt(np.maximum(1.0 + relative_change, 0.01)))
 
 
 @dataclass(frozen=True)
 class Gradient:
-    """Air that is not everywhere as warm as at the sensor, K/m.
+    """Temperature gradient of the air, K/m.
 
     Attributes:
-        up: bends the sound towards the colder side, by 0.1 degrees a metre for 1 K/m.
-        ahead: lets readings grow or shrink with the square of distance.
+        up: bends sound towards the colder side, by 0.1 degrees per metre for 1 K/m.
+        ahead: makes the range error grow with the square of the distance.
     """
 
     up: float = 0.0
     ahead: float = 0.0
 
     def bend(self, air: Air) -> Floats:
-        """Return the curvature of a level ray, downwards, 1/m, (n,)."""
+        """Return the downward curvature of a horizontal ray, 1/m, (n,)."""
         return 0.5 * self.up / (air.temperature_c + CELSIUS)

@@ -1,4 +1,4 @@
-"""Arrivals: every way by which sound comes back, as a length and an amplitude, in groups that fluctuate together."""
+"""Echo paths, each with a length and an amplitude, in groups that fluctuate together."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "sides",
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Ways of the sound in n scenes.
+    """Echo paths of n scenes.
 
     Attributes:
-        row: which scene each belongs to, (k,).
-        group: which of `GROUPS`, (k,).
-        length: half the way that the sound goes, m, (k,).
-        amplitude: pressure against that at 1 m from the transmitter on its axis, before the air takes its share, (k,).
+        row: index of the scene, (k,).
+        group: index into `GROUPS`, (k,).
+        length: half of the path length, m, (k,).
+        amplitude: pressure relative to that at 1 m on the transmitter's axis, without absorption, (k,).
     """
 
     row: Integers
@@ -34,11 +34,11 @@ class Arrivals:
 
     @classmethod
     def of(cls, row: ArrayLike, group: ArrayLike, length: ArrayLike, amplitude: ArrayLike) -> Arrivals:
-        """Build from one group's lengths and amplitudes, (m,) or (m, k), of m scenes; those without amplitude fall out.
+        """Build from lengths and amplitudes, (m,) or (m, k), of m scenes, omitting paths of zero amplitude.
 
         Args:
-            row: numbers of the scenes, (m,).
-            group: of `GROUPS`, one for all or (m,).
+            row: indices of the scenes, (m,).
+            group: index into `GROUPS`, one for all or (m,).
             length: m, broadcast against the amplitudes.
             amplitude: broadcast against the lengths.
         """
@@ -50,7 +50,7 @@ class Arrivals:
 
     @classmethod
     def joined(cls, parts: Iterable[Arrivals]) -> Arrivals:
-        """Return all parts as one."""
+        """Concatenate several sets of paths."""
         parts = list(parts)
         if not parts:
             return cls(*(np.empty(0, dtype=t) for t in (np.int64, np.int64, np.float64, np.complex128)))  # type: ignore[arg-type]
@@ -58,13 +58,13 @@ class Arrivals:
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def __len__(self) -> int:
-        """Return the number of ways."""
+        """Return the number of paths."""
         return len(self.row)
 
     def __getitem__(self, pick: NDArray[np.generic] | slice) -> Arrivals:
-        """Return the ways at a mask or at indices."""
+        """Return the paths selected by a mask or by indices."""
         return Arrivals(self.row[pick], self.group[pick], self.length[pick], self.amplitude[pick])
 
     def only(self, group: int) -> Arrivals:
-        """Return the ways of one group."""
+        """Return the paths of one group."""
         return self[self.group == group]

@@ -1,4 +1,4 @@
-"""What is not the ping's own doing: other sonars, people who walk about, noise that comes and goes, the mains."""
+"""Settings of sound from other sources: other sonars, moving objects, background noise, reverberation, mains hum."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from acquisition.bench.acoustics.air import Floats
 from acquisition.errors import SettingError
 from acquisition.ping import Ping
 
-GHOST_S = 0.15  # pings further apart than this cannot hear each other: 25 m of air and back take 65 dB
+ECHO_OVERLAP_S = 0.15  # longest time between pings that overlap: 25 m of air and back attenuate by 65 dB
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Another sonar of the same kind, firing by a clock of its own.
+    """Another sonar of the same kind with its own clock.
 
     Attributes:
-        period_s: from one of its pings to the next; this sonar's own interval makes it synchronous.
-        first_s: when it first fires.
-        path_m: how far its sound goes straight until it is here.
-        bearing_deg: where that sound comes from, off the beam's axis.
-        strength_db: pressure that it sends this way, against that of a sonar on its axis.
-        beside_m: how far beside this sonar it stands, looking the same way, so that everything that returns this one's
-            sound returns its own as well; None where only the straight way matters.
+        period_s: time between its pings, s; equal to this sonar's interval, it is synchronous.
+        first_s: time of its first ping, s.
+        path_m: length of the direct path from it to this sensor, m.
+        bearing_deg: direction from which its sound arrives, off the beam's axis.
+        strength_db: pressure emitted in this direction relative to that on its axis, dB.
+        beside_m: lateral distance to this sensor when it faces the same way, m: every reflector then also returns its
+            sound. None: direct path only.
     """
 
     period_s: float = 0.0713
@@ -37,14 +37,17 @@ class Neighbour:
     beside_m: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a clock that stands still."""
+        """Raise SettingError for a period below 1 ms."""
         if self.period_s < 1e-3:
             raise SettingError(f"Neighbour.period_s must be at least 0.001 s, got {self.period_s:g} s")
 
     def firings(self, time: Floats, early: float, late: float) -> tuple[NDArray[np.int64], Floats]:
-        """Return its pings around those of this sonar at `time`, s, (n,): whose they are near, and how much later, s.
+        """Return its pings near those of this sonar: index of the near ping, and how much later it fires, s.
 
-        Only those that come at most `early` before and at most `late` after.
+        Args:
+            time: times of this sonar's pings, s, (n,).
+            early: longest lead, s.
+            late: longest lag, s.
         """
         since = time - self.first_s
         first = np.maximum(np.ceil((since - early) / self.period_s), 0.0)
@@ -56,42 +59,41 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class Mover:
-    """A thing or a person that is not always in the same place.
+    """Moving object or person.
 
     Attributes:
-        way: times, s, and places (ahead, to the left, up), m; in between it goes straight and evenly, before and after
-            it stands still. Two places a moment apart: somebody moved it.
-        radius: of an upright cylinder that scatters as it does, m; about 0.15 for a person.
-        again: whether it walks the way again and again, its last time being the first of the next round.
+        waypoints: times, s, and positions (ahead, left, up), m; linear motion between them, at rest before and after.
+        radius: radius of an upright cylinder that scatters as much, m; about 0.15 for a person.
+        loop: whether the motion repeats, the last time being the first of the next cycle.
     """
 
-    way: tuple[tuple[float, float, float, float], ...]
+    waypoints: tuple[tuple[float, float, float, float], ...]
     radius: float = 0.15
-    again: bool = False
+    loop: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a way that leads nowhere or back in time."""
-        times = [point[0] for point in self.way]
-        if not times or any(b <= a for a, b in pairwise(times)) or (self.again and len(times) < 2):
+        """Raise SettingError for times that do not increase or a loop of a single point."""
+        times = [point[0] for point in self.waypoints]
+        if not times or any(b <= a for a, b in pairwise(times)) or (self.loop and len(times) < 2):
             raise SettingError(
-                "Mover.way must hold (time, x, y, z) at growing times, and two at least to be walked again"
+                "Mover.waypoints must hold (time, x, y, z) at increasing times, and at least two points for a loop"
             )
 
-    def places(self, time: Floats) -> Floats:
-        """Return where it is at times in s, m, (n, 3)."""
-        table = np.array(self.way)
-        when = table[0, 0] + np.mod(time - table[0, 0], table[-1, 0] - table[0, 0]) if self.again else time
+    def positions(self, time: Floats) -> Floats:
+        """Return its positions at times in s, m, (n, 3)."""
+        table = np.array(self.waypoints)
+        when = table[0, 0] + np.mod(time - table[0, 0], table[-1, 0] - table[0, 0]) if self.loop else time
         return np.stack([np.interp(when, table[:, 0], table[:, k]) for k in (1, 2, 3)], axis=-1)
 
 
 @dataclass(frozen=True)
 class Ambient:
-    """Noise in the sonar's band that comes and goes: compressed air, keys, a drill.
+    """Intermittent background noise in the sonar's band: compressed air, keys, a drill.
 
     Attributes:
-        share: of the time that it is there.
-        dwell_s: after how long on average its state is drawn anew, s; 0 does so each ping.
-        factor: on the rms of the receiver's own noise while it is there.
+        share: fraction of the time for which it is present.
+        dwell_s: mean time after which its state is redrawn, s; 0 redraws it at each ping.
+        factor: factor on the rms of the receiver's own noise while it is present.
     """
 
     share: float = 0.05
@@ -101,12 +103,12 @@ class Ambient:
 
 @dataclass(frozen=True)
 class Reverberation:
-    """What is left of a burst when the room has mixed it: noise in the sonar's own band that dies away.
+    """Diffuse reverberation after a burst: noise in the sonar's band with exponential decay.
 
     Attributes:
-        level_db: its rms pressure when it is mixed, against that at 1 m on the axis, dB.
-        decay_db_s: how fast it dies away; air of 1.29 dB/m alone takes 442 dB/s, walls take more.
-        mixed_s: after the burst, when single ways can no longer be told apart.
+        level_db: rms pressure when the field becomes diffuse, relative to that at 1 m on the axis, dB.
+        decay_db_s: decay rate; air of 1.29 dB/m alone gives 442 dB/s, walls add to it.
+        mixed_s: time after the burst at which the field becomes diffuse, s.
     """
 
     level_db: float = -60.0
@@ -114,19 +116,19 @@ class Reverberation:
     mixed_s: float = 0.010
 
     def power(self, since: Floats) -> Floats:
-        """Return its mean square pressure at times since a burst, s, in their shape."""
+        """Return the mean square pressure at times since a burst, s, in their shape."""
         level = 10.0 ** ((self.level_db - self.decay_db_s * (since - self.mixed_s)) / 10.0)
         return np.where(since >= self.mixed_s, level, 0.0)
 
 
 @dataclass(frozen=True)
 class Hum:
-    """A ripple of the mains on the comparator's reference: thresholds rise and fall by the clock on the wall.
+    """Mains ripple on the comparator's reference.
 
     Attributes:
         frequency_hz: 100 behind a full-wave rectifier, 50 behind a half-wave one.
-        depth: share of the threshold.
-        phase_deg: at time 0.
+        depth: fraction of the threshold.
+        phase_deg: phase at time 0.
     """
 
     frequency_hz: float = 100.0
@@ -134,24 +136,24 @@ class Hum:
     phase_deg: float = 0.0
 
     def threshold(self, time: Floats) -> Floats:
-        """Return the threshold against its usual one at times in s, in their shape."""
+        """Return the threshold relative to its nominal value at times in s, in their shape."""
         return 1.0 + self.depth * np.sin(2.0 * np.pi * (self.frequency_hz * time + self.phase_deg / 360.0))
 
 
-def earlier(ping: Ping) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return pairs of pings of which the second still hears the first: their numbers, and the seconds between them.
+def overlapping_pings(ping: Ping) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Return pairs of pings (later, previous, lag in s) close enough for the later to receive sound of the previous.
 
-    Pings of a run must stand together, in order of time.
+    Pings of a run must be contiguous and in order of time.
     """
-    later, sooner, lags = [], [], []
+    later, previous, lags = [], [], []
     for back in range(1, len(ping)):
         lag = ping.time[back:] - ping.time[:-back]
-        near = np.flatnonzero((ping.run[back:] == ping.run[:-back]) & (lag > 0.0) & (lag < GHOST_S))
+        near = np.flatnonzero((ping.run[back:] == ping.run[:-back]) & (lag > 0.0) & (lag < ECHO_OVERLAP_S))
         if not len(near):
             break
         later.append(near + back)
-        sooner.append(near)
+        previous.append(near)
         lags.append(lag[near])
     if not lags:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
-    return np.concatenate(later), np.concatenate(sooner), np.concatenate(lags)
+    return np.concatenate(later), np.concatenate(previous), np.concatenate(lags)

@@ -1,12 +1,12 @@
-"""Reflectors: flat plates given by their outline, and the echo of one from any direction.
+"""Reflectors: flat plates described by their outline.
 
-Kirchhoff's integral over a flat hard plate, in the time domain, falls into a mirror echo from the foot of the
-perpendicular, where the plate holds it, and a wave from the outline (Maggi 1888, Rubinowicz 1917): with h the distance
+Kirchhoff's integral over a flat hard plate, in the time domain, is the sum of a mirror echo from the foot of the
+perpendicular, if the plate contains it, and a wave from the outline (Maggi 1888, Rubinowicz 1917): with h the distance
 of the plane and dphi the angle that a piece of outline at distance r subtends at the foot,
 
     echo = winding/(2h) delta(2h) - 1/(4 pi) sum h/r^2 dphi delta(2r).
 
-For a disc met on its axis this is the exact 1/(2d) [delta(2d) - (d/R)^2 delta(2R)].
+For a disc on the axis this is the exact 1/(2d) [delta(2d) - (d/R)^2 delta(2R)].
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from acquisition.bench.acoustics.air import Floats
 
-PIECE = 4.0e-3  # m of outline a piece, along which the phase is taken to grow evenly
+PIECE = 4.0e-3  # m, length of a piece of outline, along which the phase is linear
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A round plate."""
+    """Round plate; radius in m."""
 
     radius: float
 
@@ -37,17 +37,17 @@ class Disc:
 
     @property
     def area(self) -> float:
-        """Of the plate, m^2."""
+        """Area, m^2."""
         return float(np.pi * self.radius**2)
 
-    def holds(self, points: Floats) -> NDArray[np.bool_]:
-        """Tell which points of its plane (n, 2) lie on it."""
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """Return which points of its plane (n, 2) lie on it."""
         return np.asarray((points**2).sum(axis=-1) < self.radius**2)
 
 
 @dataclass(frozen=True)
 class Plate:
-    """An upright rectangle."""
+    """Upright rectangle; width and height in m."""
 
     width: float
     height: float
@@ -59,17 +59,17 @@ class Plate:
 
     @property
     def area(self) -> float:
-        """Of the plate, m^2."""
+        """Area, m^2."""
         return self.width * self.height
 
-    def holds(self, points: Floats) -> NDArray[np.bool_]:
-        """Tell which points of its plane (n, 2) lie on it."""
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """Return which points of its plane (n, 2) lie on it."""
         return np.asarray((np.abs(points) < self.half).all(axis=-1))
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A plane without an end."""
+    """Infinite plane."""
 
     @property
     def half(self) -> tuple[float, float]:
@@ -79,16 +79,16 @@ class Wall:
 
 Shape = Disc | Plate | Wall
 
-# the thesis's reflectors (Esmi 2016, section 3.2) by the reflectance that it gives them
+# reflectors of Esmi (2016), section 3.2
 MIRROR = Disc(0.100)
 RUBBER = Plate(0.120, 0.130)
-# amplitude factor of the surface over reflectance: ours. Nothing comes back from 0; solid rubber and glass are both
-# hard to sound in air, and rubber's soft skin takes 2 dB.
+# amplitude factor by reflectance, a project choice: 0 returns nothing; solid rubber and glass are both acoustically
+# hard in air, and the soft surface of rubber costs 2 dB
 SURFACE = ((0.0, 0.1, 0.9, 1.0), (0.0, 0.8, 1.0, 1.0))
 
 
 def shape_of(reflectance: float) -> Shape:
-    """Return the reflector that the thesis would have taken: the rubber plate below 0.5, the mirror from there."""
+    """Return the thesis's reflector for a reflectance: the rubber plate below 0.5, otherwise the mirror."""
     return RUBBER if reflectance < 0.5 else MIRROR
 
 
@@ -102,17 +102,17 @@ def surface_of(reflectance: float) -> float:
 
 
 def surfaces_of(reflectance: Floats) -> Floats:
-    """Return the amplitude factors of many surfaces, in the shape given."""
+    """Return the amplitude factors of surfaces, in the shape of the reflectances."""
     return np.interp(reflectance, *SURFACE)
 
 
 @lru_cache(maxsize=64)
 def outline(shape: Disc | Plate) -> Floats:
-    """Return the outline as points about the centre, counter-clockwise and closed, m, (pieces + 1, 2)."""
+    """Return the closed outline about the centre, counter-clockwise, m, (pieces + 1, 2)."""
     if isinstance(shape, Disc):
         count = 2 * int(np.ceil(np.pi * shape.radius / PIECE))
         angle = np.linspace(0.0, 2.0 * np.pi, count + 1)
-        # pieces are chords: the polygon of equal area keeps the mean radius
+        # pieces are chords: a polygon of equal area has the same mean radius
         scale = shape.radius * np.sqrt(angle[1] / np.sin(angle[1]))
         return scale * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * np.array(shape.half)
@@ -121,7 +121,7 @@ def outline(shape: Disc | Plate) -> Floats:
 
 
 def _pieces(a: Floats, b: Floats) -> int:
-    return 2 * int(np.ceil(np.linalg.norm(b - a) / (2.0 * PIECE)))  # even, so that two can be taken as one
+    return 2 * int(np.ceil(np.linalg.norm(b - a) / (2.0 * PIECE)))  # even, so that pairs can be merged
 
 
 def subtended(corners: Floats) -> Floats:

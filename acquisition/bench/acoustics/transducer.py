@@ -1,4 +1,4 @@
-"""Transducers: what a burst becomes on its way through both resonators, and how they favour the beam's axis."""
+"""Transducers: the pulse that a burst becomes in both resonators, and the beam pattern."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from acquisition.bench.acoustics.air import CARRIER, Floats
 from acquisition.bench.unit import Unit
 
 Complexes = NDArray[np.complex128]
-CYCLES = 8  # of the burst: 200 us at 40 kHz
+BURST_CYCLES = 8  # 200 us at 40 kHz
 OMEGA = 2.0 * np.pi * CARRIER
-PERIOD = 1.0 / CARRIER  # s; also the step of every waveform here, so each step holds one period of the carrier
-FINE = 2  # steps a period in which arrivals are gathered, each shared by a cubic among four of them
-SMALL = PERIOD / 32  # s, the step at which a pulse is worked out
-LENGTH = 5.0e-3  # s, after which a pulse has rung down: by 70 dB even at Q = 58
+PERIOD = 1.0 / CARRIER  # s; also the sampling interval of every waveform
+OVERSAMPLING = 2  # steps per period of the grid of delays, on which arrivals are interpolated by cubics
+PULSE_STEP = PERIOD / 32  # s, sampling interval at which a pulse is computed
+PULSE_LENGTH = 5.0e-3  # s, after which a pulse has decayed by 70 dB even at Q = 58
 REFERENCE_C = 20.0
 
 
@@ -30,16 +30,16 @@ def _resonator(t: Floats, f0: float, quality: float) -> Complexes:
 
 
 def pulse_at(unit: Unit, temperature_c: float, step: float) -> Complexes:
-    """Return the echo of a point at zero delay: the burst through both resonators, unit amplitude if it lasted.
+    """Return the echo of a point at zero delay: the burst through both resonators, of unit amplitude in steady state.
 
-    The carrier is taken out: the voltage is the imaginary part of the pulse times exp(i 2 pi 40 kHz t).
+    The carrier is removed: the voltage is the imaginary part of the pulse times exp(i 2 pi 40 kHz t).
     """
-    t = np.arange(0.0, LENGTH, step)
+    t = np.arange(0.0, PULSE_LENGTH, step)
     size = 2 * len(t)
     shift = unit.f_slope * (temperature_c - REFERENCE_C)
-    burst = (t < CYCLES * PERIOD - 0.5 * step).astype(np.complex128)
+    burst = (t < BURST_CYCLES * PERIOD - 0.5 * step).astype(np.complex128)
     burst[0] = 0.5
-    burst[round(CYCLES * PERIOD / step)] = 0.5
+    burst[round(BURST_CYCLES * PERIOD / step)] = 0.5
     parts = (burst, _resonator(t, unit.f_tx + shift, unit.q_tx), _resonator(t, unit.f_rx + shift, unit.q_rx))
     spectrum = np.prod([np.fft.fft(part, size) for part in parts], axis=0)
     return np.fft.ifft(spectrum)[: len(t)] * step**2
@@ -47,20 +47,20 @@ def pulse_at(unit: Unit, temperature_c: float, step: float) -> Complexes:
 
 @lru_cache(maxsize=256)
 def pulse_phases(unit: Unit, temperature_c: float) -> Complexes:
-    """Return the pulse for delays of j / FINE periods, (FINE, samples), one sample a period.
+    """Return the pulse for delays of j / OVERSAMPLING periods, (OVERSAMPLING, samples), one sample per period.
 
-    Scaled so that the nominal unit's echo peaks at 1: a poor or detuned resonator is heard as a weak one.
+    Scaled so that the nominal unit's echo peaks at 1; a poor or detuned resonator gives a weaker pulse.
     """
-    fine = pulse_at(unit, temperature_c, SMALL)[:: round(PERIOD / FINE / SMALL)] / reference_peak()
-    padded = np.concatenate([np.zeros(FINE, dtype=np.complex128), fine])
-    starts = np.arange(0, len(fine) - FINE, FINE)
-    return np.stack([padded[starts + FINE - j] for j in range(FINE)])
+    fine = pulse_at(unit, temperature_c, PULSE_STEP)[:: round(PERIOD / OVERSAMPLING / PULSE_STEP)] / reference_peak()
+    padded = np.concatenate([np.zeros(OVERSAMPLING, dtype=np.complex128), fine])
+    starts = np.arange(0, len(fine) - OVERSAMPLING, OVERSAMPLING)
+    return np.stack([padded[starts + OVERSAMPLING - j] for j in range(OVERSAMPLING)])
 
 
 @lru_cache(maxsize=1)
 def reference_peak() -> float:
-    """Return the peak of the nominal unit's pulse: 11.7 dB below what an endless burst would reach."""
-    return float(np.abs(pulse_at(Unit.nominal(), REFERENCE_C, SMALL)).max())
+    """Return the peak of the nominal unit's pulse: 11.7 dB below steady state."""
+    return float(np.abs(pulse_at(Unit.nominal(), REFERENCE_C, PULSE_STEP)).max())
 
 
 def _bessel_j1(x: NDArray[np.floating]) -> Floats:
@@ -71,28 +71,28 @@ def _bessel_j1(x: NDArray[np.floating]) -> Floats:
 
 @lru_cache(maxsize=64)
 def spectra(unit: Unit, temperature_c: float, size: int) -> Complexes:
-    """Return the discrete Fourier transforms of `pulse_phases`, (FINE, size)."""
+    """Return the discrete Fourier transforms of `pulse_phases`, (OVERSAMPLING, size)."""
     return np.fft.fft(pulse_phases(unit, temperature_c), size, axis=1)
 
 
 @dataclass(frozen=True)
 class Piston:
-    """A round piston in a baffle: pressure against the axis is 2 J1(x)/x with x = k a sin(angle)."""
+    """Beam pattern of a round piston in a baffle: relative pressure 2 J1(x)/x with x = k a sin(angle)."""
 
     ka: float
 
     def __call__(self, angle: Floats) -> Floats:
-        """Return the relative pressure at angles off the axis, rad; nothing is sent backwards."""
+        """Return the relative pressure at angles off the axis, rad; 0 behind the piston."""
         return directivity(np.float64(self.ka), np.cos(angle))
 
 
 def directivity(ka: Floats | np.float64, cosine: Floats) -> Floats:
-    """Return a piston's relative pressure where the angle off its axis has a given cosine; 0 behind it."""
-    place = np.minimum(ka / TABLE_STEP * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), TABLE_LENGTH - 1.0)
-    at = place.astype(np.int32)
+    """Return a piston's relative pressure at angles off its axis of given cosines; 0 behind it."""
+    position = np.minimum(ka / TABLE_STEP * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), TABLE_LENGTH - 1.0)
+    at = position.astype(np.int32)
     table = _table()
     value = table[at]
-    return np.where(cosine > 0.0, value + (place - at) * (table[at + 1] - value), 0.0)
+    return np.where(cosine > 0.0, value + (position - at) * (table[at + 1] - value), 0.0)
 
 
 TABLE_STEP, TABLE_LENGTH = 2.5e-3, 12_000

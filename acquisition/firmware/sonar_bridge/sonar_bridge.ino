@@ -1,6 +1,6 @@
-// Sonar bridge for the Arduino Mega 2560 (also Uno, Nano): I2C sonars and HC-SR04 over the USB cable.
-// The protocol is written down in docs/drivers.md. One request, one answer, each a line with a sequence number and a
-// CRC-16; whatever goes wrong is an answer with a number, never a hang and never an old value.
+// Sonar bridge for the Arduino Mega 2560 (also Uno, Nano): access to I2C sonars and HC-SR04 over USB.
+// The protocol is described in docs/drivers.md: one line per request and per answer, each with a sequence number and a
+// CRC-16. Every failure is answered with an error number; no request blocks, and no old value is returned.
 #include <Arduino.h>
 #include <Wire.h>
 #include <stdlib.h>
@@ -9,30 +9,31 @@
 
 const uint8_t PROTOCOL = 1;
 const unsigned long BAUD = 115200;
-const unsigned long WIRE_TIMEOUT_US = 25000;  // without it a bus held low hangs the Wire library for ever
-const unsigned long RISE_US = 20000;          // an HC-SR04 raises its line within 1 ms of the trigger
-const uint8_t CHUNK = 32;                     // the Wire library's buffer
-const uint8_t MOST_READ = 36;                 // all registers of an SRF08
-const uint8_t MOST_WRITTEN = 16;
-const uint8_t LONGEST = 80;
+const unsigned long WIRE_TIMEOUT_US = 25000;  // without it, a bus held low blocks the Wire library forever
+const unsigned long RISE_US = 20000;          // an HC-SR04 raises its echo line within 1 ms of the trigger
+const uint8_t CHUNK = 32;                     // size of the Wire library's buffer
+const uint8_t MAX_READ = 36;                  // all registers of an SRF08
+const uint8_t MAX_WRITTEN = 16;
+const uint8_t MAX_LINE = 80;
 
-// 1 to 5 are those of Wire.endTransmission: too long, address not acknowledged, data not acknowledged, other, timeout
-enum Trouble : uint8_t {
-  FINE = 0, WIRE_TIMEOUT = 5, SHORT_READ = 6,
+// 1 to 5 are the errors of Wire.endTransmission: too long, address not acknowledged, data not acknowledged, other,
+// timeout
+enum Error : uint8_t {
+  NO_ERROR = 0, WIRE_TIMEOUT = 5, SHORT_READ = 6,
   ECHO_HIGH = 16, NO_RISE = 17, NO_FALL = 18,
   BAD_REQUEST = 32, BAD_CHECKSUM = 33, UNKNOWN_COMMAND = 34
 };
 
-static char line[LONGEST + 1];
+static char line[MAX_LINE + 1];
 static uint8_t length = 0;
 static bool overflow = false;
-static char answer[LONGEST + 1];
+static char answer[MAX_LINE + 1];
 static uint8_t used = 0;
 
 static char digit(uint8_t value) { return value < 10 ? '0' + value : 'A' + value - 10; }
 
 static void put(char c) {
-  if (used < LONGEST) answer[used++] = c;
+  if (used < MAX_LINE) answer[used++] = c;
 }
 
 static void putHex(uint32_t value, uint8_t digits) {
@@ -62,14 +63,14 @@ static void send() {
   Serial.write('\n');
 }
 
-static void fail(const char *sequence, uint8_t trouble) {
+static void fail(const char *sequence, uint8_t error) {
   begin(sequence, 'E');
   put(' ');
-  putHex(trouble, 2);
+  putHex(error, 2);
   send();
 }
 
-// Take the next hexadecimal number off a request; false where there is none up to the limit.
+// Read the next hexadecimal number of a request; false if it is missing or above the limit.
 static bool number(char *&at, uint32_t limit, uint32_t &value) {
   char *end;
   value = strtoul(at, &end, 16);
@@ -83,14 +84,14 @@ static uint8_t wireRead(uint8_t address, uint8_t from, uint8_t count, uint8_t *i
     const uint8_t part = count < CHUNK ? count : CHUNK;
     Wire.beginTransmission(address);
     Wire.write(from);
-    const uint8_t trouble = Wire.endTransmission();
-    if (trouble) return trouble;
+    const uint8_t error = Wire.endTransmission();
+    if (error) return error;
     if (Wire.requestFrom(address, part) != part) return Wire.getWireTimeoutFlag() ? WIRE_TIMEOUT : SHORT_READ;
     for (uint8_t k = 0; k < part; k++) *into++ = Wire.read();
     from += part;
     count -= part;
   }
-  return FINE;
+  return NO_ERROR;
 }
 
 // W address byte...: one write transaction
@@ -100,44 +101,44 @@ static uint8_t write(char *at) {
   if (!number(at, 0x7F, address)) return BAD_REQUEST;
   Wire.beginTransmission(static_cast<uint8_t>(address));
   while (*at) {
-    if (!number(at, 0xFF, value) || ++count > MOST_WRITTEN) return BAD_REQUEST;
+    if (!number(at, 0xFF, value) || ++count > MAX_WRITTEN) return BAD_REQUEST;
     Wire.write(static_cast<uint8_t>(value));
   }
   return count ? Wire.endTransmission() : static_cast<uint8_t>(BAD_REQUEST);
 }
 
-// R address register count: registers, answered as bytes in hexadecimal
+// R address register count: read registers; the answer is their bytes in hexadecimal
 static uint8_t read(char *at) {
   uint32_t address, from, count;
-  uint8_t block[MOST_READ];
-  if (!number(at, 0x7F, address) || !number(at, 0xFF, from) || !number(at, MOST_READ, count) || !count || *at)
+  uint8_t block[MAX_READ];
+  if (!number(at, 0x7F, address) || !number(at, 0xFF, from) || !number(at, MAX_READ, count) || !count || *at)
     return BAD_REQUEST;
-  const uint8_t trouble = wireRead(address, from, count, block);
-  if (trouble) return trouble;
+  const uint8_t error = wireRead(address, from, count, block);
+  if (error) return error;
   put(' ');
   for (uint8_t k = 0; k < count; k++) putHex(block[k], 2);
-  return FINE;
+  return NO_ERROR;
 }
 
-// S: addresses that acknowledge
+// S: list the addresses that acknowledge
 static uint8_t scan(char *at) {
   uint8_t listed = 0;
   if (*at) return BAD_REQUEST;
   put(' ');
-  for (uint8_t address = 0x08; address < 0x80 && listed < MOST_READ; address++) {
+  for (uint8_t address = 0x08; address < 0x80 && listed < MAX_READ; address++) {
     Wire.beginTransmission(address);
-    const uint8_t trouble = Wire.endTransmission();
-    if (trouble == WIRE_TIMEOUT) return trouble;  // a bus held low would take 25 ms for each of 120 addresses
-    if (!trouble) putHex(address, 2), listed++;
+    const uint8_t error = Wire.endTransmission();
+    if (error == WIRE_TIMEOUT) return error;  // a bus held low would take 25 ms for each of 120 addresses
+    if (!error) putHex(address, 2), listed++;
   }
-  return FINE;
+  return NO_ERROR;
 }
 
 static bool usable(uint32_t pin) {
   return pin >= 2 && pin < NUM_DIGITAL_PINS && pin != SDA && pin != SCL;
 }
 
-// D trigger echo limit: an HC-SR04's pulse in microseconds
+// D trigger echo limit: fire an HC-SR04; the answer is the pulse duration in microseconds
 static uint8_t distance(char *at) {
   uint32_t trigger, echo, limit;
   if (!number(at, 0xFF, trigger) || !number(at, 0xFF, echo) || !number(at, 500000UL, limit) || *at) return BAD_REQUEST;
@@ -158,7 +159,7 @@ static uint8_t distance(char *at) {
     if (micros() - rose > limit) return NO_FALL;
   put(' ');
   putHex(micros() - rose, 6);
-  return FINE;
+  return NO_ERROR;
 }
 
 // V: name and version of the protocol
@@ -166,7 +167,7 @@ static uint8_t version(char *at) {
   if (*at) return BAD_REQUEST;
   for (const char *text = " SONARBRIDGE "; *text; text++) put(*text);
   putHex(PROTOCOL, 2);
-  return FINE;
+  return NO_ERROR;
 }
 
 struct Command {
@@ -176,7 +177,7 @@ struct Command {
 
 static const Command COMMANDS[] = {{'V', version}, {'W', write}, {'R', read}, {'S', scan}, {'D', distance}};
 
-// Check a line ">07 W 70 00 51*ABCD" without its end and answer it.
+// Check and answer a line such as ">07 W 70 00 51*ABCD" (without its terminator).
 static void serve() {
   char *star = strrchr(line, '*');
   if (overflow || !star || line[0] != '>' || strlen(star + 1) != 4 || star - line < 5 || line[3] != ' ' ||
@@ -188,8 +189,8 @@ static void serve() {
     if (command.name != line[4]) continue;
     Wire.clearWireTimeoutFlag();
     begin(sequence, 'K');
-    const uint8_t trouble = command.run(line + 5);
-    return trouble ? fail(sequence, trouble) : send();
+    const uint8_t error = command.run(line + 5);
+    return error ? fail(sequence, error) : send();
   }
   fail(sequence, UNKNOWN_COMMAND);
 }
@@ -197,9 +198,9 @@ static void serve() {
 void setup() {
   Serial.begin(BAUD);
   Wire.begin();
-  Wire.setClock(100000);  // Devantech's sonars are made for 100 kHz
+  Wire.setClock(100000);  // Devantech's sonars are specified for 100 kHz
   Wire.setWireTimeout(WIRE_TIMEOUT_US, true);
-  begin("--", 'B');  // tells the host of every reset
+  begin("--", 'B');  // reports every reset to the host
   put(' ');
   putHex(PROTOCOL, 2);
   send();
@@ -213,7 +214,7 @@ void loop() {
     if (length) serve();
     length = 0;
     overflow = false;
-  } else if (length < LONGEST) {
+  } else if (length < MAX_LINE) {
     line[length++] = c;
   } else {
     overflow = true;

@@ -36,7 +36,7 @@ def test_sound_speeds_up_by_a_sixth_of_a_percent_a_kelvin():
     assert float(sound_speed(20.0) / sound_speed(19.0)) - 1.0 == pytest.approx(0.00175, abs=1e-4)
 
 
-def test_drift_has_its_size_and_its_memory():
+def test_drift_has_its_standard_deviation_and_correlation_time():
     time = np.array([0.0, 600.0, 3600.0])
     rng = np.random.default_rng(1)
     drawn = np.stack([Drift.draw(0.5, 3600.0, rng)(time) for _ in range(4000)])
@@ -51,7 +51,7 @@ def test_drift_is_a_function_of_time_alone():
     np.testing.assert_allclose(drift(time[4:6]), drift(time)[4:6])
 
 
-def test_flutter_forgets_at_its_rate():
+def test_flutter_has_its_correlation_time():
     time = np.arange(20_000) * 2.4
     rows = flutter(time, time == 0.0, 2.0, 2, np.random.default_rng(0))
     assert rows.std() == pytest.approx(1.0, abs=0.03)

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from acquisition import Ping
 from acquisition.bench import Disc, Plate, Rig, Room, Setup, Unit, Wall
 from acquisition.bench.acoustics.air import absorption_db, sound_speed
+from acquisition.bench.acoustics.geometry import REFERENCE
 from acquisition.bench.acoustics.receiver import GAINS
 from acquisition.bench.acoustics.room import between_images
-from acquisition.bench.acoustics.scene import REFERENCE
 from acquisition.bench.acoustics.transducer import Piston, reference_peak
 
 STEP = 0.5e-6
-ALONE = Setup.still(output="us")
+ALONE = Setup.static(output="us")
 QUIET = replace(Unit.nominal(), noise=0.0, leak_db=-300.0, t_offset=0.0)
 
 
@@ -37,7 +37,7 @@ def resonate(drive, f0, quality):
 
 @pytest.fixture(scope="module")
 def pulse():
-    """The voltage of an echo of a point: a sine burst through two resonators, peak of the nominal unit 1."""
+    """Voltage of the echo of a point: a sine burst through two resonators, with a peak of 1 for the nominal unit."""
     t = np.arange(0.0, 5e-3, STEP)
     burst = np.where(t < 200e-6, np.sin(2.0 * np.pi * 40e3 * t), 0.0)
     return resonate(resonate(burst, 40e3, 35.0), 40e3, 35.0) / reference_peak()
@@ -95,7 +95,7 @@ def brute_crossing(pulse, shape, distance, incidence, gain, output_samples=40_00
         (Plate(0.12, 0.13), 0.7, 14.0, 31),
     ],
 )
-def test_first_crossing_is_that_of_the_full_voltage(pulse, shape, distance, incidence_deg, gain):
+def test_first_crossing_equals_that_of_the_full_voltage(pulse, shape, distance, incidence_deg, gain):
     incidence = np.deg2rad(incidence_deg)
     setup = replace(ALONE, gain=gain, reflector=shape)
     ping = Ping.of(distance=distance, angle=incidence, reflectance=1.0)
@@ -111,7 +111,7 @@ ANY_SETUP = replace(ALONE, post=Setup().post, room=Room())
 
 @settings(max_examples=25, deadline=None)
 @given(unit=UNITS, distance=st.floats(0.4, 4.0), extra=st.floats(0.1, 12.0))
-def test_a_stronger_echo_is_never_read_later_nor_lost(unit, distance, extra):
+def test_stronger_echo_is_neither_later_nor_lost(unit, distance, extra):
     """Of a wall, without noise: raising the level can only move the first crossing to an earlier period."""
     unit = replace(unit, noise=0.0, leak_db=-300.0)
     rig = Rig(unit, replace(ALONE, gain=20, reflector=Wall()))
@@ -136,10 +136,10 @@ def test_registers_are_in_order_spaced_by_the_dead_time_and_inside_the_gate(
     setup = replace(ANY_SETUP, gain=gain, range_register=gate)
     ping = Ping.of(distance=np.full(3, distance), angle=angle, reflectance=reflectance, time=np.arange(3) * 2.4)
     code = Rig(unit, setup).ping(ping, np.random.default_rng(seed)).code.astype(int)
-    heard = code > 0
-    assert (heard[:, :-1] | ~heard[:, 1:]).all()  # zero-terminated
+    detected = code > 0
+    assert (detected[:, :-1] | ~detected[:, 1:]).all()  # zero-terminated
     assert code.max() <= (gate + 1) * 256 + unit.tick * 1e6
-    steps = np.diff(code, axis=1)[heard[:, 1:]]
+    steps = np.diff(code, axis=1)[detected[:, 1:]]
     assert (steps >= unit.rearm * (1.0 + unit.clock_error) * 1e6 - unit.tick * 1e6 - 1.0).all()
 
 
@@ -150,8 +150,8 @@ def test_registers_are_in_order_spaced_by_the_dead_time_and_inside_the_gate(
     incidence=st.floats(0.0, 0.7),
     reflectance=st.sampled_from([0.1, 0.9]),
 )
-def test_left_is_as_right(distance, angle, incidence, reflectance):
-    """A beam along the housing's axis sees a mirrored world alike."""
+def test_mirror_symmetry(distance, angle, incidence, reflectance):
+    """A beam along the housing's axis is symmetric."""
     rig = Rig(QUIET, replace(ANY_SETUP, gain=31))
     sides = [Ping.of(distance, sign * angle, sign * incidence, reflectance) for sign in (1.0, -1.0)]
     left, right = (rig.ping(side, np.random.default_rng(0)).code[0].astype(int) for side in sides)

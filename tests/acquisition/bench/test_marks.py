@@ -1,4 +1,4 @@
-"""Scatter, drift, offsets and electronics that an experimenter can set: how large each is at the register."""
+"""Scatter, drift, offsets and electronics: size of each effect at the registers."""
 
 from dataclasses import replace
 
@@ -9,8 +9,8 @@ from acquisition import EchoStatus, Ping
 from acquisition.bench import MIRROR, Bus, Reverberation, Rig, Setup, Unit, Wall
 from acquisition.bench.acoustics.air import sound_speed
 
-STILL = Setup.still(gain=31, output="us", range_register=255)
-WALL = replace(STILL, reflector=Wall())
+STATIC = Setup.static(gain=31, output="us", range_register=255)
+WALL = replace(STATIC, reflector=Wall())
 QUIET = replace(Unit.nominal(), noise=0.0, leak_db=-300.0, sensitivity_db=20.0)
 US_PER_M = 2e6 / float(sound_speed(19.0, 50.0))
 
@@ -20,17 +20,17 @@ def first(unit, setup, ping, seed=0):
 
 
 def visits(distance, n, interval=2.4, **conditions):
-    """Pings each of which is a visit of its own, as runs of one ping are."""
+    """Pings that are one visit each, as runs of one ping."""
     return Ping.of(np.full(n, distance), time=interval * np.arange(n), run=np.arange(n), **conditions)
 
 
 def needed(unit, setup, ping):
-    """Sensitivity from which on a ping is heard, dB."""
+    """Lowest sensitivity at which a ping has an echo, dB."""
     low, high = -60.0, 60.0
     while high - low > 0.02:
         middle = 0.5 * (low + high)
-        heard = first(replace(unit, sensitivity_db=middle), setup, ping)[0] > 0
-        low, high = (low, middle) if heard else (middle, high)
+        detected = first(replace(unit, sensitivity_db=middle), setup, ping)[0] > 0
+        low, high = (low, middle) if detected else (middle, high)
     return high
 
 
@@ -55,25 +55,25 @@ def test_jitter_grows_with_the_root_of_distance():
         assert read.std() / US_PER_M == pytest.approx(2e-3 * np.sqrt(distance / 6.0), rel=0.08)
 
 
-def test_scintillation_is_a_level_of_its_own_at_each_ping():
-    """1 dB at 6 m: the share of pings heard over the sensitivity is a normal curve of that width."""
+def test_scintillation_is_a_normal_level_error_per_ping():
+    """1 dB at 6 m: the fraction of detected pings over sensitivity is a normal distribution function of that width."""
     setup = replace(WALL, scintillation_db=1.0, flutter_tau_s=0.1)
     ping = Ping.of(np.full(2000, 6.0), time=2.4 * np.arange(2000))
     middle = needed(QUIET, WALL, ping[:1])
-    heard = [np.mean(first(replace(QUIET, sensitivity_db=middle + db), setup, ping) > 0) for db in (-1.0, 0.0, 1.0)]
-    assert heard == pytest.approx([0.159, 0.5, 0.841], abs=0.035)
+    detected = [np.mean(first(replace(QUIET, sensitivity_db=middle + db), setup, ping) > 0) for db in (-1.0, 0.0, 1.0)]
+    assert detected == pytest.approx([0.159, 0.5, 0.841], abs=0.035)
 
 
-def test_placement_scatters_visits_and_not_their_pings():
+def test_placement_error_is_per_visit():
     setup = replace(WALL, placement_m=5e-3)
     unit = replace(QUIET, rail=1e9)
     assert first(unit, setup, visits(2.0, 800)).std() / US_PER_M == pytest.approx(5e-3, rel=0.09)
     assert np.ptp(first(unit, setup, Ping.of(np.full(50, 2.0), time=2.4 * np.arange(50)))) <= 1.0
 
 
-def test_tilt_and_bearing_scatter_a_disc_s_level():
-    """At 6 m a lobe is half a degree wide: visits with scatter are lost now and then. Bearing goes by the beam."""
-    disc = replace(STILL, reflector=MIRROR)
+def test_tilt_and_bearing_errors_scatter_the_level_of_a_disc():
+    """At 6 m a lobe is half a degree wide: some visits with scatter have no echo. Bearing acts by the beam."""
+    disc = replace(STATIC, reflector=MIRROR)
     ping = visits(6.0, 200)
     middle = needed(QUIET, disc, ping[:1])
     fainter = replace(QUIET, sensitivity_db=middle + 2.0)
@@ -87,7 +87,7 @@ def test_tilt_and_bearing_scatter_a_disc_s_level():
     assert share == pytest.approx(0.66, abs=0.12)
 
 
-def test_zero_and_firmware_offset_shift_all_readings_alike():
+def test_zero_and_firmware_offset_shift_all_readings_equally():
     ping = Ping.of([1.0, 2.0, 4.0], time=2.4 * np.arange(3))
     unit = replace(QUIET, rail=1e9)
     base = first(unit, WALL, ping)
@@ -95,9 +95,9 @@ def test_zero_and_firmware_offset_shift_all_readings_alike():
     assert first(replace(unit, t_offset=unit.t_offset - 40e-6), WALL, ping) - base == pytest.approx(-40.0, abs=1.0)
 
 
-def test_boresight_moves_the_beam_s_middle():
-    """Yawed by 3 degrees, a facing disc is as loud at 13 degrees as it is at -7 and as without yaw at 10."""
-    disc = replace(STILL, reflector=MIRROR)
+def test_boresight_moves_the_centre_of_the_beam():
+    """Yawed by 3 degrees, a facing disc is as strong at 13 degrees as at -7, and as without yaw at 10."""
+    disc = replace(STATIC, reflector=MIRROR)
 
     def level(yaw_deg, bearing_deg):
         ping = Ping.of(2.0, np.deg2rad(bearing_deg), 0.0)
@@ -107,20 +107,20 @@ def test_boresight_moves_the_beam_s_middle():
     assert level(0.0, 13.0) - level(0.0, 10.0) == pytest.approx(1.1, abs=0.2)  # 40 log D: -1.5 dB, -2.6 dB
 
 
-def test_hysteresis_raises_the_trip_by_half_of_itself():
+def test_hysteresis_raises_the_threshold_by_half_of_it():
     ping = Ping.of(4.0)
     levels = [needed(replace(QUIET, hysteresis=h), WALL, ping) for h in (0.0, 0.10)]
     assert levels[1] - levels[0] == pytest.approx(20.0 * np.log10(1.05), abs=0.05)
 
 
-def test_tick_makes_a_grid():
+def test_readings_are_multiples_of_the_tick():
     unit = replace(QUIET, tick=64e-6, t_offset=0.0)
     code = first(unit, WALL, Ping.of(np.linspace(1.0, 3.0, 60), time=2.4 * np.arange(60)))
     assert not (code % 64).any()
     assert len(np.unique(code)) > 50
 
 
-def test_an_open_line_is_no_answer():
+def test_open_line_is_no_answer():
     setup = replace(WALL, bus=Bus(all_ones=0.2, dwell_s=5.0))
     ping = Ping.of(np.full(3000, 2.0), time=0.5 * np.arange(3000))
     status = Rig(QUIET, setup).ping(ping, np.random.default_rng(0)).reading(setup).status
@@ -129,17 +129,17 @@ def test_an_open_line_is_no_answer():
     assert (status[~lost] == EchoStatus.ECHO).all()
 
 
-def test_transducers_that_drift_with_temperature_are_heard_worse_away_from_their_tune():
-    """Tuned at 20 degC, -60 Hz/K: 15 K off are 0.9 kHz, both alike, so that the burst misses both."""
+def test_detuning_by_temperature_costs_level():
+    """Tuned at 20 degC, -60 Hz/K: 15 K detune both resonances by 0.9 kHz."""
     setup = replace(WALL, temperature_c=35.0, humidity_pct=50.0)
     ping = Ping.of(2.0)
     tuned, off = (needed(replace(QUIET, f_slope=slope), setup, ping) for slope in (0.0, -60.0))
     assert 0.5 < off - tuned < 4.0
 
 
-def test_reverberation_raises_false_alarms_where_pings_follow_fast():
-    """Mixed after 10 ms: before that only the pings before are heard, 442 dB/s fainter than they were."""
-    setup = replace(STILL, reverberation=Reverberation(-34.0, 442.0), range_register=140)
+def test_reverberation_raises_false_alarms_at_short_intervals():
+    """Mixed after 10 ms: before that there is only reverberation of previous pings, decayed by 442 dB/s."""
+    setup = replace(STATIC, reverberation=Reverberation(-34.0, 442.0), range_register=140)
     unit = replace(QUIET, rearm=0.2e-3)
 
     def early(interval):
@@ -153,9 +153,9 @@ def test_reverberation_raises_false_alarms_where_pings_follow_fast():
     assert rates[2] == 0.0
 
 
-def test_reverberation_is_as_loud_as_it_says_and_dies_as_fast():
+def test_reverberation_has_its_level_and_decay():
     """Level of the waveform, 442 dB/s: mean square over many pings, against the pressure at 1 m."""
-    setup = replace(STILL, reverberation=Reverberation(-30.0, 442.0))
+    setup = replace(STATIC, reverberation=Reverberation(-30.0, 442.0))
     ping = Ping.of(np.full(120, 3.0), reflectance=0.0, time=2.4 * np.arange(120))
     for late_ms, db in ((15.0, -30.0 - 442.0 * 0.005), (35.0, -30.0 - 442.0 * 0.025)):
         near = replace(QUIET, blanking=late_ms * 1e-3, sensitivity_db=0.0)

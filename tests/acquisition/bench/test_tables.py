@@ -1,4 +1,4 @@
-"""Whole tables of numbers that were computed apart from the rig, which the other tests of it hold at single points."""
+"""Tables of independently computed numbers."""
 
 from dataclasses import replace
 
@@ -9,39 +9,39 @@ from acquisition import Ping
 from acquisition.bench import MIRROR, RUBBER, Disc, Plate, Post, Rig, Room, Setup, Unit, Wall
 from acquisition.bench.acoustics.air import Air, sound_speed
 from acquisition.bench.acoustics.arrivals import FACE, FLOOR, POST
+from acquisition.bench.acoustics.geometry import PathGeometry, Poses
 from acquisition.bench.acoustics.receiver import Pulses, crossings, gain_over_time, waveforms
 from acquisition.bench.acoustics.room import arrivals
-from acquisition.bench.acoustics.scene import Poses, Scene
 from acquisition.bench.acoustics.transducer import PERIOD, pulse_at, pulse_phases
 
 SPEED = float(sound_speed(19.0, 50.0))
 WAVELENGTH = SPEED / 40e3
-# hears all sides alike, and nothing of itself
+# omnidirectional, without leak
 BARE = replace(
     Unit.nominal(), radius=1e-6, baseline=0.0, noise=0.0, hysteresis=0.0, rail=1e9, leak_db=-300.0, sensitivity_db=0.0
 )
-STILL = Setup.still()
+STATIC = Setup.static()
 
 
-def scene(distance, incidence_deg=0.0, shape=MIRROR, setup=STILL, unit=BARE, reflectance=1.0):
+def geometry(distance, incidence_deg=0.0, shape=MIRROR, setup=STATIC, unit=BARE, reflectance=1.0):
     pose = Poses(*(np.array([float(x)]) for x in (distance, 0.0, np.deg2rad(incidence_deg), 0.0, 0.0)))
     air = Air(np.array([19.0]), np.array([SPEED]), np.array([0.0]))
-    return Scene(unit, replace(setup, reflector=shape), pose, np.array([reflectance]), air)
+    return PathGeometry(unit, replace(setup, reflector=shape), pose, np.array([reflectance]), air)
 
 
 def face(*args, **kwargs):
-    return arrivals(scene(*args, **kwargs)).only(FACE)
+    return arrivals(geometry(*args, **kwargs)).only(FACE)
 
 
-def steady_db(way, distance):
+def steady_db(paths, distance):
     """Level of a continuous wave against a wall at the same distance, dB."""
-    total = (way.amplitude * np.exp(-4j * np.pi * way.length / WAVELENGTH)).sum()
+    total = (paths.amplitude * np.exp(-4j * np.pi * paths.length / WAVELENGTH)).sum()
     return 20.0 * np.log10(abs(total) * 2.0 * distance)
 
 
-def burst_db(way, distance):
+def burst_db(paths, distance):
     """Level of the burst's peak against that from a wall at the same distance, dB."""
-    pulses = Pulses(np.zeros(len(way), dtype=int), 2.0 * way.length / SPEED, way.amplitude)
+    pulses = Pulses(np.zeros(len(paths), dtype=int), 2.0 * paths.length / SPEED, paths.amplitude)
     wave = waveforms(BARE, np.array([20.0]), pulses, 1600)
     return 20.0 * np.log10(np.abs(wave).max() * 2.0 * distance)
 
@@ -75,20 +75,20 @@ def test_ringing_of_other_transducers(q, millimetres):
 @pytest.mark.parametrize(
     ("distance", "level"), [(1.05, -3.7), (1.10, -9.0), (1.15, -23.0), (1.20, -14.0), (1.25, -7.0)]
 )
-def test_disc_s_continuous_wave_about_its_null(distance, level):
+def test_continuous_wave_of_a_disc_near_its_null(distance, level):
     assert steady_db(face(distance), distance) == pytest.approx(level, abs=0.7)
 
 
 @pytest.mark.parametrize(("distance", "level"), [(2.33, 6.0), (0.77, 6.0), (0.46, 6.0)])
-def test_disc_s_maxima(distance, level):
+def test_maxima_of_a_disc(distance, level):
     assert steady_db(face(distance), distance) == pytest.approx(level, abs=0.2)
 
 
-def test_disc_s_null_is_washed_out_by_a_centring_error():
+def test_centring_error_removes_the_null_of_a_disc():
     """20 mm aside at 1.163 m: the rim's echoes no longer meet in one moment."""
-    setup = replace(STILL, above_m=0.02)
+    setup = replace(STATIC, above_m=0.02)
     pose = Poses(*(np.array([x]) for x in (np.hypot(1.163, 0.02), 0.0, 0.0, 0.0, 0.02)))
-    aside = arrivals(replace(scene(1.163, setup=setup), poses=pose)).only(FACE)
+    aside = arrivals(replace(geometry(1.163, setup=setup), poses=pose)).only(FACE)
     assert burst_db(aside, 1.163) > burst_db(face(1.163), 1.163) + 10.0
 
 
@@ -98,28 +98,28 @@ def test_plate_has_no_deep_null():
 
 
 @pytest.mark.parametrize(("shape", "degrees"), [(MIRROR, 1.50), (RUBBER, 2.05)], ids=["disc", "plate"])
-def test_far_away_the_first_null_is_where_aperture_has_it(shape, degrees):
+def test_first_null_in_the_far_field(shape, degrees):
     """sin t = 0.61 wavelength / radius of a disc, wavelength / (2 width) of a plate; 60 m away, in lossless air."""
     levels = {t: steady_db(face(60.0, t, shape), 60.0) for t in (0.0, degrees - 0.4, degrees, degrees + 0.4)}
     assert levels[degrees] < levels[0.0] - 22.0
     assert levels[degrees] < min(levels[degrees - 0.4], levels[degrees + 0.4]) - 5.0
 
 
-def test_far_away_a_disc_is_half_as_loud_at_0_87_degrees():
+def test_half_power_angle_of_a_disc_in_the_far_field():
     assert steady_db(face(60.0, 0.87), 60.0) - steady_db(face(60.0), 60.0) == pytest.approx(-6.0, abs=0.4)
 
 
 @pytest.mark.parametrize(("shape", "strength_db"), [(MIRROR, 11.3), (RUBBER, 5.2)], ids=["disc", "plate"])
 def test_target_strength_far_away(shape, strength_db):
     """20 log (area / wavelength), per d^2."""
-    way = face(100.0, 0.0, shape)
-    total = abs((way.amplitude * np.exp(-4j * np.pi * way.length / WAVELENGTH)).sum())
+    paths = face(100.0, 0.0, shape)
+    total = abs((paths.amplitude * np.exp(-4j * np.pi * paths.length / WAVELENGTH)).sum())
     assert 20.0 * np.log10(total * 100.0**2) == pytest.approx(strength_db, abs=0.15)
 
 
 @pytest.mark.parametrize(("distance", "late_mm"), [(0.1, 0.78), (0.5, 0.16)])
-def test_baseline_of_25_mm_lengthens_what_is_near(distance, late_mm):
-    setup = replace(STILL, output="us", reflector=Wall(), gain=0)
+def test_baseline_of_25_mm_lengthens_near_ranges(distance, late_mm):
+    setup = replace(STATIC, output="us", reflector=Wall(), gain=0)
     near, apart = (
         Rig(replace(BARE, sensitivity_db=10.0, blanking=0.0, baseline=spacing), setup)
         .ping(Ping.of(distance), np.random.default_rng(0))
@@ -136,7 +136,7 @@ def test_scale_of_58_us_a_centimetre_over_temperature(celsius, percent):
     """Slope between a wall at 2 m and one at 4 m, as loud over the threshold, at a relative humidity of 50 %."""
     air = Air.of(float(celsius), 50.0)
     gap = 20.0 * np.log10(2.0) + float(air.absorption_db[0]) * 4.0
-    setup = replace(STILL, reflector=Wall(), gain=31, output="us", temperature_c=float(celsius), range_register=255)
+    setup = replace(STATIC, reflector=Wall(), gain=31, output="us", temperature_c=float(celsius), range_register=255)
     code = [
         float(
             Rig(replace(BARE, sensitivity_db=20.0 + extra), setup)
@@ -150,30 +150,30 @@ def test_scale_of_58_us_a_centimetre_over_temperature(celsius, percent):
 
 @pytest.mark.parametrize(("register", "milliseconds"), [(140, 36.096), (24, 6.4), (255, 65.536)])
 def test_range_gate_is_a_hard_edge(register, milliseconds):
-    """An echo that crosses just before (register + 1) 256 us is kept, one just after is not, however loud."""
+    """A crossing just before (register + 1) 256 us counts, one just after does not, at any level."""
     last = milliseconds * 1e-3 * SPEED / 2.0
     unit = replace(BARE, sensitivity_db=80.0, t_offset=0.0)
-    setup = replace(STILL, reflector=Wall(), gain=31, output="us", range_register=register)
+    setup = replace(STATIC, reflector=Wall(), gain=31, output="us", range_register=register)
     distance = last - np.array([0.040, 0.012, -0.004])
     ping = Ping.of(distance, time=2.4 * np.arange(3))
-    heard = Rig(unit, setup).ping(ping, np.random.default_rng(0)).code[:, 0]
-    assert (heard > 0).tolist() == [True, True, False]
-    assert heard.max() <= milliseconds * 1e3
+    detected = Rig(unit, setup).ping(ping, np.random.default_rng(0)).code[:, 0]
+    assert (detected > 0).tolist() == [True, True, False]
+    assert detected.max() <= milliseconds * 1e3
 
 
 @pytest.mark.parametrize(
     ("distance", "post", "foot", "by_floor"),
     [(1, 1.30, 1.98, 2.08), (2, 2.30, 2.75, 2.80), (3, 3.30, 3.63, 3.62), (4, 4.30, 4.55, 4.50), (6, 6.30, 6.48, 6.35)],
 )
-def test_where_the_room_answers_from_at_a_height_of_1_5_m(distance, post, foot, by_floor):
-    setup = replace(STILL, post=Post(radius=1e-3, behind=0.3), room=Room(1.5, None, None))
-    found = arrivals(scene(distance, setup=setup, shape=Plate(0.02, 0.02), unit=replace(BARE, sensitivity_db=60.0)))
+def test_positions_of_room_echoes_at_a_height_of_1_5_m(distance, post, foot, by_floor):
+    setup = replace(STATIC, post=Post(radius=1e-3, behind=0.3), room=Room(1.5, None, None))
+    found = arrivals(geometry(distance, setup=setup, shape=Plate(0.02, 0.02), unit=replace(BARE, sensitivity_db=60.0)))
     stand = np.sort(found.only(POST).length)
     assert stand == pytest.approx([post, foot], abs=0.006)
     assert found.only(FLOOR).length.min() == pytest.approx(by_floor, abs=0.011)
 
 
-def test_gain_s_caps_are_reached_where_the_registers_have_them():
+def test_gain_reaches_its_cap_at_the_documented_time():
     for code, millimetres in ((11, 132), (14, 168), (31, 372)):
         gain = gain_over_time(code, 200)
         full = np.flatnonzero(gain == gain[-1])[0] * PERIOD
@@ -181,14 +181,14 @@ def test_gain_s_caps_are_reached_where_the_registers_have_them():
 
 
 @pytest.mark.parametrize(("degrees", "above_db"), [(5.0, 0.8), (22.5, 3.5), (45.0, 7.7)])
-def test_a_straight_edge_is_that_of_diffraction_theory_less_what_kirchhoff_lacks(degrees, above_db):
+def test_straight_edge_agrees_with_kirchhoff_diffraction(degrees, above_db):
     """Near edge of a great plate turned by t, against a wall as far away.
 
     The geometrical theory has sqrt(wavelength/d) (1 + 1/sin t) / (2 sqrt 2 pi), Kirchhoff's integral cot t in place of
     the bracket: an edge here is as loud where the plate nearly faces the sensor, and 7.7 dB fainter at 45 degrees.
     """
     distance, turn = 4.0, np.deg2rad(degrees)
-    edge = 2.0  # the plate's half width; its far edge lies beyond everything that is looked at
+    edge = 2.0  # half width of the plate; its far edge is out of the window
     # the near edge straight ahead: centre of the plate beyond it along the plate
     near = np.array([distance, 0.0])
     centre = near + edge * np.array([np.sin(turn), np.cos(turn)])
@@ -199,9 +199,9 @@ def test_a_straight_edge_is_that_of_diffraction_theory_less_what_kirchhoff_lacks
         np.zeros(1),
         np.zeros(1),
     )
-    base = scene(distance, shape=Plate(2.0 * edge, 4.0))
-    way = arrivals(replace(base, poses=pose)).only(FACE)
-    pulses = Pulses(np.zeros(len(way), dtype=int), 2.0 * way.length / SPEED, way.amplitude)
+    base = geometry(distance, shape=Plate(2.0 * edge, 4.0))
+    paths = arrivals(replace(base, poses=pose)).only(FACE)
+    pulses = Pulses(np.zeros(len(paths), dtype=int), 2.0 * paths.length / SPEED, paths.amplitude)
     wave = np.abs(waveforms(BARE, np.array([20.0]), pulses, 2000)[0])
     at = round((2.0 * distance / SPEED + 394e-6) / PERIOD)
     level = 20.0 * np.log10(wave[at - 2 : at + 3].max() * 2.0 * distance)

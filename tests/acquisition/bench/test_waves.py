@@ -1,6 +1,7 @@
-"""What the geometry, the transducers and the comparator must come out at: numbers computed apart from the rig."""
+"""Geometry, transducers and comparator against independently computed numbers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,11 @@ from acquisition.bench import (
 )
 from acquisition.bench.acoustics.air import Air, sound_speed
 from acquisition.bench.acoustics.arrivals import FACE, Arrivals
+from acquisition.bench.acoustics.geometry import PathGeometry, Poses, amplitude_scale
 from acquisition.bench.acoustics.receiver import (
     GAINS,
-    Mixture,
     Pulses,
+    SharedWaveforms,
     amplification,
     crossings,
     gain_over_time,
@@ -27,17 +29,16 @@ from acquisition.bench.acoustics.receiver import (
     waveforms,
 )
 from acquisition.bench.acoustics.room import arrivals
-from acquisition.bench.acoustics.scene import Poses, Scene, loudness
 from acquisition.bench.acoustics.transducer import PERIOD, Piston, pulse_at, pulse_phases
 from acquisition.bench.firmware import first_echoes, smoothed, to_codes
 
 SPEED = float(sound_speed(19.0, 50.0))
 WAVELENGTH = SPEED / 40e3
-# no beam pattern, no baseline, no noise, no hysteresis, no rail: what is left is the quantity under test
+# no beam pattern, baseline, noise, hysteresis or clipping
 BARE = replace(
     Unit.nominal(), radius=1e-6, baseline=0.0, noise=0.0, hysteresis=0.0, rail=1e9, leak_db=-300.0, sensitivity_db=0.0
 )
-EMPTY = Setup.still()
+EMPTY = Setup.static()
 AIR = Air(np.array([19.0]), np.array([SPEED]), np.array([0.0]))
 
 
@@ -45,46 +46,46 @@ def one(value):
     return np.array([float(value)])
 
 
-def scene(distance, incidence_deg=0.0, shape=MIRROR, bearing_deg=0.0, setup=EMPTY, unit=BARE, reflectance=1.0):
+def geometry(distance, incidence_deg=0.0, shape=MIRROR, bearing_deg=0.0, setup=EMPTY, unit=BARE, reflectance=1.0):
     pose = Poses(one(distance), one(np.deg2rad(bearing_deg)), one(np.deg2rad(incidence_deg)), one(0.0), one(0.0))
-    return Scene(unit, replace(setup, reflector=shape), pose, one(reflectance), AIR)
+    return PathGeometry(unit, replace(setup, reflector=shape), pose, one(reflectance), AIR)
 
 
 def face(*args, **kwargs):
-    return arrivals(scene(*args, **kwargs)).only(FACE)
+    return arrivals(geometry(*args, **kwargs)).only(FACE)
 
 
-def signal(unit, way, samples=1600, air=AIR):
-    """What reaches the receiver's input, over the threshold at full gain."""
-    weight = loudness(unit) * air.loss(way.row, way.length) * way.amplitude
-    return waveforms(unit, air.temperature_c, Pulses(way.row, air.delay(way.row, way.length), weight), samples)[0]
+def signal(unit, paths, samples=1600, air=AIR):
+    """Waveform at the receiver relative to the threshold at full gain."""
+    weight = amplitude_scale(unit) * air.loss(paths.row, paths.length) * paths.amplitude
+    return waveforms(unit, air.temperature_c, Pulses(paths.row, air.delay(paths.row, paths.length), weight), samples)[0]
 
 
-def ways(*pairs):
+def paths_of(*pairs):
     length, amplitude = np.array(pairs, dtype=complex).T
     return Arrivals.of([0], FACE, length.real[None], amplitude[None])
 
 
-def steady_db(way, distance):
+def steady_db(paths, distance):
     """Level of a continuous wave against a wall at the same distance, dB."""
-    phase = np.exp(-4j * np.pi * way.length / WAVELENGTH)
-    return 20.0 * np.log10(abs((way.amplitude * phase).sum()) * 2.0 * distance)
+    phase = np.exp(-4j * np.pi * paths.length / WAVELENGTH)
+    return 20.0 * np.log10(abs((paths.amplitude * phase).sum()) * 2.0 * distance)
 
 
-def burst_db(way, distance):
+def burst_db(paths, distance):
     """Level of the burst's peak against a wall at the same distance, dB."""
-    echo, wall = (np.abs(signal(BARE, w)).max() for w in (way, ways((distance, 0.5 / distance))))
+    echo, wall = (np.abs(signal(BARE, w)).max() for w in (paths, paths_of((distance, 0.5 / distance))))
     return 20.0 * np.log10(echo / wall)
 
 
-def test_pulse_peaks_when_and_where_the_cascade_does():
+def test_peak_of_the_pulse():
     pulse = np.abs(pulse_at(Unit.nominal(), 20.0, 1e-6))
     assert np.argmax(pulse) * 1e-6 == pytest.approx(394e-6, abs=6e-6)
     assert 20.0 * np.log10(pulse.max()) == pytest.approx(-11.7, abs=0.1)
 
 
 @pytest.mark.parametrize(("apart", "loss"), [(1e3, -1.0), (2e3, -3.0)])
-def test_transducers_out_of_tune_are_heard_worse(apart, loss):
+def test_detuned_transducers_lose_level(apart, loss):
     tuned, apart_by = (
         np.abs(pulse_at(replace(Unit.nominal(), f_rx=40e3 + f / 2, f_tx=40e3 - f / 2), 20.0, 1e-6)).max()
         for f in (0.0, apart)
@@ -93,7 +94,7 @@ def test_transducers_out_of_tune_are_heard_worse(apart, loss):
 
 
 @pytest.mark.parametrize(("db", "millimetres"), [(-20, 253), (-40, 382), (-60, 506)])
-def test_ringing_dies_by_half_a_metre(db, millimetres):
+def test_ringing_decays_by_half_a_metre(db, millimetres):
     pulse = np.abs(pulse_at(Unit.nominal(), 20.0, 1e-6))
     last = np.flatnonzero(pulse > pulse.max() * 10.0 ** (db / 20.0))[-1] * 1e-6
     assert last * SPEED / 2.0 * 1e3 == pytest.approx(millimetres, rel=0.015)
@@ -118,7 +119,7 @@ def test_time_walk_of_the_first_crossing(over_db, microseconds):
 
 
 @pytest.mark.parametrize("over_db", [12, 20, 30, 40, 45])
-def test_first_crossing_does_not_depend_on_where_the_samples_fall(over_db):
+def test_first_crossing_is_independent_of_the_sampling_phase(over_db):
     """Echoes at any delay, by the grid of arrivals and one sample a period: within 1.5 us of the exact crossing."""
     pulse = pulse_at(Unit.nominal(), 20.0, 1e-7) / np.abs(pulse_at(Unit.nominal(), 20.0, 1e-7)).max()
     t = np.arange(len(pulse)) * 1e-7
@@ -147,13 +148,13 @@ def test_time_walk_in_millimetres_and_its_comb():
     assert (walk.max() - walk.min()) / len(slips) == pytest.approx(4.29, abs=0.15)
 
 
-def test_disc_on_its_axis_is_the_exact_solution():
+def test_disc_on_axis_equals_the_exact_solution():
     """1/(2d) [delta(2d) - (d/R)^2 delta(2R)], summed over the outline."""
-    way = face(0.7)
+    paths = face(0.7)
     distance, rim = 0.7, np.hypot(0.7, 0.1)
-    assert way.amplitude[0] == pytest.approx(1.0 / (2.0 * distance))
-    assert way.length[1:] == pytest.approx(rim, abs=2e-6)
-    assert way.amplitude[1:].sum().real == pytest.approx(-distance / (2.0 * rim**2), rel=1e-4)
+    assert paths.amplitude[0] == pytest.approx(1.0 / (2.0 * distance))
+    assert paths.length[1:] == pytest.approx(rim, abs=2e-6)
+    assert paths.amplitude[1:].sum().real == pytest.approx(-distance / (2.0 * rim**2), rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +164,7 @@ def test_burst_from_the_disc_has_its_nulls_and_maxima(distance, level):
     assert burst_db(face(distance), distance) == pytest.approx(level, abs=0.5)
 
 
-def test_a_degree_of_tilt_washes_the_null_out():
+def test_a_degree_of_tilt_removes_the_null():
     assert burst_db(face(1.163, 1.0), 1.163) > -1.0
 
 
@@ -190,22 +191,22 @@ def test_tilted_reflectors_against_the_surface_integral(shape, table):
         assert levels == pytest.approx(row, abs=1.2), distance
 
 
-def test_face_is_lost_where_its_perpendicular_misses_it():
+def test_mirror_echo_is_lost_where_the_perpendicular_misses_the_face():
     """At 1 m the disc mirrors up to atan(0.1/1) = 5.7 degrees; beyond, only its outline is left."""
     assert face(1.0, 5.5).amplitude[0].real > 0.0
     assert face(1.0, 5.9).length.min() > 1.0 * np.cos(np.deg2rad(5.9))
     assert burst_db(face(1.0, 8.0), 1.0) < -12.0
 
 
-def test_seen_face_reads_the_perpendicular_and_an_edge_its_own_distance():
-    way = face(0.5, 10.0)
-    assert way.length[0] == pytest.approx(0.5 * np.cos(np.deg2rad(10.0)))
+def test_range_is_the_perpendicular_or_the_distance_of_the_edge():
+    paths = face(0.5, 10.0)
+    assert paths.length[0] == pytest.approx(0.5 * np.cos(np.deg2rad(10.0)))
     tilted = face(2.0, 22.5)
     near = np.sqrt(2.0**2 + 0.1**2 - 2.0 * 2.0 * 0.1 * np.sin(np.deg2rad(22.5)))
     assert tilted.length.min() == pytest.approx(near, abs=1e-4)
 
 
-def test_a_great_disc_is_a_wall_until_its_rim_is_heard():
+def test_large_disc_is_a_wall_until_its_rim_arrives():
     disc, wall = face(1.0, 0.0, Disc(3.0)), face(1.0, 0.0, Wall())
     assert disc.amplitude[0] == wall.amplitude[0] == pytest.approx(0.5)
     assert disc.length[1:].min() > 3.0
@@ -222,13 +223,13 @@ def test_gain_steps_every_70_us_up_to_its_cap():
 
 
 def test_wall_at_six_metres_just_reaches_the_threshold_at_full_gain():
-    wave = signal(BARE, ways((6.0, 1.0 / 12.0)), air=replace(AIR, absorption_db=one(1.29)))
+    wave = signal(BARE, paths_of((6.0, 1.0 / 12.0)), air=replace(AIR, absorption_db=one(1.29)))
     assert np.abs(wave).max() == pytest.approx(1.0, abs=0.01)
 
 
 def test_waveform_is_the_sum_of_delayed_pulses():
     """Against the pulse sampled at the exact delay."""
-    given = ways((1.2345, 0.3), (1.30, -0.1), (2.0, 0.2j))
+    given = paths_of((1.2345, 0.3), (1.30, -0.1), (2.0, 0.2j))
     wave = signal(BARE, given, 900)
     fine = pulse_at(BARE, 19.0, PERIOD / 32)
     expected = np.zeros(900, dtype=complex)
@@ -242,13 +243,13 @@ def test_waveform_is_the_sum_of_delayed_pulses():
     np.testing.assert_allclose(wave, expected * scale, atol=2e-3 * np.abs(wave).max())
 
 
-def test_noise_has_unit_variance_and_the_amplifiers_memory():
+def test_noise_has_unit_variance_and_the_amplifiers_correlation():
     z = noise((200, 1000), np.random.default_rng(0))
     assert z.real.std() == pytest.approx(1.0, abs=0.01)
     assert (z[:, 1:] * z[:, :-1].conj()).mean().real / 2.0 == pytest.approx(np.exp(-np.pi / 4.0), abs=0.02)
 
 
-def test_false_alarms_at_full_gain_are_rare_but_real():
+def test_false_alarm_rate_at_full_gain():
     """Noise at a quarter to a sixth of the threshold: from one in 10,000 pings to some in a hundred."""
     rng = np.random.default_rng(0)
     rates = []
@@ -264,16 +265,16 @@ def test_dead_time_blanking_and_gate_bound_the_echoes():
     unit = replace(Unit.nominal(), blanking=1e-3, rearm=2e-3)
     time = np.array([0.5e-3, 1.5e-3, 2.0e-3, 3.4e-3, 3.6e-3, 9e-3, 0.9e-3, 12e-3])
     ping = np.array([0, 0, 0, 0, 0, 0, 2, 2])
-    heard = first_echoes(ping, time, 3, unit, listening=10e-3)
-    np.testing.assert_allclose(heard[0, :4], [1.5e-3, 3.6e-3, 9e-3, np.nan])
-    assert np.isnan(heard[1:]).all()
+    detected = first_echoes(ping, time, 3, unit, listening=10e-3)
+    np.testing.assert_allclose(detected[0, :4], [1.5e-3, 3.6e-3, 9e-3, np.nan])
+    assert np.isnan(detected[1:]).all()
 
 
 def test_at_most_seventeen_echoes():
     time = np.arange(1, 40) * 1e-3
-    heard = first_echoes(np.zeros(39, dtype=int), time, 1, replace(Unit.nominal(), rearm=0.5e-3), 1.0)
-    assert heard.shape == (1, 17)
-    np.testing.assert_allclose(heard[0], time[:17])
+    detected = first_echoes(np.zeros(39, dtype=int), time, 1, replace(Unit.nominal(), rearm=0.5e-3), 1.0)
+    assert detected.shape == (1, 17)
+    np.testing.assert_allclose(detected[0], time[:17])
 
 
 @pytest.mark.parametrize(("output", "code"), [("cm", 100), ("inch", 39), ("us", 5800)])
@@ -282,7 +283,7 @@ def test_codes_of_a_metre(output, code):
     assert to_codes(np.array([5.8e-3, np.nan]), unit, output).tolist() == [code, 0]
 
 
-def test_a_fast_clock_counts_too_many_ticks_and_truncation_reads_short():
+def test_fast_clock_reads_long_and_truncation_reads_short():
     time = np.array([17.445e-3])
     unit = replace(Unit.nominal(), t_offset=0.0)
     assert to_codes(time, replace(unit, clock_error=0.005), "us")[0] == 17_532
@@ -290,7 +291,7 @@ def test_a_fast_clock_counts_too_many_ticks_and_truncation_reads_short():
     assert to_codes(time, replace(unit, rounding="nearest"), "cm")[0] == 301
 
 
-def test_clipping_makes_deaf_for_a_moment():
+def test_no_detection_during_recovery_from_clipping():
     unit = replace(BARE, rail=5.0, recovery=75e-6)
     z = np.zeros((1, 60), dtype=np.complex64)
     z[0, 10:20], z[0, 20:40] = 6.0, 2.0
@@ -301,27 +302,27 @@ def test_clipping_makes_deaf_for_a_moment():
     assert 23 in sample
 
 
-def test_working_out_only_what_can_trip_loses_nothing(monkeypatch):
-    """With the shortcut off, the same echoes: their shares and spreads agree."""
+def test_omitting_inactive_samples_does_not_change_the_echoes():
+    """Detection rate, mean and spread of the echoes agree with a computation of all samples."""
     unit, none = Unit.nominal(), np.zeros((400, 1))
-    waves = [Mixture(signal(unit, ways((2.0, 0.11)), 1440)[None], none + 1.0, none)]
+    waves = [SharedWaveforms(signal(unit, paths_of((2.0, 0.11)), 1440)[None], none + 1.0, none)]
     gain = amplification(unit, Setup(gain=20), 1440)
 
-    def times(seed):
+    def times(seed, waves):
         z, start = voltages(waves, np.full(400, unit.noise), gain, None, np.random.default_rng(seed))
         ping, time = crossings(z, unit)
         return first_echoes(ping, time + start * PERIOD, 400, unit, 1.0)[:, 0], z.shape[1]
 
-    short, width = times(0)
-    monkeypatch.setattr("acquisition.bench.acoustics.receiver.SIGMAS", 1e9)
-    whole, full = times(1)
+    short, width = times(0, waves)
+    unbounded = SimpleNamespace(bound=lambda: 1e9, total=lambda active: 0.0)  # makes all samples active
+    whole, full = times(1, [*waves, unbounded])
     assert width < 0.2 * full == 0.2 * 1440
     assert np.mean(np.isnan(short)) == pytest.approx(np.mean(np.isnan(whole)), abs=0.05)
     assert np.nanmean(short) == pytest.approx(np.nanmean(whole), abs=2e-6)
     assert np.nanstd(short) == pytest.approx(np.nanstd(whole), rel=0.25)
 
 
-def test_firmware_that_averages_takes_the_last_first_echoes_of_its_run():
+def test_firmware_averages_first_echoes_within_a_run():
     code = np.zeros((6, 17), dtype=np.uint16)
     code[:, 0] = [100, 200, 0, 300, 400, 500]
     run = np.array([0, 0, 0, 0, 1, 1])
@@ -332,14 +333,14 @@ def test_firmware_that_averages_takes_the_last_first_echoes_of_its_run():
     assert smoothed(code, run, replace(mean, average="median"), "cm")[3, 0] == 200
 
 
-def test_firmware_with_a_dead_band_repeats_itself_until_something_moves():
+def test_firmware_dead_band_repeats_the_previous_output():
     code = np.zeros((7, 17), dtype=np.uint16)
     code[:, 0] = [5800, 5850, 0, 5890, 5910, 5830, 5790]
     unit = replace(Unit.nominal(), deadband=100e-6)
     assert smoothed(code, np.zeros(7, dtype=int), unit, "us")[:, 0].tolist() == [5800, 5800, 0, 5800, 5910, 5910, 5790]
 
 
-def test_a_ramp_from_the_wrong_rail_is_bent():
+def test_capacitor_ramp_shortens_long_times():
     """t is measured as tau (1 - exp(-t / tau)): short by t^2 / (2 tau), so by the square of distance."""
     unit = replace(Unit.nominal(), t_offset=0.0, ramp_tau_s=1.0)
     time = np.array([6e-3, 12e-3, 24e-3])

@@ -1,4 +1,4 @@
-"""The SRF08's driver over its twin: the same code that talks to a real bus."""
+"""Drivers of the Devantech sonars with their twins and with a scripted bus."""
 
 from dataclasses import replace
 
@@ -21,10 +21,10 @@ def pair(wire=None, setup=QUIET, **settings):
 
 
 class Scripted:
-    """A bus that logs writes and reads what it is told."""
+    """A bus that logs writes and has prepared answers."""
 
-    def __init__(self, block=bytes(34), revision=10, fail=None):
-        self.log, self.block, self.revision, self.fail = [], block, revision, fail
+    def __init__(self, registers=bytes(34), revision=10, fail=None):
+        self.log, self.registers, self.revision, self.fail = [], registers, revision, fail
         self.address, self.busy = 0x70, 0
 
     def write_byte_data(self, i2c_addr, register, value):
@@ -32,7 +32,7 @@ class Scripted:
         if self.fail:
             raise self.fail
         if register == 0 and value in (0x50, 0x51, 0x52):
-            self.busy = 2  # looks
+            self.busy = 2  # reads
         if register == 0 and value >= 0xE0:
             self.address = value >> 1
 
@@ -48,7 +48,7 @@ class Scripted:
     def i2c_rdwr(self, *messages):
         pointer, answer = messages
         self.log.append(("pointer", list(pointer), answer.len))
-        for k, byte in enumerate(self.block):
+        for k, byte in enumerate(self.registers):
             answer.buf[k] = bytes([byte])
 
 
@@ -63,27 +63,27 @@ def test_ping_writes_gain_then_range_then_command_each_on_its_own():
 
 
 def test_echoes_are_unsigned_big_endian_and_end_at_the_first_zero():
-    block = bytes([0x00, 0x85, 0x01, 0x9E, 0x04, 0x10, 0, 0]) + bytes(26)
-    heard = on(Scripted(block)).ping()
-    assert heard.ranges == pytest.approx((1.33, 4.14, 10.40))
-    assert heard.light == 77
+    registers = bytes([0x00, 0x85, 0x01, 0x9E, 0x04, 0x10, 0, 0]) + bytes(26)
+    echoes = on(Scripted(registers)).ping()
+    assert echoes.ranges == pytest.approx((1.33, 4.14, 10.40))
+    assert echoes.light == 77
 
 
 def test_seventeen_echoes_all_come_through():
-    block = np.arange(1, 18).astype(">u2").tobytes()
-    assert len(on(Scripted(block)).ping().ranges) == 17
+    registers = np.arange(1, 18).astype(">u2").tobytes()
+    assert len(on(Scripted(registers)).ping().ranges) == 17
 
 
 @pytest.mark.parametrize(("output", "metres"), [("cm", 1.0), ("inch", 2.54), ("us", 100 / 5800)])
 def test_units(output, metres):
-    block = (100).to_bytes(2, "big") + bytes(32)
-    assert on(Scripted(block), output=output).ping().ranges[0] == pytest.approx(metres)
+    registers = (100).to_bytes(2, "big") + bytes(32)
+    assert on(Scripted(registers), output=output).ping().ranges[0] == pytest.approx(metres)
 
 
 def test_address_change_is_a0_aa_a5_new():
     bus = Scripted()
     sonar = on(bus)
-    sonar.move(0x79)
+    sonar.set_address(0x79)
     assert [value for _, _, value in bus.log] == [0xA0, 0xAA, 0xA5, 0xF2]
     assert sonar.address == 0x79
 
@@ -106,14 +106,14 @@ def test_settings_are_refused_with_limit_value_and_unit(settings, message):
         Srf08(Scripted(), **settings)
 
 
-def test_nobody_there_is_no_answer_after_three_tries():
+def test_a_missing_sensor_is_no_answer_after_three_tries():
     bus = Scripted(fail=OSError(121, "Remote I/O error"))
-    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x70: no acknowledge in 3 tries 1 ms apart; no sonar's"):
+    with pytest.raises(NoAnswerError, match=r"SRF08 at 0x70: no acknowledge in 3 tries 1 ms apart; no sonar"):
         on(bus).ping()
     assert len(bus.log) == 3
 
 
-def test_a_broken_bus_is_a_device_error_not_silence():
+def test_a_broken_bus_is_a_device_error():
     with pytest.raises(DeviceError, match="the bus failed: No such device"):
         on(Scripted(fail=OSError(19, "No such device"))).ping()
 
@@ -129,8 +129,8 @@ def test_open_line_in_the_registers_is_no_answer():
         on(Scripted(b"\xff" * 34)).ping()
 
 
-def test_missing_bus_is_told(monkeypatch):
-    with pytest.raises(DeviceError, match=r"/dev/i2c-987: .*; switch I2C on"):
+def test_a_missing_bus_is_an_error(monkeypatch):
+    with pytest.raises(DeviceError, match=r"/dev/i2c-987: .*; enable I2C"):
         DRIVERS["srf08"].open("/dev/i2c-987")
 
 
@@ -170,19 +170,19 @@ def test_busy_lasts_as_long_as_listening(ones):
     assert twin.read_byte_data(0x70, 0) == 10
 
 
-def test_twin_gives_way_to_another_address_only_in_order():
+def test_the_twin_changes_its_address_only_after_the_full_sequence():
     twin, sonar = pair()
     for value in (0xA5, 0xAA, 0xA0, 0xF2):
         twin.write_byte_data(0x70, 0, value)
     assert twin.address == 0x70
-    sonar.move(0x79)
+    sonar.set_address(0x79)
     assert twin.address == 0x79
     assert sonar.revision() == 10
     with pytest.raises(NoAnswerError):
         Srf08(twin, address=0x70, sleep=twin.clock.sleep, clock=twin.clock).revision()
 
 
-def test_settings_survive_a_brown_out_because_each_ping_writes_them():
+def test_each_ping_writes_the_settings_again_after_a_reset():
     twin, sonar = pair(gain=3)
     sonar.ping()
     twin.power_cycle()
@@ -191,7 +191,7 @@ def test_settings_survive_a_brown_out_because_each_ping_writes_them():
     assert (twin.gain, twin.range_register) == (3, 140)
 
 
-def test_faults_of_the_wire_reach_the_caller_as_what_they_are():
+def test_each_fault_of_the_wire_raises_its_own_error():
     twin, sonar = pair()
     twin.place(Ping.of(distance=1.0, reflectance=0.9))
     assert sonar.ping().ranges
@@ -209,7 +209,7 @@ def test_faults_of_the_wire_reach_the_caller_as_what_they_are():
     assert sonar.ping().ranges[0] == pytest.approx(2.02, abs=0.03)
 
 
-def test_a_few_missing_acknowledges_are_survived():
+def test_transfers_are_repeated_after_a_missing_acknowledge():
     twin, sonar = pair(wire=BadWire(nack=0.1))
     twin.place(Ping.of(distance=1.0, reflectance=0.9))
     assert all(len(sonar.ping().ranges) for _ in range(20))
@@ -233,8 +233,8 @@ def test_twin_speaks_i2c_messages():
     assert list(answer)[:2] == [10, Unit.nominal().light]
 
 
-def test_twin_still_hears_the_ping_before():
-    """Fired again after 32 ms, a twin before a far wall reads it near; after 2 s it does not."""
+def test_the_twin_receives_echoes_of_the_previous_ping():
+    """At 32 ms intervals a distant wall reads as a near one; after 2 s it does not."""
     unit = replace(Unit.nominal(), sensitivity_db=25.0, leak_db=-300.0, noise=0.01)
     setup = replace(QUIET, room=Room(None, None, 8.0))
     twin = Srf08Twin(Rig(unit, setup), np.random.default_rng(0))
@@ -242,21 +242,21 @@ def test_twin_still_hears_the_ping_before():
     began = twin.clock()
     assert sonar.ping().ranges == ()
     again = sonar.ping().ranges
-    interval = 0.032  # listening and reading out
+    interval = 0.032  # listening and read-out
     assert twin.clock() - began == pytest.approx(2 * interval, abs=0.004)
     assert again[0] == pytest.approx(8.0 - 0.5 * 343.36 * interval, abs=0.15)
     twin.clock.sleep(2.0)
     assert sonar.ping().ranges == ()
 
 
-def test_a_wrong_address_is_told_with_the_one_found():
+def test_a_wrong_address_is_an_error_with_the_addresses_found():
     twin, _ = pair()
     wrong = Srf08(twin, address=0x72, sleep=twin.clock.sleep, clock=twin.clock)
     with pytest.raises(NoAnswerError, match=r"SRF08 at 0x72: .* found 0x70 instead"):
         wrong.ping()
 
 
-def test_address_is_not_changed_while_another_sonar_listens():
+def test_the_address_is_not_changed_while_another_sonar_is_on_the_bus():
     class Two(Scripted):
         def read_byte_data(self, i2c_addr, register):
             if i2c_addr not in (0x70, 0x74):
@@ -265,7 +265,7 @@ def test_address_is_not_changed_while_another_sonar_listens():
 
     bus = Two()
     with pytest.raises(SettingError, match="must be alone on the bus, also found 0x74"):
-        on(bus).move(0x79)
+        on(bus).set_address(0x79)
     assert bus.log == []
 
 
@@ -275,8 +275,8 @@ def test_ann_mode_sets_the_gate_of_the_wall():
     twin.place(Ping.of(distance=2.0, reflectance=0.9))
     gates = sonar.gates()
     assert gates.first == pytest.approx(2.0, abs=0.05)
-    assert len(gates.heard) == 32
-    assert next(k for k, heard in enumerate(gates.heard) if heard) == 5
+    assert len(gates.values) == 32
+    assert next(k for k, value in enumerate(gates.values) if value) == 5
     assert twin.range_register == 255
 
 
@@ -288,7 +288,7 @@ def test_general_call_then_fetch_gives_the_same_wall():
 
 
 @pytest.mark.parametrize(("kind", "twin_kind"), [(Srf10, Srf10Twin), (Srf02, Srf02Twin)])
-def test_siblings_give_one_echo(kind, twin_kind):
+def test_srf10_and_srf02_return_one_echo(kind, twin_kind):
     twin = twin_kind(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
     sonar = kind(twin, sleep=twin.clock.sleep, clock=twin.clock)
     twin.place(Ping.of(distance=1.5, reflectance=0.9))
@@ -296,24 +296,24 @@ def test_siblings_give_one_echo(kind, twin_kind):
     assert sonar.ping().light is None
 
 
-def test_srf02_tells_its_shortest_range():
+def test_srf02_reads_its_minimum_range():
     twin = Srf02Twin(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
-    assert Srf02(twin, sleep=twin.clock.sleep, clock=twin.clock).shortest() == pytest.approx(0.16)
+    assert Srf02(twin, sleep=twin.clock.sleep, clock=twin.clock).min_range() == pytest.approx(0.16)
 
 
-def test_srf10_knows_17_gains():
+def test_srf10_has_17_gains():
     with pytest.raises(SettingError, match="SRF10 gain must be a whole number from 0 to 16, got 17"):
         Srf10(Scripted(), gain=17)
 
 
-def test_an_echo_from_beyond_what_was_listened_to_is_no_reading():
-    """What a sensor gives that was reset to range 255 behind our back."""
-    block = (1000).to_bytes(2, "big") + bytes(32)
-    with pytest.raises(GarbledError, match=r"echo at 10.00 m, but it was told to listen up to 6\.6.* m"):
-        on(Scripted(block), range_register=140).ping()
+def test_an_echo_beyond_the_maximum_range_is_an_error():
+    """The sensor was reset to range register 255 unnoticed."""
+    registers = (1000).to_bytes(2, "big") + bytes(32)
+    with pytest.raises(GarbledError, match=r"echo at 10.00 m, beyond its set maximum of 6\.6.* m"):
+        on(Scripted(registers), range_register=140).ping()
 
 
-def test_a_general_call_that_one_sonar_missed_is_told():
+def test_a_lost_general_call_is_an_error():
     twin, sonar = pair()
     sonar.ping()
     twin.wire.lost_write = 1.0
@@ -326,7 +326,7 @@ def test_a_general_call_has_one_unit():
         fire_all([on(Scripted()), on(Scripted(), output="us")])
 
 
-def test_a_lost_ann_command_is_told():
+def test_a_lost_ann_command_is_an_error():
     twin, sonar = pair()
     sonar.ping()
     twin.wire.lost_write = 1.0
@@ -334,8 +334,8 @@ def test_a_lost_ann_command_is_told():
         sonar.gates()
 
 
-class Dawdling:
-    """A bus on a host that is busy with other things: the first looks at a sensor come late."""
+class SlowHost:
+    """A bus on a busy host: the first checks of a sensor are late."""
 
     def __init__(self, twin, late):
         self.twin, self.late = twin, late
@@ -350,21 +350,21 @@ class Dawdling:
         return getattr(self.twin, name)
 
 
-def test_a_host_that_looks_too_late_fires_again_rather_than_call_a_good_echo_old():
+def test_a_host_that_checks_too_late_fires_again():
     twin, sonar = pair()
     twin.place(Ping.of(distance=1.0, reflectance=0.9))
-    sonar.bus = Dawdling(twin, 2)
+    sonar.bus = SlowHost(twin, 2)
     assert sonar.ping().ranges
     assert twin.clock() > 2 * 0.065
-    sonar.bus = Dawdling(twin, 1000)
-    with pytest.raises(NoAnswerError, match=r"3 times too slow to see whether it took a ranging command.* 36 ms only"):
+    sonar.bus = SlowHost(twin, 1000)
+    with pytest.raises(NoAnswerError, match=r"3 times too slow to check a ranging command.* 36 ms only"):
         sonar.ping()
 
 
-def test_a_slow_host_takes_no_lost_command_for_an_echo():
+def test_a_slow_host_detects_a_lost_command():
     twin, sonar = pair()
     sonar.ping()
     twin.wire.lost_write = 1.0
-    sonar.bus = Dawdling(twin, 2)
+    sonar.bus = SlowHost(twin, 2)
     with pytest.raises(StaleError, match="the command was lost"):
         sonar.ping()

@@ -1,4 +1,4 @@
-"""What any sonar must do, the twins and, with `--hardware PORT --sonar NAME`, a real one with a wall before it."""
+"""Contract of all sonars: the twins and, with `--hardware PORT --sonar NAME`, a real sonar facing a wall."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def twin_of(kind, clock):
 
 def bridge(board, clock):
     made = Bridge(TwinPort(board, clock), clock=clock)
-    made.greet()
+    made.handshake()
     return made
 
 
@@ -34,7 +34,7 @@ def on_bus(driver, kind):
     return opened
 
 
-def behind_arduino(driver, kind):
+def at_arduino(driver, kind):
     def opened(**settings):
         clock = TwinClock()
         return driver(
@@ -58,7 +58,7 @@ TWINS = {
     "srf08": on_bus(Srf08, Srf08Twin),
     "srf10": on_bus(Srf10, Srf10Twin),
     "srf02": on_bus(Srf02, Srf02Twin),
-    "srf08 behind an Arduino": behind_arduino(Srf08, Srf08Twin),
+    "srf08 at an Arduino": at_arduino(Srf08, Srf08Twin),
     "hcsr04": hcsr04,
     "maxbotix": maxbotix,
 }
@@ -66,7 +66,7 @@ TWINS = {
 
 @pytest.fixture(params=[*TWINS, "hardware"])
 def opened(request):
-    """How to open the sonar, with settings where it has any, and its name."""
+    """Return a function that opens the sonar with settings, and its name."""
     port, sonar = request.config.getoption("--hardware"), request.config.getoption("--sonar")
     if request.param != "hardware":
         return TWINS[request.param], request.param.split()[0]
@@ -82,7 +82,7 @@ def srf08(opened):
     return opened[0]
 
 
-def test_it_hears_the_wall_and_gives_echoes_in_order(opened):
+def test_the_wall_is_detected_and_echoes_are_in_order(opened):
     sonar = opened[0]()
     for _ in range(5):
         ranges = sonar.ping().ranges
@@ -91,30 +91,30 @@ def test_it_hears_the_wall_and_gives_echoes_in_order(opened):
         assert len(ranges) <= 17
 
 
-def test_it_repeats_itself(opened):
+def test_readings_are_repeatable(opened):
     sonar = opened[0]()
     first = [sonar.ping().ranges[0] for _ in range(9)]
     assert np.ptp(first) < 0.06
 
 
-def test_it_says_who_it_is(srf08):
+def test_revision_and_light(srf08):
     sonar = srf08(**SETTINGS)
     assert 0 < sonar.revision() < 255
     assert 0 <= sonar.light() <= 255
 
 
-def test_three_units_say_the_same(srf08):
+def test_three_units_agree(srf08):
     first = {unit: np.median([srf08(**SETTINGS, output=unit).ping().ranges[0] for _ in range(5)]) for unit in UNITS}
     assert first["cm"] == pytest.approx(first["us"], abs=0.02)
     assert first["inch"] == pytest.approx(first["us"], abs=0.035)
 
 
-def test_nothing_is_heard_beyond_the_range_register(srf08):
+def test_no_echo_lies_beyond_the_range_register(srf08):
     ranges = [range_ for _ in range(5) for range_ in srf08(gain=31, range_register=100).ping().ranges]
     assert all(range_ <= 101 * 0.0443 for range_ in ranges)
 
 
-def test_less_gain_hears_no_more(srf08):
+def test_less_gain_gives_no_more_echoes(srf08):
     counts = [np.mean([len(srf08(gain=gain, range_register=200).ping().ranges) for _ in range(5)]) for gain in (0, 31)]
     assert counts[0] <= counts[1]
 

@@ -1,4 +1,4 @@
-"""The sketch itself: it compiles for the Mega and, on a simulated ATmega2560, speaks the protocol."""
+"""The sketch compiles for the Mega and answers by the protocol on a simulated ATmega2560."""
 
 import binascii
 import ctypes
@@ -40,7 +40,7 @@ def ioctl(text):
 
 
 class Mega:
-    """An ATmega2560 in simavr with the sketch on it, in the shape of a serial port; time is the chip's."""
+    """An ATmega2560 in simavr with the sketch, as a serial port; calling it returns the time of the chip."""
 
     def __init__(self, library, elf):
         self.lib = lib = ctypes.CDLL(library)
@@ -61,9 +61,9 @@ class Mega:
         lib.avr_init(self.avr)
         lib.avr_load_firmware(self.avr, firmware)
         lib.avr_ioctl(self.avr, ioctl("uas0"), ctypes.byref(ctypes.c_uint32(0)))  # no copy on stdout, no sleeping
-        self.said = bytearray()
+        self.output = bytearray()
         self.steps = 0
-        self._notify = NOTIFY(lambda irq, value, param: self.said.append(value & 0xFF))
+        self._notify = NOTIFY(lambda irq, value, param: self.output.append(value & 0xFF))
         lib.avr_irq_register_notify(self._irq("uar0", 1), self._notify, None)
         self._input = self._irq("uar0", 0)
 
@@ -76,18 +76,18 @@ class Mega:
         self.steps += steps
 
     def __call__(self):
-        """The time: most instructions take one or two cycles."""
+        """Return the time, s: most instructions take one or two cycles."""
         return self.steps * 1.5 / HERTZ
 
     @property
     def in_waiting(self):
-        return len(self.said)
+        return len(self.output)
 
     def read(self, size=1):
-        if not self.said:
+        if not self.output:
             self.run(20_000)
-        given = bytes(self.said[:size])
-        del self.said[:size]
+        given = bytes(self.output[:size])
+        del self.output[:size]
         return given
 
     def write(self, data):
@@ -101,7 +101,7 @@ class Mega:
 
 
 class OnCable:
-    """The chip as the far end of a serial line, running on while nobody writes."""
+    """The chip as a device at a serial line, which also runs without input."""
 
     def __init__(self, mega):
         self.mega = mega
@@ -109,8 +109,8 @@ class OnCable:
     def feed(self, data):
         self.mega.write(data)
         self.mega.run(20_000)
-        due = bytes(self.mega.said)
-        self.mega.said.clear()
+        due = bytes(self.mega.output)
+        self.mega.output.clear()
         return due
 
 
@@ -127,9 +127,9 @@ def mega(elf):
 def bridge(mega):
     bridge = Bridge(mega, "simulated Mega", clock=mega)
     mega.run(400_000)
-    assert parse(mega.said.split(b"\n")[0]) == ("--", "B", "01")
-    mega.said.clear()
-    bridge.greet()
+    assert parse(mega.output.split(b"\n")[0]) == ("--", "B", "01")
+    mega.output.clear()
+    bridge.handshake()
     return bridge
 
 
@@ -140,22 +140,22 @@ def test_it_compiles_and_fits(elf):
     assert data + bss < 1_536  # of an Uno's 2048 bytes, a quarter left for the stack
 
 
-def test_nobody_on_the_bus_is_no_acknowledge(bridge, mega):
+def test_an_empty_bus_gives_no_acknowledge(bridge, mega):
     sonar = Srf08(ArduinoBus(bridge), sleep=lambda s: None, clock=mega)
     with pytest.raises(NoAnswerError, match="SRF08 at 0x70: no acknowledge in 3 tries"):
         sonar.ping()
 
 
-def test_scan_finds_nobody(bridge):
-    assert bridge.ask("S") == ""
+def test_scan_of_an_empty_bus_is_empty(bridge):
+    assert bridge.request("S") == ""
 
 
-def test_a_sensor_without_power_never_raises_its_line(bridge):
+def test_a_sensor_without_power_does_not_raise_its_line(bridge):
     with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
         HcSr04(bridge).ping()
 
 
-def test_a_stuck_echo_line_is_told(bridge, mega):
+def test_a_stuck_echo_line_is_an_error(bridge, mega):
     pin = mega._irq("iogH", 5)  # the Mega's pin 8 is port H, bit 5
     mega.lib.avr_raise_irq(pin, 1)
     with pytest.raises(NoAnswerError, match="high before the trigger"):
@@ -175,37 +175,37 @@ def test_a_stuck_echo_line_is_told(bridge, mega):
         ("W 70" + " 00" * 17, "request refused"),
     ],
 )
-def test_requests_that_make_no_sense_are_refused(bridge, command, message):
+def test_invalid_requests_are_refused(bridge, command, message):
     with pytest.raises(NoAnswerError, match=message):
-        bridge.ask(command)
+        bridge.request(command)
 
 
 @pytest.mark.parametrize("line", [b">01 V*0000\n", b"\xff\x00\n", b">\n", b">01 V\n", b"A" * 300 + b"\n"])
-def test_garbage_is_answered_as_such_and_does_not_matter_later(bridge, mega, line):
+def test_garbage_is_answered_as_such_and_has_no_later_effect(bridge, mega, line):
     mega.write(line)
     mega.run(100_000)
-    assert parse(mega.said.split(b"\n")[0]) == ("--", "E", "21")
-    mega.said.clear()
-    assert bridge.ask("V") == "SONARBRIDGE 01"
+    assert parse(mega.output.split(b"\n")[0]) == ("--", "E", "21")
+    mega.output.clear()
+    assert bridge.request("V") == "SONARBRIDGE 01"
 
 
-def test_checksums_of_sketch_and_host_are_one(mega):
+def test_checksums_of_sketch_and_host_agree(mega):
     body = b"C3 V"
     mega.write(b">%s*%04X\n" % (body, binascii.crc_hqx(body, 0xFFFF)))
     mega.run(100_000)
-    assert parse(bytes(mega.said).rstrip(b"\n")) == ("C3", "K", "SONARBRIDGE 01")
-    mega.said.clear()
+    assert parse(bytes(mega.output).rstrip(b"\n")) == ("C3", "K", "SONARBRIDGE 01")
+    mega.output.clear()
 
 
-def test_pyserial_speaks_with_the_compiled_sketch_over_a_pseudo_terminal(bridge, mega, patiently):
+def test_pyserial_communicates_with_the_compiled_sketch_at_a_pseudo_terminal(bridge, mega, patiently):
     def attempt():
         with PseudoTerminal(OnCable(mega)) as far:
-            there = Bridge.open(far.path)
-            there.patience = 10.0  # the simulated chip is slower than a real one
-            assert there.ask("V") == "SONARBRIDGE 01"
-            assert there.ask("S") == ""
+            opened = Bridge.open(far.path)
+            opened.patience = 10.0  # the simulated chip is slower than a real one
+            assert opened.request("V") == "SONARBRIDGE 01"
+            assert opened.request("S") == ""
             with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
-                HcSr04(there).ping()
-            there.close()
+                HcSr04(opened).ping()
+            opened.close()
 
     patiently(attempt)

@@ -1,4 +1,4 @@
-"""ROS bags: written with the library that others write them with, and read back."""
+"""Import of ROS bags, which the tests write with rosbags."""
 
 import math
 import sys
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import EchoStatus, MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
-from acquisition.io.bags import Series, Truth, import_bag, is_bag, read_table, reading_mm
+from acquisition.io.bags import GroundTruthSource, TimeSeries, import_bag, is_bag, read_table, reading_mm
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the extra sonar-gym[ros]")
 from rosbags import rosbag2  # noqa: E402
@@ -22,7 +22,7 @@ STORES = {"ros1": Stores.ROS1_NOETIC, "jazzy": Stores.ROS2_JAZZY}
 
 
 class Bag:
-    """Writes messages of one ROS version into one kind of bag."""
+    """Writer of messages of one ROS version to one kind of bag."""
 
     def __init__(self, folder, kind="ros1"):
         self.kind, self.store = kind, get_typestore(STORES.get(kind, Stores.ROS2_HUMBLE))
@@ -116,7 +116,7 @@ def test_topics_are_chosen_and_frames_are_sensors(tmp_path):
     assert whole.run.tolist() == [0, 1] * 4
     one = import_bag(bag.path, ["/floor"], constants={"distance_mm": 300.0}).recording
     assert set(one.table["sensor"]) == {"floor"}
-    with pytest.raises(RecordingError, match=r"topic '/rear' is none of /floor, /left, /right"):
+    with pytest.raises(RecordingError, match=r"topic '/rear' is not one of /floor, /left, /right"):
         import_bag(bag.path, ["/rear"], constants={"distance_mm": 300.0})
 
 
@@ -128,45 +128,47 @@ def test_a_message_without_a_stamp_has_the_time_it_was_received(tmp_path):
     np.testing.assert_allclose(recording.ping.time, [0.0, 2.0, 4.0], atol=1e-6)
 
 
-def test_a_laser_tells_the_truth(tmp_path):
+def test_true_distance_from_a_laser(tmp_path):
     with Bag(tmp_path, "mcap") as bag:
         for k in range(11):
             bag.range("/laser", BEGAN + 0.1 * k, 1.0 + 0.1 * k if k != 5 else math.inf, infrared=True, most=30.0)
         for k in range(10):
             bag.range("/sonar", BEGAN + 0.1 * k + 0.05, 1.1)
-        bag.range("/sonar", BEGAN + 5.0, 1.1)  # behind the last truth
-    imported = import_bag(bag.path, truth=Truth("/laser"))
+        bag.range("/sonar", BEGAN + 5.0, 1.1)  # after the last true distance
+    imported = import_bag(bag.path, truth=GroundTruthSource("/laser"))
     assert imported.left_out == 1
-    # the laser's lost value is bridged, for the gap is short
+    # the laser's missing value is interpolated, because the gap is short
     np.testing.assert_allclose(imported.recording.ping.distance, 1.05 + 0.1 * np.arange(10), atol=1e-5)
-    strict = import_bag(bag.path, truth=Truth("/laser", longest_gap_s=0.15))
+    strict = import_bag(bag.path, truth=GroundTruthSource("/laser", longest_gap_s=0.15))
     assert strict.left_out == 3
 
 
-def test_a_position_tells_the_truth(tmp_path):
+def test_true_distance_from_a_position(tmp_path):
     with Bag(tmp_path, "sqlite") as bag:
         for k in range(5):
             bag.pose("/robot", BEGAN + k * 0.25, x=0.5 * k, y=1.0)
             bag.range("/sonar", BEGAN + k * 0.25, 1.0)
-    recording = import_bag(bag.path, truth=Truth("/robot", point=(5.0, 1.0, 0.0))).recording
+    recording = import_bag(bag.path, truth=GroundTruthSource("/robot", point=(5.0, 1.0, 0.0))).recording
     np.testing.assert_allclose(recording.ping.distance, 5.0 - 0.5 * np.arange(5), atol=1e-6)
-    with pytest.raises(SettingError, match=r"/robot: tells a position; give the point that the reflector stands at"):
-        import_bag(bag.path, truth=Truth("/robot"))
+    with pytest.raises(SettingError, match=r"/robot: is a position; give the point of the reflector"):
+        import_bag(bag.path, truth=GroundTruthSource("/robot"))
 
 
-def test_a_table_tells_the_truth(tmp_path):
+def test_true_distance_from_a_table(tmp_path):
     with Bag(tmp_path) as bag:
         for k in range(3):
             bag.range("/sonar", BEGAN + k, 1.0)
     table = tmp_path / "truth.csv"
     for clock, began in (("time_s", 0.0), ("stamp_s", float(BEGAN))):
         table.write_text(f"{clock},distance_cm,angle_deg\n{began},100,0\n{began + 1},200,10\n{began + 2},200,10\n")
-        recording = import_bag(bag.path, truth=Truth(table=table, longest_gap_s=2.0)).recording
+        recording = import_bag(bag.path, truth=GroundTruthSource(table=table, longest_gap_s=2.0)).recording
         assert recording.ping.distance.tolist() == pytest.approx([1.0, 2.0, 2.0])
         assert np.degrees(recording.ping.angle).tolist() == pytest.approx([0.0, 10.0, 10.0])
     table.write_text("time_s,distance_m\n900,1\n901,1\n")
-    with pytest.raises(RecordingError, match=r"no ping lies within 0.5 s of a truth; check that both have the same cl"):
-        import_bag(bag.path, truth=Truth(table=table))
+    with pytest.raises(
+        RecordingError, match=r"no ping lies within 0.5 s of a true distance; check that both use the same cl"
+    ):
+        import_bag(bag.path, truth=GroundTruthSource(table=table))
 
 
 @pytest.mark.parametrize(
@@ -177,10 +179,10 @@ def test_a_table_tells_the_truth(tmp_path):
         ("time_s,range\n0,1\n", "line 1: expected time_s or stamp_s and one"),
         ("time_s,distance_m\n0,1\n1,x\n", "line 3, column distance_m: expected a number"),
         ("time_s,distance_m\n", "line 2, column time_s: expected a number"),
-        ("time_s,distance_m\n1,1\n1,2\n", "line 3, column time_s: expected more than in the line before"),
+        ("time_s,distance_m\n1,1\n1,2\n", "line 3, column time_s: expected a larger value than in the previous line"),
     ],
 )
-def test_a_faulty_table_is_named(tmp_path, text, message):
+def test_a_faulty_table_is_an_error_with_its_line(tmp_path, text, message):
     table = tmp_path / "truth.csv"
     table.write_text(text)
     with pytest.raises(RecordingError, match=message):
@@ -188,7 +190,7 @@ def test_a_faulty_table_is_named(tmp_path, text, message):
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
-def test_a_broken_bag_is_one_named_error(tmp_path, kind):
+def test_a_corrupt_bag_is_a_recording_error(tmp_path, kind):
     with Bag(tmp_path, kind) as bag:
         for k in range(200):
             bag.range("/sonar", BEGAN + k, 1.0)
@@ -196,29 +198,29 @@ def test_a_broken_bag_is_one_named_error(tmp_path, kind):
     whole = file.read_bytes()
     for keep in (0, 10, len(whole) // 3, len(whole) // 2):
         file.write_bytes(whole[:keep])
-        with pytest.raises(RecordingError, match="not a bag that can be read: ") as told:
+        with pytest.raises(RecordingError, match="not a readable bag: ") as caught:
             import_bag(bag.path, constants={"distance_mm": 1.0})
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(caught.value)
     file.write_bytes(whole[:-20])
     try:
         recording = import_bag(bag.path, constants={"distance_mm": 1.0}).recording
     except RecordingError:
         return
-    assert len(recording) == 200  # what was lost was not needed
+    assert len(recording) == 200  # the lost bytes hold no message
 
 
-def test_what_is_no_bag_of_sonars_is_told(tmp_path):
+def test_a_bag_without_sonars_is_an_error(tmp_path):
     with pytest.raises(RecordingNotFoundError, match="no such bag"):
         import_bag(tmp_path / "no.bag", constants={"distance_mm": 1.0})
     with Bag(tmp_path) as bag:
         bag.pose("/robot", BEGAN, 1.0)
     with pytest.raises(RecordingError, match=r"no topic of sensor_msgs/Range; found /robot \(geometry_msgs/msg/Pose"):
         import_bag(bag.path, constants={"distance_mm": 1.0})
-    with pytest.raises(SettingError, match="a bag holds no true distance; give a constant distance_mm, a topic or a t"):
+    with pytest.raises(SettingError, match="a bag has no true distance; give a constant distance_mm, a topic or a t"):
         import_bag(bag.path)
 
 
-def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
+def test_a_missing_library_is_an_error_with_the_extra(tmp_path, monkeypatch):
     (tmp_path / "log.bag").write_bytes(b"")
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'sonar-gym\[ros\]'"):
@@ -229,7 +231,7 @@ any_range = st.floats(allow_nan=True, allow_infinity=True, width=32)
 
 
 @given(any_range, st.floats(0, 1), st.floats(1, 10))
-def test_every_range_is_an_echo_silence_or_no_answer(value, least, most):
+def test_every_range_is_an_echo_no_echo_or_no_answer(value, least, most):
     reading, too_close = reading_mm(np.array([value]), np.array([least]), np.array([most]))
     if least <= value < most and value > 0:
         assert reading[0] == pytest.approx(value * 1000.0)
@@ -240,15 +242,15 @@ def test_every_range_is_an_echo_silence_or_no_answer(value, least, most):
         assert too_close[0] == (not math.isnan(value))
 
 
-def test_nothing_is_extrapolated_or_bridged_too_far():
-    known = Series(np.array([0.0, 1.0, 5.0]), {"x": np.array([0.0, 10.0, 50.0])})
-    got = known.at(np.array([-0.1, 0.0, 0.5, 1.0, 3.0, 5.0, 5.1]), 1.0)["x"]
+def test_no_extrapolation_and_no_interpolation_across_long_gaps():
+    known = TimeSeries(np.array([0.0, 1.0, 5.0]), {"x": np.array([0.0, 10.0, 50.0])})
+    got = known.interpolate(np.array([-0.1, 0.0, 0.5, 1.0, 3.0, 5.0, 5.1]), 1.0)["x"]
     np.testing.assert_array_equal(got, [np.nan, 0.0, 5.0, 10.0, np.nan, 50.0, np.nan])
-    alone = Series(np.array([2.0]), {"x": np.array([7.0])}).at(np.array([1.0, 2.0]), 1.0)["x"]
+    alone = TimeSeries(np.array([2.0]), {"x": np.array([7.0])}).interpolate(np.array([1.0, 2.0]), 1.0)["x"]
     np.testing.assert_array_equal(alone, [np.nan, 7.0])
 
 
-def test_tables_are_bags_only_by_name(tmp_path):
+def test_a_csv_file_is_not_a_bag(tmp_path):
     pd.DataFrame({"a": [1]}).to_csv(tmp_path / "log.csv")
     assert not is_bag(tmp_path / "log.csv")
     assert not is_bag(tmp_path)

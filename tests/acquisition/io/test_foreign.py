@@ -1,4 +1,4 @@
-"""Foreign logs: names, units, silence, faults."""
+"""Import of logs: names, units, no echo, faults."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def log(tmp_path):
     return path
 
 
-def test_units_are_converted_and_the_rest_is_kept(log):
+def test_units_are_converted_and_other_columns_retained(log):
     columns = maps("distance_mm=true:m", "reading_mm=got_us:us", "session=file")
     recording = import_table(log, columns, {"angle_deg": 0.0}, no_echo=38000)
     assert recording.ping.distance.tolist() == [1.5, 2.0, 2.0, 1.0]
@@ -30,24 +30,24 @@ def test_units_are_converted_and_the_rest_is_kept(log):
     assert recording.covariates == ("humidity",)
 
 
-def test_a_fault_is_shown_as_it_stands_in_the_file(log):
+def test_an_error_quotes_the_value_in_the_file(log):
     log.write_text("true,got\n1.0,1.0\n2.0,abc\n", encoding="utf-8")
     with pytest.raises(RecordingError, match=r"log.csv, line 3, column reading_mm: 'abc', expected a number"):
         import_table(log, maps("distance_mm=true:m", "reading_mm=got:m"), {"angle_deg": 0.0})
 
 
-def test_a_missing_column_is_named(log):
+def test_a_missing_column_is_an_error(log):
     with pytest.raises(RecordingError, match="column 'nope' is missing, found true, got_us"):
         import_table(log, maps("distance_mm=nope"), {})
 
 
 @pytest.mark.parametrize("text", ["distance_mm", "=x", "distance_mm=x:furlong"])
-def test_a_map_that_says_nothing_is_refused(text):
+def test_an_invalid_map_is_an_error(text):
     with pytest.raises(SettingError, match="column map"):
         ColumnMap.parse(text)
 
 
-def test_constants_are_numbers_but_for_names():
+def test_constants_are_numbers_except_in_text_columns():
     assert parse_constants(["angle_deg=5", "session=lab"]) == {"angle_deg": 5.0, "session": "lab"}
     with pytest.raises(SettingError, match="expected a number"):
         parse_constants(["angle_deg=five"])

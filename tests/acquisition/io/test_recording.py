@@ -1,4 +1,4 @@
-"""The CSV format: what is kept, what is refused, and how a fault is named."""
+"""The CSV format: columns, faults, runs, resolution, saving."""
 
 import os
 import stat
@@ -31,10 +31,10 @@ def test_units_become_si(tmp_path):
     assert ping.incidence[0] == pytest.approx(np.pi / 18)
 
 
-def test_unknown_columns_are_kept_numbers_as_covariates(tmp_path):
+def test_other_columns_are_retained_and_complete_numbers_are_covariates(tmp_path):
     text = f"{HEADER},light,note,pressure_hpa\n1000,0,1003,12,door open,1010\n1000,0,1003,13,,\n"
     recording = Recording.load(write(tmp_path / "r.csv", text))
-    assert recording.covariates == ("light",)  # pressure is not logged in every row: kept, but no covariate
+    assert recording.covariates == ("light",)  # pressure is not logged in every row: retained, but no covariate
     assert recording.table["note"].tolist() == ["door open", ""]
     assert recording.table["pressure_hpa"][0] == 1010
     again = Recording.load(recording.save(tmp_path / "again.csv"))
@@ -59,7 +59,7 @@ def test_unknown_columns_are_kept_numbers_as_covariates(tmp_path):
         ),
     ],
 )
-def test_a_bad_row_is_named_to_the_letter_and_costs_no_other(tmp_path, row, message):
+def test_a_faulty_row_is_an_error_with_its_place_or_skipped(tmp_path, row, message):
     path = write(tmp_path / "bad.csv", f"{HEADER}\n1000,0,1003\n{row}\n1000,0,1004\n")
     with pytest.raises(RecordingError) as caught:
         Recording.load(path)
@@ -69,14 +69,14 @@ def test_a_bad_row_is_named_to_the_letter_and_costs_no_other(tmp_path, row, mess
     assert [fault.line for fault in rest.rejected] == [3]
 
 
-def test_what_is_no_recording_is_refused(tmp_path):
+def test_a_file_that_is_no_recording_is_an_error(tmp_path):
     with pytest.raises(RecordingNotFoundError, match="no such file"):
         Recording.load(tmp_path / "nothing.csv")
     with pytest.raises(RecordingError, match="is a folder"):
         Recording.load(tmp_path)
     with pytest.raises(RecordingError, match="the file is empty"):
         Recording.load(write(tmp_path / "empty.csv", ""))
-    with pytest.raises(RecordingError, match="holds no rows"):
+    with pytest.raises(RecordingError, match="has no rows"):
         Recording.load(write(tmp_path / "header.csv", HEADER + "\n"))
     with pytest.raises(RecordingError, match="column angle_deg is missing"):
         Recording.load(write(tmp_path / "short.csv", "distance_mm,reading_mm\n1,2\n"))
@@ -85,7 +85,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
         Recording.load(tmp_path / "bytes.csv")
 
 
-def test_sessions_make_runs_and_conditions_make_cells(tmp_path):
+def test_runs_follow_sessions_and_conditions_follow_positions(tmp_path):
     text = f"{HEADER},session,sensor\n1000,0,1003,a,left\n1000,0,1003,a,right\n2000,0,2003,a,left\n1000,0,1003,b,left\n"
     recording = Recording.load(write(tmp_path / "r.csv", text))
     assert recording.run.tolist() == [0, 1, 0, 2]
@@ -103,14 +103,14 @@ def test_the_grid_of_the_readings_is_found(step, expected):
 
 
 @pytest.mark.parametrize("step", [12.7, 17.24, 24.287, 43.0])
-def test_an_unusual_grid_is_found_although_the_log_rounds_to_millimetres(step):
+def test_another_grid_is_found_although_the_log_rounds_to_millimetres(step):
     rng = np.random.default_rng(1)
     reading = np.rint(np.rint(rng.uniform(300, 5000, 300) / step) * step)
     recording = Recording.of(Ping.of(np.full(300, 1.0)), Reading.of(reading / 1000))
     assert recording.resolution == pytest.approx(step / 1000, rel=2e-3)
 
 
-def test_four_readings_on_the_grid_of_a_loop_are_enough_where_the_target_is_not():
+def test_four_values_on_a_grid_are_enough_unless_the_target_is_on_it():
     step = 5.517242
     reading = np.resize(np.arange(180, 184) * step, 60) / 1000
     at_one_place = Recording.of(Ping.of(np.full(60, 1.0)), Reading.of(reading))
@@ -122,17 +122,17 @@ def test_four_readings_on_the_grid_of_a_loop_are_enough_where_the_target_is_not(
 
 
 @pytest.mark.parametrize("step", [20.0, 50.0, 100.0, 50.8])
-def test_a_multiple_of_a_usual_grid_is_found(step):
+def test_a_multiple_of_a_common_grid_is_found(step):
     rng = np.random.default_rng(2)
     reading = np.rint(rng.uniform(300, 5000, 200) / step) * step
     recording = Recording.of(Ping.of(np.full(200, 1.003)), Reading.of(reading / 1000))
     assert recording.resolution == pytest.approx(step / 1000)
     there = Recording.of(Ping.of(reading / 1000), Reading.of(reading / 1000))
-    assert there.resolution in (0.01, 0.0254), "the target itself stands on the coarser grid"
+    assert there.resolution in (0.01, 0.0254), "the target itself is on the coarser grid"
 
 
 @pytest.mark.parametrize("values", [2, 3, 5, 11, 40, 200])
-def test_readings_without_a_grid_are_told_none(values):
+def test_no_grid_is_found_where_there_is_none(values):
     rng = np.random.default_rng(values)
     for _ in range(50):
         reading = np.rint(rng.choice(rng.uniform(300, 5000, values), 300))
@@ -158,7 +158,7 @@ def test_saving_and_loading_changes_nothing(tmp_path_factory, rows):
     assert again.covariates == ("temperature_c",)
 
 
-def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
+def test_a_failed_save_leaves_the_old_file_unchanged(tmp_path, monkeypatch):
     recording = Recording.of(Ping.of([1.0]), Reading.of([1.0]))
     path = recording.save(tmp_path / "r.csv")
     before = path.read_bytes()

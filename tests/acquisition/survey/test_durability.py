@@ -1,4 +1,4 @@
-"""What a recording is worth after SIGKILL, a full disk, Ctrl-C and a second writer."""
+"""Recordings after SIGKILL, a full disk, Ctrl-C and a second writer."""
 
 import errno
 import json
@@ -16,12 +16,12 @@ from acquisition import Recording, RecordingError
 from acquisition.bench import Rig
 from acquisition.io.files import lock
 from acquisition.io.journal import Journal
-from acquisition.io.recording import unfinished
-from acquisition.survey.plan import Plan
+from acquisition.io.recording import unfinished_path
+from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from acquisition.survey.sources import RigSource
 
-PLAN = Plan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
+PLAN = SurveyPlan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
 SOURCE = RigSource(Rig(), seed=5)
 ROWS = pd.DataFrame({"time_s": [0.0, 1.0], "session": "0", "sensor": "0", "distance_mm": 1.0})
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs signals and fork: Linux or macOS")
@@ -42,28 +42,28 @@ def killed(folder, kills, seed):
 
 def check(result, kills):
     assert result["kills"] == kills
-    assert {name: result[name] for name in ("corrupt", "lost_cells", "unreadable")} == {
+    assert {name: result[name] for name in ("corrupt", "lost_visits", "unreadable")} == {
         "corrupt": 0,
-        "lost_cells": 0,
+        "lost_visits": 0,
         "unreadable": 0,
     }
 
 
 @posix
-def test_ten_kills_lose_and_spoil_nothing(tmp_path):
+def test_ten_kills_lose_and_corrupt_nothing(tmp_path):
     check(killed(tmp_path, 10, 0), 10)
 
 
 @posix
 @pytest.mark.slow
-def test_two_hundred_kills_lose_and_spoil_nothing(tmp_path):
+def test_two_hundred_kills_lose_and_corrupt_nothing(tmp_path):
     result = killed(tmp_path, 200, 1)
     print(f"\n{result}")
     check(result, 200)
 
 
-def test_every_torn_tail_is_mended_to_the_byte(tmp_path):
-    """A power cut may tear anywhere: cut at every byte of the last cell and resume what is left."""
+def test_every_incomplete_visit_is_repaired_to_the_byte(tmp_path):
+    """A power cut can truncate anywhere: cut at many bytes of the last condition and resume."""
     whole = Session(PLAN, SOURCE, tmp_path / "whole.csv").run().read_bytes()
     lines = whole.splitlines(keepends=True)
     path = tmp_path / "r.csv"
@@ -74,26 +74,26 @@ def test_every_torn_tail_is_mended_to_the_byte(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["my notes", "a,b\n1,2\n", "distance_mm,angle_deg,reading_mm\n1,2,3\n" * 20])
-def test_resuming_never_touches_a_file_of_others(tmp_path, text):
+def test_resuming_never_changes_a_file_of_another_program(tmp_path, text):
     path = tmp_path / "notes.csv"
     path.write_text(text)
-    with pytest.raises(RecordingError, match="was not begun by a session; give another file, nothing in it was change"):
+    with pytest.raises(RecordingError, match="was not created by a session; give another file"):
         Session(PLAN, SOURCE, path, resume=True).run()
     assert path.read_text() == text
 
 
-def test_lines_that_somebody_put_in_are_told_and_left(tmp_path):
+def test_an_edited_file_is_an_error_and_unchanged(tmp_path):
     path = Session(PLAN, SOURCE, tmp_path / "r.csv").run()
     lines = path.read_text().splitlines(keepends=True)
     text = "".join([*lines[:4], "1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20\n", *lines[4:]])
     path.write_text(text)
-    with pytest.raises(RecordingError, match=r"was not written by a session alone: .* line 5"):
+    with pytest.raises(RecordingError, match=r"was edited by another program: .* line 5"):
         Session(PLAN, SOURCE, path, resume=True).run()
     assert path.read_text() == text
 
 
 def full_after(monkeypatch, good, code):
-    """Let a disk take some bytes and then fail, as a full one does: with a short write first."""
+    """Simulate a disk that accepts some bytes and then fails, like a full one: with a short write first."""
     left, write = [good], os.write
 
     def some(handle, data):
@@ -108,15 +108,15 @@ def full_after(monkeypatch, good, code):
 
 @pytest.mark.parametrize("good", [0, 10, 500, 900])
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
-def test_a_full_or_broken_disk_leaves_whole_cells_and_says_what_to_do(tmp_path, monkeypatch, good, code):
+def test_a_full_or_broken_disk_leaves_complete_visits_and_an_error_with_advice(tmp_path, monkeypatch, good, code):
     whole = Session(PLAN, SOURCE, tmp_path / "whole.csv").run().read_bytes()
     path = tmp_path / "r.csv"
     with monkeypatch.context() as patched:
         full_after(patched, good, code)
-        with pytest.raises(RecordingError, match=r"cannot be written: .* \d conditions are on disk") as told:
+        with pytest.raises(RecordingError, match=r"cannot be written: .* \d conditions are complete on disk") as caught:
             Session(PLAN, SOURCE, path).run()
-    assert ("make room" if code == errno.ENOSPC else "check the disk") in str(told.value)
-    assert "go on with --resume" in str(told.value)
+    assert ("free disk space" if code == errno.ENOSPC else "check the disk") in str(caught.value)
+    assert "continue with --resume" in str(caught.value)
     left = path.read_bytes()
     assert whole.startswith(left)
     assert max(left.count(b"\n") - 1, 0) % PLAN.pings == 0
@@ -125,12 +125,12 @@ def test_a_full_or_broken_disk_leaves_whole_cells_and_says_what_to_do(tmp_path, 
 
 
 @posix
-def test_the_system_itself_refuses_to_let_the_file_grow(tmp_path):
+def test_the_limit_of_the_operating_system_on_file_size(tmp_path):
     code = (
         "import resource, sys; from pathlib import Path; resource.setrlimit(resource.RLIMIT_FSIZE, (1200, 1200));"
-        "from acquisition.survey.plan import Plan; from acquisition.survey.session import Session;"
+        "from acquisition.survey.plan import SurveyPlan; from acquisition.survey.session import Session;"
         "from acquisition.survey.sources import RigSource; from acquisition.bench import Rig;"
-        "plan = Plan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2);"
+        "plan = SurveyPlan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2);"
         "Session(plan, RigSource(Rig(), 5), Path(sys.argv[1])).run()"
     )
     path = tmp_path / "r.csv"
@@ -141,7 +141,7 @@ def test_the_system_itself_refuses_to_let_the_file_grow(tmp_path):
     assert len(Recording.load(path)) % PLAN.pings == 0
 
 
-def test_a_second_writer_is_turned_away(tmp_path):
+def test_a_second_writer_is_rejected(tmp_path):
     path = tmp_path / "r.csv"
     with Journal.open(path, 2, resume=False) as journal:
         journal.begin({})
@@ -151,10 +151,10 @@ def test_a_second_writer_is_turned_away(tmp_path):
             Session(PLAN, SOURCE, path, resume=True).run()
         assert path.read_bytes() == before
     with open(path, "rb+") as file:
-        assert lock(file.fileno())  # free again
+        assert lock(file.fileno())  # unlocked
 
 
-def test_interrupting_between_write_and_sync_takes_the_cell_back(tmp_path, monkeypatch):
+def test_an_interrupt_between_write_and_sync_removes_the_visit(tmp_path, monkeypatch):
     path = tmp_path / "r.csv"
     with Journal.open(path, 2, resume=False) as journal:
         journal.begin({})
@@ -170,10 +170,10 @@ def test_interrupting_between_write_and_sync_takes_the_cell_back(tmp_path, monke
         with pytest.raises(KeyboardInterrupt):
             journal.append(ROWS)
         assert path.read_bytes() == before
-        assert journal.cells == 1
+        assert journal.n_visits == 1
 
 
-def test_taking_the_last_cell_back(tmp_path):
+def test_dropping_the_last_visit(tmp_path):
     path = tmp_path / "r.csv"
     with Journal.open(path, 2, resume=False) as journal:
         journal.begin({})
@@ -183,19 +183,19 @@ def test_taking_the_last_cell_back(tmp_path):
         journal.drop_last()
         assert path.read_bytes() == before
         journal.drop_last()
-        assert (path.read_bytes(), journal.cells) == (b"", 0)
+        assert (path.read_bytes(), journal.n_visits) == (b"", 0)
         journal.append(ROWS)
         assert path.read_bytes() == before
 
 
-def test_what_is_no_place_for_a_file_is_refused(tmp_path):
+def test_an_invalid_path_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match=r"cannot be written: .*; give another place"):
+    with pytest.raises(RecordingError, match=r"cannot be written: .*; give another path"):
         Session(PLAN, SOURCE, tmp_path / "file" / "r.csv").run()
 
 
-def heed_interrupts():
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs are started deaf to it
+def enable_interrupts():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell starts background jobs with SIGINT ignored
 
 
 @posix
@@ -205,7 +205,7 @@ def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, number, code):
     command = [sys.executable, "-m", "training.cli", "record", "--pings", "20", "--interval-s", "1", "--out"]
     root = Path(__file__).parents[3]
     process = subprocess.Popen(
-        [*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root, preexec_fn=heed_interrupts
+        [*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root, preexec_fn=enable_interrupts
     )
     while not (path.exists() and path.stat().st_size > 10_000):
         assert process.poll() is None
@@ -216,7 +216,7 @@ def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, number, code):
     if number == signal.SIGINT:
         assert "of 120 conditions are on disk, go on with --resume" in error
         assert "Traceback" not in error
-    assert unfinished(path).exists()
+    assert unfinished_path(path).exists()
     for arguments in ([str(path), "--resume"], [str(whole)]):
         subprocess.run([*command, *arguments], check=True, capture_output=True, cwd=root)
     assert path.read_bytes() == whole.read_bytes()

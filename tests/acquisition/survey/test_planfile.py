@@ -1,4 +1,4 @@
-"""Plans from TOML files: what they may say, and how a fault is named."""
+"""Plans in TOML files: content and error messages."""
 
 import contextlib
 import tomllib
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import SettingError
-from acquisition.survey.plan import PLANS, Plan
+from acquisition.survey.plan import PLANS, SurveyPlan
 from acquisition.survey.planfile import find_plan, load_plan
 from acquisition.survey.quantities import SWEEPS
 
@@ -22,7 +22,7 @@ def plan_of(tmp_path, text):
     return load_plan(path)
 
 
-def test_a_file_says_everything_a_plan_can(tmp_path):
+def test_a_file_can_set_every_field_of_a_plan(tmp_path):
     text = """
     distances_mm = {from = 200, to = 1000, step = 200}
     angles_deg = [0, 2.5]
@@ -38,7 +38,7 @@ def test_a_file_says_everything_a_plan_can(tmp_path):
     gain = {from = 0, to = 31, step = 1}
     height_mm = [500, 1500]
     """
-    assert plan_of(tmp_path, text) == Plan(
+    assert plan_of(tmp_path, text) == SurveyPlan(
         angles_deg=(0.0, 2.5),
         distances_mm=(200.0, 400.0, 600.0, 800.0, 1000.0),
         reflectances=(0.9,),
@@ -52,22 +52,22 @@ def test_a_file_says_everything_a_plan_can(tmp_path):
     )
 
 
-def test_the_file_that_the_manual_shows_is_a_plan(tmp_path):
+def test_the_file_in_the_documentation_is_a_plan(tmp_path):
     manual = (Path(__file__).parents[3] / "docs" / "surveys.md").read_text(encoding="utf-8")
     plan = plan_of(tmp_path, manual.split("```toml\n")[1].split("```")[0])
     assert set(plan.sweep) == set(SWEEPS)
     assert plan.distances_mm[-1] == 3000.0
 
 
-def test_a_short_file_takes_the_rest_as_it_is(tmp_path):
-    assert plan_of(tmp_path, MINIMAL) == Plan(angles_deg=(0.0,), distances_mm=(300.0,))
+def test_a_short_file_has_the_default_values(tmp_path):
+    assert plan_of(tmp_path, MINIMAL) == SurveyPlan(angles_deg=(0.0,), distances_mm=(300.0,))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("distances_mm = [300]", "angles_deg: is missing; a plan needs distances_mm and angles_deg"),
-        (MINIMAL + "pigns = 3", "pigns: no such key, expected one of angles_deg, distances_mm"),
+        (MINIMAL + "pigns = 3", "pigns: unknown key, expected one of angles_deg, distances_mm"),
         (MINIMAL + 'pings = "3"', "pings: expected a whole number, got '3'"),
         (MINIMAL + "pings = true", "pings: expected a whole number, got True"),
         (MINIMAL + "pings = 0", "pings: expected a number from 1 to"),
@@ -77,15 +77,15 @@ def test_a_short_file_takes_the_rest_as_it_is(tmp_path):
         (MINIMAL + "incidences_deg = ['x']", "incidences_deg: expected a number, got 'x'"),
         (MINIMAL + "reflectances = {from = 0, to = 1}", r"reflectances: expected {from, to, step}"),
         (MINIMAL + "reflectances = {from = 0, to = 1, step = 0}", "reflectances.step: expected a number above 0"),
-        (MINIMAL + "reflectances = {from = 1, to = 0, step = 0.1}", "reflectances: expected a span of 1 to"),
-        (MINIMAL + "reflectances = {from = 0, to = 1, step = 1e-12}", "reflectances: expected a span of 1 to"),
+        (MINIMAL + "reflectances = {from = 1, to = 0, step = 0.1}", "reflectances: expected a range of 1 to"),
+        (MINIMAL + "reflectances = {from = 0, to = 1, step = 1e-12}", "reflectances: expected a range of 1 to"),
         (MINIMAL + "sweep = 3", "sweep: expected a table of quantities, got 3"),
         (MINIMAL + "[sweep]\ngain = [32]", "sweep.gain: expected a whole number from 0 to 31, got 32"),
         (MINIMAL + "[sweep]\nvolts = [5]", "sweep.volts: no such quantity, expected one of height_mm"),
         ("angles_deg = [", "not TOML: "),
     ],
 )
-def test_a_fault_names_file_key_value_and_limit(tmp_path, text, message):
+def test_an_error_names_file_key_value_and_limit(tmp_path, text, message):
     with pytest.raises(SettingError, match=rf"p\.toml[,:] {message}") as caught:
         plan_of(tmp_path, text)
     assert "\n" not in str(caught.value)
@@ -116,8 +116,8 @@ def toml(value):
     return f"'{value}'" if isinstance(value, str) else repr(value)
 
 
-@given(st.dictionaries(st.sampled_from(sorted(Plan.__dataclass_fields__)), VALUES, max_size=4))
-def test_any_content_is_a_plan_or_a_named_fault(tmp_path_factory, content):
+@given(st.dictionaries(st.sampled_from(sorted(SurveyPlan.__dataclass_fields__)), VALUES, max_size=4))
+def test_any_content_is_a_plan_or_a_setting_error(tmp_path_factory, content):
     text = MINIMAL + "\n".join(f"{k} = {toml(v)}" for k, v in content.items() if k not in MINIMAL)
     try:
         tomllib.loads(text)
@@ -125,11 +125,11 @@ def test_any_content_is_a_plan_or_a_named_fault(tmp_path_factory, content):
         return
     path = tmp_path_factory.mktemp("p") / "p.toml"
     path.write_text(text, encoding="utf-8")
-    told = str(path)
+    message = str(path)
     with contextlib.suppress(SettingError):
         try:
             load_plan(path)
         except SettingError as error:
-            told = str(error)
+            message = str(error)
             raise
-    assert told.startswith(str(path))
+    assert message.startswith(str(path))

@@ -1,4 +1,4 @@
-"""What each effect does to the law, held against published numbers and what can be reckoned by hand."""
+"""Each effect against published numbers and calculations by hand."""
 
 import math
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Recording
-from noise.effects import CATALOGUE, Conditions, Seen
+from noise.effects import CATALOGUE, Conditions, EchoSample
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity
 from noise.effects.receiver import HALF_WAVE
@@ -61,14 +61,14 @@ def test_a_beam_of_ka_4_8_has_the_published_two_way_losses():
     assert "55 deg" in CATALOGUE["beam_width"](ka=4.80).statement()
 
 
-def test_directivity_is_that_of_bessel():
+def test_directivity_agrees_with_the_bessel_function():
     from scipy.special import j1
 
     x = np.linspace(1e-3, 8.0, 50)
     np.testing.assert_allclose(directivity(torch.tensor(x)).numpy(), 2 * j1(x) / x, atol=1e-12)
 
 
-def test_boresight_turns_the_beam():
+def test_boresight_rotates_the_beam():
     stack = [CATALOGUE["beam_width"](ka=4.8), CATALOGUE["boresight"](yaw_deg=10.0)]
     on_beam, mirrored = level(stack, distance=1.0, angle=np.radians([10.0, -10.0]))
     assert on_beam == pytest.approx(60.0)
@@ -94,7 +94,7 @@ def test_specular_loss_is_that_of_a_plate():
     np.testing.assert_allclose(loss, [0.0, -6.0, -20.5, -25.0, -26.5], atol=3.5)
 
 
-def test_tilted_face_reads_its_perpendicular_foot_while_it_is_seen():
+def test_a_slightly_tilted_face_is_read_at_the_foot_of_the_perpendicular():
     foot = CATALOGUE["perpendicular_foot"](share=1.0)
     assert median([foot], distance=1.0, incidence=np.radians(5)) == pytest.approx(1 - 0.0038, abs=4e-4)
     assert median([foot], distance=1.0, incidence=np.radians(40)) == pytest.approx(1.0, abs=1e-5)
@@ -119,7 +119,7 @@ def test_edge_echo_is_36_mm_early_at_22_5_degrees_and_33_db_weaker_at_1_m():
     ],
     ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
 )
-def test_the_way_behind_is_read_when_the_reflector_is_missed(effect, expected):
+def test_the_second_path_is_read_when_the_direct_echo_is_missed(effect, expected):
     stack = [CATALOGUE[name](**values) for name, values in effect.items()]
     law = PhysicalModel(stack).law(Ping.of(distance=2.0))
     if expected > 2.0:  # first echo wins
@@ -129,7 +129,7 @@ def test_the_way_behind_is_read_when_the_reflector_is_missed(effect, expected):
     assert law.quantile(0.5)[0] == pytest.approx(expected, abs=0.01)
 
 
-def test_a_wall_behind_answers_at_every_angle_and_a_post_only_in_the_beam():
+def test_a_wall_behind_has_no_beam_loss_and_a_post_has():
     beam, angle = CATALOGUE["beam_width"](ka=4.8), np.radians([0.0, 20.0])
     loss = []
     for follow in (0.0, 1.0):
@@ -139,15 +139,15 @@ def test_a_wall_behind_answers_at_every_angle_and_a_post_only_in_the_beam():
     np.testing.assert_allclose(loss, [0.0, -6.2], atol=0.06)  # two-way loss of the beam at 20 deg
 
 
-def test_warm_air_stretches_the_way_of_a_previous_ping_but_not_the_interval():
+def test_temperature_scales_the_path_of_a_previous_ping_but_not_the_interval():
     stack = [CATALOGUE["previous_ping"](presence=1.0, far_m=12.0), CATALOGUE["sound_speed"](temperature_c=0.0)]
     law = PhysicalModel(stack).law(Ping.of(distance=5.0, interval_s=0.06))
     assert law.quantile(0.5)[0] == pytest.approx(12.0 * ASSUMED_SPEED / 331.3 - ASSUMED_SPEED * 0.03, abs=0.001)
 
 
-def test_no_previous_ping_no_ghost():
-    ghost = CATALOGUE["previous_ping"](presence=1.0, far_m=12.0)
-    law = PhysicalModel([ghost]).law(Ping.of(distance=5.0, interval_s=[0.0, 0.2]))
+def test_the_first_ping_has_no_echo_of_a_previous_one():
+    effect = CATALOGUE["previous_ping"](presence=1.0, far_m=12.0)
+    law = PhysicalModel([effect]).law(Ping.of(distance=5.0, interval_s=[0.0, 0.2]))
     np.testing.assert_allclose(law.quantile(0.5), 5.0)
 
 
@@ -164,7 +164,7 @@ def test_cycle_slip_is_a_comb():
     np.testing.assert_allclose(law.cdf(at + 1e-4) - law.cdf(at - 1e-4), [0.7, 0.21, 0.09], atol=1e-9)
 
 
-def test_scintillation_softens_detection_as_a_wider_normal():
+def test_scintillation_widens_the_detection_curve():
     # a normal level of spread s over a threshold of spread w is one of spread sqrt(s^2 + w^2)
     loss = CATALOGUE["sensitivity"](loss_db=43.0)
     air = CATALOGUE["scintillation"](sigma_at_6m_db=2.0)
@@ -179,14 +179,14 @@ def test_false_alarms_come_before_the_echo_only():
     np.testing.assert_allclose(law.cdf(np.array([2.1, 4.1])), 1.0)
 
 
-def test_ring_down_begins_at_the_end_of_blanking_and_thins_out():
+def test_ring_down_is_exponential_from_the_end_of_blanking():
     ring = CATALOGUE["ring_down"](probability=0.4, range_m=0.1, decay_m=0.05)
     law = PhysicalModel([ring], 1e-4).law(Ping.of(distance=[2.0] * 3))
     expected = 0.4 * (1 - np.exp(-np.array([0.0, 0.05, 0.10]) / 0.05))
     np.testing.assert_allclose(law.cdf(np.array([0.0999, 0.15, 0.20])), expected, atol=1e-3)
 
 
-def test_ringing_is_never_late_however_faint_an_echo_must_rise():
+def test_ring_down_has_no_time_walk():
     ring = CATALOGUE["ring_down"](probability=1.0, range_m=0.1, decay_m=0.001)
     walks = [CATALOGUE["sensitivity"](loss_db=46.0), CATALOGUE["time_walk"](scale=1.0)]
     alone = median([ring], distance=2.0)
@@ -200,13 +200,13 @@ def test_ringing_is_never_late_however_faint_an_echo_must_rise():
     st.integers(0, 2**31),
 )
 @settings(max_examples=30, deadline=None)
-def test_a_fit_of_ringing_begins_where_every_near_reading_is_allowed(begins, decay, step, seed):
+def test_initial_values_of_ring_down_allow_every_near_reading(begins, decay, step, seed):
     rng = np.random.default_rng(seed)
     near = np.round((begins + rng.exponential(decay, 60)) / step) * step if decay else np.full(60, begins)
     near = near[near < 0.8]
     distance = np.full(len(near) + 20, 3.0)
-    seen = Seen(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
-    first, *_ = CATALOGUE["ring_down"].guesses(seen)
+    echoes = EchoSample(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    first, *_ = CATALOGUE["ring_down"].guesses(echoes)
     assert first["range_m"] < near.min()
     assert near.min() - first["range_m"] <= 0.5 * max(step, 0.01) + 1e-9
     assert first["probability"] == pytest.approx(len(near) / len(distance))
@@ -214,27 +214,27 @@ def test_a_fit_of_ringing_begins_where_every_near_reading_is_allowed(begins, dec
 
 
 @pytest.mark.parametrize(
-    ("near", "hidden"),
+    ("near", "ambiguous"),
     [
-        (np.full(40, 0.054), True),  # a stuck register may read that too
+        (np.full(40, 0.054), True),  # also the reading of a stuck register
         (np.r_[np.full(30, 0.054), np.full(10, 0.0583)], True),
         (np.full(40, 0.7), False),
         (np.linspace(0.05, 0.15, 40), False),
         (np.full(3, 0.054), False),
     ],
 )
-def test_ringing_that_is_read_at_one_near_place_passes_for_a_stuck_register(near, hidden):
+def test_ring_down_with_one_near_value_is_confused_with_a_stuck_register(near, ambiguous):
     distance = np.full(len(near) + 20, 3.0)
-    seen = Seen(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    echoes = EchoSample(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
     ring = CATALOGUE["ring_down"]
-    assert "stuck" in ring.passes_for
-    assert ring.hidden(seen) == hidden
+    assert "stuck" in ring.confused_with
+    assert ring.ambiguous(echoes) == ambiguous
 
 
-def test_few_near_readings_tell_nothing_of_ringing():
+def test_few_near_readings_give_no_initial_value_of_ring_down():
     distance = np.full(20, 2.0)
-    seen = Seen(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
-    assert CATALOGUE["ring_down"].guesses(seen) == []
+    echoes = EchoSample(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
+    assert CATALOGUE["ring_down"].guesses(echoes) == []
 
 
 def test_quantised_readings_lie_on_the_steps():
@@ -244,7 +244,7 @@ def test_quantised_readings_lie_on_the_steps():
     assert drawn.range.mean() == pytest.approx(1.234, abs=0.003)
 
 
-def test_cut_readings_lie_on_the_steps_and_run_half_a_step_short():
+def test_truncated_readings_lie_on_the_steps_and_are_half_a_step_short():
     model = PhysicalModel([CATALOGUE["truncation"](step_m=0.01), CATALOGUE["zero_offset"](offset_m=0.002)])
     law = model.law(Ping.of(distance=[1.2379, 1.2381, 1.2479]))
     np.testing.assert_allclose(law.quantile(0.5), [1.23, 1.24, 1.24], atol=1e-9)
@@ -253,29 +253,29 @@ def test_cut_readings_lie_on_the_steps_and_run_half_a_step_short():
     assert np.mean(drawn(np.random.default_rng(4)).range - spread) == pytest.approx(-0.005, abs=3e-4)
 
 
-def test_a_sensor_without_a_thermometer_reads_warm_air_short_by_the_log():
+def test_an_uncompensated_sensor_follows_the_logged_temperature():
     stack = [CATALOGUE["sound_speed"](temperature_c=20.0, logged_share=1.0)]
     logged = np.array([0.0, 20.0, 40.0])
     law = PhysicalModel(stack, 1e-5).law(Ping.of(distance=[3.0] * 3, temperature_c=logged))
     expected = 3.0 * ASSUMED_SPEED / sound_speed(torch.tensor(logged)).numpy()
     np.testing.assert_allclose(law.quantile(0.5), expected, atol=2e-5)
-    assert "for every kelvin that the thermometer rises" in stack[0].statement()
+    assert "per kelvin of the thermometer" in stack[0].statement()
     assert "-0.17 %" in stack[0].statement()  # half of 1 / 293 K
 
 
-def test_a_parameter_counts_where_its_covariate_was_logged_and_varies():
+def test_a_parameter_is_identifiable_if_its_covariate_is_logged_and_varies():
     share = CATALOGUE["sound_speed"].parameters[1]
     assert share.identifiable({"temperature_c": np.array([18.0, 22.0])})
     assert not share.identifiable({"temperature_c": np.array([18.0, 18.5])})
     assert not share.identifiable({})
 
 
-def test_gate_silences_what_lies_beyond():
+def test_there_is_no_echo_beyond_the_gate():
     law = PhysicalModel([CATALOGUE["range_gate"](listen_m=3.0)]).law(Ping.of(distance=[2.9, 3.1]))
     np.testing.assert_allclose(law.echo, [1.0, 0.0])
 
 
-def test_warm_up_dies_away():
+def test_warm_up_decays_exponentially():
     warm = CATALOGUE["warm_up"](offset_m=0.02, tau_s=100.0)
     law = PhysicalModel([warm], 1e-5).law(Ping.of(distance=1.0, time=[0.0, 100.0, 5000.0]))
     np.testing.assert_allclose(law.quantile(0.5), [1.02, 1.0 + 0.02 / math.e, 1.0], atol=2e-5)
@@ -286,7 +286,7 @@ def test_reflectance_of_a_tenth_costs_20_db():
     assert level([soft], distance=1.0, reflectance=0.1) == pytest.approx(40.0)
 
 
-def test_deaf_ears_lose_what_is_near_but_not_what_follows():
+def test_the_blind_range_loses_near_echoes_but_not_later_ones():
     late = CATALOGUE["rearm_dead_time"](deaf_m=0.5)
     law = PhysicalModel([late]).law(Ping.of(distance=[0.45, 0.55]))
     np.testing.assert_allclose(law.echo, [0.0, 1.0])
@@ -294,20 +294,20 @@ def test_deaf_ears_lose_what_is_near_but_not_what_follows():
     assert PhysicalModel([late, behind]).law(Ping.of(distance=0.45)).quantile(0.5)[0] == pytest.approx(0.75)
 
 
-def test_deaf_ears_hear_no_false_alarm_either():
+def test_there_are_no_false_alarms_in_the_blind_range():
     stack = [CATALOGUE["rearm_dead_time"](deaf_m=0.5), CATALOGUE["false_alarm"](per_metre=0.2)]
     law = PhysicalModel(stack).law(Ping.of(distance=[2.0, 2.0]))
     np.testing.assert_allclose(law.cdf(np.array([0.499, 1.5])), [0.0, 1 - np.exp(-0.2)], atol=2e-4)
 
 
-def test_another_clock_is_early_by_what_the_intervals_differ():
+def test_the_burst_of_another_clock_shifts_by_the_difference_of_the_intervals():
     other = CATALOGUE["asynchronous_crosstalk"](presence=1.0, period_s=0.07, first_s=0.01, spread_m=0.002)
     law = PhysicalModel([other]).law(Ping.of(distance=[5.0] * 4, time=[0.0, 0.001, 0.065, 0.0701]))
     expected = ASSUMED_SPEED / 2 * np.array([0.01, 0.009, 0.015, 0.0099])
     np.testing.assert_allclose(law.quantile(0.5), expected, atol=0.001)
 
 
-def test_a_wrong_bit_moves_the_count_by_a_power_of_two():
+def test_a_wrong_bit_changes_the_count_by_a_power_of_two():
     model = PhysicalModel([CATALOGUE["corrupted_byte"](probability=0.5, unit_m=0.01)], 0.01, 11.0)
     drawn = model.law(Ping.of(distance=np.full(2000, 1.5))).sample(np.random.default_rng(2))
     off = np.abs(np.rint(drawn.range * 100) - 150)
@@ -327,12 +327,12 @@ def test_a_wrong_bit_moves_the_count_by_a_power_of_two():
         ("range_gate", {"listen_m": 2.408}),
     ],
 )
-def test_what_was_put_in_is_found_again(name, values):
+def test_a_fit_recovers_the_parameters(name, values):
     rng = np.random.default_rng(5)
     scatter = CATALOGUE["travel_time_jitter"](sigma_m=0.004)
     ping = Ping.of(distance=rng.uniform(0.3, 4.0, 900), time=np.cumsum(rng.uniform(0.09, 0.11, 900)))
-    heard = PhysicalModel([scatter, CATALOGUE[name](**values)]).law(ping).sample(rng)
-    batch = Batch.of(Recording.of(ping, heard))
+    reading = PhysicalModel([scatter, CATALOGUE[name](**values)]).law(ping).sample(rng)
+    batch = Batch.of(Recording.of(ping, reading))
     plain = Stack.of(PhysicalModel([scatter]))
     keys = [(name, p.name) for p in CATALOGUE[name].parameters]
     starts = sorted(starting_points(plain, name, batch, rng), key=lambda s: -log_likelihood(s, batch).sum())
@@ -342,15 +342,15 @@ def test_what_was_put_in_is_found_again(name, values):
 
 
 @pytest.mark.parametrize("pause", [0.0, 60.0, 1e6])
-def test_a_clock_is_guessed_within_its_bounds_however_few_early_readings_there_are(pause):
+def test_initial_values_of_a_clock_are_within_bounds_for_few_readings(pause):
     time = pause * np.arange(9.0)
-    seen = Seen(np.full(9, 4.0), time, np.full(9, 1.0))
-    for guess in CATALOGUE["asynchronous_crosstalk"].guesses(seen):
+    echoes = EchoSample(np.full(9, 4.0), time, np.full(9, 1.0))
+    for guess in CATALOGUE["asynchronous_crosstalk"].guesses(echoes):
         CATALOGUE["asynchronous_crosstalk"](**guess)
 
 
-@pytest.mark.parametrize(("early", "times", "hidden"), [(9, 1.0, True), (60, 1.0, False), (60, 0.0, True)])
-def test_few_early_readings_keep_to_some_clock_by_chance_and_untimed_ones_to_every(early, times, hidden):
-    seen = Seen(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
-    assert CATALOGUE["asynchronous_crosstalk"].hidden(seen) == hidden
-    assert not CATALOGUE["false_alarm"].hidden(seen)
+@pytest.mark.parametrize(("early", "times", "ambiguous"), [(9, 1.0, True), (60, 1.0, False), (60, 0.0, True)])
+def test_few_or_untimed_early_readings_fit_some_clock_by_chance(early, times, ambiguous):
+    echoes = EchoSample(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
+    assert CATALOGUE["asynchronous_crosstalk"].ambiguous(echoes) == ambiguous
+    assert not CATALOGUE["false_alarm"].ambiguous(echoes)

@@ -1,4 +1,4 @@
-"""The laws of the catalogue, stated once; every member runs through them."""
+"""Properties that every effect of the catalogue has."""
 
 import math
 
@@ -13,12 +13,12 @@ from noise.physical import PhysicalModel
 
 torch.set_num_threads(1)
 MEMBERS = pytest.mark.parametrize("name", CATALOGUE)
-FINE = {"period_s": 1e-11}  # a clock of 71 ms turns 35,000 times in the time that these pings take
+FINE = {"period_s": 1e-11}  # a clock of 71 ms has 35,000 periods during these pings
 STEP, REACH = 0.01, 6.0  # a coarse register, so that whole laws can be summed
 
 
 def ordinary(*left_out):
-    """Effects under which every other one can show: finite levels, a beam, scatter wider than a step."""
+    """Return effects under which all others are observable: finite levels, a beam, scatter wider than a step."""
     stack = {
         "sensitivity": {"loss_db": 46.0},
         "beam_width": {"ka": 4.8},
@@ -29,7 +29,7 @@ def ordinary(*left_out):
 
 
 def conditions(copies=1):
-    """Return 8 varied conditions, each `copies` times in a row, with what came before them."""
+    """Return 8 varied conditions, each `copies` times in a row, with their previous readings."""
     d = np.array([0.2, 0.6, 1.2, 1.8, 2.5, 3.4, 4.4, 5.5])
     ping = Ping.of(
         distance=d,
@@ -46,7 +46,7 @@ def conditions(copies=1):
 
 
 def at_start(name):
-    """Return the effect where a fit would begin; well off its null where that is where a fit begins."""
+    """Return the effect at an initial value of a fit, or away from its null if the initial value is the null."""
     parameters = CATALOGUE[name].parameters
     if any(p.starts[-1] != p.null for p in parameters):
         return CATALOGUE[name](**{p.name: p.starts[-1] for p in parameters})
@@ -59,9 +59,9 @@ def whole_register(model):
     ping, past = conditions(copies=steps)
     law = model.law(ping, past)
     each = np.exp(law.log_prob(Reading.of(np.tile(np.arange(1, steps + 1) * STEP, 8)))).reshape(8, steps)
-    silent = np.exp(law.log_prob(Reading.of(np.zeros(len(ping))))).reshape(8, steps)[:, 0]
-    dead = np.exp(law.log_prob(Reading.of(np.zeros(len(ping)), np.full(len(ping), EchoStatus.NO_ANSWER))))
-    return each, silent, dead.reshape(8, steps)[:, 0]
+    no_echo = np.exp(law.log_prob(Reading.of(np.zeros(len(ping))))).reshape(8, steps)[:, 0]
+    no_answer = np.exp(law.log_prob(Reading.of(np.zeros(len(ping)), np.full(len(ping), EchoStatus.NO_ANSWER))))
+    return each, no_echo, no_answer.reshape(8, steps)[:, 0]
 
 
 def some_readings():
@@ -84,7 +84,7 @@ def test_the_catalogue_holds_every_effect_that_can_be_named():
 
 
 @MEMBERS
-def test_every_member_is_told_in_full(name):
+def test_every_member_is_described_completely(name):
     effect = CATALOGUE[name]
     assert effect.name == name
     assert effect.summary
@@ -94,13 +94,13 @@ def test_every_member_is_told_in_full(name):
         assert p.source
         assert p.low < p.high
         assert p.low <= p.null <= p.high or p.null == 0.0
-        assert p.starts, f"{name}.{p.name} gives a fit nowhere to begin"
+        assert p.starts, f"{name}.{p.name} has no initial value for a fit"
         assert all(p.low <= start <= p.high for start in p.starts)
     assert math.prod(len(p.starts) for p in effect.parameters) <= 9
 
 
 @MEMBERS
-def test_null_leaves_the_law_alone(name):
+def test_null_leaves_the_law_unchanged(name):
     ping, past, reading = some_readings()
     for stack in ([], ordinary(name)):
         without = PhysicalModel(stack, STEP, REACH).law(ping, past).log_prob_tensor(reading)
@@ -110,9 +110,12 @@ def test_null_leaves_the_law_alone(name):
 
 @MEMBERS
 def test_a_start_changes_the_law(name):
-    keen = [CATALOGUE["sensitivity"](loss_db=10.0), CATALOGUE["specular_loss"](strength=2.0)]
+    sensitive = [CATALOGUE["sensitivity"](loss_db=10.0), CATALOGUE["specular_loss"](strength=2.0)]
     change = 0.0
-    for stack in (ordinary(name), keen):  # weak ways show where the direct one is lost and the receiver is keen
+    for stack in (
+        ordinary(name),
+        sensitive,
+    ):  # weak paths are observable if the direct echo is lost and the receiver is sensitive
         without = whole_register(PhysicalModel(stack, STEP, REACH))
         stack = [effect for effect in stack if effect.name != name]
         changed = whole_register(PhysicalModel([*stack, at_start(name)], STEP, REACH))
@@ -122,21 +125,21 @@ def test_a_start_changes_the_law(name):
 
 @MEMBERS
 def test_probabilities_sum_to_one(name):
-    each, silent, dead = whole_register(PhysicalModel([*ordinary(name), at_start(name)], STEP, REACH))
+    each, no_echo, no_answer = whole_register(PhysicalModel([*ordinary(name), at_start(name)], STEP, REACH))
     assert np.all(each >= 0)
-    np.testing.assert_allclose(each.sum(axis=1) + silent + dead, 1.0, atol=1e-12)
+    np.testing.assert_allclose(each.sum(axis=1) + no_echo + no_answer, 1.0, atol=1e-12)
 
 
 @MEMBERS
 def test_samples_agree_with_log_prob(name):
     model = PhysicalModel([*ordinary(name), at_start(name)], STEP, REACH)
-    each, silent, dead = whole_register(model)
+    each, no_echo, no_answer = whole_register(model)
     copies = 2000
     ping, past = conditions(copies)
     drawn = model.law(ping, past).sample(np.random.default_rng(0))
     kind = np.where(drawn.echo, np.rint(drawn.range / STEP).astype(int), -drawn.status.astype(int)).reshape(8, copies)
     for row in range(8):
-        expected = copies * np.concatenate([[dead[row], silent[row]], each[row]])
+        expected = copies * np.concatenate([[no_answer[row], no_echo[row]], each[row]])
         observed = np.bincount(np.where(kind[row] == -2, 0, kind[row] + 1), minlength=len(expected))
         few = expected < 8
         counts = [np.append(x[~few], x[few].sum()) for x in (observed, expected)]
@@ -156,16 +159,16 @@ def test_gradients_are_finite(name, place):
     model = PhysicalModel([*ordinary(name), CATALOGUE[name](**leaves)], STEP, REACH)
     total = model.law_of(Conditions.of(ping, past)).log_prob_tensor(reading).sum()
     if not total.requires_grad:
-        assert name in ("quantisation", "truncation"), "only a step may be without a derivative"
+        assert name in ("quantisation", "truncation"), "only a step may have no derivative"
         return
     for gradient in torch.autograd.grad(total, list(leaves.values()), allow_unused=True):
         assert gradient is None or torch.isfinite(gradient)
 
 
 @MEMBERS
-def test_gradients_are_those_of_differences(name):
+def test_gradients_agree_with_finite_differences(name):
     if name in ("quantisation", "truncation", "stuck"):
-        pytest.skip("a place on the grid has no derivative, as its docstring says")
+        pytest.skip("a value on the grid has no derivative, see its docstring")
     ping, past, reading = some_readings()
     values = at_start(name).values
 
@@ -176,10 +179,10 @@ def test_gradients_are_those_of_differences(name):
 
     for p in CATALOGUE[name].parameters:
         if (name, p.name) == ("false_alarm", "from_m"):
-            continue  # the likelihood jumps where it passes a reading, as its docstring says
+            continue  # the likelihood jumps at every reading, see its docstring
         inside = min(max(values[p.name], p.low + 1e-4 * (p.high - p.low)), p.high - 1e-4 * (p.high - p.low))
         leaf = torch.tensor(inside, dtype=torch.float64, requires_grad=True)
-        # readings that the law all but excludes have steep logarithms: compare by central differences of a small step
+        # nearly impossible readings have steep logarithms: compare by central differences of a small step
         h = FINE.get(p.name, 1e-6) * (p.high - p.low)
         slope = float(torch.autograd.grad(total(**{p.name: leaf}), leaf)[0])
         difference = float(total(**{p.name: inside + h}) - total(**{p.name: inside - h})) / (2 * h)
@@ -224,7 +227,7 @@ def test_tensor_and_array_likelihoods_agree(name):
 
 
 @MEMBERS
-def test_values_outside_the_bounds_are_refused(name):
+def test_values_outside_the_bounds_raise(name):
     p = CATALOGUE[name].parameters[0]
     with pytest.raises(SettingError, match=rf"{name}\.{p.name} must lie in \["):
         CATALOGUE[name](**{p.name: p.high + (p.high - p.low)})

@@ -1,4 +1,4 @@
-"""Readings in the order of their cells: what is a stay, what is alike, what is left out."""
+"""Batches: assignment to visits, repeated readings, omitted pings."""
 
 from itertools import pairwise
 
@@ -9,22 +9,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Reading, Recording, RecordingError
-from noise.fitting.batch import STANDS_M, Batch
-from noise.fitting.visits import BLOCK, visits_of
+from noise.fitting.batch import MAX_STATIONARY_M, Batch
+from noise.fitting.visits import VISIT_PINGS, visits_of
 
 
 def recording_of(distance, range_, **columns):
     return Recording.of(Ping.of(distance=distance), Reading.of(np.round(range_, 3)), **columns)
 
 
-def test_conditions_that_never_repeat_are_cut_into_stretches():
+def test_conditions_that_never_repeat_are_cut_into_visits_of_fixed_length():
     recording = recording_of(np.linspace(1, 2, 110), np.linspace(1, 2, 110))
-    cell, block = visits_of(recording)
-    assert np.bincount(block).max() == BLOCK
-    assert np.array_equal(cell, block)
+    condition, visit = visits_of(recording)
+    assert np.bincount(visit).max() == VISIT_PINGS
+    assert np.array_equal(condition, visit)
 
 
-def test_blocks_are_stays_of_one_session_in_one_cell():
+def test_a_visit_is_one_condition_in_one_session():
     distance = np.repeat(np.linspace(0.5, 3, 15), 4)
     recording = recording_of(distance, distance, session=np.tile(["a", "a", "b", "b"], 15))
     batch = Batch.of(recording)
@@ -32,7 +32,7 @@ def test_blocks_are_stays_of_one_session_in_one_cell():
     assert set(np.bincount(batch.visit)) == {2}
 
 
-def test_thinning_keeps_beginnings_of_all_blocks():
+def test_thinning_retains_the_beginning_of_every_visit():
     distance = np.repeat(np.linspace(0.5, 3, 20), 30)
     batch = Batch.of(recording_of(distance, distance))
     thin = batch.thin(100)
@@ -40,7 +40,7 @@ def test_thinning_keeps_beginnings_of_all_blocks():
     assert set(np.bincount(thin.visit)) == {5}
 
 
-def test_a_dead_wire_is_left_out_and_a_dead_recording_refused():
+def test_pings_without_an_answer_are_omitted_and_a_recording_without_answers_is_an_error():
     table = recording_of(np.full(3, 1.0), [1.0, 1.0, 1.0]).table
     assert len(Batch.of(Recording(table.assign(reading_mm=[1000.0, np.nan, 1000.0])))) == 2
     with pytest.raises(RecordingError, match="no ping was answered"):
@@ -49,7 +49,7 @@ def test_a_dead_wire_is_left_out_and_a_dead_recording_refused():
 
 @given(st.lists(st.sampled_from([0.0, 0.999, 1.0, 1.001]), min_size=3, max_size=40))
 @settings(max_examples=40, deadline=None)
-def test_an_echo_is_alike_to_the_one_before_and_silence_to_nothing(ranges):
+def test_an_echo_repeats_an_equal_echo_and_no_echo_repeats_nothing(ranges):
     batch = Batch.of(recording_of(np.full(len(ranges), 1.0), np.array(ranges), session=["a"] * len(ranges)))
     expected = [False, *(here == before and here > 0.0 for before, here in pairwise(ranges))]
     assert batch.repeats.tolist() == expected
@@ -57,19 +57,19 @@ def test_an_echo_is_alike_to_the_one_before_and_silence_to_nothing(ranges):
 
 @given(st.lists(st.integers(1, 5), min_size=12, max_size=20), st.integers(0, 2**31))
 @settings(max_examples=20, deadline=None)
-def test_sums_over_what_came_before_start_anew_in_every_stay(stays, seed):
-    distance = np.repeat(0.5 + 0.1 * np.arange(len(stays)), stays)
+def test_sums_over_earlier_pings_restart_in_every_visit(n_pings, seed):
+    distance = np.repeat(0.5 + 0.1 * np.arange(len(n_pings)), n_pings)
     batch = Batch.of(recording_of(distance, distance))
     value = np.random.default_rng(seed).normal(size=(2, len(batch)))
     expected = np.concatenate([np.cumsum(value[:, rows], axis=1) - value[:, rows] for rows in batch.visit_rows], axis=1)
     assert batch.before(torch.from_numpy(value)).numpy() == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_target_stands_where_its_logged_distance_does():
-    resting = np.repeat(np.linspace(0.5, 3.0, 14), 5)
-    assert Batch.of(recording_of(resting, resting)).stationary.all()
-    driven = np.linspace(0.5, 3.0, 4 * BLOCK)  # moves by more than STANDS_M in each stretch
-    batch = Batch.of(recording_of(driven, driven))
-    assert (driven[1] - driven[0]) * BLOCK > STANDS_M
+def test_a_target_is_stationary_if_its_logged_distance_is():
+    fixed = np.repeat(np.linspace(0.5, 3.0, 14), 5)
+    assert Batch.of(recording_of(fixed, fixed)).stationary.all()
+    moving = np.linspace(0.5, 3.0, 4 * VISIT_PINGS)  # moves by more than MAX_STATIONARY_M in each visit
+    batch = Batch.of(recording_of(moving, moving))
+    assert (moving[1] - moving[0]) * VISIT_PINGS > MAX_STATIONARY_M
     assert not batch.stationary.any()
     assert batch.stationary_rows == []

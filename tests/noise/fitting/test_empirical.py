@@ -1,4 +1,4 @@
-"""The flexible part: nothing where it is null, a broken line where it is not, and a folder that loads."""
+"""The flexible correction: null values, interpolation, save and load."""
 
 import numpy as np
 import torch
@@ -14,14 +14,14 @@ from noise.fitting.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, in
 from noise.fitting.stack import Stack
 
 
-def test_interpolation_is_numpys():
+def test_interpolation_equals_numpy_interp():
     x = torch.linspace(0.0, 7.0, 50, dtype=torch.float64)
     height = np.random.default_rng(0).normal(size=len(DISTANCE_KNOTS))
-    ours = interpolate(x, DISTANCE_KNOTS, [torch.tensor(h) for h in height])
-    assert np.allclose(ours.numpy(), np.interp(x.numpy(), DISTANCE_KNOTS, height))
+    found = interpolate(x, DISTANCE_KNOTS, [torch.tensor(h) for h in height])
+    assert np.allclose(found.numpy(), np.interp(x.numpy(), DISTANCE_KNOTS, height))
 
 
-def test_null_leaves_the_law_alone():
+def test_null_values_leave_the_law_unchanged():
     ping = Ping.of(distance=np.linspace(0.2, 5, 40), angle=0.2)
     jitter = CATALOGUE["travel_time_jitter"](sigma_m=0.01)
     z = np.linspace(0.1, 6, 40)
@@ -29,12 +29,12 @@ def test_null_leaves_the_law_alone():
     assert np.allclose(plain, flexible, atol=1e-12)
 
 
-def test_bias_moves_readings_by_its_line():
+def test_bias_shifts_readings():
     model = EmpiricalModel([Flexible(**{f"bias_d{k}": 0.05 for k in range(len(DISTANCE_KNOTS))})])
     assert np.allclose(model.law(Ping.of(distance=[0.5, 2.0])).quantile(0.5), [0.55, 2.05], atol=0.0011)
 
 
-def test_a_line_moves_into_the_smooth_part_and_changes_nothing():
+def test_scale_and_offset_can_be_folded_into_the_correction_without_a_change_of_the_law():
     values = {"clock_scale": {"error": 0.012}, "zero_offset": {"offset_m": -0.01}, "flexible": {"bias_d3": 0.02}}
     stack = Stack(values, extra={"flexible": Flexible})
     ping = Ping.of(distance=np.linspace(0.12, 5.9, 60))
@@ -47,8 +47,8 @@ def test_a_line_moves_into_the_smooth_part_and_changes_nothing():
     st.floats(-0.05, 0.05), st.lists(st.floats(-0.3, 0.3), min_size=len(DISTANCE_KNOTS), max_size=len(DISTANCE_KNOTS))
 )
 @settings(max_examples=20, deadline=None)
-def test_air_and_a_clock_do_the_same_to_what_stands_for_a_simulation(error, bias):
-    """Else a line that was folded in would tell one from the other, and no reading does without a thermometer."""
+def test_speed_of_sound_and_clock_have_the_same_effect_on_the_correction(error, bias):
+    """Otherwise a correction would distinguish them, which readings without a thermometer cannot."""
     kelvin = (CELSIUS + ASSUMED_TEMPERATURE_C) / (1.0 + error) ** 2
     line = {f"bias_d{k}": height for k, height in enumerate(bias)}
     scales = {"clock_scale": {"error": error}}, {"sound_speed": {"temperature_c": kelvin - CELSIUS}}
@@ -60,7 +60,7 @@ def test_air_and_a_clock_do_the_same_to_what_stands_for_a_simulation(error, bias
     assert np.allclose(clock, air, atol=0.0011)  # one step of the register
 
 
-def test_saved_and_loaded_it_is_the_same(tmp_path):
+def test_save_and_load(tmp_path):
     model = EmpiricalModel([CATALOGUE["zero_offset"](offset_m=0.01), Flexible(bias_d2=0.02, silence_d7=0.3)], 0.01, 6.0)
     save_model(model, tmp_path / "m")
     again = load_model(tmp_path / "m")

@@ -1,4 +1,4 @@
-"""Maximum likelihood: slopes, known parameters, honest uncertainty."""
+"""Maximum likelihood: gradients, known parameters, calibrated uncertainty."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ import torch
 from acquisition import Ping, Reading, Recording
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import Fit, _Objective, covariance, each_counted, fit, log_likelihood, maximise
+from noise.fitting.fit import Fit, Objective, covariance, fit, log_likelihood, maximise, refit_without_urn
 from noise.fitting.stack import NUISANCES, Stack
 from noise.fitting.starts import extra_modes, nuisance_start, starting_points
 from noise.physical import PhysicalModel
@@ -17,23 +17,23 @@ from noise.physical import PhysicalModel
 torch.set_num_threads(1)
 
 
-def heard(seed, cells=60, pings=6, placement=0.003, **effects):
+def recording_of(seed, visits=60, pings=6, placement=0.003, **effects):
     rng = np.random.default_rng(seed)
-    distance = np.repeat(rng.uniform(0.3, 4.0, cells), pings)
-    moved = distance + np.repeat(rng.normal(0, placement, cells), pings)
+    distance = np.repeat(rng.uniform(0.3, 4.0, visits), pings)
+    moved = distance + np.repeat(rng.normal(0, placement, visits), pings)
     model = PhysicalModel(
         [CATALOGUE["travel_time_jitter"](sigma_m=0.004)] + [CATALOGUE[k](**v) for k, v in effects.items()]
     )
     return Recording.of(Ping.of(distance=distance), model.law(Ping.of(distance=moved)).sample(rng))
 
 
-def test_gradient_is_the_slope():
-    batch = Batch.of(heard(0, clock_scale={"error": 0.01}, spike={"probability": 0.02}))
+def test_gradient_equals_finite_differences():
+    batch = Batch.of(recording_of(0, clock_scale={"error": 0.01}, spike={"probability": 0.02}))
     batch = replace(batch, simulated_offset=np.where(batch.visit % 3 == 0, np.nan, 0.001 * (batch.visit % 5 - 2)))
     free = (("clock_scale", "error"), ("spike", "probability"), *NUISANCES)
     stack = nuisance_start(Stack.of(PhysicalModel()), batch).put(free[:2], [0.004, 0.01])
     stack = stack.put([("travel_time_jitter", "per_metre")], [0.002])
-    objective = _Objective(stack, free, batch)
+    objective = Objective(stack, free, batch)
     x = np.array([stack.get(key) for key in free])
     _, gradient = objective(x)
     for j in range(len(x)):
@@ -43,8 +43,8 @@ def test_gradient_is_the_slope():
         assert gradient[j] == pytest.approx(slope, rel=1e-3, abs=1e-2)
 
 
-def test_the_edge_of_a_uniform_law_does_not_end_a_climb():
-    # strays reach to 3 m: a span that ends there loses by any step that shortens it, whatever its slope says
+def test_a_discontinuity_does_not_end_a_fit():
+    # outliers reach 3 m: any shorter span excludes some, although the gradient favours a shorter one
     rng = np.random.default_rng(5)
     distance = np.repeat(rng.uniform(0.4, 1.0, 40), 6)
     range_ = distance + rng.normal(0.01, 0.004, len(distance))
@@ -53,19 +53,19 @@ def test_the_edge_of_a_uniform_law_does_not_end_a_climb():
     span, offset = ("spike", "span_m"), ("zero_offset", "offset_m")
     free = (span, offset, ("spike", "probability"), ("travel_time_jitter", "sigma_m"))
     start = nuisance_start(Stack.of(PhysicalModel()), batch).put([*free[:3]], [3.0 + batch.resolution / 2, 0.0, 0.1])
-    edge = _Objective(start, free, batch)
+    edge = Objective(start, free, batch)
     x = np.array([start.get(key) for key in free])
     shorter = x - np.array([1e-4, 0.0, 0.0, 0.0])
-    assert edge(x)[1][0] > 0  # the slope calls it a gain
+    assert edge(x)[1][0] > 0  # the gradient favours a shorter span
     assert edge(shorter)[0] > edge(x)[0]
-    found, held = maximise(start, free, batch), maximise(start, free[1:], batch)
-    assert found.nats > held.nats - 0.1
+    found, fixed_span = maximise(start, free, batch), maximise(start, free[1:], batch)
+    assert found.nats > fixed_span.nats - 0.1
     assert found.stack.get(offset) == pytest.approx(0.01, abs=0.002)
-    assert maximise(start, free[:1], batch).stack.get(span) == start.get(span)  # nothing else to climb
+    assert maximise(start, free[:1], batch).stack.get(span) == start.get(span)  # no other free parameter
 
 
-def test_known_parameters_are_found_with_honest_errors():
-    recording = heard(1, clock_scale={"error": -0.01}, zero_offset={"offset_m": 0.012})
+def test_known_parameters_lie_within_their_standard_errors():
+    recording = recording_of(1, clock_scale={"error": -0.01}, zero_offset={"offset_m": 0.012})
     found = fit(PhysicalModel([CATALOGUE["clock_scale"](), CATALOGUE["zero_offset"]()]), recording)
     spread = np.sqrt(np.diag(covariance(found, Batch.of(recording))))
     truth = {("clock_scale", "error"): -0.01, ("zero_offset", "offset_m"): 0.012}
@@ -73,30 +73,30 @@ def test_known_parameters_are_found_with_honest_errors():
         if key in truth:
             assert abs(found.stack.get(key) - truth[key]) < 4 * sd
             assert 0 < sd < 0.005
-    assert found.stack.get(("cells", "placement_m")) == pytest.approx(0.003, rel=0.5)
+    assert found.stack.get(("visits", "placement_m")) == pytest.approx(0.003, rel=0.5)
     assert found.stack.get(("travel_time_jitter", "sigma_m")) == pytest.approx(0.004, rel=0.2)
 
 
 @pytest.mark.slow
-def test_intervals_cover_when_cells_share_an_offset():
+def test_intervals_cover_the_truth_when_pings_of_a_visit_share_an_offset():
     # 20 recordings, 90 % intervals: fewer than 14 covered has probability 0.002 at true 90 %
     inside = 0
     for seed in range(20):
-        recording = heard(100 + seed, cells=25, pings=5, placement=0.006, zero_offset={"offset_m": 0.01})
+        recording = recording_of(100 + seed, visits=25, pings=5, placement=0.006, zero_offset={"offset_m": 0.01})
         found = fit(PhysicalModel([CATALOGUE["zero_offset"]()]), recording, iterations=40)
         sd = np.sqrt(covariance(found, Batch.of(recording))[0, 0])
         inside += abs(found.stack.get(("zero_offset", "offset_m")) - 0.01) < 1.645 * sd
     assert inside >= 14
 
 
-def test_fit_never_ends_below_its_start():
-    batch = Batch.of(heard(2))
+def test_a_fit_is_never_worse_than_its_start():
+    batch = Batch.of(recording_of(2))
     stack = nuisance_start(Stack.of(PhysicalModel()), batch)
     assert maximise(stack, NUISANCES, batch).nats >= log_likelihood(stack, batch).sum()
 
 
-def test_extra_modes_are_where_they_were_put():
-    recording = heard(3, fixed_clutter={"presence": 0.3, "range_m": 0.2, "spread_m": 0.005})
+def test_extra_modes_are_found():
+    recording = recording_of(3, fixed_clutter={"presence": 0.3, "range_m": 0.2, "spread_m": 0.005})
     modes = extra_modes(Batch.of(recording))
     assert min(abs(m - 0.2) for m in modes) <= 0.026
     stack = Stack.of(PhysicalModel())
@@ -104,39 +104,39 @@ def test_extra_modes_are_where_they_were_put():
     assert min(abs(s.get(("fixed_clutter", "range_m")) - 0.2) for s in starts) <= 0.026
 
 
-def test_a_climb_leads_away_from_cells_that_scatter_as_little_as_they_can():
-    batch, key = Batch.of(heard(7)), ("cells", "placement_m")
+def test_a_fit_leaves_the_lower_bound_of_the_placement_error():
+    batch, key = Batch.of(recording_of(7)), ("visits", "placement_m")
     stack = nuisance_start(Stack.of(PhysicalModel()), batch)
-    summits = [maximise(stack.put([key], [p]), NUISANCES, batch) for p in (stack.parameter(key).low, 0.003)]
-    assert summits[0].nats == pytest.approx(summits[1].nats, abs=0.1)
-    assert summits[0].stack.get(key) > 0.001
+    optima = [maximise(stack.put([key], [p]), NUISANCES, batch) for p in (stack.parameter(key).low, 0.003)]
+    assert optima[0].nats == pytest.approx(optima[1].nats, abs=0.1)
+    assert optima[0].stack.get(key) > 0.001
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_share_of_strays_is_of_all_pings_where_cells_repeat_themselves(seed):
+def test_the_probability_of_outliers_refers_to_all_pings_although_readings_repeat(seed):
     rng = np.random.default_rng(seed)
     distance = np.repeat(rng.uniform(0.3, 3.0, 72), 15)
-    away = np.repeat(rng.normal(0, 0.006, 72), 15) + rng.normal(0, 0.0003, len(distance))
-    stray = rng.random(len(distance)) < 0.012
-    reading = np.where(stray, distance + rng.uniform(0.2, 7.0, len(distance)), distance + away)
+    error = np.repeat(rng.normal(0, 0.006, 72), 15) + rng.normal(0, 0.0003, len(distance))
+    outlier = rng.random(len(distance)) < 0.012
+    reading = np.where(outlier, distance + rng.uniform(0.2, 7.0, len(distance)), distance + error)
     batch = Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(reading, 4))))
     keys = (("spike", "probability"), ("spike", "span_m"))
-    cells = {"placement_m": 0.006, "sharing": 3.0, "kernel_m": 0.0003, "hearing": 5.0}
+    visits = {"placement_m": 0.006, "urn_weight": 3.0, "urn_width_m": 0.0003, "detection_weight": 5.0}
     spike = {"probability": 0.1, "span_m": 8.0}
     joint = maximise(
-        Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": spike, "cells": cells}),
-        (*keys, *(key for key in NUISANCES if key != ("cells", "sharing"))),  # that cells repeat themselves is given
+        Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": spike, "visits": visits}),
+        (*keys, *(key for key in NUISANCES if key != ("visits", "urn_weight"))),
         batch,
         80,
     )
-    assert joint.stack.get(keys[0]) > 4.0 * stray.mean()  # strays are most of what is new in a cell
-    assert each_counted(joint, keys, batch).stack.get(keys[0]) == pytest.approx(stray.mean(), rel=1.5)
+    assert joint.stack.get(keys[0]) > 4.0 * outlier.mean()  # most new readings of a visit are outliers
+    assert refit_without_urn(joint, keys, batch).stack.get(keys[0]) == pytest.approx(outlier.mean(), rel=1.5)
 
 
-def test_an_effect_that_was_found_is_not_told_as_nothing():
-    batch = Batch.of(heard(3, placement=0.003))
-    cells = {"placement_m": 0.003, "sharing": 3.0}
-    found = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": {"probability": 0.1}, "cells": cells})
+def test_a_refit_that_loses_an_effect_is_rejected():
+    batch = Batch.of(recording_of(3, placement=0.003))
+    visits = {"placement_m": 0.003, "urn_weight": 3.0}
+    found = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": {"probability": 0.1}, "visits": visits})
     joint = Fit(found, (), 0.0)
-    # not one reading strays, so its share comes to nothing whatever is tried: what was found stands as it was found
-    assert each_counted(joint, (("spike", "probability"),), batch) is joint
+    # there are no outliers, so that the probability of the refit is zero
+    assert refit_without_urn(joint, (("spike", "probability"),), batch) is joint

@@ -1,4 +1,4 @@
-"""Where fits begin: what moves readings begins where the readings are."""
+"""Starting points of fits agree with the readings."""
 
 import numpy as np
 import pytest
@@ -17,19 +17,19 @@ from noise.physical import PhysicalModel
 torch.set_num_threads(1)
 
 
-def heard(strays=0.0, seed=0, cells=40, **effects):
-    """Return cells of 5 readings with a scatter of 2 mm, a share of them anywhere."""
+def batch_of(outliers=0.0, seed=0, visits=40, **effects):
+    """Return visits of 5 readings with a scatter of 2 mm and a share of outliers."""
     rng = np.random.default_rng(seed)
-    ping = Ping.of(distance=np.repeat(rng.uniform(0.3, 4.0, cells), 5), time=np.arange(5 * cells) * 10.0)
-    stack = {"travel_time_jitter": {"sigma_m": 0.002}, "spike": {"probability": strays}, **effects}
+    ping = Ping.of(distance=np.repeat(rng.uniform(0.3, 4.0, visits), 5), time=np.arange(5 * visits) * 10.0)
+    stack = {"travel_time_jitter": {"sigma_m": 0.002}, "spike": {"probability": outliers}, **effects}
     model = PhysicalModel([CATALOGUE[name](**values) for name, values in stack.items()])
     return Batch.of(Recording.of(ping, model.law(ping).sample(rng)))
 
 
 @settings(max_examples=20, deadline=None)
-@given(error=st.floats(-0.04, 0.04), strays=st.sampled_from([0.0, 0.2]))
-def test_a_clock_begins_at_its_error_whatever_strays(error, strays):
-    batch = heard(strays, clock_scale={"error": error})
+@given(error=st.floats(-0.04, 0.04), outliers=st.sampled_from([0.0, 0.2]))
+def test_a_clock_starts_at_its_error_in_spite_of_outliers(error, outliers):
+    batch = batch_of(outliers, clock_scale={"error": error})
     found = fitting_value(Stack.of(PhysicalModel()), ("clock_scale", "error"), batch)
     assert found == pytest.approx(error, abs=0.002)
 
@@ -37,26 +37,26 @@ def test_a_clock_begins_at_its_error_whatever_strays(error, strays):
 @pytest.mark.parametrize(
     ("name", "parameter", "value"), [("zero_offset", "offset_m", 0.05), ("warm_up", "offset_m", 0.0)]
 )
-def test_an_offset_begins_where_readings_are(name, parameter, value):
-    batch = heard(zero_offset={"offset_m": value})
+def test_an_offset_starts_at_the_median_error(name, parameter, value):
+    batch = batch_of(zero_offset={"offset_m": value})
     assert fitting_value(Stack.of(PhysicalModel()), (name, parameter), batch) == pytest.approx(value, abs=0.003)
 
 
-def test_what_moves_no_echo_has_no_such_beginning():
-    assert fitting_value(Stack.of(PhysicalModel()), ("spike", "probability"), heard()) is None
+def test_a_parameter_that_shifts_no_echo_has_no_estimate():
+    assert fitting_value(Stack.of(PhysicalModel()), ("spike", "probability"), batch_of()) is None
 
 
 @pytest.mark.parametrize("period_s", [200.0, 900.0])
-def test_a_swing_of_the_air_begins_at_its_period(period_s):
-    batch = heard(thermal_drift={"sine_k": 4.0, "cosine_k": -3.0, "period_s": period_s})
+def test_a_thermal_oscillation_starts_at_its_period(period_s):
+    batch = batch_of(thermal_drift={"sine_k": 4.0, "cosine_k": -3.0, "period_s": period_s})
     seen = Seen(batch.ping.distance, batch.ping.time, batch.reading.range)
     first = CATALOGUE["thermal_drift"].guesses(seen)[0]
     assert first["period_s"] == pytest.approx(period_s, rel=0.1)
     assert np.hypot(first["sine_k"], first["cosine_k"]) == pytest.approx(5.0, abs=1.5)
 
 
-def test_noise_that_comes_and_goes_begins_where_early_readings_do():
-    batch = heard(false_alarm={"per_metre": 5.0, "share": 0.3, "from_m": 0.25})
+def test_intermittent_noise_starts_at_the_onset_of_early_readings():
+    batch = batch_of(false_alarm={"per_metre": 5.0, "share": 0.3, "from_m": 0.25})
     seen = Seen(batch.ping.distance, batch.ping.time, batch.reading.range)
     guess, steady = CATALOGUE["false_alarm"].guesses(seen)
     assert guess["from_m"] == pytest.approx(0.25, abs=0.05)
@@ -66,10 +66,10 @@ def test_noise_that_comes_and_goes_begins_where_early_readings_do():
     assert steady["per_metre"] < guess["per_metre"]
 
 
-def test_steady_noise_is_found_from_where_a_fit_begins():
-    """What begins at the null of one parameter is not nothing: noise in all pings, from the start, is usual."""
+def test_steady_noise_is_fitted_from_its_starting_points():
+    """Noise in all pings from the start is common, although one of its parameters is at its null value."""
     truth = {"per_metre": 0.03, "share": 1.0, "from_m": 0.0}
-    batch = heard(cells=300, false_alarm=truth)
+    batch = batch_of(visits=300, false_alarm=truth)
     *_, steady = CATALOGUE["false_alarm"].guesses(Seen(batch.ping.distance, batch.ping.time, batch.reading.range))
     assert steady["per_metre"] == pytest.approx(0.03, rel=0.35)
     stack = nuisance_start(Stack.of(PhysicalModel((), batch.resolution)), batch)
@@ -79,11 +79,11 @@ def test_steady_noise_is_found_from_where_a_fit_begins():
     fitted = maximise(best, (*keys, *NUISANCES), batch)
     known = maximise(best.put(keys, list(truth.values())), (*keys, *NUISANCES), batch)
     assert fitted.nats > known.nats - 3.0
-    rate, share, begun = (fitted.stack.get(key) for key in keys)
-    assert share * -np.expm1(-rate * (2.0 - begun)) == pytest.approx(-np.expm1(-0.03 * 2.0), rel=0.4)
+    rate, share, onset = (fitted.stack.get(key) for key in keys)
+    assert share * -np.expm1(-rate * (2.0 - onset)) == pytest.approx(-np.expm1(-0.03 * 2.0), rel=0.4)
 
 
-def test_a_stuck_register_is_guessed_to_the_digit():
+def test_the_value_of_a_stuck_register_is_guessed_exactly():
     rng = np.random.default_rng(0)
     distance = rng.uniform(0.8, 3.0, 300)
     value = np.where(

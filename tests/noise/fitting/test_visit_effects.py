@@ -1,4 +1,4 @@
-"""What pings of one cell share: known answers and laws of the prequential likelihood."""
+"""Prequential likelihood: known answers and laws."""
 
 from dataclasses import replace
 
@@ -27,12 +27,12 @@ def recording_of(distance, range_, **columns):
 
 
 def test_a_shared_offset_makes_readings_jointly_normal():
-    # sigma^2 I + tau^2 1 1': the filter's predictions must multiply to the joint density, up to the floor
+    # covariance sigma^2 I + tau^2 1 1': the predictions multiply to the joint density, up to the floor
     sigma, tau, n = 0.02, 0.03, 9
     rng = np.random.default_rng(3)
     batch = Batch.of(recording_of(np.full(n, 2.0), 2.0 + tau * 0.8 + rng.normal(0, sigma, n)))
-    cells = VisitEffects(placement_m=tau, carry=0.0, sharing=0.0)
-    found = float(log_prob(law_of(jittering(sigma), batch), cells, batch).sum())
+    visits = VisitEffects(placement_m=tau, ping_correlation=0.0, urn_weight=0.0)
+    found = float(log_prob(law_of(jittering(sigma), batch), visits, batch).sum())
     covariance = sigma**2 * np.eye(n) + tau**2
     exact = stats.multivariate_normal(np.full(n, 2.0), covariance).logpdf(batch.reading.range) + n * np.log(STEP)
     assert found == pytest.approx(exact, abs=0.15)
@@ -41,28 +41,34 @@ def test_a_shared_offset_makes_readings_jointly_normal():
 @settings(max_examples=15, deadline=None)
 @given(
     placement=st.floats(2e-4, 0.05),
-    carry=st.floats(0.0, 0.9),
-    sharing=st.floats(0.0, 4.0),
-    kernel=st.floats(0.001, 0.02),
-    hearing=st.floats(0.0, 4.0),
+    correlation=st.floats(0.0, 0.9),
+    urn=st.floats(0.0, 4.0),
+    width=st.floats(0.001, 0.02),
+    detection=st.floats(0.0, 4.0),
 )
-def test_every_prediction_sums_to_one(placement, carry, sharing, kernel, hearing):
-    # the third ping of a cell, after an echo and a silence: all readings and silence together
+def test_every_prediction_sums_to_one(placement, correlation, urn, width, detection):
+    # the third ping of a visit, after an echo and a ping without echo: sum over all outcomes
     model = PhysicalModel(
         [CATALOGUE["travel_time_jitter"](sigma_m=0.02), CATALOGUE["dropped_reading"](probability=0.2)],
         resolution=0.01,
         max_range=1.0,
     )
-    cells = VisitEffects(placement_m=placement, carry=carry, sharing=sharing, kernel_m=kernel, hearing=hearing)
+    visits = VisitEffects(
+        placement_m=placement,
+        ping_correlation=correlation,
+        urn_weight=urn,
+        urn_width_m=width,
+        detection_weight=detection,
+    )
     last = np.arange(101) * 0.01
     range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
-    reading, block = Reading.of(range_), np.repeat(np.arange(101), 3)
-    batch = Batch(Ping.of(distance=np.full(303, 0.5)), reading, reading, block, block, 0.01, np.full((303, 2), np.nan))
-    p = torch.exp(log_prob(law_of(model, batch), cells, batch))
+    reading, visit = Reading.of(range_), np.repeat(np.arange(101), 3)
+    batch = Batch(Ping.of(distance=np.full(303, 0.5)), reading, reading, visit, visit, 0.01, np.full((303, 2), np.nan))
+    p = torch.exp(log_prob(law_of(model, batch), visits, batch))
     assert float(p[2::3].sum()) == pytest.approx(1.0, abs=1e-6)
 
 
-def heard_or_missed(loss_db, range_):
+def near_threshold(loss_db, range_):
     model = PhysicalModel(
         [CATALOGUE["travel_time_jitter"](sigma_m=0.005), CATALOGUE["sensitivity"](loss_db=loss_db)],
         resolution=STEP,
@@ -73,8 +79,8 @@ def heard_or_missed(loss_db, range_):
 
 
 @pytest.mark.parametrize("loss_db", [20.0, 48.0, 60.0, 75.0, 79.0])
-def test_echo_and_silence_share_certainty_however_rare_either_is(loss_db):
-    law, _ = heard_or_missed(loss_db, np.full(1, 2.0))
+def test_echo_and_no_echo_are_exact_however_rare_either_is(loss_db):
+    law, _ = near_threshold(loss_db, np.full(1, 2.0))
     path = law.state.direct
     margin = float(path.level_db[0, 0] / law.state.width_db)
     assert float(law.heard_tensor()[0]) == pytest.approx(stats.norm.cdf(margin), rel=1e-9)
@@ -82,33 +88,34 @@ def test_echo_and_silence_share_certainty_however_rare_either_is(loss_db):
 
 
 @pytest.mark.parametrize(("loss_db", "range_"), [(0.0, 0.0), (79.0, 2.0)])
-def test_a_cell_that_is_heard_or_missed_against_all_odds_surprises_once(loss_db, range_):
-    law, batch = heard_or_missed(loss_db, np.full(25, range_))
+def test_a_visit_with_an_improbable_outcome_counts_once(loss_db, range_):
+    law, batch = near_threshold(loss_db, np.full(25, range_))
     odds = law.no_echo_tensor() if range_ == 0.0 else law.heard_tensor()
     assert float(odds[0]) < 1e-12
-    each = log_prob(law, VisitEffects(hearing=1.0, placement_m=0.002), batch).numpy()
+    each = log_prob(law, VisitEffects(detection_weight=1.0, placement_m=0.002), batch).numpy()
     assert each[0] < -7.0
-    # afterwards the cell is expected to go on: of 25 alike the others cost what a rule of succession takes
+    # the other 24 equal outcomes cost what the rule of succession predicts
     assert each[1:].sum() > -15.0
 
 
-def test_a_repeating_cell_is_worth_about_one_reading():
-    # fifty readings at the same wrong place cost little more than the first once the urn is on
+def test_a_repeated_reading_counts_about_once():
+    # with the urn, twenty equal outliers cost little more than the first
     batch = Batch.of(recording_of(np.full(20, 2.0), np.full(20, 1.0)))
     model = jittering(0.005)
-    alone, shared = (
-        float(log_prob(law_of(model, batch), VisitEffects(sharing=s, kernel_m=0.002), batch).sum()) for s in (0.0, 1.0)
+    without, with_urn = (
+        float(log_prob(law_of(model, batch), VisitEffects(urn_weight=w, urn_width_m=0.002), batch).sum())
+        for w in (0.0, 1.0)
     )
     first = float(log_prob(law_of(model, batch), VisitEffects(), batch)[0])
-    assert alone == pytest.approx(20 * first, rel=0.01)
-    assert shared > 4 * first
+    assert without == pytest.approx(20 * first, rel=0.01)
+    assert with_urn > 4 * first
 
 
-def test_what_cells_share_scatters_only_by_what_the_simulation_does_not_know():
+def test_the_shared_offset_scatters_only_by_what_the_simulation_does_not_explain():
     batch = Batch.of(Recording.of(Ping.of(distance=np.linspace(0.5, 3.0, 40)), Reading.of(np.linspace(0.5, 3.0, 40))))
-    loose = VisitEffects(placement_m=0.06)
-    assert shared_scatter(loose, batch) == pytest.approx(placement_scatter(0.06), rel=0.01)
+    unknown = VisitEffects(placement_m=0.06)
+    assert shared_scatter(unknown, batch) == pytest.approx(placement_scatter(0.06), rel=0.01)
     known = replace(batch, simulated_offset=np.random.default_rng(0).normal(0.0, 0.005, 40))
-    tight = VisitEffects(placement_m=0.06, link=0.999)
-    assert shared_scatter(tight, known) < 0.012
-    assert shared_scatter(tight, known) > 0.999 * known.simulated_offset.std()
+    linked = VisitEffects(placement_m=0.06, simulation_correlation=0.999)
+    assert shared_scatter(linked, known) < 0.012
+    assert shared_scatter(linked, known) > 0.999 * known.simulated_offset.std()

@@ -1,4 +1,4 @@
-"""Drawing by inversion: closed forms and wide searches find the step that bisection finds."""
+"""Sampling by inversion: closed forms and wide searches agree with bisection."""
 
 import numpy as np
 import pytest
@@ -14,12 +14,12 @@ SHARE = st.floats(0.0, 1.0, exclude_max=True)
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 8.0), SHARE), min_size=1, max_size=20), st.floats(0.0, 0.9))
-def test_closed_form_finds_the_step_of_the_search(pairs, miss):
+def test_closed_form_agrees_with_the_search(pairs, miss):
     distance, u = np.array(pairs).T
     law = GaussianModel(sigma=0.01, sigma_per_metre=0.01, miss=miss).law(Ping.of(distance=distance))
     chosen = u * law.echo
     found, searched = law._invert(chosen), EchoLaw._invert(law, chosen)
-    # the cdf is flat in the far tails, where either end of a plateau is right up to rounding
+    # the cdf is constant in the far tails, where any step is right up to rounding
     same = np.abs(law.cdf_step(found) - law.cdf_step(searched)) < 1e-12
     assert np.all(same | (found == searched))
 
@@ -31,7 +31,7 @@ def test_sonar_without_noise_reads_the_nearest_step():
 
 
 @pytest.mark.parametrize("resolution", [0.001, 0.01, 0.0254])
-def test_wide_search_finds_the_step_of_bisection(resolution, monkeypatch):
+def test_wide_search_agrees_with_bisection(resolution, monkeypatch):
     effects = [
         CATALOGUE["sensitivity"](loss_db=40.0),
         CATALOGUE["travel_time_jitter"](sigma_m=0.004),
@@ -41,7 +41,7 @@ def test_wide_search_finds_the_step_of_bisection(resolution, monkeypatch):
     law = PhysicalModel(effects, resolution=resolution).law(Ping.of(distance=rng.uniform(0.05, 3.0, 50)))
     u = rng.random((20, 50)) * law.echo
     wide = [law._invert(row) for row in u]
-    monkeypatch.setattr(law_module, "FEW", 0)
+    monkeypatch.setattr(law_module, "MAX_N_WIDE", 0)
     assert np.array_equal(wide, [law._invert(row) for row in u])
     assert np.array_equal(wide, law._invert(u))
 

@@ -1,4 +1,4 @@
-"""The laws of learned laws: what they promise whatever their weights are."""
+"""Properties of learned laws for any weights, and the shipped perceptron."""
 
 import json
 import subprocess
@@ -50,7 +50,7 @@ def test_probabilities_are_differences_of_the_cdf_and_sum_to_one(seed, condition
     probability = np.exp(law.log_prob(Reading.of(steps * STEP)))
     np.testing.assert_allclose(probability, np.diff(law.cdf_step(steps), prepend=0.0), atol=1e-12)
     assert probability.sum() + law.no_echo[0] + law.no_answer[0] == pytest.approx(1.0, abs=1e-10)
-    assert np.all(probability > 0), "a network is never certain"
+    assert np.all(probability > 0), "no outcome has probability zero"
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -70,7 +70,7 @@ def test_samples_agree_with_log_prob(seed):
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 1000), conditions, st.integers(0, 2**31))
-def test_readings_are_ones_that_the_register_can_hold(seed, condition, draw):
+def test_readings_are_values_of_the_register(seed, condition, draw):
     ping = Ping.of(*[np.full(50, x) for x in condition])
     drawn = random_model(seed).law(ping).sample(np.random.default_rng(draw))
     step = drawn.range[drawn.echo] / STEP
@@ -78,22 +78,22 @@ def test_readings_are_ones_that_the_register_can_hold(seed, condition, draw):
     assert np.all((step > 0.5) & (step < REACH / STEP + 0.5))
 
 
-def test_inside_what_was_learned_nothing_is_widened():
+def test_no_widening_inside_the_learned_range():
     law = random_model(0).law(learned_on())
     np.testing.assert_array_equal(law.excess, 0.0)
     assert not law.extrapolated.any()
 
 
-def test_outside_the_law_grows_wide_and_ignorant_without_a_jump():
+def test_outside_the_learned_range_the_law_widens_continuously():
     model = random_model(3, no_answer=0.0)
     distance = np.array([3.5, 3.5001, 4.0, 6.0, 12.0])
     law = model.law(Ping.of(distance=distance, angle=0.1, incidence=0.3, reflectance=0.5))
     np.testing.assert_allclose(law.excess, (distance - 3.5) / 3.4)
     np.testing.assert_array_equal(law.extrapolated, [False, True, True, True, True])
     assert np.all(np.diff(law.scale, axis=1) > 0)
-    ignorance = law.share[-2:].sum(axis=0)
-    assert np.all(np.diff(ignorance) > 0)
-    assert ignorance[-1] > 0.9
+    uniform = law.share[-2:].sum(axis=0)
+    assert np.all(np.diff(uniform) > 0)
+    assert uniform[-1] > 0.9
     assert law.echo[1] == pytest.approx(law.echo[0], abs=1e-3)
     np.testing.assert_allclose(law.share.sum(axis=0), 1.0)
 
@@ -108,7 +108,7 @@ def test_bearings_of_one_sign_are_folded_and_of_both_are_not():
     assert there == mirrored
 
 
-def test_incidence_that_was_never_apart_from_bearing_is_not_learned_but_minded():
+def test_incidence_equal_to_bearing_is_no_input_but_extends_the_excess():
     inputs = Inputs.of(Ping.of(distance=[1.0, 2.0], angle=[0.0, 0.5]), ("distance", "angle", "incidence"))
     assert inputs.tied
     assert inputs.names == ("distance", "angle")
@@ -116,7 +116,7 @@ def test_incidence_that_was_never_apart_from_bearing_is_not_learned_but_minded()
     np.testing.assert_allclose(excess, [0.0, 0.5])
 
 
-def test_a_covariate_that_is_not_given_is_told_as_missing_and_flagged():
+def test_a_missing_covariate_is_marked():
     ping = Ping.of(distance=[1.0, 2.0], angle=[0.0, 0.1], temperature_c=[18.0, 20.0])
     inputs = Inputs.of(ping, ("distance", "angle", "temperature_c"))
     given = inputs.features(Ping.of(distance=[1.0, 1.0, 1.0], temperature_c=[19.0, np.nan, 30.0]))
@@ -140,7 +140,7 @@ def test_beyond_the_horizon_every_distance_is_one_condition():
     assert np.ptp(far.feature, axis=0).max() == 0.0
     np.testing.assert_array_equal(far.excess, 0.0)
     closed = Inputs.of(ping[:2], ("distance",), horizon=6.5)
-    assert not closed.open_end, "nothing was met beyond"
+    assert not closed.open_end, "no ping lies beyond"
     assert closed.features(Ping.of(distance=6.5)).excess[0] > 0
 
 
@@ -151,10 +151,10 @@ def saved(tmp_path):
     return save_model(model, tmp_path / "net")
 
 
-def test_saved_and_loaded_it_says_the_same(saved):
+def test_a_saved_network_has_the_same_law(saved):
     model, again = random_model(5), load_model(saved)
     ping = Ping.of(distance=np.linspace(0.1, 5.0, 20), angle=0.2, incidence=0.1, reflectance=0.4)
-    # weights are kept in single precision
+    # weights are stored in single precision
     np.testing.assert_allclose(again.law(ping).credence(), model.law(ping).credence(), atol=1e-5)
     twice = load_model(save_model(again, saved.parent / "twice"))
     np.testing.assert_array_equal(twice.law(ping).credence(), again.law(ping).credence())
@@ -179,23 +179,23 @@ def damage(path, data):
     ("spoil", "message"),
     [
         (lambda p: p.unlink(), "is missing"),
-        (lambda p: damage(p, p.read_bytes()[:-100]), "it is damaged or foreign"),
-        (lambda p: damage(p, p.read_bytes() + bytes(200_000)), "it is damaged or foreign"),
+        (lambda p: damage(p, p.read_bytes()[:-100]), "it is damaged or of another model"),
+        (lambda p: damage(p, p.read_bytes() + bytes(200_000)), "it is damaged or of another model"),
         (lambda p: damage(p, b"\x80\x04" + p.read_bytes()[2:]), "cannot be read as safetensors"),
-        (lambda p: damage(p, p.read_bytes().replace(b"0.bias", b"0.soap")), "holds other tensors"),
+        (lambda p: damage(p, p.read_bytes().replace(b"0.bias", b"0.soap")), "the tensors differ"),
         (lambda p: damage(p, p.read_bytes()[:-4] + np.float32(np.nan).tobytes()), "not finite"),
     ],
     ids=["missing", "truncated", "oversized", "pickle", "foreign", "nan"],
 )
-def test_damaged_weights_are_refused_by_name(saved, spoil, message):
+def test_damaged_weights_raise_with_their_path(saved, spoil, message):
     spoil(saved / WEIGHTS_FILE)
-    with pytest.raises(ModelError, match=message) as told:
+    with pytest.raises(ModelError, match=message) as error:
         load_model(saved)
-    assert str(saved / WEIGHTS_FILE) in str(told.value)
+    assert str(saved / WEIGHTS_FILE) in str(error.value)
 
 
 @pytest.mark.parametrize("key", ["inputs", "head", "sizes"])
-def test_a_description_that_does_not_fit_is_refused_by_name(saved, key):
+def test_an_invalid_description_raises_with_its_path(saved, key):
     path = saved / "model.json"
     data = json.loads(path.read_text())
     for broken in ({k: v for k, v in data.items() if k != key}, {**data, key: []}):
@@ -204,14 +204,14 @@ def test_a_description_that_does_not_fit_is_refused_by_name(saved, key):
             load_model(saved)
 
 
-def test_a_head_that_is_no_mixture_is_refused():
+def test_an_invalid_head_raises():
     with pytest.raises(SettingError, match="at least one near component, got 0"):
         Head(0, 1, 0.01, 6.0)
     with pytest.raises(SettingError, match=r"no_answer must lie in \[0, 1\), got 1"):
         Head(1, 1, 0.01, 6.0, 1.0)
 
 
-def test_the_shipped_network_is_small_told_in_full_and_knows_its_physics():
+def test_the_shipped_network_is_small_documented_and_physical():
     model = load_model("srf08-mlp")
     folder = WEIGHTS / "srf08-mlp"
     assert sum(path.stat().st_size for path in folder.iterdir()) < 300_000
@@ -220,21 +220,21 @@ def test_the_shipped_network_is_small_told_in_full_and_knows_its_physics():
         assert word in model.card
     facing = model.law(Ping.of(distance=[0.5, 1.0, 2.0], angle=0.0, incidence=0.0, reflectance=0.9))
     assert np.all(facing.credence() > 0.95)
-    assert np.all(facing.missing), "no temperature was given"
+    assert np.all(facing.missing), "the temperature is missing"
     # a 200 mm disc is lost when its perpendicular misses the sensor, beyond 1.0 deg at 6 m and 5.7 deg at 1 m
     turned = model.law(Ping.of(distance=[3.0, 4.0, 5.0], angle=0.0, incidence=np.radians(30), reflectance=0.9))
-    assert np.all(turned.echo < 0.15), "its stand is heard now and then"
+    assert np.all(turned.echo < 0.15), "its stand gives some echoes"
     assert np.all(model.law(Ping.of([1.0, 1.0], [0.0, 1.0], 0.0, 0.9)).extrapolated == [False, True])
 
 
-def test_the_shipped_network_hears_next_to_nothing_in_an_empty_cone():
-    # sessions of 160 sensors heard something in 1.4 % of pings at nothing
+def test_the_shipped_network_detects_almost_nothing_in_an_empty_cone():
+    # 160 sensors had echoes in 1.4 % of pings at an empty cone
     law = load_model("srf08-mlp").law(Ping.of([20.0], 0.0, 0.0, 0.0))
     assert law.arrival(np.array([5.0]))[0] < 0.02
     assert not law.extrapolated[0]
 
 
-def test_the_shipped_network_knows_how_cold_air_stretches_ranges():
+def test_the_shipped_network_reads_longer_ranges_in_cold_air():
     # sound takes 0.18 % longer per degree below: 22 mm at 2 m between 24 and 18 degC
     law = load_model("srf08-mlp").law(Ping.of(2.0, 0.0, 0.0, 0.9, temperature_c=[18.0, 24.0]))
     middle = np.arange(1.8, 2.2, 1e-3)[:, None]

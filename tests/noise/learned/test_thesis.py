@@ -1,4 +1,4 @@
-"""The author's own networks: his numbers again, hand computation on small ones, and refusal of everything else."""
+"""The published networks: reference predictions, small networks by hand, and rejection of other files."""
 
 import json
 import math
@@ -73,21 +73,21 @@ def mlp(**changed):
     ]
 
 
-def lstm(cells=1, **changed):
+def lstm(units=1, **changed):
     gates = {"i": (0.5, 0.25, 0.1), "f": (0.3, -0.2, 1.0), "c": (1.0, 0.5, -0.4), "o": (-0.6, 0.8, 0.2)}
     weights = {}
     for gate, (w, u, b) in gates.items():
-        weights |= {f"lstm_1_W_{gate}": np.full((1, cells), w), f"lstm_1_b_{gate}": np.full(cells, b)}
-        weights[f"lstm_1_U_{gate}"] = u * np.eye(cells)
+        weights |= {f"lstm_1_W_{gate}": np.full((1, units), w), f"lstm_1_b_{gate}": np.full(units, b)}
+        weights[f"lstm_1_U_{gate}"] = u * np.eye(units)
     settings = {"activation": "sigmoid", "inner_activation": "hard_sigmoid", "return_sequences": False}
     return [
-        Layer("lstm_1", "LSTM", {**settings, "output_dim": cells, **changed}, weights),
+        Layer("lstm_1", "LSTM", {**settings, "output_dim": units, **changed}, weights),
         DROPOUT,
         Layer(
             "dense_1",
             "Dense",
             {"activation": "linear", "output_dim": 1},
-            {"dense_1_W": np.full((cells, 1), 2.0), "dense_1_b": [-0.5]},
+            {"dense_1_W": np.full((units, 1), 2.0), "dense_1_b": [-0.5]},
         ),
     ]
 
@@ -108,19 +108,19 @@ def test_small_mlp_by_hand(tmp_path):
 
 
 def test_small_lstm_by_hand(tmp_path):
-    """Four steps of one cell, with the gates' hard sigmoid kept inside its straight part."""
+    """Four steps of one cell, with the gates' hard sigmoid in its linear part."""
     network = load_thesis_network(write(tmp_path / "lstm.h5", lstm()))
     cell = hidden = 0.0
     for x in (30.0 / 45.0, 0.9, 0.25, 0.4):
-        let_in = 0.2 * (0.5 * x + 0.25 * hidden + 0.1) + 0.5
-        kept = 0.2 * (0.3 * x - 0.2 * hidden + 1.0) + 0.5
+        input_gate = 0.2 * (0.5 * x + 0.25 * hidden + 0.1) + 0.5
+        forget_gate = 0.2 * (0.3 * x - 0.2 * hidden + 1.0) + 0.5
         out = 0.2 * (-0.6 * x + 0.8 * hidden + 0.2) + 0.5
-        cell = kept * cell + let_in * sigmoid(x + 0.5 * hidden - 0.4)
+        cell = forget_gate * cell + input_gate * sigmoid(x + 0.5 * hidden - 0.4)
         hidden = out * sigmoid(cell)
     assert network.output(np.array([[30.0 / 45.0, 0.9, 0.25, 0.4]]))[0] == pytest.approx(2.0 * hidden - 0.5, abs=1e-7)
 
 
-def test_cells_that_do_not_meet_add_up(tmp_path):
+def test_independent_units_add_up(tmp_path):
     one = load_thesis_network(write(tmp_path / "one.h5", lstm()))
     three = load_thesis_network(write(tmp_path / "three.h5", lstm(3)))
     inputs = np.random.default_rng(0).random((50, 4))
@@ -146,7 +146,7 @@ def changed_weight(path, name, value):
     ("make", "message"),
     [
         (lambda p: p, "no such file; give one of the networks"),
-        (lambda p: p.write_bytes(b"not a network") and p, "not a whole HDF5 file"),
+        (lambda p: p.write_bytes(b"not a network") and p, "not a complete HDF5 file"),
         (lambda p: p.write_bytes(bytes(2 << 20)) and p, "2097152 bytes, but the thesis's networks are under 1048576"),
         (lambda p: write(p, mlp(), version="2.1.0"), "of Keras 2.1.0, expected 1.0.8"),
         (lambda p: write(p, mlp(activation="relu")), r"layers are Dense \(relu\), Dropout \(-\), Dense \(sigmoid\)"),
@@ -157,21 +157,24 @@ def changed_weight(path, name, value):
         (lambda p: write(p, mlp()[:1]), "neither the thesis's MLP nor its LSTM"),
         (lambda p: write(p, []), "layers are none: neither"),
         (lambda p: write(p, mlp(output_dim=3)), r"dense_1_W is float32 of shape \(4, 2\), expected .* shape \(4, 3\)"),
-        (lambda p: changed_weight(p, "model_weights/dense_1/dense_1_b", None), "holds no array model_weights/dense_1"),
+        (
+            lambda p: changed_weight(p, "model_weights/dense_1/dense_1_b", None),
+            "contains no array model_weights/dense_1",
+        ),
         (
             lambda p: changed_weight(p, "model_weights/dense_1/dense_1_b", h5py.ExternalLink("other.h5", "/x")),
-            "holds no array model_weights/dense_1/dense_1_b",
+            "contains no array model_weights/dense_1/dense_1_b",
         ),
         (lambda p: changed_weight(p, "model_weights/dense_1/dense_1_b", np.array([0.0, np.nan])), "not finite"),
         (lambda p: changed_weight(p, "model_weights/dense_1/dense_1_b", np.array([1, 2])), "is int64 of shape"),
     ],
 )
-def test_other_files_are_refused(tmp_path, make, message):
+def test_other_files_raise(tmp_path, make, message):
     with pytest.raises(ModelError, match=message):
         load_thesis_network(make(tmp_path / "file.h5"))
 
 
-def test_a_file_without_a_readable_model_is_refused(tmp_path):
+def test_a_file_without_a_readable_model_raises(tmp_path):
     path = write(tmp_path / "file.h5", mlp())
     with h5py.File(path, "a") as file:
         file.attrs["model_config"] = b"{broken"
@@ -186,7 +189,7 @@ def whole(tmp_path_factory):
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 0.999))
-def test_truncated_files_are_refused(tmp_path, whole, share):
+def test_truncated_files_raise(tmp_path, whole, share):
     data = whole.read_bytes()
     path = tmp_path / "cut.h5"
     path.write_bytes(data[: int(share * len(data))])

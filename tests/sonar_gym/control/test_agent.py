@@ -1,4 +1,4 @@
-"""Agents as they are saved, loaded and driven; and the one that is shipped."""
+"""Saving, loading and driving agents, and the shipped agent."""
 
 import json
 from itertools import pairwise
@@ -9,15 +9,15 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from acquisition import ModelError, UnknownModelError
-from sonar_gym.agent import AgentDriver, Agents, Policy, agent_names, load_agent, load_policy
+from sonar_gym.agent import AgentDriver, Policy, VectorAgent, agent_names, load_agent, load_policy
 from sonar_gym.control.driver import run_episode
-from sonar_gym.control.memory import Memory, MemorySettings
+from sonar_gym.control.memory import MemorySettings, ObservationMemory
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 
 def policy(seed=0, repeat=2, **memory):
     settings = MemorySettings(**memory)
-    rng, sizes = np.random.default_rng(seed), [Memory(1, settings=settings).size, 16, 2]
+    rng, sizes = np.random.default_rng(seed), [ObservationMemory(1, settings=settings).size, 16, 2]
     layers = [
         (rng.normal(size=(b, a)).astype(np.float32) / np.float32(np.sqrt(a)), rng.normal(size=b).astype(np.float32))
         for a, b in pairwise(sizes)
@@ -25,11 +25,11 @@ def policy(seed=0, repeat=2, **memory):
     return Policy(layers, settings, repeat, {"seed": seed}, "# card\n")
 
 
-def test_what_is_saved_is_what_is_loaded(tmp_path):
+def test_a_saved_agent_loads_unchanged(tmp_path):
     first = policy(lags=2)
     again = Policy.load(first.save(tmp_path / "agent"))
-    shown = np.random.default_rng(1).normal(size=(5, first.sizes[0])).astype(np.float32)
-    assert np.array_equal(first.act(shown), again.act(shown))
+    features = np.random.default_rng(1).normal(size=(5, first.sizes[0])).astype(np.float32)
+    assert np.array_equal(first.act(features), again.act(features))
     assert (again.memory, again.repeat, again.about, again.card) == (first.memory, 2, {"seed": 0}, "# card\n")
     assert sorted(path.name for path in (tmp_path / "agent").iterdir()) == [
         "README.md",
@@ -40,36 +40,36 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
 
 def test_a_policy_is_a_perceptron_with_tanh():
     one = policy()
-    shown = np.random.default_rng(1).normal(size=(3, one.sizes[0])).astype(np.float32)
+    features = np.random.default_rng(1).normal(size=(3, one.sizes[0])).astype(np.float32)
     (w1, b1), (w2, b2) = one.layers
-    expected = [np.clip(w2 @ np.tanh(w1 @ row + b1) + b2, -1.0, 1.0) for row in shown.astype(np.float64)]
-    assert one.act(shown) == pytest.approx(np.array(expected), abs=1e-5)
+    expected = [np.clip(w2 @ np.tanh(w1 @ row + b1) + b2, -1.0, 1.0) for row in features.astype(np.float64)]
+    assert one.act(features) == pytest.approx(np.array(expected), abs=1e-5)
 
 
-def test_saving_over_an_agent_replaces_it_and_over_anything_else_is_refused(tmp_path):
+def test_saving_replaces_an_agent_and_nothing_else(tmp_path):
     policy(0).save(tmp_path / "agent")
     policy(1).save(tmp_path / "agent")
     assert Policy.load(tmp_path / "agent").about == {"seed": 1}
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "mine.txt").write_text("keep")
-    with pytest.raises(ModelError, match="holds something else than an agent"):
+    with pytest.raises(ModelError, match="exists and is not an agent"):
         policy().save(tmp_path / "notes")
     assert (tmp_path / "notes" / "mine.txt").read_text() == "keep"
 
 
 def damaged(folder, kind):
     text, tensors = folder / "agent.json", folder / "weights.safetensors"
-    said = json.loads(text.read_text())
+    description = json.loads(text.read_text())
     if kind == "no description":
         text.unlink()
     elif kind == "no json":
         text.write_text("{")
     elif kind == "other version":
-        text.write_text(json.dumps({**said, "format": 99}))
+        text.write_text(json.dumps({**description, "format": 99}))
     elif kind == "other memory":
-        text.write_text(json.dumps({**said, "memory": {"lags": 3}}))
+        text.write_text(json.dumps({**description, "memory": {"lags": 3}}))
     elif kind == "unknown field":
-        text.write_text(json.dumps({**said, "memory": {"depth": 3}}))
+        text.write_text(json.dumps({**description, "memory": {"depth": 3}}))
     elif kind == "no weights":
         tensors.unlink()
     elif kind == "cut weights":
@@ -83,10 +83,10 @@ def damaged(folder, kind):
 
 
 KINDS = {
-    "no description": "holds no agent.json",
+    "no description": "contains no agent.json",
     "no json": "damaged",
-    "other version": "another version",
-    "other memory": "train it anew",
+    "other version": "another format version",
+    "other memory": "retrain it",
     "unknown field": "does not describe an agent",
     "no weights": "is missing",
     "cut weights": "damaged or foreign",
@@ -97,36 +97,36 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_damaged_agent_is_refused(tmp_path, kind):
+def test_a_damaged_agent_raises(tmp_path, kind):
     folder = policy().save(tmp_path / "agent")
     damaged(folder, kind)
     with pytest.raises(ModelError, match=KINDS[kind]):
         Policy.load(folder)
 
 
-def test_an_unknown_name_is_told_with_those_that_are_known():
+def test_an_unknown_name_raises_and_known_names_are_listed():
     with pytest.raises(UnknownModelError, match=r"agent 'nobody': no such name or folder; known names: .*parking"):
         load_agent("nobody")
 
 
-def test_layers_that_lead_nowhere_are_refused():
+def test_layers_that_do_not_fit_the_features_raise():
     one = policy()
-    with pytest.raises(ModelError, match="do not lead"):
+    with pytest.raises(ModelError, match="do not map"):
         Policy(one.layers[:1], one.memory)
 
 
-def test_many_cars_are_driven_as_each_alone():
-    """And those whose episodes begin at other times do not disturb each other."""
+def test_actions_of_many_cars_equal_those_of_each_alone():
+    """Also if their episodes begin at different times."""
     n, one = 4, policy(repeat=2)
-    envs, crew, alone = SonarParkingVectorEnv(n, threads=1), Agents(one, n), [AgentDriver(one) for _ in range(n)]
+    envs, agents, alone = SonarParkingVectorEnv(n, threads=1), VectorAgent(one, n), [AgentDriver(one) for _ in range(n)]
     seen, _ = envs.reset(seed=0)
-    crew.forget(np.arange(n))
+    agents.reset(np.arange(n))
     for step in range(30):
         rows = np.arange(n) if step % 3 else np.array([0, 2])
         if step == 10:
-            crew.forget(np.array([1]))
+            agents.reset(np.array([1]))
             alone[1].reset()
-        together = crew.act({name: value[rows] for name, value in seen.items()}, rows)
+        together = agents.act({name: value[rows] for name, value in seen.items()}, rows)
         for k, row in enumerate(rows):
             action = alone[row].act({name: value[row] for name, value in seen.items()})
             assert together[k] == pytest.approx(action, abs=1e-6)
@@ -134,7 +134,7 @@ def test_many_cars_are_driven_as_each_alone():
     envs.close()
 
 
-def test_an_action_is_held_for_as_long_as_it_was_learned():
+def test_an_action_is_repeated():
     one, env = policy(repeat=3), gymnasium.make("SonarParking-v0")
     driver, actions = AgentDriver(one), []
     driver.reset()
@@ -147,7 +147,7 @@ def test_an_action_is_held_for_as_long_as_it_was_learned():
     assert len(np.unique(groups[:, 0], axis=0)) == 4
 
 
-def test_the_shipped_agent_has_a_card_and_no_pickle():
+def test_the_shipped_agent_is_small_and_has_a_card():
     assert "parking" in agent_names()
     shipped = load_policy("parking")
     assert "## Data" in shipped.card

@@ -1,4 +1,4 @@
-"""The filter against known answers: Kalman's gain, a mixture's moments, chains counted out, streets that are known."""
+"""The filter against known answers: the Kalman gain, moments of a mixture, enumerated chains, and known streets."""
 
 import itertools
 
@@ -10,7 +10,14 @@ from scipy.stats import norm
 from noise import GaussianModel
 from sonar_gym.control.driver import ParkingDriver, run_episode
 from sonar_gym.control.fusion import FusionSettings, StreetFilter
-from sonar_gym.control.street_inference import EDGES, associated, edge_log_likelihood, expected, linearised, opened
+from sonar_gym.control.street_inference import (
+    EDGES,
+    edge_log_likelihood,
+    expected_ranges,
+    linearise,
+    pda_update,
+    space_probability,
+)
 from sonar_gym.sensing.mounts import LAYOUTS, in_world, mount_arrays
 from sonar_gym.sensing.scene import Box, Scene, Wall
 
@@ -20,7 +27,7 @@ LIMIT = 3.01
 STATE = np.array([0.4, 0.02, 0.05, 0.0, 0.75, -0.32, -0.67, 0.6, 1.0, 1.9])  # two boxes, the second without an end
 
 
-def test_expected_readings_are_those_of_the_scene():
+def test_expected_readings_equal_those_of_the_scene():
     x, y, heading, _, wall, face, kerb, *edges = STATE
     depth, middle = face - kerb, 0.5 * (face + kerb)
     boxes = [
@@ -29,44 +36,44 @@ def test_expected_readings_are_those_of_the_scene():
     ]
     scene = Scene([Wall(-30, wall, 30, wall), Wall(-30, kerb, 30, kerb), *boxes])
     hits = scene.cast(in_world(MOUNTS, np.array([x, y, heading])), HALF, LIMIT)
-    assert expected(STATE, MOUNTS, HALF, LIMIT) == pytest.approx(hits.distance)
+    assert expected_ranges(STATE, MOUNTS, HALF, LIMIT) == pytest.approx(hits.distance)
 
 
-def test_slopes_are_those_of_a_wall():
+def test_jacobian_of_a_wall():
     i = [mount.name for mount in EIGHT].index("left")
     straight = STATE.copy()
     straight[2] = 0.0
-    _, slope = linearised(straight, MOUNTS, HALF, LIMIT, 1e-4)
+    _, slope = linearise(straight, MOUNTS, HALF, LIMIT, 1e-4)
     assert slope[i, [0, 1, 4]] == pytest.approx([0.0, -1.0, 1.0], abs=1e-6)  # along, across, and of the wall itself
 
 
-def test_a_certain_reading_is_kalman_s():
-    state, spread = associated(np.array([1.0]), np.eye(1) * 0.04, 1.0, np.ones(1), 1.2, 1.0, 0.1, 3.0)
+def test_update_with_a_certain_reading_is_that_of_a_kalman_filter():
+    state, spread = pda_update(np.array([1.0]), np.eye(1) * 0.04, 1.0, np.ones(1), 1.2, 1.0, 0.1, 3.0)
     gain = 0.04 / (0.04 + 0.01)
     assert state[0] == pytest.approx(1.0 + gain * 0.2)
     assert spread[0, 0] == pytest.approx((1.0 - gain) * 0.04)
 
 
-def test_a_reading_without_credence_tells_nothing():
-    state, spread = associated(np.array([1.0]), np.eye(1) * 0.04, 1.0, np.ones(1), 1.2, 0.0, 0.1, 3.0)
+def test_a_reading_without_credence_changes_nothing():
+    state, spread = pda_update(np.array([1.0]), np.eye(1) * 0.04, 1.0, np.ones(1), 1.2, 0.0, 0.1, 3.0)
     assert (state[0], spread[0, 0]) == pytest.approx((1.0, 0.04))
 
 
 @pytest.mark.parametrize("credence", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("reading", [1.05, 1.4, 2.5])
-def test_a_doubtful_reading_has_the_moments_of_the_posterior(credence, reading):
-    """The posterior by integration: the prior times a likelihood that is part normal, part uniform over 3 m."""
+def test_update_with_an_uncertain_reading_has_the_moments_of_the_posterior(credence, reading):
+    """Numerical integration of the prior times a mixture of a normal and a uniform likelihood over 3 m."""
     at = np.linspace(-1.0, 3.0, 40001)
     likely = credence * norm.pdf(reading, at, 0.1) + (1.0 - credence) / 3.0
     share = norm.pdf(at, 1.0, 0.2) * likely
     share /= share.sum()
     mean = share @ at
-    state, spread = associated(np.array([1.0]), np.eye(1) * 0.04, 1.0, np.ones(1), reading, credence, 0.1, 3.0)
+    state, spread = pda_update(np.array([1.0]), np.eye(1) * 0.04, 1.0, np.ones(1), reading, credence, 0.1, 3.0)
     assert state[0] == pytest.approx(mean, abs=1e-4)
     assert spread[0, 0] == pytest.approx(share @ (at - mean) ** 2, rel=1e-3)
 
 
-def test_chain_of_boxes_and_spaces_agrees_with_counting_all_ways_out():
+def test_probability_of_a_space_agrees_with_enumeration_of_all_state_sequences():
     rng = np.random.default_rng(0)
     far, credence = rng.random(8) < 0.5, rng.uniform(0.2, 0.95, 8)
     credence[3] = 0.0
@@ -83,16 +90,16 @@ def test_chain_of_boxes_and_spaces_agrees_with_counting_all_ways_out():
             p *= right + wrong if credence[k] > 0 else 1.0
         for k, state in enumerate(way):
             total[state, k] += p
-    assert opened(far, credence, step, span, hazard) == pytest.approx(total[1] / total.sum(axis=0))
+    assert space_probability(far, credence, step, span, hazard) == pytest.approx(total[1] / total.sum(axis=0))
 
 
-def test_an_edge_is_likeliest_where_it_is():
+def test_likelihood_of_an_edge_is_greatest_at_its_position():
     side = [k for k, mount in enumerate(EIGHT) if mount.name.startswith("right ")]
     at, log = np.linspace(0.85, 1.15, 61), np.zeros(61)
     for x in np.arange(0.4, 1.2, 0.03):
         state = STATE.copy()
         state[:3] = x, 0.0, 0.0
-        reading = expected(state, MOUNTS[side], HALF[side], LIMIT)
+        reading = expected_ranges(state, MOUNTS[side], HALF[side], LIMIT)
         poses = in_world(MOUNTS[side], state[:3])
         log += edge_log_likelihood(
             state, EDGES + 1, at, poses, HALF[side], reading, np.full(2, 0.9), (0.05, 0.01), LIMIT
@@ -101,7 +108,7 @@ def test_an_edge_is_likeliest_where_it_is():
 
 
 def followed(odometry, seed, sonar="ideal", steps=60):
-    """Drive along the lane by the truth, and return how far off odometry and filter are: metres across, rad."""
+    """Drive along the lane by the true pose; return the errors of odometry and filter: lateral, m, and heading, rad."""
     env = gymnasium.make("SonarParking-v0", odometry=odometry, sonar=sonar)
     world, driver = env.unwrapped, ParkingDriver(perception="fusion")
     observation, _ = env.reset(seed=seed)
@@ -113,18 +120,18 @@ def followed(odometry, seed, sonar="ideal", steps=60):
         observation = env.step(np.array([np.clip(bend, -1, 1), 0.6], dtype=np.float32))[0]
     driver.act(observation)
     true = world.car.pose - [*begin[:2], 0.0]
-    told, held = world.fleet.odometer.pose, driver.perception.pose
-    return [abs(told[1] - true[1]), abs(told[2] + begin[2] - true[2])], np.abs(held - true)[1:]
+    odometry, estimate = world.fleet.odometer.pose, driver.perception.pose
+    return [abs(odometry[1] - true[1]), abs(odometry[2] + begin[2] - true[2])], np.abs(estimate - true)[1:]
 
 
 @pytest.mark.parametrize("sonar", ["ideal", "srf08-mlp"])
-def test_filter_corrects_steering_that_pulls(sonar):
+def test_filter_corrects_the_curvature_bias_of_odometry(sonar):
     pairs = [followed({"pull": np.radians(3.0)}, seed, sonar) for seed in range(6)]
-    told, held = np.array(pairs).swapaxes(0, 1)
-    assert np.all(np.sqrt(np.mean(held**2, axis=0)) < 0.5 * np.sqrt(np.mean(told**2, axis=0)))
+    odometry, estimate = np.array(pairs).swapaxes(0, 1)
+    assert np.all(np.sqrt(np.mean(estimate**2, axis=0)) < 0.5 * np.sqrt(np.mean(odometry**2, axis=0)))
 
 
-def test_fusion_parks_with_worn_odometry_where_the_survey_does():
+def test_fusion_parks_with_worn_odometry():
     env = gymnasium.make("SonarParking-v0", odometry="worn", sonar="srf08-mlp")
     driver = ParkingDriver(perception="fusion")
     episodes = [run_episode(env, driver, seed) for seed in range(500, 512)]
@@ -146,7 +153,7 @@ def test_filter_measures_the_space_and_the_kerb():
     assert np.std(off, axis=0) == pytest.approx([0.0, 0.0], abs=0.05)
 
 
-def test_filter_that_hears_nothing_keeps_to_odometry():
+def test_filter_without_echoes_follows_odometry():
     env = gymnasium.make("SonarParking-v0", sonar=GaussianModel(miss=1.0))
     driver = ParkingDriver(perception="fusion")
     observation, _ = env.reset(seed=0)
@@ -158,8 +165,8 @@ def test_filter_that_hears_nothing_keeps_to_odometry():
     assert driver.perception.spaces() == []
 
 
-def test_settings_change_what_is_believed():
+def test_settings_change_the_estimate():
     sure, unsure = (StreetFilter(EIGHT, LIMIT, FusionSettings(wall=(0.75, spread))) for spread in (1e-3, 0.15))
-    for kept in (sure, unsure):
-        kept.look(np.zeros(3), np.full(8, 0.9), np.full(8, 0.9))
+    for street in (sure, unsure):
+        street.update(np.zeros(3), np.full(8, 0.9), np.full(8, 0.9))
     assert abs(sure.state[4] - 0.75) < 0.01 < abs(unsure.state[4] - 0.75)

@@ -14,7 +14,7 @@ from sonar_gym.parking.street import LEVELS, StreetSettings, draw_street, refere
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS
-from sonar_gym.sensing.scene import Scene, Wall
+from sonar_gym.sensing.scene import Scene, WallSegment
 
 BOXES = [{"begin": 0.6, "length": 0.3}, {"begin": 1.9, "length": 0.3, "reflectance": 0.8, "texture_deg": 5.0}]
 AT_ONCE = {"acceleration": 1e9, "speed_lag": 0.0}  # a car that goes 0.5 m/s from the first moment on
@@ -117,7 +117,7 @@ def test_facets_of_a_rough_face_turn_oblique_sound_back():
     # axis 20 deg off the normal of a wall, half cone 5 deg: the nearest point in the cone lies 15 deg off the normal
     pose, half = np.array([[0.0, 0.0, np.radians(20.0)]]), np.array([np.radians(5.0)])
     for texture, met in ((0.0, 15.0), (10.0, 5.0), (25.0, 0.0)):
-        hits = Scene([Wall(1.0, -50.0, 1.0, 50.0, texture_deg=texture)]).cast(pose, half, 3.0)
+        hits = Scene([WallSegment(1.0, -50.0, 1.0, 50.0, texture_deg=texture)]).cast(pose, half, 3.0)
         assert np.degrees(hits.incidence[0]) == pytest.approx(met, abs=1e-6)
         assert np.degrees(hits.bearing[0]) == pytest.approx(-5.0)
 

@@ -6,7 +6,7 @@ import pytest
 
 from acquisition import Reading
 from noise import GaussianModel, IdealModel
-from sonar_gym.parking import drawing as paint
+from sonar_gym.parking import drawing
 from sonar_gym.parking import rendering
 from sonar_gym.parking.drawing import Camera, credence_colour
 
@@ -40,8 +40,8 @@ def test_same_seed_same_picture():
 
 def test_car_and_paper_are_in_the_picture():
     frame = picture()
-    assert share(frame, paint.CAR) > 0.003
-    assert share(frame, paint.PAPER) > 0.1
+    assert share(frame, drawing.CAR) > 0.003
+    assert share(frame, drawing.PAPER) > 0.1
 
 
 def test_bad_readings_are_red_and_good_ones_green():
@@ -50,7 +50,7 @@ def test_bad_readings_are_red_and_good_ones_green():
     assert share(trusted, good) > 0.002
     doubtful = picture(sonar=GaussianModel(sigma=2.0))
     assert share(doubtful, good) < share(trusted, good) / 3
-    assert bad == paint.CREDENCE[0]
+    assert bad == drawing.CREDENCE[0]
 
 
 def test_camera_turns_metres_into_pixels_with_up_up():

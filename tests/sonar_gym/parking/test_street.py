@@ -8,7 +8,7 @@ from sonar_gym.parking.street import StreetSettings, draw_street, reference_path
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS, Mount, in_world, layout, mount_arrays
-from sonar_gym.sensing.scene import EMPTY_M, Box, Scene, Wall
+from sonar_gym.sensing.scene import EMPTY_M, Box, Scene, WallSegment
 
 STREETS = [draw_street(StreetSettings(), np.random.default_rng(seed)) for seed in range(200)]
 
@@ -67,11 +67,11 @@ def test_box_faces_close_and_bear_its_reflectance():
     box = Box(1.0, 2.0, 0.4, 0.2, 0.3, reflectance=0.7)
     assert np.allclose(box.faces[:, 2:], np.roll(box.faces[:, :2], -1, axis=0))
     assert np.allclose(box.corners.mean(axis=0), [1.0, 2.0])
-    hits = Scene([Wall(-1, -1, -1, 1), box]).cast(np.array([[1.0, 0.0, np.pi / 2]]), np.array([0.3]), 3.0)
-    assert (hits.reflectance[0], hits.thing[0]) == (0.7, 1)
+    hits = Scene([WallSegment(-1, -1, -1, 1), box]).cast(np.array([[1.0, 0.0, np.pi / 2]]), np.array([0.3]), 3.0)
+    assert (hits.reflectance[0], hits.object_index[0]) == (0.7, 1)
 
 
-@pytest.mark.parametrize("make", [lambda r: Wall(0, 0, 1, 0, r), lambda r: Box(0, 0, 1, 1, 0, r)])
+@pytest.mark.parametrize("make", [lambda r: WallSegment(0, 0, 1, 0, r), lambda r: Box(0, 0, 1, 1, 0, r)])
 def test_reflectance_outside_its_limits_is_refused(make):
     with pytest.raises(SettingError, match=r"reflectance must lie in \[0, 1\], got 1.5"):
         make(1.5)

@@ -343,7 +343,7 @@ def test_chosen_environments_are_pictured():
 def test_learned_sonar_is_drawn_for_all_at_once():
     envs = native(4, sonar="srf08-mlp")
     assert isinstance(envs.unwrapped.fleet.sonar.model, MlpModel)
-    assert envs.unwrapped.fleet.sonar.at_once
+    assert envs.unwrapped.fleet.sonar.batched
 
 
 def test_a_window_shows_one_of_them(monkeypatch):

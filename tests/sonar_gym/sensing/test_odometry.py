@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from sonar_gym.parking.environment import ODOMETRY_SPAN, STEP_S, SonarParkingEnv
 from sonar_gym.sensing import kernels
-from sonar_gym.sensing.odometry import ODOMETRIES, Odometer, OdometrySettings, odometry, reckoned
+from sonar_gym.sensing.odometry import ODOMETRIES, Odometer, OdometrySettings, odometry, dead_reckoned
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)).map(np.array)
 
@@ -43,7 +43,7 @@ def test_exact_odometry_is_the_pose_in_the_start_s_frame(way):
 def test_a_wheel_too_large_stretches_the_way_and_a_pull_bends_it():
     pose = np.zeros(3)
     for k in range(100):
-        pose = reckoned(pose, np.array([0.01 * k, 0, 0]), np.array([0.01 * (k + 1), 0, 0]), 0.02, 0.05, 0.0)
+        pose = dead_reckoned(pose, np.array([0.01 * k, 0, 0]), np.array([0.01 * (k + 1), 0, 0]), 0.02, 0.05, 0.0)
     assert pose[2] == pytest.approx(0.05 * 1.02)  # rad: a metre of way, seen 2 % too long
     radius = 1.0 / 0.05
     end = [radius * np.sin(0.051), radius * (1.0 - np.cos(0.051))]
@@ -51,8 +51,8 @@ def test_a_wheel_too_large_stretches_the_way_and_a_pull_bends_it():
 
 
 def test_backwards_undoes_forwards():
-    there = reckoned(np.zeros(3), np.zeros(3), np.array([0.1, 0.0, 0.0]), 0.03, 0.2, 0.0)
-    back = reckoned(there, np.array([0.1, 0.0, 0.0]), np.zeros(3), 0.03, 0.2, 0.0)
+    there = dead_reckoned(np.zeros(3), np.zeros(3), np.array([0.1, 0.0, 0.0]), 0.03, 0.2, 0.0)
+    back = dead_reckoned(there, np.array([0.1, 0.0, 0.0]), np.zeros(3), 0.03, 0.2, 0.0)
     assert back == pytest.approx(np.zeros(3), abs=3e-3)
     assert back[2] == pytest.approx(0.0, abs=1e-12)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from noise import GaussianModel, IdealModel
 from sonar_gym.sensing.sonar import Sonar
-from sonar_gym.sensing.timing import Listener, Met, timing
+from sonar_gym.sensing.timing import ScheduledSonar, ConeConditions, timing
 
 STEP = 0.1
 ROW = np.zeros(1, dtype=np.int64)
@@ -18,14 +18,14 @@ def facing(distance, rows=1):
     """Met squarely at some distances, m, the same for every car."""
     distance = np.broadcast_to(np.atleast_1d(np.asarray(distance, dtype=float)), (rows, np.size(distance)))
     zero = np.zeros_like(distance)
-    return Met(distance, zero, zero, zero + 0.5, np.ones_like(distance, dtype=bool))
+    return ConeConditions(distance, zero, zero, zero + 0.5, np.ones_like(distance, dtype=bool))
 
 
 def listener(period=0.0, phase=0.0, latency=0.0, count=1, model=None, copies=1):
     sonar = Sonar(model or IdealModel(), count, 6.0, copies=copies)
     for copy in range(copies):
         sonar.seed(copy, copy)
-    return Listener(sonar, timing(count, STEP, (period, phase, latency)), STEP)
+    return ScheduledSonar(sonar, timing(count, STEP, (period, phase, latency)), STEP)
 
 
 def heard(ears, worlds):
@@ -125,9 +125,9 @@ def test_many_cars_hear_what_each_hears_alone(times):
         again = np.array([k == 0, k in (0, 4), k == 0])  # the second car begins anew once
         for rows, call in ((np.flatnonzero(again), "begin"), (np.flatnonzero(~again), "step")):
             if len(rows):
-                getattr(many, call)(rows, Met(*(part[rows] for part in facing_each(world))))
+                getattr(many, call)(rows, ConeConditions(*(part[rows] for part in facing_each(world))))
             for i in rows:
-                getattr(alone[i], call)(ROW, Met(*(part[[i]] for part in facing_each(world))))
+                getattr(alone[i], call)(ROW, ConeConditions(*(part[[i]] for part in facing_each(world))))
         said, each = many.observation(), [ears.observation() for ears in alone]
         for name, value in said.items():
             assert np.array_equal(value, np.concatenate([one[name] for one in each]))

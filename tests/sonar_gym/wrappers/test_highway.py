@@ -1,4 +1,4 @@
-"""Cones in highway-env's scenes: walls by hand, shapely as a second opinion, and the world left alone."""
+"""SonarObservation in highway-env: cones against known walls and against shapely, and the retained observations."""
 
 import gymnasium
 import numpy as np
@@ -10,7 +10,7 @@ from acquisition import SettingError
 from sonar_gym import SonarObservation, SonarVectorObservation
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.scene import box_faces
-from sonar_gym.wrappers.highway import ROAD_LAYOUT, places, solid_things, upright
+from sonar_gym.wrappers.highway import ROAD_LAYOUT, boxes_of, pose_of, solid_things
 
 highway_env = pytest.importorskip("highway_env")
 AHEAD = [Mount("front", 2.5, 0.0, 0.0), Mount("left", 0.0, 1.0, 90.0), Mount("right", 0.0, -1.0, -90.0)]
@@ -23,38 +23,38 @@ def parking(sonar="ideal", **settings):
     return SonarObservation(gymnasium.make("parking-v0"), sonar, **settings)
 
 
-def look(env):
-    """What the cones meet on the road as it is now, (s,) each."""
-    met = env.source.meet(ROW, None, {}, env.sonar.rngs)
-    return met._replace(**{name: part[0] for name, part in met._asdict().items()})
+def cast(env):
+    """Return the conditions of pings on the current road, (s,) each."""
+    hits = env.source.conditions(ROW, None, {}, env.sonar.rngs)
+    return hits._replace(**{name: part[0] for name, part in hits._asdict().items()})
 
 
 def bodies_of(things):
-    return [Polygon(faces[:, :2]) for faces in box_faces(places(things)).reshape(-1, 4, 4)]
+    return [Polygon(faces[:, :2]) for faces in box_faces(boxes_of(things)).reshape(-1, 4, 4)]
 
 
 def put(env, x, y, heading):
-    """Stand the car somewhere, in highway-env's own frame."""
+    """Place the car, in the frame of highway-env."""
     vehicle = env.unwrapped.vehicle
     vehicle.position, vehicle.heading = np.array([x, y], dtype=float), heading
 
 
-def test_wall_ahead_is_seen_though_its_centre_is_far():
+def test_wall_ahead_is_detected_although_its_centre_is_far():
     env = parking(sonar_layout=AHEAD)
     env.reset(seed=0)
     put(env, 20.0, -16.0, -np.pi / 2)  # nose to the upper wall, whose face lies at y = -20.5 and centre 20 m away
-    hits = look(env)
+    hits = cast(env)
     assert hits.distance[0] == pytest.approx(20.5 - 16.0 - 2.5)
     assert hits.incidence[0] == pytest.approx(0.0, abs=1e-9)
     put(env, 0.0, 0.0, 0.0)
-    assert not look(env).seen.any()
+    assert not cast(env).seen.any()
 
 
-def test_left_is_left():
+def test_wall_on_the_left_is_detected_by_the_left_sonar():
     env = parking(sonar_layout=AHEAD)
     env.reset(seed=0)
     put(env, 0.0, -17.0, 0.0)  # driving right along the upper wall: the wall is on the left
-    hits = look(env)
+    hits = cast(env)
     assert list(hits.seen) == [False, True, False]
     assert hits.distance[1] == pytest.approx(20.5 - 17.0 - 1.0)
 
@@ -64,8 +64,8 @@ def test_cones_agree_with_shapely_on_a_crowded_road(seed):
     env = SonarObservation(gymnasium.make("highway-v0", config={"vehicles_density": 3}), max_range=30.0)
     env.reset(seed=seed)
     base = env.unwrapped
-    hits, (local, half) = look(env), mount_arrays(ROAD_LAYOUT)
-    poses = in_world(local, upright(base.vehicle))
+    hits, (local, half) = cast(env), mount_arrays(ROAD_LAYOUT)
+    poses = in_world(local, pose_of(base.vehicle))
     bodies = bodies_of(solid_things(base.road, base.vehicle))
     for i, (pose, opening) in enumerate(zip(poses, half, strict=True)):
         angles = np.linspace(pose[2] - opening, pose[2] + opening, 400)
@@ -77,7 +77,7 @@ def test_cones_agree_with_shapely_on_a_crowded_road(seed):
             assert hits.distance[i] == pytest.approx(min(near), abs=1e-3)
 
 
-def test_boxes_of_the_road_have_its_measures():
+def test_boxes_have_the_dimensions_of_the_walls():
     env = parking()
     env.reset(seed=0)
     walls = solid_things(env.unwrapped.road, env.unwrapped.vehicle)
@@ -104,13 +104,13 @@ CASES = {
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # highway-env's own
-@pytest.mark.parametrize(("name", "config", "kept"), CASES.values(), ids=CASES)
-def test_what_tells_of_the_vehicle_is_kept_and_what_tells_of_others_is_replaced(name, config, kept):
+@pytest.mark.parametrize(("name", "config", "retained"), CASES.values(), ids=CASES)
+def test_observation_of_the_own_vehicle_is_retained_and_of_others_is_replaced(name, config, retained):
     env = SonarObservation(gymnasium.make(name, config=config), "gaussian")
     env.action_space.seed(0)
     observation, _ = env.reset(seed=0)
     for _ in range(2):
-        assert set(observation) == set(env.observation_space.spaces) == kept | {"ranges", "credence", "echo", "age"}
+        assert set(observation) == set(env.observation_space.spaces) == retained | {"ranges", "credence", "echo", "age"}
         for part in ("ranges", "credence", "echo", "age"):
             assert observation[part] in env.observation_space[part]
         observation, _, terminated, _, info = env.step(env.action_space.sample())
@@ -119,13 +119,13 @@ def test_what_tells_of_the_vehicle_is_kept_and_what_tells_of_others_is_replaced(
             break
 
 
-def test_first_row_of_kinematics_is_the_vehicle_s_own():
+def test_first_row_of_kinematics_is_the_own_vehicle():
     env, bare = (gymnasium.make("highway-v0", config=FEW) for _ in range(2))
     observation, _ = SonarObservation(env).reset(seed=4)
     assert np.array_equal(observation["base"], bare.reset(seed=4)[0][0])
 
 
-def test_all_or_nothing_may_be_kept():
+def test_keep_all_and_keep_nothing():
     env = gymnasium.make("highway-v0", config=FEW)
     assert SonarObservation(env, keep="all").reset(seed=0)[0]["base"].shape == (5, 5)
     assert set(SonarObservation(env, keep="nothing").reset(seed=0)[0]) == {"ranges", "credence", "echo", "age"}
@@ -133,18 +133,18 @@ def test_all_or_nothing_may_be_kept():
         SonarObservation(env, keep="some")
 
 
-def test_a_road_may_be_a_model_at_one_to_ten():
+def test_metres_per_unit_scales_the_road():
     """1 m of road is 0.1 m of the sonar: ten times as far in the world, the same reading."""
     full, scaled = parking(sonar_layout=AHEAD), parking(sonar_layout=AHEAD, metres_per_unit=0.1, max_range=3.0)
     for env in (full, scaled):
         env.reset(seed=0)
     put(scaled, 0.0, 0.0, -np.pi / 2)
-    assert look(scaled).distance[0] == pytest.approx(0.1 * (20.5 - 2.5))
+    assert cast(scaled).distance[0] == pytest.approx(0.1 * (20.5 - 2.5))
     put(full, 0.0, 0.0, -np.pi / 2)
-    assert not look(full).seen.any()
+    assert not cast(full).seen.any()
 
 
-def test_clock_is_the_policy_s():
+def test_time_step_is_that_of_the_policy():
     env = parking(sonar_layout=AHEAD)
     env.reset(seed=0)
     assert env.source.step_s == pytest.approx(0.2)  # 5 Hz
@@ -154,27 +154,27 @@ def test_clock_is_the_policy_s():
     assert age == pytest.approx([0.2, 0.4, 0.1, 0.3, 0.0], abs=1e-6)
 
 
-def test_material_stays_through_an_episode_and_changes_with_the_next():
+def test_reflectance_is_constant_in_an_episode_and_drawn_again_in_the_next():
     env = parking(sonar_layout=AHEAD)
     seen = []
     for _ in range(2):
         env.reset(seed=0 if not seen else None)
         put(env, 20.0, -16.0, -np.pi / 2)
-        seen.append([look(env).reflectance[0] for _ in range(2)])
+        seen.append([cast(env).reflectance[0] for _ in range(2)])
     assert seen[0][0] == seen[0][1] != seen[1][0] == seen[1][1]
 
 
-def test_each_of_many_is_wrapped():
+def test_environments_of_a_vector_are_wrapped_one_by_one():
     envs = gymnasium.make_vec("parking-v0", 2, vectorization_mode="sync", wrappers=[SonarObservation])
     observation, _ = envs.reset(seed=7)
     alone, _ = parking().reset(seed=8)
     assert observation["ranges"].shape == (2, 8)
     assert np.array_equal(observation["ranges"][1], alone["ranges"])
-    with pytest.raises(SettingError, match="hears no roads: wrap each"):
+    with pytest.raises(SettingError, match="does not support highway-env: wrap each environment alone"):
         SonarVectorObservation(gymnasium.make_vec("parking-v0", 2, vectorization_mode="sync"))
 
 
-def test_world_is_the_same_with_and_without():
+def test_environment_is_the_same_with_and_without_the_wrapper():
     bare, wrapped = gymnasium.make("parking-v0"), parking(sonar="gaussian")
     for seed in (1, None):
         first, second = bare.reset(seed=seed)[0], wrapped.reset(seed=seed)[0]
@@ -182,19 +182,19 @@ def test_world_is_the_same_with_and_without():
         assert np.array_equal(first["desired_goal"], second["desired_goal"])
 
 
-def test_same_seed_same_readings():
+def test_same_seed_gives_same_readings():
     first, second = (parking(sonar="gaussian").reset(seed=9)[0]["ranges"] for _ in range(2))
     assert np.array_equal(first, second)
 
 
-def test_spec_goes_through_json():
+def test_spec_survives_json():
     env = parking(sonar="gaussian", sonar_layout=AHEAD, max_range=4.0)
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert again.get_wrapper_attr("source").mounts == tuple(AHEAD)
     assert again.observation_space["ranges"].shape == (3,)
 
 
-def test_several_vehicles_and_no_range_are_refused():
+def test_several_vehicles_and_zero_range_raise():
     with pytest.raises(SettingError, match=r"max_range must be > 0 m, got 0 m"):
         parking(max_range=0.0)
     many = {
@@ -202,5 +202,5 @@ def test_several_vehicles_and_no_range_are_refused():
         "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}},
         "observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
     }
-    with pytest.raises(SettingError, match="listens for one vehicle"):
+    with pytest.raises(SettingError, match="supports one vehicle"):
         SonarObservation(gymnasium.make("highway-v0", config=many))

@@ -1,4 +1,4 @@
-"""SonarObservation: what it replaces, what it leaves alone, and whose chance it uses."""
+"""SonarObservation: the new observation, the retained parts, random streams, memory and messages."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ PARKING = {
 
 
 class Rays(gymnasium.Env):
-    """Ranges in cm that count down, two numbers beside them, and noise of its own in the last."""
+    """Three ranges in cm, and two other numbers, the last of which is random."""
 
     def __init__(self, dictionary=False, values=(100.0, 250.0, 900.0)):
         self.dictionary, self.values = dictionary, np.array(values, dtype=np.float32)
@@ -50,7 +50,7 @@ class Rays(gymnasium.Env):
 
 
 class Recorder(IdealModel):
-    """An ideal sonar that remembers what it was asked."""
+    """An ideal sonar that records its arguments."""
 
     remembers = True
 
@@ -77,7 +77,7 @@ def step(env):
 
 
 @pytest.mark.parametrize("dictionary", [False, True])
-def test_ideal_readings_are_the_ranges_and_the_rest_is_untouched(dictionary):
+def test_ideal_readings_equal_the_ranges_and_other_numbers_are_unchanged(dictionary):
     env = rays(dictionary=dictionary)
     observation, info = env.reset(seed=0)
     plain, _ = Rays(dictionary).reset(seed=0)
@@ -92,7 +92,7 @@ def test_ideal_readings_are_the_ranges_and_the_rest_is_untouched(dictionary):
     assert observation in env.observation_space
 
 
-def test_all_of_a_box_may_be_ranges():
+def test_a_whole_box_of_ranges():
     env = SonarObservation(
         gymnasium.make("SonarParking-v0"), key="ranges", metres_per_unit=MAX_RANGE, max_range=MAX_RANGE
     )
@@ -128,21 +128,21 @@ FORMS = {
 @pytest.mark.parametrize("times", [{}, TIMED], ids=["at once", "timed"])
 @pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
-def test_sb3_s_checker_has_no_complaint(form, sonar, times):
+def test_checker_of_stable_baselines_passes(form, sonar, times):
     if form is FORMS["car park"] or form is FORMS["road"]:
         times = {name: 5.0 * value for name, value in times.items()}  # a step of the policy takes longer there
     check_for_sb3(form(sonar=sonar, **times))
 
 
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # said of any wrapper
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # raised for every wrapper
 @pytest.mark.parametrize("times", [{}, TIMED], ids=["at once", "timed"])
 @pytest.mark.parametrize("form", ["street", "street as ranges", "vector of numbers", "dictionary"])
-def test_gymnasium_s_checker_has_no_other_complaint(form, times):
+def test_checker_of_gymnasium_passes(form, times):
     check_env(FORMS[form](sonar="gaussian", **times), skip_render_check=True)
 
 
-def test_truth_of_the_street_is_taken_whatever_the_sonar_inside():
-    """A sonar inside that hears nothing leaves the wrapper's alone."""
+def test_true_conditions_of_the_street_do_not_depend_on_the_inner_sonar():
+    """An inner sonar without echoes does not affect the sonar of the wrapper."""
     deaf = gymnasium.make("SonarParking-v0", sonar=GaussianModel(miss=1.0))
     outer, alone = SonarObservation(deaf, "ideal"), gymnasium.make("SonarParking-v0")
     first, second = outer.reset(seed=1)[0], alone.reset(seed=1)[0]
@@ -152,13 +152,13 @@ def test_truth_of_the_street_is_taken_whatever_the_sonar_inside():
         first, second = (env.step(np.float32([0.1, 0.7]))[0] for env in (outer, alone))
 
 
-def test_credence_of_the_street_is_that_of_the_task_s_own_prior():
+def test_credence_in_the_street_uses_the_prior_of_the_task():
     inner, outer = (gymnasium.make("SonarParking-v0", sonar="srf08-mlp") for _ in range(2))
     outer = SonarObservation(outer, "srf08-mlp")
     assert np.array_equal(outer.sonar.tables, inner.unwrapped.fleet.sonar.tables)
 
 
-def test_time_between_steps_is_the_environment_s_own():
+def test_time_step_is_that_of_the_environment_unless_set():
     class Timed(Rays):
         dt = 0.04
 
@@ -167,7 +167,7 @@ def test_time_between_steps_is_the_environment_s_own():
     assert rays().source.step_s == 0.1
 
 
-def test_every_setting_goes_through_json():
+def test_every_setting_survives_json():
     how = {**PARKING, **TIMED, "period_s": np.full(8, 0.2), "incidence": (0.0, 0.3), "step_s": 0.1, "indices": range(8)}
     env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", **how)
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
@@ -180,20 +180,20 @@ def test_every_setting_goes_through_json():
 
 
 def course():
-    """Return what a wrapped street says along a way, as one number for each step."""
+    """Return the sum of the observation at each step of a wrapped street."""
     env = SonarObservation(gymnasium.make("SonarParking-v0"), "srf08-mlp", **TIMED)
     env.reset(seed=11)
     steps = [env.step(np.float32([0.1 * (k % 3 - 1), 0.6]))[0] for k in range(12)]
-    return [float(np.concatenate(list(said.values())).astype(np.float64).sum()) for said in steps]
+    return [float(np.concatenate(list(observation.values())).astype(np.float64).sum()) for observation in steps]
 
 
-def test_same_seed_same_readings_in_another_process():
+def test_same_seed_gives_same_readings_in_another_process():
     code = f"import runpy; print(runpy.run_path({__file__!r})['course']())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(course())
 
 
-def test_wild_actions_leave_no_nan_in_what_is_heard():
+def test_extreme_actions_give_no_nan():
     env = SonarObservation(gymnasium.make("SonarParking-v0"), "srf08-mlp", **TIMED)
     rng, refused = np.random.default_rng(0), 0
     env.reset(seed=0)
@@ -218,12 +218,15 @@ def test_unknown_setting_is_a_type_error():
         rays(wavelength=0.0086)
 
 
-def test_world_is_the_same_with_and_without():
+def test_environment_is_the_same_with_and_without_the_wrapper():
     bare, wrapped = (
         gymnasium.make("SonarParking-v0"),
         SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", **PARKING),
     )
-    for seed in (3, None):  # the second street comes out of the world's stream, which the wrapper must not touch
+    for seed in (
+        3,
+        None,
+    ):  # the second street is drawn from the stream of the environment, which the wrapper must not use
         bare.reset(seed=seed)
         wrapped.reset(seed=seed)
         assert np.array_equal(bare.unwrapped.street.scene.segments, wrapped.unwrapped.street.scene.segments)
@@ -234,7 +237,7 @@ def test_world_is_the_same_with_and_without():
             assert a[1] == b[1]
 
 
-def test_same_seed_same_readings_and_others_differ():
+def test_same_seed_gives_same_readings_and_another_seed_does_not():
     def episode(seed):
         env = rays("gaussian")
         return np.array([env.reset(seed=seed)[0]["ranges"], *(step(env)["ranges"] for _ in range(5))])
@@ -245,20 +248,20 @@ def test_same_seed_same_readings_and_others_differ():
 
 
 def test_wrapper_and_environment_draw_from_different_streams():
-    """The same model inside and outside: were the streams one, both errors would be equal."""
+    """The same model inside and outside: with one stream the errors would be equal."""
     model = GaussianModel(sigma=0.02, sigma_per_metre=0.0)
     env = SonarObservation(gymnasium.make("SonarParking-v0", sonar=model), model, **PARKING)
     inner, outer = [], []
     env.reset(seed=0)
     for _ in range(60):
         observation, _, _, _, info = env.step(np.array([0.0, 0.3], dtype=np.float32))
-        heard = (observation["echo"] == 1) & (info["sonar"]["distance"] < MAX_RANGE)
-        inner.extend((info["sonar"]["distance"] - info["distance"])[heard])
-        outer.extend((observation["ranges"] * MAX_RANGE - info["sonar"]["distance"])[heard])
+        echo = (observation["echo"] == 1) & (info["sonar"]["distance"] < MAX_RANGE)
+        inner.extend((info["sonar"]["distance"] - info["distance"])[echo])
+        outer.extend((observation["ranges"] * MAX_RANGE - info["sonar"]["distance"])[echo])
     assert abs(np.corrcoef(inner, outer)[0, 1]) < 0.2
 
 
-def test_name_and_path_go_through_spec_and_json(tmp_path):
+def test_path_of_a_model_survives_spec_and_json(tmp_path):
     folder = save_model(PhysicalModel([CATALOGUE["zero_offset"](offset_m=0.05)]), tmp_path / "late")
     env = SonarObservation(gymnasium.make("SonarParking-v0"), folder, **PARKING)
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
@@ -269,7 +272,7 @@ def test_name_and_path_go_through_spec_and_json(tmp_path):
     assert info["sonar"]["distance"].shape == (8,)
 
 
-def test_conditions_come_from_info_from_the_observation_and_from_priors():
+def test_conditions_come_from_info_constants_and_priors():
     model = recorder()
     env = rays(model, incidence="tilt", bearing=0.05, reflectance=(0.2, 0.4))
     env.reset(seed=0)
@@ -278,7 +281,7 @@ def test_conditions_come_from_info_from_the_observation_and_from_priors():
     assert np.array_equal(first.incidence, [0.1, 0.2, 0.3])
     assert np.array_equal(first.angle, [0.05] * 3)
     assert np.all((first.reflectance >= 0.2) & (first.reflectance <= 0.4))
-    assert np.array_equal(first.reflectance, second.reflectance)  # things keep their material through an episode
+    assert np.array_equal(first.reflectance, second.reflectance)  # reflectance is constant in an episode
     assert (first.time[0], second.time[0]) == (0.0, 0.1)
     env.reset()
     assert not np.array_equal(model.asked[-1][0].reflectance, first.reflectance)
@@ -289,7 +292,7 @@ def test_conditions_come_from_info_from_the_observation_and_from_priors():
     assert not np.array_equal(drawn.asked[0][0].incidence, drawn.asked[1][0].incidence)
 
 
-def test_memory_is_passed_on_and_cleared_at_reset():
+def test_past_readings_are_passed_to_the_model_and_cleared_at_reset():
     model = recorder()
     env = rays(model)
     env.reset(seed=0)
@@ -304,36 +307,38 @@ def test_memory_is_passed_on_and_cleared_at_reset():
 PAIRS = [(1.0, 2.0), (2.5, 3.0), (6.0, 4.0)]  # before and after; 6 m stands for no echo
 
 
-def test_stale_readings_repeat_the_last_one():
+def test_stale_readings_repeat_the_previous_reading():
     model = PhysicalModel([CATALOGUE["stale_repeat"](probability=0.9)])
     env = rays(model)
     env.reset(seed=0)
     env.unwrapped.values = np.float32([200.0, 300.0, 400.0])
-    said = 6.0 * step(env)["ranges"]
-    assert all(any(value == pytest.approx(v, abs=1e-3) for v in pair) for value, pair in zip(said, PAIRS, strict=True))
-    assert said[0] == pytest.approx(1.0, abs=1e-3)  # the stale one: under seed 0, with probability 0.9
+    readings = 6.0 * step(env)["ranges"]
+    assert all(
+        any(value == pytest.approx(v, abs=1e-3) for v in pair) for value, pair in zip(readings, PAIRS, strict=True)
+    )
+    assert readings[0] == pytest.approx(1.0, abs=1e-3)  # the stale one: under seed 0, with probability 0.9
 
 
-def test_infinity_is_an_empty_cone_and_nan_is_refused():
+def test_infinity_is_an_empty_cone_and_nan_raises():
     env = rays()
     env.unwrapped.values = np.float32([100.0, np.inf, 600.0])
     observation, _ = env.reset(seed=0)
     assert list(observation["echo"]) == [1.0, 0.0, 0.0]
     assert np.all(observation["ranges"][1:] == 1.0)
     env.unwrapped.values = np.float32([100.0, np.nan, 600.0])
-    with pytest.raises(SettingError, match="range that is negative or NaN"):
+    with pytest.raises(SettingError, match="a range is negative or NaN"):
         step(env)
 
 
-def test_a_number_may_stand_for_nothing_in_reach():
-    """MuJoCo's rangefinders say -1."""
+def test_empty_value_is_an_empty_cone():
+    """As -1 of MuJoCo's rangefinders."""
     env = rays(empty=-1.0)
     env.unwrapped.values = np.float32([100.0, -1.0, 250.0])
     observation, info = env.reset(seed=0)
     assert list(observation["echo"]) == [1.0, 0.0, 1.0]
     assert list(info["sonar"]["in_cone"]) == [True, False, True]
     env.unwrapped.values = np.float32([100.0, -2.0, 250.0])
-    with pytest.raises(SettingError, match="range that is negative or NaN"):
+    with pytest.raises(SettingError, match="a range is negative or NaN"):
         step(env)
 
 
@@ -347,19 +352,19 @@ def test_a_number_may_stand_for_nothing_in_reach():
         ({"incidence": (0.4, 0.0)}, "incidence must be a number, two limits low <= high, or a key"),
     ],
 )
-def test_settings_out_of_their_limits_are_refused(settings, message):
+def test_invalid_settings_raise(settings, message):
     with pytest.raises(SettingError, match=message):
         rays(**settings)
 
 
-def test_wrong_keys_are_refused_by_name():
-    with pytest.raises(SettingError, match="key 'radar': the observation holds beside, rays"):
+def test_wrong_keys_raise_and_are_named():
+    with pytest.raises(SettingError, match="key 'radar': not in the observation, which has beside, rays"):
         SonarObservation(Rays(dictionary=True), key="radar")
-    with pytest.raises(SettingError, match="the observation is no Dict; leave the key out"):
+    with pytest.raises(SettingError, match="the observation is not a Dict; omit the key"):
         SonarObservation(Rays(), key="rays")
     with pytest.raises(SettingError, match="needs ranges in a Box"):
         SonarObservation(gymnasium.make("FrozenLake-v1"))
-    with pytest.raises(SettingError, match="incidence 'slope': neither the observation nor info holds that key"):
+    with pytest.raises(SettingError, match="incidence 'slope': neither the observation nor info has that key"):
         rays(incidence="slope").reset(seed=0)
     env = rays(incidence="beside", dictionary=True)
     with pytest.raises(SettingError, match=r"incidence 'beside' has shape \(2,\), expected \(3,\)"):

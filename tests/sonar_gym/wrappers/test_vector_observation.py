@@ -1,4 +1,4 @@
-"""SonarVectorObservation: environment i hears what it would hear alone, in all three autoreset modes."""
+"""SonarVectorObservation: environment i gets the readings it would get alone, in all three autoreset modes."""
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,7 @@ TIMES = {"period_s": [0.0, 0.25], "phase_s": [0.0, 0.05], "latency_s": [0.12, 0.
 
 
 class Walk(gymnasium.Env):
-    """Two ranges in cm and a number beside them, all drawn anew at every step; it ends after three to six steps."""
+    """Two random ranges in cm and a random number; episodes of three to six steps."""
 
     observation_space = gymnasium.spaces.Box(np.float32([0, 0, -1]), np.float32([1000, 1000, 1]))
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -44,9 +44,9 @@ def lstm():
     learned_on = Ping.of(distance=[0.1, 2.0, 5.5], angle=[0.0, 0.2, 0.6], incidence=[0.1, 0.0, 0.6], reflectance=0.5)
     inputs, state = Inputs.of(learned_on, names), 6
     head = Head(3, 2, 0.01, 6.0, anchored=ANCHORS, fails=True)
-    told = inputs.width + LINKS
-    cell = Cell(*(rng.normal(size=shape) for shape in ((4 * state, told), (4 * state, state), (4 * state,))))
-    return LstmModel(inputs, head, cell, [(rng.normal(size=(head.width, told + state)), rng.normal(size=head.width))])
+    width = inputs.width + LINKS
+    cell = Cell(*(rng.normal(size=shape) for shape in ((4 * state, width), (4 * state, state), (4 * state,))))
+    return LstmModel(inputs, head, cell, [(rng.normal(size=(head.width, width + state)), rng.normal(size=head.width))])
 
 
 MODELS = {
@@ -56,38 +56,38 @@ MODELS = {
 }
 
 
-def same(said, alone):
-    assert set(said) == set(alone)
-    for name, value in said.items():
+def same(observation, alone):
+    assert set(observation) == set(alone)
+    for name, value in observation.items():
         assert np.array_equal(value, alone[name]), name
 
 
-def alike(many, i, alone):
+def same_row(many, i, alone):
     same({name: value[i] for name, value in many.items()}, alone)
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("times", [{}, TIMES], ids=["at once", "timed"])
+@pytest.mark.parametrize("times", [{}, TIMES], ids=["every step", "timed"])
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_each_hears_what_it_would_hear_alone(mode, times, model):
+def test_readings_equal_those_of_single_wrappers(mode, times, model):
     model = model()
     envs = SonarVectorObservation(SyncVectorEnv([Walk] * N, autoreset_mode=mode), model, **SETTINGS, **times)
     singles = [SonarObservation(Walk(), model, **SETTINGS, **times) for _ in range(N)]
     observation, _ = envs.reset(seed=5)
     over = np.zeros(N, dtype=bool)
     for i, single in enumerate(singles):
-        alike(observation, i, single.reset(seed=5 + i)[0])
+        same_row(observation, i, single.reset(seed=5 + i)[0])
     for _ in range(STEPS):
         if mode is AutoresetMode.DISABLED and over.any():
             observation, _ = envs.reset(options={"reset_mask": over.copy()})
             for i in np.flatnonzero(over):
-                alike(observation, i, singles[i].reset()[0])
+                same_row(observation, i, singles[i].reset()[0])
             over[:] = False
         observation, _, terminated, _, info = envs.step(np.zeros((N, 1), dtype=np.float32))
         assert observation in envs.observation_space
         for i, single in enumerate(singles):
             if mode is AutoresetMode.NEXT_STEP and over[i]:
-                alike(observation, i, single.reset()[0])
+                same_row(observation, i, single.reset()[0])
                 continue
             alone, _, ended, _, truth = single.step(np.zeros(1, dtype=np.float32))
             assert ended == terminated[i]
@@ -97,14 +97,14 @@ def test_each_hears_what_it_would_hear_alone(mode, times, model):
                 assert final["_distance"][i]
                 assert np.array_equal(final["distance"][i], truth["sonar"]["distance"])
                 alone, truth = single.reset()
-            alike(observation, i, alone)
+            same_row(observation, i, alone)
             assert np.array_equal(info["sonar"]["distance"][i], truth["sonar"]["distance"])
         over = terminated.copy()
     assert envs.sonar.model.remembers == singles[0].sonar.model.remembers
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-def test_streets_are_heard_as_each_alone(mode):
+def test_readings_in_streets_equal_those_of_single_wrappers(mode):
     how = {"latency_s": 0.05, "period_s": 0.2}
     inner = gymnasium.make_vec("SonarParking-v0", N, sonar="gaussian", autoreset_mode=mode, max_episode_steps=6)
     envs = SonarVectorObservation(inner, "srf08-mlp", **how)
@@ -114,7 +114,7 @@ def test_streets_are_heard_as_each_alone(mode):
     ]
     observation, _ = envs.reset(seed=2)
     for i, single in enumerate(singles):
-        alike(observation, i, single.reset(seed=2 + i)[0])
+        same_row(observation, i, single.reset(seed=2 + i)[0])
     rng = np.random.default_rng(0)
     for step in range(1, 7):
         actions = rng.uniform(-1, 1, (N, 2)).astype(np.float32)
@@ -124,7 +124,7 @@ def test_streets_are_heard_as_each_alone(mode):
             if step == 6 and mode is AutoresetMode.SAME_STEP:
                 same(info["final_obs"][i], alone)
                 alone = single.reset()[0]
-            alike(observation, i, alone)
+            same_row(observation, i, alone)
         assert truncated.all() == (step == 6)
 
 
@@ -149,23 +149,23 @@ def test_ranges_in_a_dict_and_infinite_ones():
     assert observation in envs.observation_space
 
 
-def test_seeds_may_be_given_one_by_one():
+def test_a_list_of_seeds():
     envs = SonarVectorObservation(SyncVectorEnv([Walk] * 2), "gaussian", **SETTINGS)
     first, _ = envs.reset(seed=[4, 9])
     alone, _ = SonarObservation(Walk(), "gaussian", **SETTINGS).reset(seed=9)
-    alike(first, 1, alone)
+    same_row(first, 1, alone)
 
 
-def test_a_layout_that_pings_in_turn_is_refused():
+def test_a_layout_with_periods_raises():
     inner = gymnasium.make_vec("SonarParking-v0", 2, sonar_layout="eight in turn")
-    with pytest.raises(SettingError, match="needs the truth at every step"):
+    with pytest.raises(SettingError, match="needs the true conditions at every step"):
         SonarVectorObservation(inner)
 
 
-def test_single_wrappers_go_through_json_into_vector_forms():
+def test_spec_of_a_single_wrapper_makes_vector_environments():
     spec = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", period_s=0.2).spec
     again = gymnasium.envs.registration.EnvSpec.from_json(spec.to_json())
     envs = gymnasium.make_vec(again, num_envs=2, vectorization_mode="sync")
     alone = gymnasium.make(again)
     observation, _ = envs.reset(seed=3)
-    alike(observation, 1, alone.reset(seed=4)[0])
+    same_row(observation, 1, alone.reset(seed=4)[0])

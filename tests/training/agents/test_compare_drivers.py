@@ -1,4 +1,4 @@
-"""Comparisons on the same streets: McNemar's numbers, faults on the sonar alone, and what the command prints."""
+"""Paired comparisons, and `sonar-gym compare-drivers`: arms, table, file."""
 
 import numpy as np
 import pandas as pd
@@ -16,9 +16,9 @@ from training.common.paired import Paired
 bits = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60)
 
 
-@settings(deadline=None)  # other work on the machine is no failure
+@settings(deadline=None)
 @given(bits)
-def test_difference_is_that_of_the_shares_and_lies_in_its_interval_s_reach(pairs):
+def test_the_difference_is_that_of_the_shares_and_changes_sign_with_the_order(pairs):
     first, second = np.array(pairs).T
     paired = Paired.of(first, second)
     assert paired.difference == pytest.approx(second.mean() - first.mean())
@@ -29,26 +29,26 @@ def test_difference_is_that_of_the_shares_and_lies_in_its_interval_s_reach(pairs
     assert again.interval == pytest.approx((-high, -low))
 
 
-def test_interval_holds_the_truth_as_often_as_it_says():
+def test_the_interval_covers_the_truth_in_95_percent():
     rng = np.random.default_rng(0)
     first, second = rng.random((2000, 150)) < 0.9, rng.random((2000, 150)) < 0.8
     intervals = np.array([Paired.of(a, b).interval for a, b in zip(first, second, strict=True)])
-    held = (intervals[:, 0] <= -0.1) & (intervals[:, 1] >= -0.1)
-    assert held.mean() == pytest.approx(0.95, abs=0.015)
+    covered = (intervals[:, 0] <= -0.1) & (intervals[:, 1] >= -0.1)
+    assert covered.mean() == pytest.approx(0.95, abs=0.015)
 
 
-def test_mcnemar_s_known_answer():
+def test_mcnemar_s_test_has_known_p_values():
     assert Paired(gained=1, lost=9, scenes=50).p == pytest.approx(22 / 1024)  # 2 (1 + 10) / 2^10
     assert Paired(gained=0, lost=0, scenes=50).p == 1.0
 
 
-def test_only_real_sonars_have_faults():
+def test_the_ideal_sonar_has_no_faults():
     assert isinstance(sonar_of("gaussian", 0.1), Faulty)
     assert not isinstance(sonar_of("ideal", 0.1), Faulty)
     assert not isinstance(sonar_of("gaussian", 0.0), Faulty)
 
 
-def test_all_arms_drive_on_the_same_streets():
+def test_each_sonar_drives_with_and_without_credence():
     arms = compare(Args(sonars=("gaussian",), episodes=2))
     assert [(arm.sonar, arm.perception) for arm in arms] == [
         ("ideal", "survey"),
@@ -56,10 +56,10 @@ def test_all_arms_drive_on_the_same_streets():
         ("gaussian", "survey"),
         ("gaussian", "fusion"),
     ]
-    assert all(arm.success.all() for arm in arms)
+    assert all(arm.outcomes.success.all() for arm in arms)
 
 
-def test_command_prints_a_table_and_keeps_episodes(tmp_path, capsys):
+def test_the_command_prints_a_table_and_writes_episodes(tmp_path, capsys):
     path = tmp_path / "episodes.csv"
     main(["compare-drivers", "--sonars", "gaussian", "--episodes", "1", "--seed", "3", "--out", str(path)])
     out = capsys.readouterr().out
@@ -71,7 +71,7 @@ def test_command_prints_a_table_and_keeps_episodes(tmp_path, capsys):
     assert [p.name for p in tmp_path.iterdir()] == ["episodes.csv"]
 
 
-def test_impossible_settings_are_refused(capsys):
+def test_invalid_settings_are_refused(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["compare-drivers", "--episodes", "0"])
     assert stopped.value.code == 2

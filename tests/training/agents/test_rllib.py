@@ -1,4 +1,4 @@
-"""The parking task under RLlib, and sweeps on Ray Tune, with a Ray of two processors on this machine."""
+"""The parking task in RLlib, and sweeps on Ray Tune, on two local processors."""
 
 import gymnasium
 import numpy as np
@@ -10,10 +10,10 @@ pytest.importorskip("ray", reason="needs the extra `ray`: pip install 'sonar-gym
 import ray
 
 from acquisition import SettingError
-from sonar_gym.agent import load_agent
+from sonar_gym.agent import AgentDriver, load_policy
 from training.agents import rllib, sweep
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
+pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray itself
 
 
 @pytest.fixture(scope="module")
@@ -23,29 +23,29 @@ def two_workers():
     ray.shutdown()
 
 
-def test_the_environment_keeps_gymnasium_s_rules():
+def test_the_environment_passes_gymnasium_s_check():
     check_env(rllib.environment({"sonar": "gaussian"}), skip_render_check=True)
 
 
-def test_it_shows_what_an_agent_remembers():
-    """An agent's own driver, and its policy over the wrapped environment, drive alike."""
-    driver = load_agent("parking")
-    policy = driver._agents.policy
+def test_the_wrapper_observes_what_an_agent_remembers():
+    """An agent's driver, and its policy on the wrapped environment, give the same actions and rewards."""
+    policy = load_policy("parking")
+    driver = AgentDriver(policy)
     wrapped = rllib.environment({"sonar": "gaussian", "memory": policy.memory.to_dict(), "repeat": policy.repeat})
     plain = gymnasium.make("SonarParking-v0", sonar="gaussian")
     driver.reset()
     shown, _ = wrapped.reset(seed=4)
-    seen, _ = plain.reset(seed=4)
+    observation, _ = plain.reset(seed=4)
     for _ in range(10):
         action = policy.act(shown[None])[0]
         shown, reward, *_ = wrapped.step(action)
-        paid = 0.0
+        total = 0.0
         for _ in range(policy.repeat):
-            own = driver.act(seen)
+            own = driver.act(observation)
             assert own == pytest.approx(action, abs=1e-6)
-            seen, part, *_ = plain.step(own)
-            paid += part
-        assert reward == pytest.approx(paid, abs=1e-6)
+            observation, part, *_ = plain.step(own)
+            total += part
+        assert reward == pytest.approx(total, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -62,18 +62,18 @@ SMALL = {"seeds": (0, 1), "sonars": ("ideal",), "lessons": 3, "steps": 1, "num_e
 
 
 @pytest.mark.slow
-def test_a_sweep_is_gone_on_with_where_it_was(two_workers, tmp_path):
-    found = sweep.run(sweep.Args(tmp_path / "sweep", **SMALL))
-    assert found["seed"].tolist() == [0, 1]
-    assert (found["steps"] > 0).all()
+def test_a_sweep_is_continued(two_workers, tmp_path):
+    results = sweep.run(sweep.Args(tmp_path / "sweep", **SMALL))
+    assert results["seed"].tolist() == [0, 1]
+    assert (results["steps"] > 0).all()
     folders = sorted(path.name for path in (tmp_path / "sweep" / "agents").iterdir())
     assert folders == ["seed=0-learning_rate=0.0001-sonar=ideal", "seed=1-learning_rate=0.0001-sonar=ideal"]
     times = [path.stat().st_mtime for path in (tmp_path / "sweep").glob("agents/*/checkpoint.safetensors")]
     again = sweep.run(sweep.Args(tmp_path / "sweep", **SMALL))
-    assert again.equals(found)
+    assert again.equals(results)
     assert times == [path.stat().st_mtime for path in (tmp_path / "sweep").glob("agents/*/checkpoint.safetensors")]
 
 
-def test_a_sweep_of_nothing_is_refused():
-    with pytest.raises(SettingError, match="give a worker or more"):
+def test_invalid_settings_are_refused():
+    with pytest.raises(SettingError, match="give at least one worker"):
         sweep.Args(workers=0)

@@ -1,4 +1,4 @@
-"""The transfer experiment in small: what is believed and what is heard, its table, its figure."""
+"""Mismatched and shifted sonars, and a small transfer experiment: table, figure, continuation."""
 
 import numpy as np
 import pandas as pd
@@ -9,54 +9,52 @@ from noise import GaussianModel, IdealModel
 from noise.rig import RigModel
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from training.agents import transfer
-from training.agents.real import MovedModel, RealModel
+from training.agents.sonars import MismatchedModel, ShiftedModel
 
 PING = Ping.of(distance=[0.3, 1.0, 2.0, 2.5], reflectance=0.9)
 
 
-def test_readings_are_the_world_s_and_credence_the_driver_s():
-    real = RealModel(heard=IdealModel(), believed=GaussianModel(sigma=0.3))
-    law = real.law(PING)
+def test_readings_follow_the_actual_law_and_credence_the_assumed_one():
+    model = MismatchedModel(actual=IdealModel(), assumed=GaussianModel(sigma=0.3))
+    law = model.law(PING)
     assert law.sample(np.random.default_rng(0)).range == pytest.approx(PING.distance, abs=1e-3)
     assert np.array_equal(law.credence(), GaussianModel(sigma=0.3).law(PING).credence())
 
 
-def test_the_same_stream_brings_the_same_readings():
-    law = RealModel(RigModel(), IdealModel()).law(PING)
+def test_the_same_stream_gives_the_same_readings():
+    law = MismatchedModel(RigModel(), IdealModel()).law(PING)
     first, again, other = (law.sample(np.random.default_rng(seed)).range for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert first == pytest.approx(PING.distance, rel=0.1)
     assert other == pytest.approx(PING.distance, rel=0.1)
 
 
-def test_a_moved_rig_reads_that_much_more():
+def test_the_moved_rig_reads_longer_by_the_offset():
     args = transfer.Args(moved_mm=80.0)
-    there, moved = (
-        transfer.rig_of(world, args).law(PING).sample(np.random.default_rng(0)) for world in transfer.WORLDS
-    )
-    assert moved.range - there.range == pytest.approx(np.full(4, 0.08), abs=0.012)
+    rig, moved = (transfer.rig_of(world, args).law(PING).sample(np.random.default_rng(0)) for world in transfer.WORLDS)
+    assert moved.range - rig.range == pytest.approx(np.full(4, 0.08), abs=0.012)
 
 
-def test_what_was_found_is_in_the_law():
-    """Readings are longer by how far the zero was moved, and credence counts from the true place."""
-    plain, moved = IdealModel(), MovedModel(IdealModel(), 0.05)
+def test_a_shifted_law_reads_longer_and_counts_credence_from_the_origin():
+    plain, moved = IdealModel(), ShiftedModel(IdealModel(), 0.05)
     law = moved.law(PING)
     assert law.sample(np.random.default_rng(0)).range == pytest.approx(PING.distance + 0.05, abs=1e-3)
     assert np.array_equal(law.distance, PING.distance)
-    assert law.credence().tolist() == [0.0, 1.0, 1.0, 1.0]  # 50 mm are more than a tenth of 0.3 m
+    assert law.credence().tolist() == [0.0, 1.0, 1.0, 1.0]  # 50 mm exceed 10 % of 0.3 m
     assert plain.law(PING).credence().tolist() == [1.0] * 4
 
 
-def test_credence_in_the_street_is_that_of_the_model_believed_in():
-    believed = GaussianModel(sigma=0.1)
-    envs = [SonarParkingVectorEnv(2, sonar=sonar, threads=1) for sonar in (RealModel(IdealModel(), believed), believed)]
+def test_the_environment_observes_credence_of_the_assumed_model():
+    assumed = GaussianModel(sigma=0.1)
+    sonars = (MismatchedModel(IdealModel(), assumed), assumed)
+    envs = [SonarParkingVectorEnv(2, sonar=sonar, threads=1) for sonar in sonars]
     tables = [env.fleet.sonar.tables for env in envs]
     assert np.array_equal(*tables)
     for env in envs:
         env.close()
 
 
-def found():
+def example_results():
     rng, rows = np.random.default_rng(0), []
     for world in transfer.WORLDS:
         for k, arm in enumerate(transfer.ARMS):
@@ -67,25 +65,25 @@ def found():
     return pd.concat(rows, ignore_index=True)
 
 
-def test_table_and_figure_tell_all_arms_in_all_worlds():
-    ends = found()
-    lines = transfer.table(ends).splitlines()
+def test_table_and_figure_show_all_arms_in_all_worlds():
+    results = example_results()
+    lines = transfer.table(results).splitlines()
     assert len(lines) == 2 + len(transfer.ARMS) * len(transfer.WORLDS)
-    one = ends[(ends.world == "rig") & (ends.arm == "corrected")]
+    one = results[(results.world == "rig") & (results.arm == "corrected")]
     assert f"{100 * one.success.mean():.1f} %" in lines[6]
-    assert transfer.figure(ends)[:8] == b"\x89PNG\r\n\x1a\n"
+    assert transfer.figure(results)[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_an_experiment_of_nothing_is_refused():
+def test_invalid_settings_are_refused():
     with pytest.raises(SettingError, match="must be 1 or more"):
         transfer.Args(seeds=0)
 
 
 @pytest.mark.slow
-def test_the_whole_experiment_in_small_goes_on_where_it_was(tmp_path):
+def test_an_experiment_is_continued_without_repeating_files(tmp_path):
     args = transfer.Args(tmp_path / "transfer", seeds=1, episodes=2, lessons=3, num_envs=4, workers=1)
     first = transfer.run(args)
     assert len(first) == 2 * len(transfer.ARMS) * len(transfer.WORLDS)
-    kept = {path: path.stat().st_mtime for path in args.out.rglob("*.csv")}
+    times = {path: path.stat().st_mtime for path in args.out.rglob("*.csv")}
     assert transfer.run(args).equals(first)
-    assert kept == {path: path.stat().st_mtime for path in args.out.rglob("*.csv")}
+    assert times == {path: path.stat().st_mtime for path in args.out.rglob("*.csv")}

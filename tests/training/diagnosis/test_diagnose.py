@@ -1,4 +1,4 @@
-"""The diagnose command: what it writes, what it says, and how it refuses."""
+"""The command `sonar-gym diagnose`: output files, printed summary, error messages."""
 
 import json
 import subprocess
@@ -42,7 +42,7 @@ def finished(tmp_path_factory):
     return folder / "out", diagnose(folder / "recorded.csv", "--out", folder / "out", "--seed", 1)
 
 
-def test_it_says_what_it_found_in_a_few_lines(finished):
+def test_the_summary_names_the_cause_in_a_few_lines(finished):
     _, done = finished
     assert done.returncode == 0, done.stderr
     lines = done.stdout.strip().splitlines()
@@ -51,14 +51,14 @@ def test_it_says_what_it_found_in_a_few_lines(finished):
     assert any("nats" in line for line in lines)
 
 
-def test_the_verdict_file_holds_the_offset(finished):
+def test_the_verdict_contains_the_offset(finished):
     verdict = json.loads((finished[0] / "verdict.json").read_text())
     offset = verdict["effects"][0]["parameters"]["offset_m"]
     assert offset["value"] == pytest.approx(0.025, abs=0.002)
     assert offset["low"] < offset["value"] < offset["high"]
 
 
-def test_the_page_stands_alone(finished):
+def test_the_page_is_self_contained(finished):
     page = (finished[0] / "report.html").read_text()
     assert len(page) < 1_500_000
     assert page.count("<svg") == 8
@@ -67,7 +67,7 @@ def test_the_page_stands_alone(finished):
     assert "<script" not in page
 
 
-def test_the_corrected_model_loads_and_drives(finished):
+def test_the_corrected_model_loads_and_runs_in_the_environment(finished):
     model = load_model(finished[0] / "corrected")
     middle = model.law(Ping.of(distance=[1.0, 2.0])).quantile(0.5)
     assert np.allclose(middle, [1.025, 2.025], atol=0.003)
@@ -78,15 +78,15 @@ def test_the_corrected_model_loads_and_drives(finished):
     environment.close()
 
 
-def test_a_recording_of_silence_has_no_empty_pictures_and_says_what_to_check(tmp_path, capsys):
+def test_a_recording_without_echoes_has_no_empty_figures(tmp_path, capsys):
     rng = np.random.default_rng(2)
     distance = np.repeat(rng.uniform(0.3, 3.0, 24), 4)
     Recording.of(Ping.of(distance=distance), Reading.of(np.zeros(len(distance)))).save(tmp_path / "silent.csv")
     main(["diagnose", str(tmp_path / "silent.csv"), "--out", str(tmp_path / "out")])
-    assert "Not one of 96 pings brought an echo" in capsys.readouterr().out
+    assert "None of 96 pings had an echo" in capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("<svg") == 5  # two maps, readings, detection and credence: of errors there are none
-    assert "Is the scatter right?" not in page
+    assert page.count("<svg") == 5  # two maps, readings, detection and credence; there are no errors to draw
+    assert "PIT histogram" not in page
 
 
 HEAD = "distance_mm,angle_deg,reading_mm\n"
@@ -103,20 +103,20 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("content", "message"), BROKEN.values(), ids=BROKEN)
-def test_what_cannot_be_read_is_refused_in_one_line(tmp_path, capsys, content, message):
+def test_an_invalid_recording_is_an_error_message_of_one_line(tmp_path, capsys, content, message):
     path = tmp_path / "recorded.csv"
     if content is not None:
         path.write_text(content)
     with pytest.raises(SystemExit) as stop:
         main(["diagnose", str(path), "--out", str(tmp_path / "out")])
-    told = capsys.readouterr().err.strip()
+    error = capsys.readouterr().err.strip()
     assert stop.value.code == 2
-    assert len(told.splitlines()) == 1
-    assert message in told
+    assert len(error.splitlines()) == 1
+    assert message in error
     assert not (tmp_path / "out" / "verdict.json").exists()
 
 
-def test_a_process_of_its_own_ends_with_code_2_and_no_traceback(tmp_path):
+def test_the_exit_code_of_an_error_is_2_without_a_traceback(tmp_path):
     path = tmp_path / "recorded.csv"
     path.write_text(BROKEN["text in a number"][0])
     done = diagnose(path, "--out", tmp_path / "out")
@@ -125,27 +125,27 @@ def test_a_process_of_its_own_ends_with_code_2_and_no_traceback(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_numbers_are_printed_with_their_unit():
+def test_numbers_have_their_unit():
     assert interval(Interval(0.0123, 0.01, 0.02, "m")) == "12.3 mm (10 to 20)"
     assert interval(Interval(24.1, 23.6, 24.6, "degC")) == "24.1 °C (23.6 to 24.6)"
     assert "one recording in 1,000" in certainty(0.001)
-    assert "no larger than chance" in certainty(0.5)
+    assert "not significant" in certainty(0.5)
 
 
-def test_what_only_neighbours_share_is_not_called_chance():
-    left = SimpleNamespace(present=True, p_value=4e-10)
-    assert "no larger than chance" not in certainty(by_chance(SimpleNamespace(p_value=0.27, unknown=left)))
+def test_unexplained_structure_is_significant():
+    present = SimpleNamespace(present=True, p_value=4e-10)
+    assert "not significant" not in certainty(by_chance(SimpleNamespace(p_value=0.27, unknown=present)))
     none = SimpleNamespace(present=False, p_value=0.4)
-    assert "no larger than chance" in certainty(by_chance(SimpleNamespace(p_value=0.27, unknown=none)))
+    assert "not significant" in certainty(by_chance(SimpleNamespace(p_value=0.27, unknown=none)))
 
 
-def test_a_unit_is_printed_once():
+def test_a_unit_is_not_repeated_in_the_name_of_a_parameter():
     labels = {parameter(p.name, p.unit) for effect in CATALOGUE.values() for p in effect.parameters}
     assert {"offset", "temperature", "rate", "sigma at 6m", "behind", "per metre"} <= labels
     assert not [label for label in labels if label.split()[-1] in ("m", "s", "k", "db", "deg", "c", "h")]
 
 
-def test_a_function_of_ones_own_is_a_simulator(tmp_path, monkeypatch):
+def test_a_function_of_the_user_is_a_simulator(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(
         "def sonar(pings, rng):\n    return pings.distance + rng.normal(0, 0.003, len(pings))\n"
     )

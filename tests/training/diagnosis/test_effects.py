@@ -1,17 +1,16 @@
-"""The catalogue's page is the catalogue."""
+"""The command `sonar-gym effects`."""
 
-from pathlib import Path
+import pytest
 
 from noise.effects import CATALOGUE
-from training.diagnosis.effects import page
+from training.cli import main
 
 
-def test_the_page_in_the_docs_is_the_one_that_the_command_makes():
-    assert (Path(__file__).parents[3] / "docs" / "catalogue.md").read_text(encoding="utf-8") == page()
-
-
-def test_every_effect_and_parameter_is_on_the_page():
-    text = page()
+@pytest.mark.parametrize("to_file", [False, True], ids=["printed", "written"])
+def test_every_effect_is_listed_with_parameters_units_and_bounds(to_file, tmp_path, capsys):
+    main(["effects", *(["--out", str(tmp_path / "effects.md")] if to_file else [])])
+    text = (tmp_path / "effects.md").read_text(encoding="utf-8") if to_file else capsys.readouterr().out
     for name, effect in CATALOGUE.items():
         assert f"### `{name}`" in text
-        assert all(f"| `{p.name}` | {p.unit} |" in text for p in effect.parameters)
+        for p in effect.parameters:
+            assert f"| `{p.name}` | {p.unit} | {p.null:.4g} | {p.low:g} | {p.high:g} | {p.source} |" in text

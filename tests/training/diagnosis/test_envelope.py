@@ -1,4 +1,4 @@
-"""The envelope: sealed before, the same after, and what it names is really in the rig."""
+"""Concealed effects: hash of the description, reproducibility, and the change of readings."""
 
 import hashlib
 
@@ -11,20 +11,20 @@ from noise.effects import CATALOGUE
 from training.diagnosis.envelope import CONCEALED, conceal
 
 
-def test_the_seal_is_the_hash_of_what_is_written(tmp_path):
+def test_the_seal_is_the_hash_of_the_file(tmp_path):
     _, envelope = conceal(Setup(), np.random.default_rng(1))
     envelope.save(tmp_path / "envelope.json")
     text = (tmp_path / "envelope.json").read_text(encoding="utf-8").rstrip("\n")
     assert hashlib.sha256(text.encode()).hexdigest() == envelope.seal
 
 
-def test_same_seed_same_envelope_and_other_seeds_other_salts():
+def test_the_seed_determines_the_envelope():
     seals = [conceal(Setup(), np.random.default_rng(seed))[1].seal for seed in (1, 1, 2)]
     assert seals[0] == seals[1] != seals[2]
 
 
 @pytest.mark.parametrize("effect", CONCEALED)
-def test_what_is_concealed_is_in_the_catalogue_and_changes_readings(effect):
+def test_a_concealed_effect_is_in_the_catalogue_and_changes_readings(effect):
     assert effect in CATALOGUE
     setup = Setup(gain=31)
     changed, envelope = conceal(setup, np.random.default_rng(3), effect)

@@ -1,4 +1,4 @@
-"""The corpus, the making of the shipped models, and the page on them, all in small."""
+"""Corpus, shipped models and report, at a small scale."""
 
 from dataclasses import replace
 
@@ -9,37 +9,37 @@ from acquisition import Recording
 from noise import load_model
 from noise.store import WEIGHTS
 from training.cli import main
-from training.noise import corpus, draw_paths, draw_speed, make, memory_gain, report
-from training.noise.corpus import NOTHING, STAND, WALL, Sessions, drive, record, record_unit, survey, thinned
+from training.noise import corpus, experiments, make, report
+from training.noise.corpus import EMPTY, STAND, WALL, Sessions, drive, first_pings, record, record_unit, survey
 
 SMALL = Sessions((5, 6), surveys=2, drives=1, visits=8, pings=10)
-QUICK = replace(corpus.QUICK, angles_deg=(0.0,), distances_mm=(400.0, 900.0, 1500.0), pings=8)
+QUICK_PLAN = replace(corpus.QUICK_PLAN, angles_deg=(0.0,), distances_mm=(400.0, 900.0, 1500.0), pings=8)
 TINY = {
     "train": SMALL,
     "validation": replace(SMALL, units=(9,)),
     "faulty": replace(SMALL, faulty=True),
     "faulty-validation": replace(SMALL, units=(9,), faulty=True),
-    "known": (replace(QUICK, pings=12), (5, 6), 1),
-    "cells": (QUICK, (5, 6), 2),
-    "units": (QUICK, (7, 8), 3),
-    "fresh-cells": replace(SMALL, seed=4),
-    "fresh-units": replace(SMALL, units=(7,), seed=4),
+    "known": (replace(QUICK_PLAN, pings=12), (5, 6), 1),
+    "conditions": (QUICK_PLAN, (5, 6), 2),
+    "sensors": (QUICK_PLAN, (7, 8), 3),
+    "fresh-conditions": replace(SMALL, seed=4),
+    "fresh-sensors": replace(SMALL, units=(7,), seed=4),
 }
 
 
-def test_a_sensor_is_recorded_alike_in_every_process():
+def test_recordings_do_not_depend_on_the_process():
     here, there = record_unit(SMALL, 6), record(replace(SMALL, units=(6,)), jobs=2)
     np.testing.assert_array_equal(here["reading_mm"].to_numpy(), there.table["reading_mm"].to_numpy())
 
 
-def test_surveys_meet_stands_walls_and_nothing_for_a_few_pings_each():
+def test_surveys_visit_stands_walls_and_empty_scenes():
     course = survey(4000, np.random.default_rng(0))
     first = np.flatnonzero(np.r_[True, np.diff(course.ping.time) > 1.0])
     assert len(first) == 4000
     share = np.bincount(course.scene[first]) / 4000
-    np.testing.assert_allclose(share[[STAND, WALL, NOTHING]], (0.82, 0.10, 0.08), atol=0.02)
-    assert np.diff(first).mean() == pytest.approx(np.dot(corpus.PINGS, corpus.PINGS_SHARE), rel=0.05)
-    ping, wall, nothing = course.ping, course.scene == WALL, course.scene == NOTHING
+    np.testing.assert_allclose(share[[STAND, WALL, EMPTY]], (0.82, 0.10, 0.08), atol=0.02)
+    assert np.diff(first).mean() == pytest.approx(np.dot(corpus.VISIT_PINGS, corpus.VISIT_PINGS_PROBABILITY), rel=0.05)
+    ping, wall, nothing = course.ping, course.scene == WALL, course.scene == EMPTY
     assert np.all(ping.incidence[wall] == 0.0)
     assert np.all(ping.distance[nothing] > 6.0)
     assert np.all(ping.distance[~nothing] <= 6.0)
@@ -47,27 +47,27 @@ def test_surveys_meet_stands_walls_and_nothing_for_a_few_pings_each():
     assert np.all((np.abs(within - 0.1) < 1e-9) | (within >= 19.9))
 
 
-def test_drives_meet_another_condition_at_every_ping():
+def test_drives_change_the_condition_at_every_ping():
     course = drive(60, np.random.default_rng(1))
     assert len(np.unique(course.ping.distance)) == 60
     assert np.abs(np.diff(course.ping.distance)).max() < 1.2
     assert len(np.unique(course.scene)) == 1
 
 
-def test_thinning_keeps_the_first_pings_of_each_visit():
-    heard = record(replace(SMALL, units=(5,)))
-    keep = thinned(heard, 2)
-    visits = len(np.unique(np.stack([heard.run, heard.condition]), axis=1).T)
+def test_first_pings_of_each_visit():
+    recorded = record(replace(SMALL, units=(5,)))
+    keep = first_pings(recorded, 2)
+    visits = len(np.unique(np.stack([recorded.run, recorded.condition]), axis=1).T)
     assert visits < keep.sum() < 2 * visits
     assert keep[0]
 
 
-def test_nothing_is_next_to_silent_and_loose_wires_lose_answers():
-    heard = record(replace(SMALL, units=(5,), surveys=6))
-    nothing = heard.ping.distance > 6.3
+def test_empty_scenes_rarely_echo_and_loose_wires_lose_answers():
+    recorded = record(replace(SMALL, units=(5,), surveys=6))
+    nothing = recorded.ping.distance > 6.3
     assert nothing.any()
-    assert heard.reading.echo[nothing].mean() < 0.2
-    assert heard.reading.answered.all()
+    assert recorded.reading.echo[nothing].mean() < 0.2
+    assert recorded.reading.answered.all()
     faulty = record(replace(SMALL, units=(5,), surveys=6, faulty=True))
     assert not faulty.reading.answered.all()
 
@@ -78,24 +78,15 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in (corpus, make, report):
             patch.setattr(module, "RECORDINGS", TINY)
-        patch.setattr(make, "PLANS", {law: {"epochs": 2} for law in make.PLANS})
-        world = {"nothing": memory_gain.World()}
-        patch.setattr(report, "WORLDS", world)
-        patch.setattr(report, "PATHS", {"numpy": draw_paths.PATHS["numpy"]})
-        patch.setattr(draw_speed, "REPEATS", dict.fromkeys(draw_speed.LIMITS, (1, 1)))
-        patch.setattr(draw_speed, "DRAWS", 1000)
-        patch.setattr(report, "CredencePlan", lambda depth: make_plan(depth))
+        patch.setattr(make, "TRAINING_SETTINGS", {law: {"epochs": 2} for law in make.TRAINING_SETTINGS})
+        patch.setattr(report, "SCENARIOS", {"independent": experiments.MemoryScenario()})
+        plan = experiments.RecentCredencePlan
+        patch.setattr(report, "RecentCredencePlan", lambda depth: plan(depth, epochs=1))
         main(["make-noise", "--out", str(folder / "weights"), "--data", str(folder / "corpus")])
-        models = [str(folder / "weights" / f"srf08-{law}") for law in make.PLANS]
+        models = [str(folder / "weights" / f"srf08-{law}") for law in make.TRAINING_SETTINGS]
         command = ["noise-report", "--data", str(folder / "corpus"), "--docs", str(folder / "docs"), "--sessions", "4"]
         main([*command, "--models", *models])
     return folder
-
-
-def make_plan(depth):
-    from training.noise.recent_credence import Plan
-
-    return Plan(depth, epochs=1)
 
 
 def test_one_command_makes_all_three(made):
@@ -116,20 +107,19 @@ def test_one_command_writes_the_page(made):
         "beam model, by EM",
         "srf08-hybrid",
         "Bayes over",
-        "nothing",
-        "95 % of the way",
-        "| numpy |",
+        "independent",
+        "closes 95 % of the gap",
     ):
         assert row in page
     assert "$" not in page
     assert (made / "docs" / "images" / "noise-credence.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_what_is_recorded_is_not_recorded_again(made):
-    before = (made / "corpus" / "units.csv").stat().st_mtime_ns
-    corpus.written(made / "corpus", "units")
-    assert (made / "corpus" / "units.csv").stat().st_mtime_ns == before
-    assert set(Recording.load(made / "corpus" / "units.csv").table["sensor"]) == {"7", "8"}
+def test_existing_recordings_are_not_recorded_again(made):
+    before = (made / "corpus" / "sensors.csv").stat().st_mtime_ns
+    corpus.ensure_recorded(made / "corpus", "sensors")
+    assert (made / "corpus" / "sensors.csv").stat().st_mtime_ns == before
+    assert set(Recording.load(made / "corpus" / "sensors.csv").table["sensor"]) == {"7", "8"}
 
 
 @pytest.mark.slow
@@ -144,7 +134,7 @@ def test_the_shipped_models_are_made_again_to_within_0_03_nats(tmp_path):
 
 
 def test_shipped_weights_are_small_and_carry_their_cards():
-    folders = [WEIGHTS / f"srf08-{law}" for law in make.PLANS]
+    folders = [WEIGHTS / f"srf08-{law}" for law in make.TRAINING_SETTINGS]
     assert sum(path.stat().st_size for folder in folders for path in folder.iterdir()) < 5e6
     for folder in folders:
         card = (folder / "README.md").read_text()

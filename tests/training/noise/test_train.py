@@ -1,4 +1,4 @@
-"""Training against data whose law is known, and the command around it."""
+"""Training on data whose law is known, and the command."""
 
 from dataclasses import replace
 
@@ -15,14 +15,14 @@ from noise.learned.mixture import Head
 from noise.metrics import evaluate
 from noise.physical import PhysicalModel
 from training.cli import main
-from training.noise.networks import Batch, Memory, Network, with_memory
-from training.noise.train import Args, Split, groups, stretches, train
+from training.noise.networks import LstmNetwork, MixtureNetwork, TrainingBatch, recurrent_head
+from training.noise.train import Args, DataSplit, groups, run_segments, train
 
 torch.set_num_threads(1)
 
 
 def true_model():
-    """A sonar with silence, bias, scatter that grows, and a second mode: what a normal cannot say."""
+    """A sonar with misses, bias, growing scatter and a second mode, which a Gaussian cannot represent."""
     stack = {
         "sensitivity": {"loss_db": 46.0},
         "beam_width": {"ka": 4.8},
@@ -46,13 +46,13 @@ def trained(tmp_path_factory):
     return train(recording(), settings)
 
 
-def test_a_network_comes_close_to_the_truth_and_beats_a_normal(trained):
-    # conditions, and readings, that are new to it
+def test_network_comes_close_to_the_truth_and_beats_a_gaussian(trained):
+    # new conditions and readings
     rng = np.random.default_rng(5)
-    cell = np.repeat(np.arange(200), 20)
-    ping = Ping.of(distance=rng.uniform(0.1, 5.5, 200)[cell], angle=np.radians(rng.uniform(0, 40, 200))[cell])
+    condition = np.repeat(np.arange(200), 20)
+    ping = Ping.of(distance=rng.uniform(0.1, 5.5, 200)[condition], angle=np.radians(rng.uniform(0, 40, 200))[condition])
     reading = simulate(true_model(), ping, rng)
-    truth, network = (evaluate(m, ping, reading, cell) for m in (true_model(), trained.model))
+    truth, network = (evaluate(m, ping, reading, condition) for m in (true_model(), trained.model))
     regret = truth.log_likelihood.mean - network.log_likelihood.mean
     assert 0.0 < regret < 0.25
     assert network.crps_mm.mean < 1.15 * truth.crps_mm.mean + 1.0
@@ -62,23 +62,23 @@ def test_a_network_comes_close_to_the_truth_and_beats_a_normal(trained):
     assert scores["network"].crps_mm.mean < scores["Gaussian, fitted"].crps_mm.mean
 
 
-def test_what_is_trained_is_what_is_run():
-    """The torch form and the numpy form give one likelihood, on the edges of the register too."""
+def test_torch_and_numpy_forms_agree():
+    """Equal likelihoods, including the first and last steps of the register."""
     ping = Ping.of(distance=np.linspace(0.0, 6.0, 60), angle=np.linspace(0.0, 0.7, 60), reflectance=0.5)
     reading = simulate(true_model(), ping, np.random.default_rng(1))
     reading.range[:3] = [0.01, 11.0, 0.02]
     reading.status[:3] = 1
     inputs, head = Inputs.of(ping, ("distance", "angle", "reflectance")), Head(4, 2, 0.01, 11.0, 0.01)
     torch.manual_seed(0)
-    network = Network(inputs, head, hidden=16, depth=2)
+    network = MixtureNetwork(inputs, head, hidden=16, depth=2)
     with torch.no_grad():
-        here = network.log_prob(Batch.of(inputs, head, ping, reading)).numpy()
+        here = network.log_prob(TrainingBatch.of(inputs, head, ping, reading)).numpy()
     there = network.to_model({}).law(ping).log_prob(reading)
     np.testing.assert_allclose(here, there, atol=2e-3)
 
 
 @pytest.mark.parametrize("hybrid", [True, False])
-def test_what_is_trained_with_memory_is_what_is_run(hybrid):
+def test_torch_and_numpy_forms_of_recurrent_networks_agree(hybrid):
     rng = np.random.default_rng(1)
     ping = Ping.of(
         rng.uniform(0.0, 6.0, 90), rng.uniform(0.0, 0.7, 90), reflectance=0.5, run=rng.integers(0, 3, 90),
@@ -88,9 +88,9 @@ def test_what_is_trained_with_memory_is_what_is_run(hybrid):
     reading.range[::7], reading.status[::7] = 0.0, 2
     inputs = Inputs.of(ping, ("distance", "angle", "reflectance", "temperature_c"))
     torch.manual_seed(0)
-    base = Network(inputs, Head(4, 2, 0.01, 11.0), hidden=8, depth=1).to_model({}) if hybrid else None
-    network = Memory(inputs, with_memory(Head(4, 2, 0.01, 11.0)), state=5, hidden=7, base=base).eval()
-    batch = Batch.of(inputs, network.head, ping, reading).in_runs(ping.run)
+    base = MixtureNetwork(inputs, Head(4, 2, 0.01, 11.0), hidden=8, depth=1).to_model({}) if hybrid else None
+    network = LstmNetwork(inputs, recurrent_head(Head(4, 2, 0.01, 11.0)), state=5, hidden=7, base=base).eval()
+    batch = TrainingBatch.of(inputs, network.head, ping, reading).in_runs(ping.run)
     with torch.no_grad():
         here = network.log_prob(batch).numpy()
     there = network.to_model({}).follow(ping, reading).log_prob(reading)
@@ -98,7 +98,7 @@ def test_what_is_trained_with_memory_is_what_is_run(hybrid):
 
 
 def many_units(seed, sensors=60, pings=40):
-    """Sensors that differ by a steady offset of 40 mm, each on a run of its own."""
+    """Sensors with constant offsets of 40 mm standard deviation, one run each."""
     rng = np.random.default_rng(seed)
     run = np.repeat(np.arange(sensors), pings)
     ping = Ping.of(rng.uniform(0.3, 3.0, len(run)), run=run, time=np.tile(np.arange(pings) * 0.1, sensors))
@@ -106,17 +106,17 @@ def many_units(seed, sensors=60, pings=40):
     return Recording.of(ping, Reading.of(np.rint((ping.distance + offset + scatter) / 0.01) * 0.01))
 
 
-def test_memory_learns_what_a_sensor_keeps_to_itself(tmp_path):
+def test_memory_learns_a_constant_offset_of_a_sensor(tmp_path):
     settings = Args(tmp_path, tmp_path, epochs=40, hidden=16, state=12, components=2, fixed=0, validation=0.2)
     gaussian = train(many_units(0), settings).scores["network"].log_likelihood
     memory = train(many_units(0), replace(settings, law="lstm")).scores["network"].log_likelihood
-    # entropy of a normal in steps of 10 mm: of both scatters together, and of the sensor's own alone
+    # entropy of a Gaussian in steps of 10 mm, with and without the scatter between sensors
     before, after = (-0.5 * np.log(2 * np.pi * np.e * var / 0.01**2) for var in (0.04**2 + 0.01**2, 0.01**2))
     assert gaussian.mean == pytest.approx(before, abs=0.25)
     assert memory.mean > before + 0.5 * (after - before)
 
 
-def test_memory_gains_nothing_where_there_is_nothing_to_remember(tmp_path):
+def test_memory_has_no_gain_on_independent_pings(tmp_path):
     rng = np.random.default_rng(3)
     run = np.repeat(np.arange(60), 40)
     ping = Ping.of(rng.uniform(0.3, 3.0, len(run)), run=run, time=np.tile(np.arange(40) * 0.1, 60))
@@ -124,34 +124,34 @@ def test_memory_gains_nothing_where_there_is_nothing_to_remember(tmp_path):
     settings = Args(tmp_path, tmp_path, epochs=30, hidden=16, state=12, components=2, fixed=0, test=0.3)
     without = train(independent, settings)
     base = save_model(without.model, tmp_path / "base")
-    rows = stretches(independent)[0]
-    test = Split.by_group(rows, 0.15, 0.3, np.random.default_rng(0)).test
+    rows = run_segments(independent)[0]
+    test = DataSplit.by_group(rows, 0.15, 0.3, np.random.default_rng(0)).test
     hybrid = train(independent, replace(settings, law="hybrid", base=str(base))).model
     gain = (follow(hybrid, ping, independent.reading).log_prob(independent.reading)
             - without.model.law(ping).log_prob(independent.reading))[test]  # fmt: skip
     assert abs(gain.mean()) < 0.03
 
 
-def test_split_keeps_cells_whole_and_apart():
+def test_split_assigns_whole_conditions():
     rec = recording(pings=5)
-    split = Split.by_group(rec.condition, 0.15, 0.2, np.random.default_rng(0))
+    split = DataSplit.by_group(rec.condition, 0.15, 0.2, np.random.default_rng(0))
     parts = [split.train, split.validation, split.test]
     assert np.all(np.sum(parts, axis=0) == 1)
-    cells = [set(rec.condition[mask]) for mask in parts]
-    assert sum(map(len, cells)) == len(set.union(*cells))
-    assert [len(c) for c in cells] == [130, 30, 40]
+    conditions = [set(rec.condition[mask]) for mask in parts]
+    assert sum(map(len, conditions)) == len(set.union(*conditions))
+    assert [len(c) for c in conditions] == [130, 30, 40]
 
 
-def test_a_robot_on_the_move_is_held_out_by_stretches_of_its_way():
+def test_moving_robot_is_split_by_visits():
     ping = Ping.of(distance=np.linspace(0.5, 3.0, 1000))
     moving = Recording.of(ping, simulate(true_model(), ping, np.random.default_rng(0)))
-    cell, unit = groups(moving)
-    assert unit == "stretches of a run"
-    assert np.all(np.diff(cell) >= 0), "neighbours stay together"
-    assert 20 <= np.bincount(cell).mean() <= 30
-    cell, unit = groups(recording(pings=5))
+    condition, unit = groups(moving)
+    assert unit == "visits"
+    assert np.all(np.diff(condition) >= 0), "groups are contiguous"
+    assert 20 <= np.bincount(condition).mean() <= 30
+    condition, unit = groups(recording(pings=5))
     assert unit == "conditions"
-    assert len(np.unique(cell)) == 200
+    assert len(np.unique(condition)) == 200
 
 
 def test_same_seed_same_weights(tmp_path):
@@ -165,9 +165,9 @@ def test_same_seed_same_weights(tmp_path):
 def test_the_command_writes_a_model_that_loads(tmp_path, capsys):
     path = recording(pings=3).save(tmp_path / "rec.csv")
     main(["train-noise", str(path), "--out", str(tmp_path / "net"), "--epochs", "3", "--hidden", "8"])
-    told = capsys.readouterr().out
-    assert "Gaussian, fitted" in told
-    assert "noise.load_model" in told
+    output = capsys.readouterr().out
+    assert "Gaussian, fitted" in output
+    assert "noise.load_model" in output
     model = load_model(tmp_path / "net")
     assert model.resolution == pytest.approx(0.01)
     assert 0 <= model.law(Ping.of(distance=1.0)).credence()[0] <= 1
@@ -176,7 +176,7 @@ def test_the_command_writes_a_model_that_loads(tmp_path, capsys):
     assert str(tmp_path) not in card
 
 
-def test_too_few_conditions_are_refused_in_one_line(tmp_path, capsys):
+def test_too_few_conditions_are_an_error_of_one_line(tmp_path, capsys):
     path = recording(pings=3, distances=1).save(tmp_path / "rec.csv")
     with pytest.raises(SystemExit) as stop:
         main(["train-noise", str(path), "--out", str(tmp_path / "net")])
@@ -184,12 +184,12 @@ def test_too_few_conditions_are_refused_in_one_line(tmp_path, capsys):
     assert "holds 5 conditions, training needs 10" in capsys.readouterr().err
 
 
-def test_an_unlogged_covariate_is_refused(tmp_path):
+def test_covariate_that_was_not_logged_is_an_error(tmp_path):
     with pytest.raises(SettingError, match="covariate 'humidity_pct' is not logged in every row"):
         train(recording(pings=3), Args(tmp_path, tmp_path, covariates=("humidity_pct",)))
 
 
-def test_on_a_real_sensor_it_beats_a_normal(real_recordings, tmp_path):
+def test_network_beats_a_gaussian_on_a_real_sensor(real_recordings, tmp_path):
     columns = ["distance_mm=true_cm:cm", "reading_mm=measured_cm:cm", "session=source_file:text"]
     maps = [ColumnMap.parse(text) for text in columns]
     table = real_recordings / "hcsr04-calibration" / "readings.csv"

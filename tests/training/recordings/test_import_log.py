@@ -1,4 +1,4 @@
-"""`sonar-gym import` on logs of other people, and on a bag."""
+"""`sonar-gym import` of published logs and of a bag."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_real_logs_are_imported_and_drawn(real_recordings, tmp_path, capsys, nam
     file, columns, constants, pings = LOGS[name]
     recording = imported(real_recordings / file, tmp_path / "r.csv", columns, constants, "--skip-bad-rows")
     lines = len((real_recordings / file).read_text(encoding="utf-8-sig").splitlines()) - 1
-    rejected = capsys.readouterr().out.count("left out: ")
+    rejected = capsys.readouterr().out.count("omitted: ")
     assert len(recording) == pings if pings else 0 < len(recording) <= lines
     assert rejected >= lines - len(recording)
     if recording.has("time_s"):
@@ -69,13 +69,13 @@ def test_real_logs_are_imported_and_drawn(real_recordings, tmp_path, capsys, nam
     main(["plot", str(tmp_path / "r.csv"), "--out", str(tmp_path)])
 
 
-def test_their_units_become_ours(real_recordings, tmp_path):
+def test_units_are_converted(real_recordings, tmp_path):
     file, columns, constants, _ = LOGS["ten distances"]
     recording = imported(real_recordings / file, tmp_path / "r.csv", columns, constants)
     assert recording.reading.range[0] == pytest.approx(5722e-6 / 58e-6 / 100.0)  # 58 us a cm
     file, columns, constants, _ = LOGS["snow"]
     snow = imported(real_recordings / file, tmp_path / "s.csv", columns, constants)
-    assert np.median(np.diff(snow.ping.time)) == pytest.approx(600.0)  # a row in ten minutes, as its notes say
+    assert np.median(np.diff(snow.ping.time)) == pytest.approx(600.0)  # one row per ten minutes, according to its notes
     assert snow.run.max() == 1
 
 
@@ -91,7 +91,7 @@ def test_an_empty_field_is_no_answer_and_a_zero_no_echo(tmp_path):
 @pytest.mark.parametrize(
     ("file", "options", "message"),
     [
-        ("log.csv", [], "--columns is needed"),
+        ("log.csv", [], "--columns is required"),
         ("log.bag", [], "a bag holds no true distance"),
         ("log.bag", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
         ("log.mcap", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
@@ -99,7 +99,7 @@ def test_an_empty_field_is_no_answer_and_a_zero_no_echo(tmp_path):
         ("log.bag", ["--truth-topic", "/a", "--truth-csv", "b.csv"], "expected a topic or a table, got both"),
     ],
 )
-def test_what_cannot_be_imported_is_told_in_a_line(tmp_path, capsys, file, options, message):
+def test_an_invalid_import_is_an_error_message_of_one_line(tmp_path, capsys, file, options, message):
     (tmp_path / file).write_bytes(b"\x00\x01 no such thing \xff")
     with pytest.raises(SystemExit) as stop:
         main(["import", str(tmp_path / file), "--out", str(tmp_path / "r.csv"), *options])
@@ -126,7 +126,7 @@ def test_a_bag_is_imported_by_the_command(tmp_path, capsys):
     (tmp_path / "truth.csv").write_text("time_s,distance_m\n0,1\n2,1\n")
     out, truth = tmp_path / "r.csv", ["--truth-csv", str(tmp_path / "truth.csv"), "--longest-gap-s", "3"]
     main(["import", str(tmp_path / "log.bag"), "--out", str(out), *truth])
-    told = capsys.readouterr().out
-    assert "3 pings in 1 conditions and 1 runs; 1 without echo, 1 without answer" in told
-    assert "too close to measure (REP 117), kept as no answer: 1" in told
+    output = capsys.readouterr().out
+    assert "3 pings in 1 conditions and 1 runs; 1 without echo, 1 without answer" in output
+    assert "too close to measure (REP 117), recorded as no answer: 1" in output
     assert Recording.load(out).table["sensor"].tolist() == ["front"] * 3

@@ -1,4 +1,4 @@
-"""Figures of any recording: what they are drawn from, and that each recording gets them."""
+"""Figures of recordings: levels, surfaces, and figures of every kind of recording."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ rng = np.random.default_rng(0)
 
 
 def survey(n=600, **columns):
-    """Two reflectors on a grid; right to 2 m, silent to 3 m, then one wire fault in three."""
+    """Two reflectors on a grid; correct up to 2 m, no echo up to 3 m, then one wire fault in three."""
     distance, angle = rng.choice(np.arange(0.5, 4.1, 0.5), n), rng.choice([0.0, 0.1, 0.2], n)
     range_ = np.where(distance <= 2.0, distance, 0.0)
     status = np.where(range_ > 0, 1, 0)
@@ -33,14 +33,14 @@ def test_a_surface_is_the_mean_of_each_condition():
     assert (surface[:, distance > 2.2] == 0.0).all()
 
 
-def test_pings_without_answer_count_for_nothing():
+def test_pings_without_an_answer_are_excluded():
     ping = Ping.of([1.0, 1.0, 2.0], [0.0, 0.0, 0.0])
     part = Part(Recording.of(ping, Reading.of([1.0, 0.0, 0.0], [1, 2, 2])), "")
     assert part.surface(part.right).tolist()[0][0] == 1.0
     assert np.isnan(part.surface(part.right)[0, 2])
 
 
-def test_right_is_within_ten_percent_of_the_truth():
+def test_a_correct_reading_is_within_ten_percent_of_the_truth():
     ping = Ping.of([1.0] * 5)
     part = Part(Recording.of(ping, Reading.of([0.91, 1.09, 0.89, 1.11, 0.0])), "")
     assert part.right.tolist() == [1, 1, 0, 0, 0]
@@ -48,12 +48,12 @@ def test_right_is_within_ten_percent_of_the_truth():
 
 @settings(max_examples=60)
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=80), st.integers(2, 40), st.floats(0.001, 1))
-def test_levels_lie_apart_and_hold_their_pings(values, most, widest):
+def test_levels_do_not_overlap_and_contain_their_pings(values, max_levels, max_half_width):
     value = np.array(values)
-    levels = Levels.of(value, most, widest)
+    levels = Levels.of(value, max_levels, max_half_width)
     assert (levels.high >= levels.low).all()
     assert (levels.low[1:] >= levels.high[:-1] - 1e-9).all()
-    assert len(levels.low) <= max(most, 1)
+    assert len(levels.low) <= max(max_levels, 1)
     assert (value >= levels.low[levels.index] - 1e-6).all()
     assert (value <= levels.high[levels.index] + 1e-6).all()
 
@@ -72,7 +72,7 @@ RECORDINGS = {
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_every_recording_gets_every_figure(tmp_path, capsys, name):
+def test_every_figure_is_drawn_for_every_recording(tmp_path, capsys, name):
     path = RECORDINGS[name].save(tmp_path / "r.csv")
     main(["plot", str(path), "--out", str(tmp_path / "figures")])
     assert capsys.readouterr().out.count("\n") == len(FIGURES)
@@ -83,7 +83,7 @@ def test_every_recording_gets_every_figure(tmp_path, capsys, name):
         assert colours.std() > 5  # something is drawn
 
 
-def test_only_the_rows_asked_for(tmp_path, capsys):
+def test_selected_rows(tmp_path, capsys):
     path = survey(600).save(tmp_path / "r.csv")
     main(["plot", str(path), "--out", str(tmp_path), "--where", "reflectance=0.9", "sensor=0"])
     for wrong in ("reflectance=0.5", "voltage=3", "reflectance"):
@@ -101,6 +101,6 @@ def test_surfaces_over_another_column(tmp_path, capsys):
     assert "--bearing yaw_deg: expected one of angle_deg, pitch_deg" in capsys.readouterr().err
 
 
-def test_the_same_recording_gives_the_same_picture():
+def test_figures_are_reproducible():
     recording = RECORDINGS["grid"]
     assert all(draw(recording) == draw(recording) for draw, _ in FIGURES.values())

@@ -31,7 +31,7 @@ def test_records_the_quick_plan(tmp_path, capsys, driver):
     assert np.abs(recording.reading.range - recording.ping.distance)[near].max() < 0.08
 
 
-def test_same_seed_same_file_and_resuming_a_whole_one_changes_nothing(tmp_path, capsys):
+def test_the_seed_determines_the_file_and_resuming_a_complete_one_changes_nothing(tmp_path, capsys):
     paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
     for path in paths:
         main(["record", "--out", str(path), "--seed", "1", *FEW])
@@ -52,10 +52,10 @@ def test_same_seed_same_file_and_resuming_a_whole_one_changes_nothing(tmp_path, 
         (["--gain", "49"], "gain must be a whole number from 0 to 31, got 49"),
         (["--driver", "srf08", "--port", "/dev/i2c-987"], "/dev/i2c-987"),
         (["--driver", "srf08", "--port", "/dev/i2c-987", "--address", "224"], "/dev/i2c-987"),
-        (["--driver", "twin", "--resume"], "--resume does not go with --driver twin"),
+        (["--driver", "twin", "--resume"], "--resume does not work with --driver twin"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(tmp_path, capsys, options, message):
+def test_an_invalid_setting_is_an_error_message_of_one_line(tmp_path, capsys, options, message):
     with pytest.raises(SystemExit) as stop:
         main(["record", "--out", str(tmp_path / "r.csv"), *options])
     assert stop.value.code == 2
@@ -65,7 +65,7 @@ def test_what_cannot_be_is_told_in_a_line(tmp_path, capsys, options, message):
     assert not Path(tmp_path / "r.csv").exists()
 
 
-def test_a_plan_from_a_file_sweeps_what_it_names(tmp_path, capsys):
+def test_a_plan_from_a_file_sweeps_a_register(tmp_path, capsys):
     plan = tmp_path / "p.toml"
     plan.write_text("distances_mm = [500, 900]\nangles_deg = [0]\npings = 3\nseed = 7\n[sweep]\ngain = [0, 31]\n")
     for driver in ("rig", "twin"):
@@ -77,7 +77,7 @@ def test_a_plan_from_a_file_sweeps_what_it_names(tmp_path, capsys):
         assert table["temperature_c"].notna().all()
 
 
-def test_a_faulty_plan_is_one_line(tmp_path, capsys):
+def test_an_invalid_plan_is_an_error_message_of_one_line(tmp_path, capsys):
     plan = tmp_path / "p.toml"
     plan.write_text("distances_mm = [500]\nangles_deg = [0]\n[sweep]\ngain = [99]\n")
     with pytest.raises(SystemExit) as stop:
@@ -89,7 +89,7 @@ def test_a_faulty_plan_is_one_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("fault", [DeviceError("/dev/ttyACM0: gone"), NoAnswerError("sonar: no acknowledge")])
-def test_an_unplugged_wire_tells_what_is_on_disk_and_how_to_go_on(tmp_path, fault):
+def test_a_lost_connection_reports_what_is_on_disk_and_how_to_resume(tmp_path, fault):
     class Unplugged:
         pings = 0
 
@@ -101,13 +101,13 @@ def test_an_unplugged_wire_tells_what_is_on_disk_and_how_to_go_on(tmp_path, faul
 
     plan = Plan((0.0,), (500.0, 700.0, 900.0), (0.9,), pings=2)
     source = DriverSource(Unplugged(), sleep=lambda s: None, patience=1)
-    with pytest.raises(type(fault), match=r"; 2 of 3 conditions are on disk, go on with --resume"):
+    with pytest.raises(type(fault), match=r"; 2 of 3 conditions are on disk; continue with --resume"):
         measure(Session(plan, source, tmp_path / "r.csv"), lambda done, total: None)
     assert len(Recording.load(tmp_path / "r.csv")) == 4
 
 
-def test_the_wizard_from_end_to_end(tmp_path, capsys, monkeypatch):
-    """A wire that comes loose and is mended, a condition done again, one left for later: all in one sitting."""
+def test_a_survey_with_an_operator(tmp_path, capsys, monkeypatch):
+    """A lost and repaired connection, a repeated condition and a postponed one in one session."""
 
     class Sonar:
         pings, gain, range_register = 0, 14, 140
@@ -128,11 +128,11 @@ def test_the_wizard_from_end_to_end(tmp_path, capsys, monkeypatch):
     plan.write_text("distances_mm=[500, 900, 1300, 1700]\nangles_deg=[0]\nreflectances=[0.9]\npings=5\norder='walk'\n")
     command = ["record", "--driver", "srf08", "--plan", str(plan), "--out", str(path)]
     main(command)
-    told = capsys.readouterr()
-    assert "10 pings on 2 conditions; 100.0 % echoes" in told.out
-    assert "2 of 4 conditions are still to be measured: go on with --resume" in told.out
+    output = capsys.readouterr()
+    assert "10 pings on 2 conditions; 100.0 % with echo" in output.out
+    assert "2 of 4 conditions are not measured yet: continue with --resume" in output.out
     table = Recording.load(path).table
-    # 5 to test, 5 and 5 for two conditions, the second taken back and met a dead wire for 10, then pings 26 to 30
+    # 5 test pings, 5 for each of two conditions; the second is repeated, fails for 10 pings, then has pings 26 to 30
     assert table["reading_mm"].tolist() == [1000.0 + k for k in (*range(6, 11), *range(26, 31))]
     assert table["distance_mm"].tolist() == [500.0] * 5 + [900.0] * 5
     monkeypatch.setattr(TERMINAL, "input", lambda *_, **__: "")
@@ -141,7 +141,7 @@ def test_the_wizard_from_end_to_end(tmp_path, capsys, monkeypatch):
     assert Recording.load(path).table["session"].tolist() == ["0"] * 10 + ["1"] * 10
 
 
-def test_the_loose_plan_records_what_can_be_loaded(tmp_path, capsys):
+def test_the_loose_plan_makes_a_valid_recording(tmp_path, capsys):
     path = tmp_path / "r.csv"
     main(["record", "--plan", "loose", "--pings", "30", "--out", str(path)])
     recording = Recording.load(path)

@@ -1,4 +1,4 @@
-"""`sonar-gym record` from every real driver, its twin behind a pseudo-terminal."""
+"""`sonar-gym record` with every real driver and a simulated device on a pseudo-terminal."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_records_from_a_port(tmp_path, driver, patiently):
     patiently(attempt)
 
 
-def test_a_dead_wire_does_not_pass_for_silence(tmp_path, capsys):
+def test_no_answer_is_not_recorded_as_no_echo(tmp_path, capsys):
     plan, path = tmp_path / "p.toml", tmp_path / "r.csv"
     plan.write_text(PLAN, encoding="utf-8")
     with PseudoTerminal(ArduinoTwin()) as far:

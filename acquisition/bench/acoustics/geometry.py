@@ -1,7 +1,7 @@
-"""The ways of the sound between a unit and the reflectors of many visits, from geometry alone.
+"""Echo paths between the sensor and the reflectors of many scenes.
 
-Axes: x ahead of the housing, y to its left, z up, the sensor at the origin. Everything is worked out for n scenes at
-once, as arrays whose first axis they are.
+Axes: x ahead of the housing, y to its left, z up, the sensor at the origin. All quantities are computed for n scenes at
+once; arrays have the scene as their first axis.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from acquisition.bench.setup import Setup
 from acquisition.bench.unit import Unit
 from acquisition.ping import Ping
 
-HOUSING = 0.043 * 0.020  # m^2, the sensor's own face, which sends an echo on its way again
+HOUSING_AREA = 0.043 * 0.020  # m^2, area of the sensor's face, which reflects echoes
 # a wall at 6 m in air of 1.29 dB/m just reaches the threshold at full gain
 REFERENCE = 12.0 * 10.0 ** (1.29 * 12.0 / 20.0)
-FAINT = 0.02  # of the threshold at full gain; what cannot reach it is not worked out
+NEGLIGIBLE = 0.02  # level relative to the threshold at full gain below which a path is omitted
 
 
-def loudness(unit: Unit, supply: float = 1.0) -> float:
-    """Return what an amplitude of 1 (the pressure at 1 m) comes to over the threshold at full gain."""
+def amplitude_scale(unit: Unit, supply: float = 1.0) -> float:
+    """Return the level, relative to the threshold at full gain, of an amplitude of 1 (the pressure at 1 m)."""
     return REFERENCE * supply * float(10.0 ** (unit.sensitivity_db / 20.0))
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Where reflectors stand, each (n,).
+    """Positions and orientations of reflectors, each (n,).
 
     Attributes:
-        distance: slant, to the centre, m.
+        distance: slant distance to the centre, m.
         bearing, incidence: rad; the normal points `bearing - incidence` to the left.
-        tilt: backwards, rad.
-        above: height of the centre over the sensor, m.
+        tilt: backward tilt, rad.
+        above: height of the centre above the sensor, m.
     """
 
     distance: Floats
@@ -50,13 +50,13 @@ class Poses:
 
     @cached_property
     def centre(self) -> Floats:
-        """Return the centres, m, (n, 3)."""
+        """Centres, m, (n, 3)."""
         level = np.sqrt(np.maximum(self.distance**2 - self.above**2, 1e-6))
         return np.stack([level * np.cos(self.bearing), level * np.sin(self.bearing), self.above], axis=-1)
 
     @cached_property
     def axes(self) -> tuple[Floats, Floats, Floats]:
-        """Return unit vectors along each plate's width, its height and its normal, (n, 3) each."""
+        """Unit vectors along each plate's width, height and normal, (n, 3) each."""
         yaw, none = self.bearing - self.incidence, np.zeros(len(self.tilt))
         ahead = np.stack([np.cos(yaw), np.sin(yaw), none], axis=-1)
         side = np.stack([-np.sin(yaw), np.cos(yaw), none], axis=-1)
@@ -66,14 +66,15 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A unit in front of n reflectors, each in its own air.
+class PathGeometry:
+    """Sensor in front of n reflectors, each in its own air.
 
     Attributes:
-        unit, setup: as everywhere.
+        unit: the sensor.
+        setup: the laboratory.
         poses: of the reflectors.
         reflectance: (n,).
-        air: of each.
+        air: of each scene.
     """
 
     unit: Unit
@@ -83,11 +84,11 @@ class Scene:
     air: Air
 
     @classmethod
-    def of(cls, unit: Unit, setup: Setup, placed: Ping, air: Air) -> Scene:
-        """Build from pings as `Rig.place` returns them; air that gets warmer upwards bends the way to a reflector."""
+    def of(cls, unit: Unit, setup: Setup, placed: Ping, air: Air) -> PathGeometry:
+        """Build from pings as returned by `Rig.place`; a vertical temperature gradient bends the paths."""
         lean = placed.covariates.get("tilt_back", np.zeros(len(placed)))
         bend = setup.gradient.bend(air)
-        # where rays are straightened, the reflector stands higher and leans back (circles of curvature `bend`)
+        # in coordinates of straight rays the reflector is higher and tilted back (circles of curvature `bend`)
         above = setup.above_m + 0.5 * bend * placed.distance**2
         lean = lean + bend * placed.distance
         return cls(
@@ -95,7 +96,7 @@ class Scene:
             setup,
             Poses(placed.distance, placed.angle, placed.incidence, lean, np.broadcast_to(above, lean.shape)),
             placed.reflectance,
-            air.thicker(setup.extra_absorption_db),
+            air.with_extra_absorption(setup.extra_absorption_db),
         )
 
     def __len__(self) -> int:
@@ -104,12 +105,12 @@ class Scene:
 
     @cached_property
     def rows(self) -> Integers:
-        """Numbers of the scenes."""
+        """Indices of the scenes."""
         return np.arange(len(self))
 
     @cached_property
     def wavelength(self) -> Floats:
-        """Of the carrier, m, (n,)."""
+        """Wavelength of the carrier, m, (n,)."""
         return self.air.speed / CARRIER
 
     @cached_property
@@ -119,28 +120,28 @@ class Scene:
 
     @cached_property
     def axis(self) -> Floats:
-        """Return the beam's axis, a unit vector (3,)."""
+        """Axis of the beam, a unit vector (3,)."""
         yaw, pitch = self.unit.yaw, self.unit.pitch
         return np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
 
     @cached_property
     def surface(self) -> Floats:
-        """Amplitude factors of the reflectors for what they mirror, (n,); roughness takes its share (Ament 1953)."""
+        """Amplitude factors of the mirror echoes, (n,), reduced by roughness (Ament 1953)."""
         return surfaces_of(self.reflectance) * np.exp(-2.0 * self._unevenness**2)
 
     @cached_property
     def scattering(self) -> Floats:
-        """Share of the power that meets the reflectors which their roughness sends to all sides, (n,)."""
+        """Fraction of the incident power that roughness scatters diffusely, (n,)."""
         return surfaces_of(self.reflectance) ** 2 * -np.expm1(-4.0 * self._unevenness**2)
 
     @cached_property
     def _unevenness(self) -> Floats:
-        """Root mean square phase by roughness one way, rad, (n,)."""
+        """One-way root mean square phase due to roughness, rad, (n,)."""
         return 2.0 * np.pi / self.wavelength * self.setup.roughness_m * np.cos(self.poses.incidence)
 
     @cached_property
-    def kinds(self) -> list[tuple[Shape, Integers]]:
-        """Return each shape with the scenes that it stands in, those where it returns anything."""
+    def shapes(self) -> list[tuple[Shape, Integers]]:
+        """Each shape with the scenes in which it reflects."""
         if self.setup.reflector is not None:
             return [(self.setup.reflector, np.flatnonzero(self.surface > 0.0))]
         low = self.reflectance < 0.5
@@ -151,37 +152,37 @@ class Scene:
     def half(self) -> tuple[Floats, Floats]:
         """Half width and half height of the rectangle of each reflector's area, m, (n,) each."""
         wide, high = np.zeros(len(self)), np.zeros(len(self))
-        for shape, rows in self.kinds:
+        for shape, rows in self.shapes:
             wide[rows], high[rows] = shape.half
         return wide, high
 
     def beam(self, points: Floats, rows: Integers | slice = slice(None)) -> Floats:
-        """Return one leg's directivity towards points (m, 3) or (m, k, 3) of some scenes."""
+        """Return the one-way beam pattern towards points (m, 3) or (m, k, 3) of some scenes."""
         away = np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
-        return self.towards(points @ self.axis / away, rows)
+        return self.beam_at_cosine(points @ self.axis / away, rows)
 
-    def towards(self, cosine: Floats, rows: Integers | slice = slice(None)) -> Floats:
-        """Return one leg's directivity at angles off the axis of given cosines, (m,) or (m, k), of some scenes."""
+    def beam_at_cosine(self, cosine: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return the one-way beam pattern at angles of given cosines off the axis, (m,) or (m, k), of some scenes."""
         ka = self.ka[rows]
         straight = directivity(ka[:, None] if cosine.ndim == 2 else ka, cosine)
         return straight if self.unit.spill == 0.0 else straight + self.unit.spill
 
-    def faint(self, amplitude: Floats, path: Floats, rows: Integers | slice = slice(None)) -> np.ndarray:
-        """Tell where pressures of a half length (m,) cannot be heard among others, in some scenes, (m,)."""
+    def negligible(self, amplitude: Floats, path: Floats, rows: Integers | slice = slice(None)) -> np.ndarray:
+        """Return where an amplitude over a half path length (m,) is far below the threshold at full gain, (m,)."""
         loss = 10.0 ** (-0.1 * self.air.absorption_db[rows] * path)
-        return loudness(self.unit, self.setup.supply) * np.abs(amplitude) * loss < FAINT
+        return amplitude_scale(self.unit, self.setup.supply) * np.abs(amplitude) * loss < NEGLIGIBLE
 
-    def near(self) -> Iterator[Arrivals]:
-        """Yield the leak, the reflectors' echoes, and these sent on their way a second and third time."""
+    def reflector_paths(self) -> Iterator[Arrivals]:
+        """Yield the direct leak, the reflectors' echoes, and their second and third round trips."""
         delay = 0.5 * self.unit.leak_delay * self.air.speed
         yield Arrivals.of(self.rows, LEAK, delay, 10.0 ** (self.unit.leak_db / 20.0) * np.ones(len(self)))
-        for shape, rows in self.kinds:
+        for shape, rows in self.shapes:
             h, mirror, face = self._face(shape, rows)
             yield face
-            yield from self._bounces(rows, h, mirror, face)
+            yield from self._multiple_echoes(rows, h, mirror, face)
 
     def _face(self, shape: Shape, rows: Integers) -> tuple[Floats, Floats, Arrivals]:
-        """Return distance and mirror echo of the planes of m reflectors, (m,) each, and all that their faces return."""
+        """Return distance and mirror echo of the planes of m reflectors, (m,) each, and all echoes of their faces."""
         side, up, normal = (axis[rows] for axis in self.poses.axes)
         centre = self.poses.centre[rows]
         h = (centre * normal).sum(axis=-1)
@@ -190,12 +191,12 @@ class Scene:
         if isinstance(shape, Wall):
             return h, mirror, Arrivals.of(rows, FACE, h, mirror)
         foot = -np.stack([(centre * side).sum(axis=-1), (centre * up).sum(axis=-1)], axis=-1)
-        held, length, edge = self._edge(shape, rows, np.where(h > 0.0, h, np.nan), foot)
-        mirror = mirror * held
+        winding, length, edge = self._outline(shape, rows, np.where(h > 0.0, h, np.nan), foot)
+        mirror = mirror * winding
         return h, mirror, Arrivals.joined([Arrivals.of(rows, FACE, h, mirror), Arrivals.of(rows, FACE, length, edge)])
 
-    def _edge(self, shape: Disc | Plate, rows: Integers, h: Floats, foot: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return how often m outlines go round their feet, (m,), and half length and amplitude of each piece, (m, k).
+    def _outline(self, shape: Disc | Plate, rows: Integers, h: Floats, foot: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return winding numbers of m outlines about their feet, (m,), and half length and amplitude per piece, (m, k).
 
         Along a piece the phase grows by 2 pi times twice the difference of its ends' distances over the wavelength.
         """
@@ -209,22 +210,22 @@ class Scene:
         cosine = ((self.poses.centre[rows] @ self.axis)[:, None] + along.T @ middle.T) / length
         spread = np.sinc(2.0 * np.diff(ends, axis=1) / self.wavelength[rows, None])
         strength = -self.surface[rows] * h / (4.0 * np.pi)
-        edge = strength[:, None] * self.towards(cosine, rows) ** 2 * angle * spread / length**2
+        edge = strength[:, None] * self.beam_at_cosine(cosine, rows) ** 2 * angle * spread / length**2
         return np.rint(angle.sum(axis=1) / (2.0 * np.pi)), length, np.nan_to_num(edge)
 
-    def _bounces(self, rows: Integers, h: Floats, mirror: Floats, face: Arrivals) -> Iterator[Arrivals]:
-        """Yield what the sensor's own face sends to the reflectors again."""
-        again, reach = np.zeros(len(self)), np.zeros(len(self))
-        again[rows] = mirror * HOUSING / self.wavelength[rows]
+    def _multiple_echoes(self, rows: Integers, h: Floats, mirror: Floats, face: Arrivals) -> Iterator[Arrivals]:
+        """Yield the echoes that the sensor's housing reflects back to the reflectors."""
+        factor, reach = np.zeros(len(self)), np.zeros(len(self))
+        factor[rows] = mirror * HOUSING_AREA / self.wavelength[rows]
         reach[rows] = h
-        again[self.faint(2.0 * again * np.abs(again) * self.wavelength / HOUSING, 2.0 * reach)] = 0.0
-        way = face[again[face.row] != 0.0]
-        strength, longer = again[way.row], reach[way.row]
-        yield Arrivals.of(way.row, BOUNCE, way.length + longer, way.amplitude * strength)
-        yield Arrivals.of(self.rows, BOUNCE, 3.0 * reach, again**3 * self.wavelength / HOUSING)
+        factor[self.negligible(2.0 * factor * np.abs(factor) * self.wavelength / HOUSING_AREA, 2.0 * reach)] = 0.0
+        paths = face[factor[face.row] != 0.0]
+        strength, extra = factor[paths.row], reach[paths.row]
+        yield Arrivals.of(paths.row, BOUNCE, paths.length + extra, paths.amplitude * strength)
+        yield Arrivals.of(self.rows, BOUNCE, 3.0 * reach, factor**3 * self.wavelength / HOUSING_AREA)
 
     def shadow(self, points: Floats) -> Floats:
-        """Return what passes the reflectors on the way to points (n, k, 3), an amplitude one way, (n, k)."""
+        """Return the one-way amplitude factor of diffraction past the reflectors, to points (n, k, 3), (n, k)."""
         side, up, normal = self.poses.axes
         reach = np.einsum("nkx,nx->nk", points, normal)
         plane = (self.poses.centre * normal).sum(axis=-1)[:, None]
@@ -241,12 +242,12 @@ class Scene:
 
 
 def strip(offset: Floats, half: Floats, scale: Floats) -> Complexes:
-    """Return the share of a wave that a strip takes out of it (Fresnel's integrals).
+    """Return the fraction of a wave that a strip intercepts (Fresnel integrals).
 
     Args:
-        offset: of the wave's foot from the strip's middle, m.
-        half: of the strip's width, m; may be infinite.
-        scale: of Fresnel's integrals, 1/m.
+        offset: distance of the foot of the wave from the strip's centre line, m.
+        half: half width of the strip, m; may be infinite.
+        scale: scale of the Fresnel integrals, 1/m.
     """
     low, high = _fresnel((-half - offset) * scale), _fresnel((half - offset) * scale)
     return (high - low) / (1.0 + 1.0j)

@@ -1,0 +1,241 @@
+"""The state of a physical law, on which effects act: conditions, paths, clutter and replacements.
+
+Everything is torch, float64 and differentiable in the parameters of the effects. Shapes: n pings; Q nodes of a latent
+level shared by all paths of one ping (Q = 1 without fading); J detection points of a path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from acquisition import EchoStatus, Ping, Reading
+
+MARGIN_DB = 60.0  # level of a flat wall at 1 m above the threshold of an ideal sonar: no misses; chosen here
+DETECTION_WIDTH_DB = 1.5  # spread of the level at the threshold: log-normal level noise, sigma 1.5 dB
+MIN_SPREAD_M = 1e-6  # smallest standard deviation of an arrival, m: far below any register step
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """A batch of pings as tensors, (n,) each; see `acquisition.Ping` for the meanings."""
+
+    distance: Tensor
+    angle: Tensor
+    incidence: Tensor
+    reflectance: Tensor
+    time: Tensor
+    run: Tensor
+    past_range: Tensor
+    past_status: Tensor
+    covariates: Mapping[str, Tensor] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, ping: Ping, past: Reading | None = None) -> Conditions:
+        """Convert arrays; without `past` the previous readings are unknown."""
+        n = len(ping)
+        tensor = torch.tensor  # copies, since arrays from a table may be read-only
+        return cls(
+            distance=tensor(ping.distance),
+            angle=tensor(ping.angle),
+            incidence=tensor(ping.incidence),
+            reflectance=tensor(ping.reflectance),
+            time=tensor(ping.time),
+            run=tensor(ping.run),
+            past_range=torch.zeros(n, dtype=torch.float64) if past is None else tensor(past.range),
+            past_status=torch.full((n,), int(EchoStatus.NO_ANSWER)) if past is None else tensor(past.status).long(),
+            covariates={name: tensor(value) for name, value in ping.covariates.items()},
+        )
+
+
+@dataclass(frozen=True)
+class Path:
+    """A propagation path from the sensor back to it.
+
+    Attributes:
+        name: "direct", "background", ...
+        length: half the length of the path, m, (n,).
+        level_db: level above the threshold, dB, (Q, n).
+        presence: probability that the path exists, (n,) or scalar.
+        lag: delay of the detection after the arrival, as range, m, (Q, n) or scalar.
+        spread: standard deviation of the arrival, m, (n,) or scalar.
+        slip_m: offsets of the possible detection points, m, (J,).
+        slip_weight: probabilities of the detection points, (J,).
+        bearing: angle of departure and arrival off the beam axis, rad, (n,) or scalar.
+    """
+
+    name: str
+    length: Tensor
+    level_db: Tensor
+    presence: Tensor
+    lag: Tensor
+    spread: Tensor
+    slip_m: Tensor
+    slip_weight: Tensor
+    bearing: Tensor
+
+    def detection(self, width_db: Tensor) -> Tensor:
+        """Return the probability that this path crosses the threshold, (Q, n)."""
+        return self.presence * ndtr(self.level_db / width_db)
+
+    def missing(self, width_db: Tensor) -> Tensor:
+        """Return the probability that this path does not cross the threshold, exact where that is rare, (Q, n)."""
+        return (1.0 - self.presence) + self.presence * ndtr(-self.level_db / width_db)
+
+    def survival(self, z: Tensor) -> Tensor:
+        """Return the survival function P(registered beyond z | detected)."""
+        return self._over_slips(ndtr(-self._scores(z)))
+
+    def between(self, low: Tensor, high: Tensor) -> Tensor:
+        """Return P(registered in (low, high] | detected), exact in both tails."""
+        return self._over_slips(_normal_between(self._scores(low), self._scores(high)))
+
+    def _scores(self, z: Tensor) -> Tensor:
+        """Return the standardised distance of a range beyond each detection point, (J, ..., n)."""
+        beyond = z - self._arrival
+        return (beyond - self.slip_m.reshape(-1, *[1] * beyond.ndim)) / self._sigma
+
+    @cached_property
+    def _arrival(self) -> Tensor:
+        return self.length + self.lag
+
+    @cached_property
+    def _sigma(self) -> Tensor:
+        return torch.sqrt(self.spread**2 + MIN_SPREAD_M**2)
+
+    def _over_slips(self, value: Tensor) -> Tensor:
+        """Return the mean over detection points of (J, ..., n)."""
+        return (self.slip_weight.reshape(-1, *[1] * (value.ndim - 1)) * value).sum(0)
+
+
+def ndtr(score: Tensor) -> Tensor:
+    """Return the normal cdf, exact in the lower tail, where `torch.special.ndtr`, (1 + erf) / 2, is 0 below -8."""
+    return 0.5 * torch.erfc(score * -math.sqrt(0.5))
+
+
+def _normal_between(low: Tensor, high: Tensor) -> Tensor:
+    """Return Phi(high) - Phi(low), computed in the tail where both are small."""
+    sign = torch.where(low + high > 0, -1.0, 1.0)
+    return sign * (ndtr(sign * high) - ndtr(sign * low))
+
+
+@dataclass(frozen=True)
+class Atom:
+    """A distribution that replaces the reading with some probability.
+
+    Attributes:
+        weight: probability of the replacement, (n,) or scalar.
+        cdf: P(echo, register <= edge) for register edges in m, (..., n).
+        no_echo: P(no echo), (n,) or scalar.
+        no_answer: P(no answer), (n,) or scalar.
+    """
+
+    weight: Tensor
+    cdf: Callable[[Tensor], Tensor]
+    no_echo: Tensor
+    no_answer: Tensor
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """False detections during the listening window.
+
+    Attributes:
+        per_metre: rate of false detections in pings with noise, 1/m.
+        share: share of pings with noise.
+        begins: exact range from which false detections occur, m.
+    """
+
+    per_metre: Tensor
+    share: Tensor
+    begins: Tensor
+
+    def survival(self, z: Tensor, blind_range: Tensor | None) -> Tensor:
+        """Return P(no false detection before an exact range z), given the receiver's blind range, if any."""
+        begins = self.begins if blind_range is None else torch.maximum(self.begins, blind_range)
+        return 1.0 + self.share * torch.expm1(-self.per_metre * torch.clamp(z - begins, min=0.0))
+
+
+@dataclass(frozen=True)
+class State:
+    """All quantities that define a physical law; effects replace some of them.
+
+    Attributes:
+        conditions: conditions of the pings after mounting effects.
+        paths: propagation paths; the first is the direct one.
+        log_weight: log weights of the nodes of the latent level, (Q, 1).
+        width_db: spread of the level at the threshold, dB.
+        scale, offset: register = scale * exact range + offset (1 and m).
+        gate: end of the listening window as exact range, m.
+        clutter: false detections; None for none.
+        step: rounding step of the register beyond its resolution, m; 0 for none.
+        blind_range: exact range below which arrivals are not registered, m; None for none.
+        atoms: replacements, applied in order.
+    """
+
+    conditions: Conditions
+    paths: tuple[Path, ...]
+    log_weight: Tensor
+    width_db: Tensor
+    scale: Tensor
+    offset: Tensor
+    gate: Tensor
+    clutter: Clutter | None = None
+    step: float = 0.0
+    blind_range: Tensor | None = None
+    atoms: tuple[Atom, ...] = ()
+
+    @property
+    def direct(self) -> Path:
+        """The direct path to the reflector."""
+        return self.paths[0]
+
+    def with_direct(self, path: Path) -> State:
+        """Replace the direct path."""
+        return replace(self, paths=(path, *self.paths[1:]))
+
+    def facing(self, conditions: Conditions) -> State:
+        """Replace the conditions and the direct path that follows from them."""
+        return replace(self, conditions=conditions, paths=(direct_path(conditions), *self.paths[1:]))
+
+    def with_path(self, path: Path) -> State:
+        """Add a path."""
+        return replace(self, paths=(*self.paths, path))
+
+    def map_paths(self, change: Callable[[Path], Path]) -> State:
+        """Apply a change to every path."""
+        return replace(self, paths=tuple(change(path) for path in self.paths))
+
+    def with_atom(self, atom: Atom) -> State:
+        """Add a replacement."""
+        return replace(self, atoms=(*self.atoms, atom))
+
+
+def number(value: float | list[float] | Tensor) -> Tensor:
+    """Return a float64 tensor; tensors keep their gradient graph."""
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
+def wall_level_db(length: Tensor) -> Tensor:
+    """Return the level of a flat wall above the threshold of an ideal sonar, dB; its amplitude falls as 1/(2d)."""
+    return MARGIN_DB - 20.0 / math.log(10.0) * torch.log(torch.clamp(length, min=0.01))
+
+
+def new_path(
+    name: str, length: Tensor, level_db: Tensor, presence: float | Tensor = 1.0, bearing: float | Tensor = 0.0
+) -> Path:
+    """Return a path of an ideal sonar: without spread, lag or cycle slips."""
+    zero = number(0.0)
+    slips = number([0.0]), number([1.0])
+    return Path(name, length, torch.atleast_2d(level_db), number(presence), zero, zero, *slips, number(bearing))
+
+
+def direct_path(conditions: Conditions) -> Path:
+    """Return the direct path: level of a flat wall, at the bearing of the reflector."""
+    distance = conditions.distance
+    return new_path("direct", distance, wall_level_db(distance), bearing=conditions.angle)

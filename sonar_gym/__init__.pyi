@@ -1,0 +1,10 @@
+from .agent import load_agent as load_agent
+from .control.driver import ParkingDriver as ParkingDriver
+from .control.driver import run_episode as run_episode
+from .parking.environment import SonarParkingEnv as SonarParkingEnv
+from .parking.vector import SonarParkingVectorEnv as SonarParkingVectorEnv
+from .sb3 import SonarVecEnv as SonarVecEnv
+from .wrappers.observation import SonarObservation as SonarObservation
+from .wrappers.observation import SonarVectorObservation as SonarVectorObservation
+
+ENV_ID: str

@@ -1,0 +1,134 @@
+"""Sonars with faults, sonars that differ from the driver's assumption, and sonars with a zero offset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from acquisition import Ping, Reading
+from noise import EchoLaw, SonarModel, load_model
+from noise.faults import Faulty, Noise, Short
+from noise.law import Floats
+
+TRAINING_FAULTS = (Short(0.05), Noise(0.1, 0.05))  # arbitrary readings; 50 mm scatter; rates chosen here
+SEED_WORDS = 8  # 64-bit words taken from a stream to seed the generator of a batch
+
+
+def with_faults(model: SonarModel) -> Faulty:
+    """Return a sonar with `TRAINING_FAULTS`, so that an agent learns not to rely on single readings."""
+    return Faulty(model, TRAINING_FAULTS)
+
+
+class MismatchedLaw(EchoLaw):
+    """Law of n pings that draws readings from one law and computes probabilities from another.
+
+    Args:
+        actual: law of the readings; drawn for all pings at once from one generator, as the rig requires.
+        assumed: law of the probabilities.
+    """
+
+    def __init__(self, actual: EchoLaw, assumed: EchoLaw) -> None:
+        super().__init__(assumed.distance, assumed.resolution, assumed.max_range)
+        self.actual, self.assumed = actual, assumed
+        self.has_probabilities = assumed.has_probabilities
+
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z) under the assumed law."""
+        return self.assumed.arrival(z)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer) under the assumed law, (n,)."""
+        return self.assumed.no_answer
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Draw readings from the actual law."""
+        words = rng.random(len(self))[:SEED_WORDS].view(np.uint64)
+        return self.actual.sample(np.random.default_rng(words))
+
+
+@dataclass(frozen=True)
+class MismatchedModel:
+    """A sonar whose readings do not follow the model that the driver assumes.
+
+    Attributes:
+        actual: model of the readings.
+        assumed: model from which credence is computed: the one that the driver was trained with.
+    """
+
+    actual: SonarModel
+    assumed: SonarModel
+    remembers: bool = False
+
+    @property
+    def resolution(self) -> float:
+        """Step of the actual sonar's register, m."""
+        return self.actual.resolution
+
+    def law(self, ping: Ping, past: Reading | None = None) -> MismatchedLaw:
+        """Return the law of n pings."""
+        return MismatchedLaw(self.actual.law(ping), self.assumed.law(ping))
+
+
+def has_probabilities(sonar: str) -> bool:
+    """Return whether a model, by name or folder, has probabilities; the rig can only be sampled."""
+    return load_model(sonar).law(Ping.of(distance=[1.0])).has_probabilities
+
+
+def mismatched(sonar: str, assumed: str | None) -> str | SonarModel:
+    """Return a sonar by name or folder, with the driver's assumption where one is named."""
+    return sonar if assumed is None else MismatchedModel(load_model(sonar), load_model(assumed))
+
+
+class ShiftedLaw(EchoLaw):
+    """Law of pings whose sensor stands behind the origin of the distances.
+
+    Args:
+        law: law at the distances from the sensor.
+        distance: distances from the origin, m, (n,).
+    """
+
+    def __init__(self, law: EchoLaw, distance: Floats) -> None:
+        super().__init__(distance, law.resolution, law.max_range)
+        self.law = law
+
+    def arrival(self, z: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range <= z)."""
+        return self.law.arrival(z)
+
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return P(an echo is registered at an exact range in (low, high])."""
+        return self.law.between(low, high)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer), (n,)."""
+        return self.law.no_answer
+
+    def sample(self, rng: np.random.Generator) -> Reading:
+        """Draw readings."""
+        return self.law.sample(rng)
+
+
+@dataclass(frozen=True)
+class ShiftedModel:
+    """A sonar model corrected for a zero offset, which a diagnosis has found.
+
+    Attributes:
+        model: model without the offset.
+        offset: distance of the sensor behind the origin of the distances, m.
+    """
+
+    model: SonarModel
+    offset: float
+    remembers: bool = False
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.model.resolution
+
+    def law(self, ping: Ping, past: Reading | None = None) -> ShiftedLaw:
+        """Return the law of n pings."""
+        return ShiftedLaw(self.model.law(replace(ping, distance=ping.distance + self.offset)), ping.distance)
