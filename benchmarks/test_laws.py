@@ -21,7 +21,7 @@ from noise import CredenceTable, GaussianModel, IdealModel, SonarModel, listener
 from noise.faults import Faulty, Noise, Short
 from noise.fitting.threads import one_thread
 from noise.learned.networks import MlpModel
-from noise.learned.recent import EACH, Recent, RecentCredence
+from noise.learned.recent import N_FEATURES, RecentCredence, RecentReadings
 from training.common.tables import markdown_table
 
 SHIPPED = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
@@ -71,15 +71,15 @@ def readings(n: int) -> Reading:
 
 def untrained(depth: int = 8, hidden: int = 48) -> RecentCredence:
     """Return a network of the size that `sonar-gym noise-report` trains."""
-    rng, sizes = np.random.default_rng(0), (depth * EACH, hidden, 1)
+    rng, sizes = np.random.default_rng(0), (depth * N_FEATURES, hidden, 1)
     layers = [(rng.normal(size=(b, a)), rng.normal(size=b)) for a, b in pairwise(sizes)]
     return RecentCredence(depth, layers, {})
 
 
 def recent_credence(network: RecentCredence, n: int) -> Callable[[], object]:
     """Return a function that computes credence after one more reading of n sensors."""
-    recent, reading, time_s = Recent.nothing(network.depth, n), readings(n), np.zeros(n)
-    return lambda: network.given(recent.then(reading, time_s))
+    recent, reading, time_s = RecentReadings.empty(network.depth, n), readings(n), np.zeros(n)
+    return lambda: network.given(recent.updated(reading, time_s))
 
 
 def row(name: str, taken: Times, *more: float) -> Sequence[str]:

@@ -16,13 +16,13 @@ import pytest
 import torch
 
 from acquisition import Recording
+from training.common.commit import commit
 from training.recordings import record
 from training.thesis.data import VALIDATION_SHARE, Samples
 from training.thesis.fit import BATCHED, Recipe, fit
 from training.thesis.networks import Network
 from training.thesis.numbers import A1_MINUTES
 from training.thesis.optimisers import OPTIMISERS
-from training.common.commit import commit
 from training.thesis.page import markdown
 
 NETWORK, ONLINE, ROUNDS, LIMIT_S = Network("mlp", 30), Recipe(epochs=20), 3, 15.0

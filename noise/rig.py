@@ -13,7 +13,7 @@ import numpy as np
 
 from acquisition import Ping, Reading
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.acoustics.air import Drift
+from acquisition.bench.laboratory.air import Drift
 from acquisition.bench.registers import METRES
 from acquisition.errors import SampleOnlyError
 from noise.law import EchoLaw, Floats, UniformSource

@@ -48,9 +48,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     elif argv[0] == "--version":
         print(f"sonar-gym {version('sonar-gym')}")
     elif argv[0] not in COMMANDS:
-        _stop(
-            f"{argv[0]!r} is not a command. Commands: {', '.join(COMMANDS)}. Run `sonar-gym --help` for a summary of each"
-        )
+        _stop(f"{argv[0]!r} is not a command. Commands: {', '.join(COMMANDS)}. See `sonar-gym --help`")
     else:
         _run(argv[0], argv[1:])
 

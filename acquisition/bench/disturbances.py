@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.acoustics.arrivals import BOUNCE, LEAK, OTHER, Arrivals, Complexes, Integers
 from acquisition.bench.acoustics.geometry import amplitude_scale
-from acquisition.bench.acoustics.interference import Mover, Neighbour, Reverberation
 from acquisition.bench.acoustics.receiver import Pulses
 from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PERIOD, PULSE_LENGTH, REFERENCE_C, pulse_phases
+from acquisition.bench.laboratory.air import Floats
+from acquisition.bench.laboratory.interference import Mover, Neighbour, Reverberation
+from acquisition.bench.laboratory.unit import DEG
 from acquisition.bench.reception import Reception
-from acquisition.bench.unit import DEG
 
 BURST_LIFETIME_S = 0.15  # s, after which a neighbour's burst has decayed
 

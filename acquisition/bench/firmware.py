@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import Floats
-from acquisition.bench.setup import Output
-from acquisition.bench.unit import Unit
+from acquisition.bench.laboratory.air import Floats
+from acquisition.bench.laboratory.setup import Output
+from acquisition.bench.laboratory.unit import Unit
 
 ECHOES = 17
 # s per unit of output: 58 us/cm and 148 us/inch for this family of sensors

@@ -7,10 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from acquisition.bench.acoustics.air import Air, Floats, flutter, sound_speed
 from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, GROUPS, LEAK, OTHER, POST, Arrivals, Complexes, Integers
 from acquisition.bench.acoustics.geometry import PathGeometry, amplitude_scale
-from acquisition.bench.acoustics.interference import overlapping_pings
 from acquisition.bench.acoustics.receiver import (
     Pulses,
     SeparateWaveforms,
@@ -23,9 +21,11 @@ from acquisition.bench.acoustics.receiver import (
 from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PERIOD
 from acquisition.bench.firmware import first_echoes
+from acquisition.bench.laboratory.air import Air, Floats, flutter, sound_speed
+from acquisition.bench.laboratory.interference import overlapping_pings
+from acquisition.bench.laboratory.setup import Setup
+from acquisition.bench.laboratory.unit import Unit
 from acquisition.bench.registers import NOISE, TrueEchoes
-from acquisition.bench.setup import Setup
-from acquisition.bench.unit import Unit
 from acquisition.bench.visits import Visits
 from acquisition.ping import Ping
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.firmware import PER_UNIT
-from acquisition.bench.setup import Setup
+from acquisition.bench.laboratory.air import Floats
+from acquisition.bench.laboratory.setup import Setup
 from acquisition.ping import EchoStatus, Reading
 
 CM = 0.01

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import Drift, Floats
-from acquisition.bench.acoustics.interference import Ambient
 from acquisition.bench.disturbances import disturbances
 from acquisition.bench.firmware import ECHOES, smoothed, to_codes
+from acquisition.bench.laboratory.air import Drift, Floats
+from acquisition.bench.laboratory.interference import Ambient
+from acquisition.bench.laboratory.setup import Setup
+from acquisition.bench.laboratory.unit import DEG, Unit
 from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
 from acquisition.bench.registers import Registers, TrueEchoes
-from acquisition.bench.setup import Setup
-from acquisition.bench.unit import DEG, Unit
 from acquisition.bench.visits import Visits
 from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
 from acquisition.io.recording import Recording

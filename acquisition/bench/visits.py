@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.acoustics.arrivals import Integers
+from acquisition.bench.laboratory.air import Floats
 from acquisition.ping import Ping
 
 BATCH = 256  # pings per batch: about 10 MB of waveforms

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.setup import Bus
+from acquisition.bench.laboratory.setup import Bus
 from acquisition.ping import Ping
 
 

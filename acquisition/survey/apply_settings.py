@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from acquisition.bench import Bus, Neighbour, Rig
-from acquisition.bench.acoustics.shapes import surface_of
 from acquisition.bench.acoustics.transducer import OMEGA, Piston
+from acquisition.bench.laboratory.shapes import surface_of
 from acquisition.survey.plan import Condition
 
 Values = Mapping[str, float]

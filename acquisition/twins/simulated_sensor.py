@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench import Rig
-from acquisition.bench.setup import Output
+from acquisition.bench.laboratory.setup import Output
 from acquisition.ping import Ping
 
 CONDITION = ("distance", "angle", "incidence", "reflectance", "time")

@@ -33,7 +33,7 @@ from noise.effects.medium import CELSIUS
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel
 from noise.fitting.fit import Fit, best_of, log_likelihood
-from noise.fitting.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.fitting.stack import JITTER, NUISANCES, VISITS, Stack
 from noise.fitting.starts import nuisance_starts
 from noise.fitting.threads import one_thread
 from noise.fitting.visit_effects import shared_scatter
@@ -317,7 +317,7 @@ def corrected_model(stack: Stack, recording: Recording, batch: Batch) -> Empiric
         batch: the cells that share it: where a simulation knows where they lie, only what it does not know scatters.
     """
     sigma = float(np.hypot(stack.get((JITTER, "sigma_m")), shared_scatter(stack.build()[1], batch)))
-    stack = stack.put([(JITTER, "sigma_m")], [sigma]).without(CELLS)
+    stack = stack.put([(JITTER, "sigma_m")], [sigma]).without(VISITS)
     effects = [stack.known[name](**values) for name, values in stack.values.items()]
     return EmpiricalModel(effects, max(stack.resolution, recording.resolution), stack.max_range)
 

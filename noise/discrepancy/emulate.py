@@ -2,8 +2,8 @@
 
 An emulator is a physical law with what sonars usually have, fitted to the simulation's own readings, plus a smooth
 part without a cause (`noise.fitting.empirical`). It is checked on simulated cells it was not fitted to. Its readings
-are their own null: an effect that also improves held-out *simulated* cells repairs the emulator and says nothing about the real
-sonar.
+are their own null: an effect that also improves held-out *simulated* cells repairs the emulator and says nothing about
+the real sonar.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from noise.discrepancy.trailing import trailing
 from noise.discrepancy.verdict import BaselineCheck
 from noise.discrepancy.workers import ALONE, Workers
 from noise.fitting.batch import Batch
-from noise.fitting.stack import CELLS, Stack
+from noise.fitting.stack import VISITS, Stack
 from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
@@ -239,7 +239,7 @@ def emulated(simulated: Recording, raw: SonarModel | None, seed: int, workers: W
     """Return an emulator of a simulation, checked on cells it was not fitted to."""
     split = Split.of(Batch.of(simulated), np.random.default_rng([seed, 6]))
     stack = emulator(split.both.thin(EMULATOR_PINGS), seed, workers)
-    plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != CELLS], simulated.resolution)
+    plain = PhysicalModel([stack.known[n](**v) for n, v in stack.values.items() if n != VISITS], simulated.resolution)
     return Baseline(stack, raw or plain, checked(stack, split.vault, np.random.default_rng([seed, 7])), split)
 
 

@@ -16,7 +16,7 @@ from noise.discrepancy.workers import ALONE, Workers
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import DISTANCE_KNOTS, Flexible
 from noise.fitting.fit import Fit, highest, log_likelihood, maximise
-from noise.fitting.stack import CELLS, JITTER, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, NUISANCES, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import extra_modes, nuisance_starts, robust_scatter, starting_points
 from noise.physical import PhysicalModel
 
@@ -38,7 +38,7 @@ WEAKENED: dict[Key, float] = {
 }
 FAULTS = ("spike", "dropped_reading", "cycle_slip")  # of the emulator, that anything unexplained passes for
 LOSSES_DB = (30.0, 38.0, 42.0, 46.0, 50.0)  # to begin from where other things answer: no slope tells them apart; ours
-LOOSE: dict[Key, float] = {(CELLS, "placement_m"): 0.004, (CELLS, "sharing"): 0.3}  # to begin from; ours
+LOOSE: dict[Key, float] = {(VISITS, "placement_m"): 0.004, (VISITS, "urn_weight"): 0.3}  # to begin from; ours
 FEW_MISSED = 0.002  # share of pings that miss the target, below which nothing is known of a threshold; ours
 THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
 FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours

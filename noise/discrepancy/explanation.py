@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from noise.discrepancy.search import Crossed, Search
-from noise.effects.medium import AIR_SD_K, LOGGED
+from noise.effects.medium import AIR_SD_K, TEMPERATURE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import Fit, covariance, each_counted, maximise
+from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
 from noise.fitting.stack import NUISANCES, Key, Stack
 
 Z90 = 1.6449  # two-sided 90 % of a normal
@@ -74,7 +74,7 @@ def conclude(search: Search, cross: Crossed, chosen: Sequence[str]) -> Final:
     """Return the explanation fitted on discover and confirm together."""
     keys = search.keys(chosen)
     joint = maximise(cross.first.stack, (*keys, *NUISANCES), search.both, 80, scales=search.scales(search.both))
-    each = each_counted(joint, keys, search.both)
+    each = refit_without_urn(joint, keys, search.both)
     return Final((joint,) if each is joint else (joint, each))
 
 
@@ -107,7 +107,7 @@ def intervals(final: Final, batch: Batch, law: Stack, own: Batch | None) -> dict
 
 def _by_air(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
     """Return how far each free parameter goes with the temperature of air that nobody measured, one sd of it, (p,)."""
-    if LOGGED in batch.ping.covariates:
+    if TEMPERATURE in batch.ping.covariates:
         return np.zeros(len(fitted.free))
     if AIR in fitted.free:  # it takes up all of what the air does
         return np.array([AIR_SD_K if key == AIR else 0.0 for key in fitted.free])

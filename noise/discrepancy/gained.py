@@ -19,7 +19,7 @@ from noise.discrepancy.scan import Blocks, Region, regions
 from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood
 from noise.fitting.stack import Stack
-from noise.fitting.visit_effects import hearing, law_of
+from noise.fitting.visit_effects import detection_probability, law_of
 from noise.law import Floats
 
 LEAST = 1e-9  # probability below which none is told from another
@@ -106,7 +106,7 @@ def _log_hearing(stack: Stack, batch: Batch) -> Floats:
     """Return the log probability of echo or silence, whichever there was, given the cell's pings before, (n,)."""
     with torch.no_grad():
         model, cells = stack.build()
-        given = hearing(law_of(model, batch), cells, batch)[1]
+        given = detection_probability(law_of(model, batch), cells, batch)[1]
     return np.asarray(np.log(np.clip(given.numpy(), LEAST, 1.0)))
 
 

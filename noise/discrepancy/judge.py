@@ -59,7 +59,7 @@ def may_be_the_laws(
         matched: what positions that both files share say; None where they share none.
         counted_nats: gain of a fault that is enough, since the stays that it strikes were counted.
     """
-    if gain >= SURE or any(CATALOGUE[n.effect].strikes and n.gain_nats >= counted_nats for n in named):
+    if gain >= SURE or any(CATALOGUE[n.effect].localised and n.gain_nats >= counted_nats for n in named):
         return False
     if matched is not None:
         return not matched.differs

@@ -18,9 +18,9 @@ from noise.discrepancy.rules import Attempt, spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import lying
 from noise.fitting.batch import Batch
-from noise.fitting.fit import ENOUGH
+from noise.fitting.fit import MIN_RESTART_GAIN
 from noise.fitting.stack import Key, Stack
-from noise.fitting.starts import LEAST_MOVE_M, own_echo, slope
+from noise.fitting.starts import MIN_SHIFT_M, slope, target_echo
 from noise.law import Floats
 from noise.statistics import winsorised
 
@@ -90,13 +90,13 @@ def shifts(search: Search, stack: Stack, chosen: Sequence[str]) -> Shifts | None
         return None
     # what moves a stay shows at its first ping
     first = batch.select(batch.count == 0)
-    expected = own_echo(stack, first)
+    expected = target_echo(stack, first)
     count, keys, slopes = dict[str, int](), dict[str, tuple[Key, ...]](), dict[str, Floats]()
     for name in search.candidates():
         if name in chosen:
             continue
         own = {key: _moved(stack, key, first, expected)[told] for key in search.keys([name])}
-        own = {key: move for key, move in own.items() if np.abs(move).max() > LEAST_MOVE_M}
+        own = {key: move for key, move in own.items() if np.abs(move).max() > MIN_SHIFT_M}
         if own:
             count[name] = len(search.keys([name]))
             keys[name], slopes[name] = tuple(own), np.stack(list(own.values()), axis=1)
@@ -157,7 +157,7 @@ def best_pair(
         return None
     pairs = {pair.names: pair for pair in promising(found, known)}
     starts = {" + ".join(names): (names, found.applied(current.first.stack, pair)) for names, pair in pairs.items()}
-    fits = search.each(lambda one, _, start: one.screened(start[1], [*chosen, *start[0]], ENOUGH), starts)
+    fits = search.each(lambda one, _, start: one.screened(start[1], [*chosen, *start[0]], MIN_RESTART_GAIN), starts)
     best = sorted(fits, key=lambda name: -fits[name].nats)[:CROSSED]
     tried = [([*chosen, *starts[name][0]], fits[name].stack) for name in best]
     met = [(effects, search.cross(stack, effects, near=current)) for effects, stack in tried]

@@ -18,7 +18,7 @@ from acquisition import Ping, Reading
 from noise.discrepancy.rivals import SETTLED
 from noise.effects.medium import AIR_SCALE_SD
 from noise.fitting.stack import Stack
-from noise.fitting.visit_effects import FLOOR, alone
+from noise.fitting.visit_effects import FLOOR, single_ping_law
 from noise.law import EchoLaw, Floats
 
 DISTANCES = np.array([0.15, 0.25, 0.4, 0.6, 0.9, 1.3, 1.8, 2.5, 3.5, 4.5, 6.0])
@@ -201,7 +201,7 @@ def ratios(own: Stack, other: Stack, ping: Ping, change: Callable[[Stack], Stack
 def law(stack: Stack, ping: Ping) -> EchoLaw:
     """Return the law of pings that each face a newly placed target, in the air of another day."""
     model, cells = stack.build()
-    return alone(model.law(ping), cells, AIR_SCALE_SD)
+    return single_ping_law(model.law(ping), cells, AIR_SCALE_SD)
 
 
 def floored(predicted: EchoLaw, reading: Reading) -> Floats:

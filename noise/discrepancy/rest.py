@@ -24,8 +24,8 @@ from noise.discrepancy.trailing import Trailing, trailing
 from noise.discrepancy.transient import transient, windowed
 from noise.discrepancy.verdict import Rest
 from noise.fitting.batch import Batch
-from noise.fitting.fit import Fit, each_counted
-from noise.fitting.stack import CELLS, Stack
+from noise.fitting.fit import Fit, refit_without_urn
+from noise.fitting.stack import VISITS, Stack
 
 LEVEL = 0.015  # of a false alarm of all looks together; ours
 # scans of either part, a beat, three of memory where the target stands and two where it moves, things that answer,
@@ -149,8 +149,8 @@ def beyond(found: Remainder, usual: Remainder | None) -> Remainder:
 
 def _counted(search: Search, chosen: Sequence[str], fit: Fit, batch: Batch) -> Stack:
     """Return the law of single readings, with what cells carry over from ping to ping."""
-    each = each_counted(fit, search.keys(chosen), batch).stack
-    return each.put([(CELLS, "carry")], [fit.stack.get((CELLS, "carry"))])
+    each = refit_without_urn(fit, search.keys(chosen), batch).stack
+    return each.put([(VISITS, "ping_correlation")], [fit.stack.get((VISITS, "ping_correlation"))])
 
 
 def scan_p(stack: Stack, batch: Batch, rng: np.random.Generator, peer: Blocks | None = None) -> float:

@@ -22,7 +22,7 @@ from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
 from noise.fitting.stack import NUISANCES, SPREAD, Key, Stack
-from noise.fitting.starts import seen_in
+from noise.fitting.starts import echoes_of
 from noise.fitting.visit_effects import BANKS, law_of, prior_offset
 from noise.law import Floats
 
@@ -200,9 +200,9 @@ def in_disguise(search: Search, names: Sequence[str], chosen: Sequence[str]) -> 
         names: an effect, and what cannot be told from it.
         chosen: effects of the explanation, which are named anyway.
     """
-    seen = seen_in(search.discover)
+    seen = echoes_of(search.discover)
     able = [kind for name, kind in CATALOGUE.items() if name not in (*names, *chosen, *search.never)]
-    return tuple(kind.name for kind in able if set(kind.passes_for) & set(names) and kind.hidden(seen))
+    return tuple(kind.name for kind in able if set(kind.confused_with) & set(names) and kind.ambiguous(seen))
 
 
 def posterior(own: Sequence[Rival]) -> float:

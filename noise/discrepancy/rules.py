@@ -59,7 +59,7 @@ class Rules:
         total, enough, most = gain.sum(), self.least_nats, self.bounded_nats
         without_best = total - gain.max(initial=0.0)
         looks = (gain, np.clip(gain, -most, most)) if first else (gain,)
-        sweeping = total >= self.sweeping_nats and CATALOGUE[name].strikes
+        sweeping = total >= self.sweeping_nats and CATALOGUE[name].localised
         least_t = min(self.sweeping_t, self.least_t) if sweeping else self.least_t
         sure = any(g.sum() > least_t * spread_over_blocks(g) for g in looks)
         return bool(total > enough and sure and without_best > 0.3 * enough)

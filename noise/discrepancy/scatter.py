@@ -14,13 +14,13 @@ from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.verdict import Named
 from noise.fitting.batch import Batch
-from noise.fitting.stack import CELLS, JITTER, NUISANCES, Stack
-from noise.fitting.starts import from_middle
+from noise.fitting.stack import JITTER, NUISANCES, VISITS, Stack
+from noise.fitting.starts import deviation_from_median
 from noise.law import Floats
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 INNER = 0.8  # share of readings of a stay that say how it scatters; ours
-PLACED = (CELLS, "placement_m")
+PLACED = (VISITS, "placement_m")
 LEAST_RATIO = 1.3  # scatter that differs by less is no mismatch: one day's air moves less than another's; ours
 POOR_RATIO = 2.0  # one that does not fully describe the simulation; ours
 
@@ -73,7 +73,7 @@ def _apart(before: float, placed_before: float, after: float, placed_after: floa
 
 def within_stays(batch: Batch) -> float:
     """Return the scatter of readings about the middle of their stay, m: of the inner four fifths, whatever strays."""
-    away = from_middle(batch)
+    away = deviation_from_median(batch)
     inner = float(np.quantile(np.abs(away), INNER)) / float(norm.ppf(0.5 + 0.5 * INNER)) if len(away) else 0.0
     return float(np.hypot(inner, _least(batch)))
 

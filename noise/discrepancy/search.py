@@ -21,7 +21,7 @@ from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.discrepancy.unseen import unseen
 from noise.discrepancy.workers import ALONE, Workers
 from noise.effects import CATALOGUE
-from noise.fitting.batch import Batch, silence
+from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
@@ -112,7 +112,7 @@ class Search:
 
     def candidates(self) -> list[str]:
         """Return every effect of the catalogue that can be named; scatter alone is a nuisance."""
-        able = [name for name, kind in CATALOGUE.items() if self.both.resolution <= kind.coarsest_m]
+        able = [name for name, kind in CATALOGUE.items() if self.both.resolution <= kind.coarsest_step_m]
         able = [name for name in able if name not in (JITTER, *self.never)]
         return [name for name in able if self.discover.timed or not self._uses_time(name)]
 
@@ -355,7 +355,7 @@ class Search:
 
     def needs_a_threshold(self) -> bool:
         """Tell whether echoes are missed although the model hears everything: then no loss of level can show."""
-        return THRESHOLD not in (*self.base.values, *self.never) and silence(self.discover) > 0.005
+        return THRESHOLD not in (*self.base.values, *self.never) and share_without_echo(self.discover) > 0.005
 
     def with_threshold(self, base: Crossed) -> tuple[list[str], Crossed]:
         """Give the receiver a threshold before anything else is weighed, where that is believed.

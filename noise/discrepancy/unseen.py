@@ -15,11 +15,11 @@ from scipy.stats import qmc
 
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, log_likelihood
-from noise.fitting.stack import CELLS, Key
-from noise.fitting.starts import spread
+from noise.fitting.stack import VISITS, Key
+from noise.fitting.starts import between_bounds
 from noise.law import Floats
 
-HEARING: Key = (CELLS, "hearing")  # as little told where every position is either heard or missed
+HEARING: Key = (VISITS, "detection_weight")  # as little told where every position is either heard or missed
 SURPRISE = 10.0  # nats by which a block is worse than where it was fitted itself: parameters, not chance, do that; ours
 DRAWS = 64  # values of the parameters, a power of two; ours
 NEARLY = 8.0  # nats of a fit: what is worse than the best by more has no weight to speak of
@@ -41,7 +41,7 @@ def unseen(fit: Fit, keys: Sequence[Key], fitted: Batch, batch: Batch, seen: Fit
         return plain
     keys = (*keys, HEARING)
     points = qmc.Sobol(len(keys), rng=np.random.default_rng(seed)).random(DRAWS)
-    drawn = [[spread(fit.stack.parameter(key), u) for key, u in zip(keys, row, strict=True)] for row in points]
+    drawn = [[between_bounds(fit.stack.parameter(key), u) for key, u in zip(keys, row, strict=True)] for row in points]
     stacks = [fit.stack, *(fit.stack.put(keys, row) for row in drawn)]
     weight = np.array([float(log_likelihood(stack, fitted).sum()) for stack in stacks])
     close = [k for k in range(len(stacks)) if weight[k] > weight[0] - NEARLY]

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
-from noise.effects.base import reach
+from noise.effects.base import target_tolerance
 from noise.fitting.visits import last_echo, visits_of
 
 MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
@@ -180,7 +180,7 @@ class Batch:
     @property
     def reach(self) -> NDArray[np.float64]:
         """Largest error of an echo that is attributed to the target, m, (n,)."""
-        return reach(self.ping.distance)
+        return target_tolerance(self.ping.distance)
 
     def is_target(self, error: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which echoes are attributed to the target, given their errors, m, (n,)."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from acquisition import ModelError
 from noise.effects import CATALOGUE, Atom, Effect, Parameter, Stage, State
-from noise.effects.base import number
+from noise.effects.state import number
 from noise.physical import PhysicalModel
 
 DISTANCE_KNOTS = (0.1, 0.3, 0.7, 1.2, 2.0, 3.0, 4.5, 6.0)  # m, chosen here: denser where sonars change fastest

@@ -9,7 +9,7 @@ import pandas as pd
 import torch
 from scipy.stats import qmc
 
-from noise.effects import Parameter, Seen
+from noise.effects import EchoSample, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.law import Floats
@@ -108,10 +108,10 @@ def target_echo(stack: Stack, batch: Batch) -> Floats:
     return np.asarray(torch.atleast_2d(place).mean(0).expand(len(batch)).numpy())
 
 
-def echoes_of(batch: Batch) -> Seen:
+def echoes_of(batch: Batch) -> EchoSample:
     """Return the echoes of a batch in the form that `Effect.guesses` expects."""
     echo = batch.reading.echo
-    return Seen(batch.ping.distance[echo], batch.ping.time[echo], batch.reading.range[echo])
+    return EchoSample(batch.ping.distance[echo], batch.ping.time[echo], batch.reading.range[echo])
 
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:

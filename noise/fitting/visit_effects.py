@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from noise.effects import Effect, Parameter, Stage, State
-from noise.effects.base import number
+from noise.effects.state import number
 from noise.fitting.batch import Batch
 from noise.physical import PhysicalLaw, PhysicalModel
 
@@ -186,7 +186,7 @@ def _echo_probability(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:
     """Return the probability of an echo for pings with one; the exact, slower form is used where it is rare."""
     likely = 1.0 - silent
     rare = echo & (likely < RARE_ECHO)
-    return torch.where(rare, law.heard_tensor(), likely) if bool(rare.any()) else likely
+    return torch.where(rare, law.any_echo_tensor(), likely) if bool(rare.any()) else likely
 
 
 def log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:

@@ -116,7 +116,8 @@ def cast_cones(
 
     Returns:
         Distance, m, (s,), `limit` for an empty cone; bearing off the axis, rad, (s,); angle of incidence, rad, (s,),
-        the smaller one at a corner of two faces; index of the segment, (s,), -1 for none; point in the world, m, (s, 2).
+        the smaller one at a corner of two faces; index of the segment, (s,), -1 for none; point, m,
+        (s, 2).
     """
     count = poses.shape[0]
     distance, bearing, incidence = np.empty(count), np.empty(count), np.empty(count)

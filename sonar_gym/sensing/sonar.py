@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acquisition import EchoStatus, Ping, Reading, SettingError
 from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.law import UniformSource
-from noise.model import Remembering
+from noise.model import StatefulModel
 
 Floats = NDArray[np.float64]
 SonarChoice = str | os.PathLike[str] | SonarModel
@@ -155,7 +155,7 @@ class Sonar:
         self.tag = tag
         shared = resolve(model)
         self.model = listener(shared)
-        self._has_memory = isinstance(self.model, Remembering)  # cached: checking a protocol is slow
+        self._has_memory = isinstance(self.model, StatefulModel)  # cached: checking a protocol is slow
         self.count, self.copies = count, copies
         self.max_range = max_range
         tables = [broad_table(shared, max_range)] * count if tables is None else tables
@@ -182,7 +182,7 @@ class Sonar:
         which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
         if self._has_memory:
-            cast(Remembering, self.model).reset(None if copies is None else self._seats.reshape(shape)[which].ravel())
+            cast(StatefulModel, self.model).reset(None if copies is None else self._seats.reshape(shape)[which].ravel())
 
     def draw(self, ping: Ping, copies: Copies, each: Sequence[int], place: slice | NDArray[np.int64]) -> Draw:
         """Draw readings of some sonars of some copies.

@@ -19,7 +19,7 @@ from acquisition import SettingError
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
 from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
-from sonar_gym.sensing.timing import Listener, timing
+from sonar_gym.sensing.timing import ScheduledSonar, timing
 from sonar_gym.wrappers.highway import RoadSource, is_road
 from sonar_gym.wrappers.settings import SonarSettings
 from sonar_gym.wrappers.sources import ConditionSource, RangesSource, StreetSource
@@ -52,11 +52,11 @@ def source_of(base: Any, space: spaces.Space[Any], settings: SonarSettings, copi
     return RangesSource(space, settings, base, copies)
 
 
-def timed_sonars(source: ConditionSource, sonar: SonarChoice, copies: int) -> Listener:
+def timed_sonars(source: ConditionSource, sonar: SonarChoice, copies: int) -> ScheduledSonar:
     """Return sonars with the range, credence tables and ping times of a source."""
     model = resolve(sonar)
     sonars = Sonar(model, source.count, source.max_range, WRAPPER_TAG, source.tables(model), copies)
-    return Listener(sonars, timing(source.count, source.step_s, source.times), source.step_s)
+    return ScheduledSonar(sonars, timing(source.count, source.step_s, source.times), source.step_s)
 
 
 def space_of(source: ConditionSource) -> spaces.Dict:

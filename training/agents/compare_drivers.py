@@ -18,8 +18,8 @@ from acquisition.io.files import write_text
 from noise import Faulty, SonarModel, load_model
 from noise.faults import Noise, Short
 from training.agents.evaluate import Outcomes, ScriptedPool, evaluate
-from training.common.paired import Paired
 from training.common.progress import bar
+from training.common.statistics import PairedComparison
 from training.common.tables import markdown_table
 
 IDEAL, SURVEY, FUSION = "ideal", "survey", "fusion"
@@ -77,7 +77,7 @@ class Arm:
 
     def against(self, reference: Arm) -> str:
         """Return the difference in success to a reference, "" for the reference itself."""
-        return "" if self is reference else str(Paired.of(reference.outcomes.success, self.outcomes.success))
+        return "" if self is reference else str(PairedComparison.of(reference.outcomes.success, self.outcomes.success))
 
 
 def sonar_of(name: str, faults: float) -> SonarModel:

@@ -20,14 +20,14 @@ import sonar_gym
 from acquisition import SettingError
 from acquisition.io.files import write_text
 from noise.credence import wilson
-from sonar_gym.agent import AgentDriver, Agents, Policy, load_policy
-from sonar_gym.control.driver import Driver, Episode, ParkingDriver, run_episode
+from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
+from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
 from sonar_gym.parking.fleet import MAX_STEPS
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from training.agents.sonars import mismatched
-from training.common.paired import Paired
 from training.common.progress import bars
+from training.common.statistics import PairedComparison
 
 Bits = NDArray[np.bool_]
 Ints = NDArray[np.int64]
@@ -44,7 +44,7 @@ FRAME_STEPS = 3  # steps from frame to frame of a film
 class DriverPool(Protocol):
     """Drives many cars from their observations."""
 
-    def forget(self, rows: Ints) -> None:
+    def reset(self, rows: Ints) -> None:
         """Begin new episodes with some cars."""
 
     def act(self, observation: Observation, rows: Ints) -> Singles:
@@ -63,7 +63,7 @@ class ScriptedPool:
     def __init__(self, count: int, **settings: Any) -> None:
         self._drivers = [ParkingDriver(**settings) for _ in range(count)]
 
-    def forget(self, rows: Ints) -> None:
+    def reset(self, rows: Ints) -> None:
         """Begin new episodes with some cars."""
         for row in rows:
             self._drivers[row].reset()
@@ -77,7 +77,7 @@ class ScriptedPool:
 def pool_of(policy: Policy | str) -> Callable[[int], DriverPool]:
     """Return a function that makes a pool of n drivers, from a policy or the name of the scripted driver."""
     if isinstance(policy, Policy):
-        return lambda count: Agents(policy, count)
+        return lambda count: VectorAgent(policy, count)
     if policy != SCRIPTED:
         raise SettingError(f"driver {policy!r}: expected a policy or {SCRIPTED!r}")
     return ScriptedPool
@@ -180,9 +180,9 @@ def _drive(
     """Drive some streets at once; finished cars are not stepped, since a rig is slow."""
     n = len(seeds)
     envs = SonarParkingVectorEnv(n, **settings)
-    envs.fleet.sonar.at_once |= pooled
+    envs.fleet.sonar.batched |= pooled
     envs.reset(seed=seeds)
-    pool.forget(np.arange(n))
+    pool.reset(np.arange(n))
     fleet, score, rows = envs.fleet, np.zeros(n), np.arange(n)
     while len(rows):
         actions = pool.act(fleet.observation(rows), rows)
@@ -252,7 +252,7 @@ class Args:
 Results = dict[tuple[str, str], Outcomes]  # by agent and sonar
 
 
-def driver_of(name: str) -> Driver:
+def driver_of(name: str) -> Controller:
     """Return the driver of one car, by an agent's name or folder."""
     return ParkingDriver() if name == SCRIPTED else AgentDriver(load_policy(name))
 
@@ -279,7 +279,7 @@ def table(args: Args, results: Results) -> Table:
         out.add_column(heading, justify="right")
     for (name, sonar), one in results.items():
         first = results[reference, sonar]
-        change = "" if one is first else str(Paired.of(first.success, one.success))
+        change = "" if one is first else str(PairedComparison.of(first.success, one.success))
         rates = (str(one.successes), str(one.collisions))
         out.add_row(Path(sonar).name, Path(name).name, *rates, f"{one.mean_seconds:.1f}", change)
     return out

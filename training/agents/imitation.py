@@ -78,7 +78,7 @@ class Teacher:
         """Return steering and speed of each car as fractions of their maxima, (n, 2).
 
         Args:
-            way: distance moved since the last change of direction (`Memory.way`), m, (n,).
+            way: distance moved since the last change of direction (`ObservationMemory.travel`), m, (n,).
         """
         car, pose = self.fleet.car_settings, self.fleet.worlds.car[:, :3]
         at = self._nearest(pose, self.fleet.worlds.task)
@@ -216,7 +216,7 @@ def imitate(
     adam = torch.optim.Adam(actor, lr=settings.learning_rate)
     shown, teacher_drives = np.asarray(envs.reset()), np.ones(envs.num_envs, dtype=np.bool_)
     for done in range(settings.rounds):
-        ways = (envs.memory.way[part] for part in envs.parts)
+        ways = (envs.memory.travel[part] for part in envs.parts)
         labels = np.concatenate([teacher.act(way) for teacher, way in zip(teachers, ways, strict=True)])
         buffer.add(shown, labels)
         with torch.no_grad():

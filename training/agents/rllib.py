@@ -14,7 +14,7 @@ from ray.rllib.algorithms.ppo import PPOConfig
 from ray.tune.registry import register_env
 
 import sonar_gym
-from sonar_gym.control.memory import Memory, MemorySettings
+from sonar_gym.control.memory import MemorySettings, ObservationMemory
 
 NAME = "SonarParkingMemory-v0"
 ONE = np.zeros(1, dtype=np.int64)
@@ -33,7 +33,7 @@ class MemoryObservation(gymnasium.Wrapper[Singles, Singles, dict[str, Any], Sing
     def __init__(self, env: gymnasium.Env[Any, Any], memory: Mapping[str, Any] | None = None, repeat: int = 2) -> None:
         RecordConstructorArgs.__init__(self, memory=memory, repeat=repeat)
         gymnasium.Wrapper.__init__(self, env)
-        self._memory, self._repeat = Memory(1, settings=MemorySettings(**(memory or {}))), repeat
+        self._memory, self._repeat = ObservationMemory(1, settings=MemorySettings(**(memory or {}))), repeat
         self.observation_space = spaces.Box(-10.0, 10.0, (self._memory.size,), np.float32)
 
     def reset(
@@ -41,7 +41,7 @@ class MemoryObservation(gymnasium.Wrapper[Singles, Singles, dict[str, Any], Sing
     ) -> tuple[Singles, dict[str, Any]]:
         """Begin an episode with an empty memory."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._memory.forget(ONE)
+        self._memory.reset(ONE)
         return self._shown(observation), info
 
     def step(self, action: ArrayLike) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
@@ -55,8 +55,8 @@ class MemoryObservation(gymnasium.Wrapper[Singles, Singles, dict[str, Any], Sing
         return shown, score, terminated, truncated, info
 
     def _shown(self, observation: Any) -> Singles:
-        self._memory.see(ONE, {name: value[None] for name, value in observation.items()})
-        shown: Singles = self._memory.show(ONE)[0]
+        self._memory.update(ONE, {name: value[None] for name, value in observation.items()})
+        shown: Singles = self._memory.features(ONE)[0]
         return shown
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from acquisition import Ping, Reading
 from noise import EchoLaw, SonarModel, load_model
 from noise.faults import Faulty, Noise, Short
-from noise.law import Floats
+from noise.law import Floats, UniformSource
 
 TRAINING_FAULTS = (Short(0.05), Noise(0.1, 0.05))  # arbitrary readings; 50 mm scatter; rates chosen here
 SEED_WORDS = 8  # 64-bit words taken from a stream to seed the generator of a batch
@@ -42,7 +42,7 @@ class MismatchedLaw(EchoLaw):
         """P(the sensor does not answer) under the assumed law, (n,)."""
         return self.assumed.no_answer
 
-    def sample(self, rng: np.random.Generator) -> Reading:
+    def sample(self, rng: UniformSource) -> Reading:
         """Draw readings from the actual law."""
         words = rng.random(len(self))[:SEED_WORDS].view(np.uint64)
         return self.actual.sample(np.random.default_rng(words))
@@ -92,6 +92,7 @@ class ShiftedLaw(EchoLaw):
     def __init__(self, law: EchoLaw, distance: Floats) -> None:
         super().__init__(distance, law.resolution, law.max_range)
         self.law = law
+        self.uniform_per_ping = law.uniform_per_ping
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
@@ -106,7 +107,7 @@ class ShiftedLaw(EchoLaw):
         """P(the sensor does not answer), (n,)."""
         return self.law.no_answer
 
-    def sample(self, rng: np.random.Generator) -> Reading:
+    def sample(self, rng: UniformSource) -> Reading:
         """Draw readings."""
         return self.law.sample(rng)
 

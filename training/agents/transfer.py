@@ -31,12 +31,12 @@ from training.agents import train
 from training.agents.evaluate import Rate, evaluate, pool_of
 from training.agents.sonars import MismatchedModel, ShiftedModel, with_faults
 from training.common.canvas import AFTER, INK, SOFT, Axes, panels
-from training.common.paired import Paired
 from training.common.progress import bar
+from training.common.statistics import PairedComparison
 from training.common.tables import markdown_table
 from training.diagnosis import diagnose
 from training.diagnosis.demo import record
-from training.noise.train import fit_gaussian
+from training.noise.baselines import fit_gaussian
 
 LEARNED = "srf08-mlp"
 WITH_FOUND = "learned+found"
@@ -208,7 +208,7 @@ def _row(results: pd.DataFrame, world: str, arm: str) -> tuple[object, ...]:
     seeds = ", ".join(f"{100 * share:.0f}" for share in one.groupby("seed")["success"].mean())
     parked, collided = (Rate(int(one[name].sum()), len(one)) for name in ("success", "collision"))
     ideal = _of(results, world, "ideal")["success"].to_numpy(bool)
-    difference = "" if arm == "ideal" else Paired.of(ideal, one["success"].to_numpy(bool))
+    difference = "" if arm == "ideal" else PairedComparison.of(ideal, one["success"].to_numpy(bool))
     return WORLDS[world], arm, parked, seeds, collided, difference
 
 

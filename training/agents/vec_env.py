@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from acquisition import SettingError
 from noise import SonarModel, load_model
-from sonar_gym.control.memory import Memory, MemorySettings
+from sonar_gym.control.memory import MemorySettings, ObservationMemory
 from sonar_gym.sb3 import SonarVecEnv
 from training.agents.sonars import with_faults
 
@@ -88,7 +88,7 @@ class AgentVecEnv(VecEnv):
         self.venvs = [
             SonarVecEnv(len(part), threads=threads, **kind) for part, kind in zip(self.parts, settings, strict=True)
         ]
-        self.memory, self.repeat = Memory(num_envs, settings=memory), repeat
+        self.memory, self.repeat = ObservationMemory(num_envs, settings=memory), repeat
         space = spaces.Box(-SHOWN_LIMIT, SHOWN_LIMIT, (self.memory.size,), np.float32)
         super().__init__(num_envs, space, self.venvs[0].action_space)
         self._all_rows = np.arange(num_envs)
@@ -101,11 +101,11 @@ class AgentVecEnv(VecEnv):
         for part, venv in zip(self.parts, self.venvs, strict=True):
             if self._seeds[part[0]] is not None:
                 venv.seed(self._seeds[part[0]])
-            self.memory.forget(part)
-            self.memory.see(part, venv.reset())
+            self.memory.reset(part)
+            self.memory.update(part, venv.reset())
         self._reset_seeds()
         self._score[:], self._length[:] = 0.0, 0
-        return self.memory.show(self._all_rows)
+        return self.memory.features(self._all_rows)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions for `step_wait`."""
@@ -121,10 +121,10 @@ class AgentVecEnv(VecEnv):
                 observation, reward, ended, part_infos = venv.step(actions)
                 rewards[part] += np.where(done[part], 0.0, reward)
                 self._end(part, ended & ~done[part], part_infos, infos)
-                self.memory.see(part, as_dict(observation))
+                self.memory.update(part, as_dict(observation))
                 done[part] |= ended
         self._count(rewards, done, infos)
-        return self.memory.show(self._all_rows), rewards, done, infos
+        return self.memory.features(self._all_rows), rewards, done, infos
 
     def advance(self, actions: Singles) -> Transition:
         """Call `step`, with declared types."""
@@ -138,10 +138,10 @@ class AgentVecEnv(VecEnv):
             return
         rows = part[which]
         finals = [part_infos[k]["terminal_observation"] for k in which]
-        self.memory.see(rows, {name: np.stack([final[name] for final in finals]) for name in finals[0]})
-        for row, k, shown in zip(rows, which, self.memory.show(rows), strict=True):
+        self.memory.update(rows, {name: np.stack([final[name] for final in finals]) for name in finals[0]})
+        for row, k, shown in zip(rows, which, self.memory.features(rows), strict=True):
             infos[row] = {**part_infos[k], "terminal_observation": shown}
-        self.memory.forget(rows)
+        self.memory.reset(rows)
 
     def _count(self, rewards: Singles, done: Bits, infos: Infos) -> None:
         self._score += rewards

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from acquisition import Recording, SettingError
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.survey.plan import Plan
+from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from acquisition.survey.sources import RigSource
 from noise.discrepancy import Diagnosis
@@ -21,7 +21,7 @@ from training.diagnosis.demo_page import DemoResult, gif, render
 from training.diagnosis.drive import Drive, drive
 from training.diagnosis.envelope import CONCEALED, Envelope, conceal
 
-PLAN = Plan(
+PLAN = SurveyPlan(
     angles_deg=(0.0, 9.0, 18.0, 27.0),
     distances_mm=(150.0, 250.0, 350.0, 500.0, 700.0, 900.0, 1200.0, 1500.0, 1800.0, 2100.0, 2400.0, 2700.0, 3000.0),
     pings=20,

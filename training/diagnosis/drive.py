@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sonar_gym
-from sonar_gym.control.driver import Driver, Episode, ParkingDriver, run_episode
+from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
 
 EVERY = 4  # steps between frames
 
@@ -52,7 +52,7 @@ class Drive:
         return f"{end} after {self.steps} steps; median error {self.error_mm:.0f} mm, {silent}"
 
 
-def drive(sonar: str, seed: int, driver: Driver | None = None) -> Drive:
+def drive(sonar: str, seed: int, driver: Controller | None = None) -> Drive:
     """Park once on the street of a seed, by default with the scripted driver."""
     env = gymnasium.make(sonar_gym.ENV_ID, sonar=sonar, render_mode="rgb_array")
     try:

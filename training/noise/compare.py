@@ -21,7 +21,7 @@ from noise import IdealModel, SonarModel, load_model
 from noise.beam import fit_beam
 from noise.faults import Faulty, Short
 from noise.law import Floats
-from noise.metrics import Evaluation, Score, evaluate
+from noise.metrics import ClusterMean, Evaluation, evaluate
 from noise.model import MAX_RANGE
 from training.common.progress import bar
 from training.common.tables import markdown_table
@@ -54,7 +54,7 @@ class ModelComparison:
     """
 
     scores: dict[str, Evaluation]
-    repeatability: Score
+    repeatability: ClusterMean
 
     def gap_closed(self, name: str) -> float:
         """Return the position of a model's log-likelihood between the Gaussian, 0, and the repeatability, 1."""
@@ -120,7 +120,7 @@ def compare(test: Recording, models: dict[str, SonarModel]) -> ModelComparison:
         raise SettingError(f"{test.name}: no condition has two pings: record at least two of each")
     every = {name: Faulty(model, [OUTLIERS]) for name, model in models.items()}
     scores = {name: evaluate(model, test.ping, test.reading, condition, scored) for name, model in every.items()}
-    return ModelComparison(scores, Score.of(repeatability(test, scored, models[BEAM]), condition[scored]))
+    return ModelComparison(scores, ClusterMean.of(repeatability(test, scored, models[BEAM]), condition[scored]))
 
 
 def sensor_conditions(recording: Recording) -> NDArray[np.int64]:

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from acquisition import Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.acoustics.shapes import Wall
-from acquisition.bench.setup import Bus
-from acquisition.survey.plan import PLANS, Plan
+from acquisition.bench.laboratory.setup import Bus
+from acquisition.bench.laboratory.shapes import Wall
+from acquisition.survey.plan import PLANS, SurveyPlan
 from noise.model import steps
 
 Floats = NDArray[np.float64]
@@ -208,7 +208,7 @@ INTERMEDIATE_PLAN = replace(  # conditions between those of the quick plan
 TRAINING_SENSORS, VALIDATION_SENSORS = tuple(range(1001, 1161)), tuple(range(1201, 1249))  # serial numbers
 KNOWN_SENSORS, TEST_SENSORS = TRAINING_SENSORS[:80], tuple(range(201, 281))  # many, as sensors differ widely
 # recordings by file name: sessions, or alternate conditions of a plan with its sensors and seed
-RECORDINGS: dict[str, Sessions | tuple[Plan, tuple[int, ...], int]] = {
+RECORDINGS: dict[str, Sessions | tuple[SurveyPlan, tuple[int, ...], int]] = {
     "train": Sessions(TRAINING_SENSORS, surveys=8, drives=2),
     "validation": Sessions(VALIDATION_SENSORS, surveys=4, drives=1),
     "faulty": Sessions(TRAINING_SENSORS, surveys=2, drives=0, faulty=True),
@@ -221,7 +221,7 @@ RECORDINGS: dict[str, Sessions | tuple[Plan, tuple[int, ...], int]] = {
 }
 
 
-def record_plan(plan: Plan, units: tuple[int, ...], seed: int) -> Recording:
+def record_plan(plan: SurveyPlan, units: tuple[int, ...], seed: int) -> Recording:
     """Record alternate conditions of a plan with each sensor, the other half with the next sensor."""
     tables = []
     for serial in units:

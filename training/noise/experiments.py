@@ -19,13 +19,13 @@ from torch import Tensor, nn
 
 from acquisition import Ping, Reading, Recording
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.setup import Bus
+from acquisition.bench.laboratory.setup import Bus
 from noise.fitting.threads import one_thread
 from noise.law import CREDENCE_TOLERANCE, Floats
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
-from noise.learned.recent import EACH, Recent, RecentCredence
-from noise.metrics import Reliability, Score, reliability
+from noise.learned.recent import N_FEATURES, RecentCredence, RecentReadings
+from noise.metrics import ClusterMean, Reliability, reliability
 from noise.model import MAX_RANGE, follow
 from noise.store import save_model
 from training.noise.networks import layers_of, perceptron
@@ -111,8 +111,8 @@ class MemoryGain:
         gain: of the hybrid over the perceptron.
     """
 
-    without: Score
-    gain: Score
+    without: ClusterMean
+    gain: ClusterMean
 
 
 def measure(scenario: MemoryScenario, experiment: MemoryExperiment) -> MemoryGain:
@@ -129,7 +129,7 @@ def measure(scenario: MemoryScenario, experiment: MemoryExperiment) -> MemoryGai
         args = replace(args, law="hybrid", base=str(save_model(base, args.out)), state=24, batch=8 * 32)
         hybrid = learn(_pings(train), _pings(choose), inputs, head, args)
     without, with_memory = (follow(model, test.ping, test.reading).log_prob(test.reading) for model in (base, hybrid))
-    return MemoryGain(Score.of(without, test.run), Score.of(with_memory - without, test.run))
+    return MemoryGain(ClusterMean.of(without, test.run), ClusterMean.of(with_memory - without, test.run))
 
 
 def _pings(recording: Recording, answered: bool = False) -> TrainingPings:
@@ -169,7 +169,7 @@ def learn_credence(train: Recording, validation: Recording, plan: RecentCredence
     (x, y), (xv, yv) = (_tensors(recording, plan.depth) for recording in (train, validation))
     with torch.random.fork_rng(), one_thread():
         torch.manual_seed(plan.seed)
-        network = perceptron([plan.depth * EACH, plan.hidden, 1])
+        network = perceptron([plan.depth * N_FEATURES, plan.hidden, 1])
         optimiser = torch.optim.AdamW(network.parameters(), lr=plan.learning_rate, weight_decay=1e-3)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, plan.epochs, 0.01 * plan.learning_rate)
         loss, best, best_weights = nn.BCEWithLogitsLoss(), np.inf, network.state_dict()
@@ -190,7 +190,7 @@ def learn_credence(train: Recording, validation: Recording, plan: RecentCredence
 def _tensors(recording: Recording, depth: int) -> tuple[Tensor, Tensor]:
     ping, reading = recording.ping, recording.reading
     rows = reading.echo
-    feature = Recent.each(depth, ping, reading).features()[rows]
+    feature = RecentReadings.of_recording(depth, ping, reading).features()[rows]
     return torch.tensor(feature, dtype=torch.float32), torch.tensor(
         is_correct(ping, reading)[rows], dtype=torch.float32
     )
@@ -206,8 +206,8 @@ class CredenceScore:
         reliability: predicted against observed frequency.
     """
 
-    log_score: Score
-    brier: Score
+    log_score: ClusterMean
+    brier: ClusterMean
     reliability: Reliability
 
     @classmethod
@@ -216,7 +216,7 @@ class CredenceScore:
         clipped = np.clip(credence, MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
         log = np.where(correct, np.log(clipped), np.log1p(-clipped))
         return cls(
-            Score.of(log, cluster),
-            Score.of((credence - correct) ** 2, cluster),
+            ClusterMean.of(log, cluster),
+            ClusterMean.of((credence - correct) ** 2, cluster),
             reliability(credence, correct, cluster),
         )

@@ -11,7 +11,7 @@ from acquisition import Recording
 from noise import SonarModel, follow
 from noise.credence import wilson
 from noise.faults import Faulty
-from noise.metrics import Score, credence_reliability
+from noise.metrics import ClusterMean, credence_reliability
 from noise.model import steps
 from training.noise.compare import OUTLIERS, ModelComparison, sensor_conditions
 from training.noise.experiments import CORRELATED, UNCORRELATED, CredenceScore, MemoryGain, is_correct
@@ -50,7 +50,7 @@ class ConditionCredence:
         return cls(gap, float(error), float(((mean >= low) & (mean <= high)).mean()))
 
 
-def by_position_in_condition(model: SonarModel, test: Recording) -> dict[str, Score]:
+def by_position_in_condition(model: SonarModel, test: Recording) -> dict[str, ClusterMean]:
     """Return the log-likelihood of pings, nats, by their position among the pings of a condition (`POSITIONS`)."""
     condition, position = sensor_conditions(test), np.empty(len(test), dtype=np.int64)
     for k, rows in enumerate(steps(condition)):
@@ -60,7 +60,7 @@ def by_position_in_condition(model: SonarModel, test: Recording) -> dict[str, Sc
         name: (position >= first) & (position <= last) & test.reading.answered
         for name, (first, last) in POSITIONS.items()
     }
-    return {name: Score.of(value[mask], condition[mask]) for name, mask in masks.items()}
+    return {name: ClusterMean.of(value[mask], condition[mask]) for name, mask in masks.items()}
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class NoiseFindings:
     condition_credence: Mapping[str, Mapping[str, ConditionCredence]]
     given: Mapping[str, Mapping[str, CredenceScore]]
     gains: Mapping[str, MemoryGain]
-    by_position: Mapping[str, Mapping[str, Score]]
+    by_position: Mapping[str, Mapping[str, ClusterMean]]
     shipped: tuple[str, ...]
 
 

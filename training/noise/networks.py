@@ -17,7 +17,8 @@ from acquisition import EchoStatus, Ping, Reading
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import FLOOR, UNIT_M, Head
 from noise.learned.networks import MlpModel
-from noise.learned.recurrent import ANCHORS, LINKS, Before, Cell, LstmModel
+from noise.learned.recurrent import LstmModel
+from noise.learned.recurrent_state import N_ANCHORS, N_HISTORY_FEATURES, LstmCell, PingHistory
 from noise.learned.tensors import Layers
 from noise.model import IdealModel, steps
 
@@ -53,7 +54,7 @@ class TrainingBatch:
         distance: m.
         low, high: bounds of the register's step, m.
         status: an `EchoStatus` each.
-        anchors: previous readings about which components may be centred, m, (..., n, ANCHORS).
+        anchors: previous readings about which components may be centred, m, (..., n, N_ANCHORS).
         valid: False for padding.
     """
 
@@ -68,11 +69,11 @@ class TrainingBatch:
     @classmethod
     def of(cls, inputs: Inputs, head: Head, ping: Ping, reading: Reading) -> TrainingBatch:
         """Convert arrays; bounds follow `EchoLaw`: the first and last steps include everything beyond them."""
-        law, before = IdealModel(head.resolution, head.max_range).law(ping), Before.each(ping, reading)
+        law, before = IdealModel(head.resolution, head.max_range).law(ping), PingHistory.of_recording(ping, reading)
         step = law.step(reading.range)
         far = 100.0 * head.max_range  # finite, for finite gradients
         low, high = (np.clip(law.edge(edge), -far, far) for edge in (step - 1, step))
-        features = np.concatenate([inputs.features(ping).feature, before.links(ping)], axis=1)
+        features = np.concatenate([inputs.features(ping).feature, before.features(ping)], axis=1)
         anchors = before.anchors(ping.distance).T
         return cls(
             _single(features), _single(ping.distance), _single(low), _single(high),
@@ -232,12 +233,12 @@ class LstmNetwork(nn.Module):
     def __init__(self, inputs: Inputs, head: Head, state: int, hidden: int, base: MlpModel | None = None) -> None:
         super().__init__()
         self.inputs, self.head, self.base, self.dropout = inputs, head, base, CovariateDropout(inputs)
-        features = inputs.width + LINKS
+        features = inputs.width + N_HISTORY_FEATURES
         self.lstm = nn.LSTM(features, state, batch_first=True)
         self.layers = perceptron([features + state, hidden, head.width])
         (init_spread if base is None else init_zero_correction)(self.layers[-1], head)
         self.fixed = None if base is None else self._frozen_copy(base)
-        self.place = None if base is None else torch.tensor(head.places_of(base.head))
+        self.place = None if base is None else torch.tensor(head.indices_of(base.head))
 
     def _frozen_copy(self, base: MlpModel) -> nn.Sequential:
         copy = perceptron(base.sizes)
@@ -265,13 +266,13 @@ class LstmNetwork(nn.Module):
     def to_model(self, about: dict[str, Any]) -> LstmModel:
         """Return the trained network in its numpy form."""
         weights = {name: value.detach().numpy() for name, value in self.lstm.named_parameters()}
-        cell = Cell(weights["weight_ih_l0"], weights["weight_hh_l0"], weights["bias_ih_l0"] + weights["bias_hh_l0"])
+        cell = LstmCell(weights["weight_ih_l0"], weights["weight_hh_l0"], weights["bias_ih_l0"] + weights["bias_hh_l0"])
         return LstmModel(self.inputs, self.head, cell, layers_of(self.layers), self.base, about)
 
 
 def recurrent_head(head: Head) -> Head:
     """Return a head with components about previous readings and a probability of no answer."""
-    return Head(head.near, head.fixed, head.resolution, head.max_range, anchored=ANCHORS, fails=True)
+    return Head(head.near, head.fixed, head.resolution, head.max_range, anchored=N_ANCHORS, fails=True)
 
 
 def fit_network(

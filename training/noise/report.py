@@ -201,8 +201,8 @@ def _diagram(ax: Axes, title: str, curves: Mapping[str, Reliability]) -> None:
     for (label, curve), colour, mark in zip(curves.items(), (BEFORE, SOFT, AFTER), "s^o", strict=True):
         rows: NDArray[np.bool_] = curve.pings >= MIN_BIN_PINGS
         ax.errorbar(
-            curve.said[rows],
-            curve.came_true[rows],
+            curve.predicted[rows],
+            curve.observed[rows],
             curve.error[rows],
             color=colour,
             marker=mark,

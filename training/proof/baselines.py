@@ -17,7 +17,7 @@ from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood, maximise
-from noise.fitting.stack import CELLS, SPREAD, Stack
+from noise.fitting.stack import SPREAD, VISITS, Stack
 from noise.fitting.visit_effects import FLOOR
 from noise.fitting.visits import visits_of
 from noise.model import MAX_RANGE
@@ -88,7 +88,10 @@ def independent_name(search: Search) -> tuple[str, float]:
 
     The same laws and starts; no offset or repetition is shared by a cell, and Akaike's criterion decides.
     """
-    base = search.base.put([(CELLS, name) for name in ("placement_m", "sharing", "carry", "link")], [0.0] * 4)
+    base = search.base.put(
+        [(VISITS, name) for name in ("placement_m", "urn_weight", "ping_correlation", "simulation_correlation")],
+        [0.0] * 4,
+    )
     free = SPREAD[:2]
     start = maximise(base, free, search.screen, 25)
     here = float(log_likelihood(start.stack, search.grid).sum()) + AKAIKE

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from acquisition import MissingExtraError
 from training.proof.desk import Desk, DeskError
 
-MODULES = ("generate", "examine", "assess")
 TRIES = 2  # a worker that dies takes one trial with it, which is run once more
 
 

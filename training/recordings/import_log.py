@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from acquisition import EchoStatus, Recording, SettingError
-from acquisition.io.bags import Truth, import_bag, is_bag
+from acquisition.io.bags import GroundTruthSource, import_bag, is_bag
 from acquisition.io.foreign import ColumnMap, import_table, parse_constants
 from training.common.progress import bar
 
@@ -73,7 +73,7 @@ def _table(args: Args) -> tuple[Recording, list[str]]:
 
 
 def _bag(args: Args) -> tuple[Recording, list[str]]:
-    truth = Truth(args.truth_topic, args.truth_point, args.truth_csv, args.longest_gap_s)
+    truth = GroundTruthSource(args.truth_topic, args.truth_point, args.truth_csv, args.longest_gap_s)
     with bar(f"reading {args.source.name}", 1) as update:
         imported = import_bag(args.source, args.topics, truth, parse_constants(args.constants), update)
     notes = {

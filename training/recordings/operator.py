@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from acquisition import NoAnswerError
-from acquisition.survey.plan import Cell
+from acquisition.survey.plan import Condition
 from acquisition.survey.quantities import QUANTITIES
 from acquisition.survey.session import Answer
 
@@ -29,7 +29,7 @@ class TerminalOperator:
     terminal: Console
     bar: Progress
 
-    def ready(self, before: Cell | None, condition: Cell, can_repeat: bool) -> Answer:
+    def ready(self, before: Condition | None, condition: Condition, can_repeat: bool) -> Answer:
         """Ask for the changes that are made by hand; without any, return GO."""
         moves = changes(before, condition)
         if not moves:
@@ -64,20 +64,21 @@ class TerminalOperator:
             self.bar.start()
 
 
-def changes(before: Cell | None, condition: Cell) -> list[str]:
+def changes(before: Condition | None, condition: Condition) -> list[str]:
     """Return a line for each quantity that is changed by hand between two conditions; for the first one, all.
 
-    >>> changes(Cell(500, 0, 0.9, 0), Cell(750, 0, 0.9, 0))
+    >>> changes(Condition(500, 0, 0.9, 0), Condition(750, 0, 0.9, 0))
     ['Move: distance 500 mm -> 750 mm']
-    >>> changes(Cell(500, 0, 0.9, 0, (("gain", 3),)), Cell(500, 0, 0.9, 0, (("gain", 4),)))
+    >>> changes(Condition(500, 0, 0.9, 0, (("gain", 3),)), Condition(500, 0, 0.9, 0, (("gain", 4),)))
     []
     """
     if before is None:
         return [
-            f"Set up: {QUANTITIES[name].what} {QUANTITIES[name].say(value)}" for name, value in condition.stand.items()
+            f"Set up: {QUANTITIES[name].label} {QUANTITIES[name].text(value)}"
+            for name, value in condition.manual_values.items()
         ]
     return [
-        f"Move: {QUANTITIES[name].what} {QUANTITIES[name].say(before.values[name])} -> {QUANTITIES[name].say(value)}"
-        for name, value in condition.stand.items()
+        f"Move: {QUANTITIES[name].label} {QUANTITIES[name].text(before.values[name])} -> {QUANTITIES[name].text(value)}"
+        for name, value in condition.manual_values.items()
         if abs(value - before.values[name]) > TOLERANCE
     ]

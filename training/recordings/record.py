@@ -15,11 +15,11 @@ from acquisition.bench import Rig, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf08
 from acquisition.drivers.devantech import Devantech
 from acquisition.errors import SettingError
-from acquisition.survey.apply_settings import arranged
-from acquisition.survey.plan import Cell, Order, Plan
+from acquisition.survey.apply_settings import apply_settings
+from acquisition.survey.plan import Condition, Order, SurveyPlan
 from acquisition.survey.planfile import find_plan
-from acquisition.survey.session import Nobody, Operator, Session
-from acquisition.survey.sources import DriverSource, RigSource, Source, Thermometer, told
+from acquisition.survey.session import NoOperator, Operator, Session
+from acquisition.survey.sources import DriverSource, PingSource, RigSource, Thermometer, register_writer
 from acquisition.twins.devantech import BadWire, Srf08Twin
 from training.common.progress import TERMINAL, bars
 from training.recordings.operator import TerminalOperator
@@ -97,7 +97,7 @@ def main(args: Args) -> None:
         TERMINAL.print(effort(plan), highlight=False)
     with bars() as bar:
         operator: Operator = (
-            Nobody() if source.simulated or args.operator == "none" else TerminalOperator(TERMINAL, bar)
+            NoOperator() if source.simulated or args.operator == "none" else TerminalOperator(TERMINAL, bar)
         )
         session = Session(
             plan, source, args.out, args.resume, args.echoes, args.sensor, operator, session_settings(args)
@@ -127,15 +127,15 @@ def _on_disk(session: Session) -> str:
     return f"{conditions} of {len(session.plan)} conditions are on disk; continue with --resume"
 
 
-def effort(plan: Plan) -> str:
+def effort(plan: SurveyPlan) -> str:
     """Return a line on the work of a plan for an operator who moves the reflector by hand."""
     walk, hours = replace(plan, order="walk"), plan.seconds / 3600.0
-    hint = f" (--order walk: {walk.way_m:.0f} m)" if walk.way_m < 0.8 * plan.way_m else ""
+    hint = f" (--order walk: {walk.travel_m:.0f} m)" if walk.travel_m < 0.8 * plan.travel_m else ""
     size = f"{len(plan)} conditions, {len(plan) * plan.pings} pings, about {hours:.1f} h"
-    return f"{size}; {plan.moves} moves by hand over {plan.way_m:.0f} m{hint}"
+    return f"{size}; {plan.moves} moves by hand over {plan.travel_m:.0f} m{hint}"
 
 
-def plan_of(args: Args) -> Plan:
+def plan_of(args: Args) -> SurveyPlan:
     """Return the plan with the changes that the settings request."""
     plan = find_plan(args.plan)
     names = ("pings", "interval_s", "order", "seed")
@@ -153,7 +153,7 @@ def session_settings(args: Args) -> dict[str, Any]:
     return {name: getattr(args, name) for name in names}
 
 
-def summary(path: Path, plan: Plan) -> str:
+def summary(path: Path, plan: SurveyPlan) -> str:
     """Return one line on the recording, and warnings."""
     if not path.stat().st_size:
         return f"{path}: nothing was recorded; continue with --resume"
@@ -187,22 +187,22 @@ def _seed(args: Args) -> int:
     return plan_of(args).seed
 
 
-def _rig_source(args: Args) -> Source:
+def _rig_source(args: Args) -> PingSource:
     return RigSource(_rig(args), _seed(args))
 
 
-def _twin_source(args: Args) -> Source:
+def _twin_source(args: Args) -> PingSource:
     if args.resume:
         raise SettingError("--resume does not work with --driver twin, which does not save its state; record again")
     rig = _rig(args)
     twin = Srf08Twin(rig, np.random.default_rng([_seed(args), args.unit]))
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
 
-    def place(condition: Cell) -> None:
-        twin.rig = arranged(rig, condition)
+    def place(condition: Condition) -> None:
+        twin.rig = apply_settings(rig, condition)
         loose = condition.values.get("loose_share", 0.0)
         twin.wire = BadWire(nack=0.8 * loose, lost_write=0.2 * loose)
-        told(sonar)(condition)
+        register_writer(sonar)(condition)
         bearing, incidence = np.deg2rad([condition.angle_deg, condition.incidence_deg])
         twin.place(Ping.of(condition.distance_mm * 1e-3, bearing, incidence, condition.reflectance))
 
@@ -221,17 +221,17 @@ SETTINGS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _real_source(args: Args) -> Source:
+def _real_source(args: Args) -> PingSource:
     given = {name: getattr(args, name) for name in SETTINGS[args.driver]}
     where = {} if args.port is None else {"port": args.port}
     sonar = DRIVERS[args.driver].open(**where, **given)
     if isinstance(sonar, Devantech):
         TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
-    return DriverSource(sonar, told(sonar), _columns(args, sonar), args.patience)
+    return DriverSource(sonar, register_writer(sonar), _columns(args, sonar), args.patience)
 
 
 # driver -> source of pings
-SOURCES: dict[str, Callable[[Args], Source]] = {
+SOURCES: dict[str, Callable[[Args], PingSource]] = {
     "rig": _rig_source,
     "twin": _twin_source,
     **dict.fromkeys(SETTINGS, _real_source),

@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 
 from acquisition import Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.unit import RANGES
-from acquisition.survey.plan import PLANS, Plan
+from acquisition.bench.laboratory.unit import RANGES
+from acquisition.survey.plan import PLANS, SurveyPlan
 from training.thesis.data import Floats, Samples
 from training.thesis.silence import Silence
 
@@ -25,7 +25,7 @@ COARSE = replace(PLANS["thesis"], distances_mm=tuple(float(d) for d in range(200
 Progress = Callable[[int, int], None]
 
 
-def survey(rig: Rig, plan: Plan, seed: int, progress: Progress | None = None) -> Recording:
+def survey(rig: Rig, plan: SurveyPlan, seed: int, progress: Progress | None = None) -> Recording:
     """Return what a rig records on a plan that varies nothing but distance, angle and reflector."""
     parts = [plan.ping(number) for number in range(len(plan))]
     names = ("distance", "angle", "incidence", "reflectance", "time", "run")
@@ -60,7 +60,7 @@ def tuned(
     trials: int,
     seed: int,
     progress: Progress = lambda done, of: None,
-    plan: Plan = COARSE,
+    plan: SurveyPlan = COARSE,
 ) -> Tuned:
     """Turn the nominal unit's free electronics until it falls silent where `target` does (Nelder and Mead).
 

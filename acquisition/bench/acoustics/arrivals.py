@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acquisition.bench.acoustics.air import Floats
+from acquisition.bench.laboratory.air import Floats
 
 Complexes = NDArray[np.complex128]
 Integers = NDArray[np.int64]

@@ -12,12 +12,12 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from acquisition.bench.acoustics.air import CARRIER, Air, Floats
 from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, LEAK, Arrivals, Complexes, Integers
-from acquisition.bench.acoustics.shapes import Disc, Plate, Shape, Wall, outline, shape_of, subtended, surfaces_of
 from acquisition.bench.acoustics.transducer import directivity
-from acquisition.bench.setup import Setup
-from acquisition.bench.unit import Unit
+from acquisition.bench.laboratory.air import CARRIER, Air, Floats
+from acquisition.bench.laboratory.setup import Setup
+from acquisition.bench.laboratory.shapes import Disc, Plate, Shape, Wall, outline, shape_of, subtended, surfaces_of
+from acquisition.bench.laboratory.unit import Unit
 from acquisition.ping import Ping
 
 HOUSING_AREA = 0.043 * 0.020  # m^2, area of the sensor's face, which reflects echoes

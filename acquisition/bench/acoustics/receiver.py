@@ -13,11 +13,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.acoustics.arrivals import Complexes, Integers
 from acquisition.bench.acoustics.transducer import OMEGA, OVERSAMPLING, PERIOD, pulse_phases, spectra
-from acquisition.bench.setup import Setup
-from acquisition.bench.unit import Unit
+from acquisition.bench.laboratory.air import Floats
+from acquisition.bench.laboratory.setup import Setup
+from acquisition.bench.laboratory.unit import Unit
 
 # gain of the analogue stage by the code in register 1 (Devantech SRF08 manual; Linux drivers/iio/proximity/srf08.c)
 # fmt: off

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.bench.acoustics.air import Floats
 from acquisition.bench.acoustics.arrivals import CEILING, CLUTTER, FACE, FLOOR, POST, SIDES, WALL, Arrivals, Integers
 from acquisition.bench.acoustics.geometry import PathGeometry, strip
-from acquisition.bench.acoustics.shapes import Disc, Plate, Wall, outline
-from acquisition.bench.setup import Post, Room, Scatterer
+from acquisition.bench.laboratory.air import Floats
+from acquisition.bench.laboratory.setup import Post, Room, Scatterer
+from acquisition.bench.laboratory.shapes import Disc, Plate, Wall, outline
 
 PostEcho = Iterator[tuple[Floats, Floats]]
 DETOUR_PIECES = 2  # number of pieces of outline merged into one for indirect paths

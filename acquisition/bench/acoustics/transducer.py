@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import CARRIER, Floats
-from acquisition.bench.unit import Unit
+from acquisition.bench.laboratory.air import CARRIER, Floats
+from acquisition.bench.laboratory.unit import Unit
 
 Complexes = NDArray[np.complex128]
 BURST_CYCLES = 8  # 200 us at 40 kHz

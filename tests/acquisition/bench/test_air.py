@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquisition.bench.acoustics.air import Drift, absorption_db, flutter, sound_speed
+from acquisition.bench.laboratory.air import Drift, absorption_db, flutter, sound_speed
 
 # Cramer 1993 at 0.04 % CO2, m/s, for 0, 50 and 80 % of humidity
 SPEEDS = {

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from acquisition import Ping
 from acquisition.bench import Disc, Plate, Rig, Room, Setup, Unit, Wall
-from acquisition.bench.acoustics.air import absorption_db, sound_speed
 from acquisition.bench.acoustics.geometry import REFERENCE
 from acquisition.bench.acoustics.receiver import GAINS
 from acquisition.bench.acoustics.room import between_images
 from acquisition.bench.acoustics.transducer import Piston, reference_peak
+from acquisition.bench.laboratory.air import absorption_db, sound_speed
 
 STEP = 0.5e-6
 ALONE = Setup.static(output="us")

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition import EchoStatus, Ping
 from acquisition.bench import MIRROR, Bus, Reverberation, Rig, Setup, Unit, Wall
-from acquisition.bench.acoustics.air import sound_speed
+from acquisition.bench.laboratory.air import sound_speed
 
 STATIC = Setup.static(gain=31, output="us", range_register=255)
 WALL = replace(STATIC, reflector=Wall())

@@ -8,7 +8,7 @@ import pytest
 
 from acquisition import EchoStatus, Ping, Recording, SettingError
 from acquisition.bench import Ambient, Bus, Neighbour, Post, Rig, Room, Setup, Unit, Wall
-from acquisition.bench.acoustics.air import sound_speed
+from acquisition.bench.laboratory.air import sound_speed
 from acquisition.bench.wire import Link
 
 STATIC = Setup.static(room=Room())

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from acquisition.bench import MIRROR, Plate, Post, Room, Scatterer, Setup, Unit
-from acquisition.bench.acoustics.air import Air, Gradient, sound_speed
 from acquisition.bench.acoustics.arrivals import BOUNCE, CEILING, CLUTTER, FACE, FLOOR, POST, SIDES, WALL
 from acquisition.bench.acoustics.geometry import PathGeometry, Poses
 from acquisition.bench.acoustics.room import arrivals
+from acquisition.bench.laboratory.air import Air, Gradient, sound_speed
 
 SPEED = float(sound_speed(19.0, 50.0))
 WAVELENGTH = SPEED / 40e3

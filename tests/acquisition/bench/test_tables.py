@@ -7,12 +7,12 @@ import pytest
 
 from acquisition import Ping
 from acquisition.bench import MIRROR, RUBBER, Disc, Plate, Post, Rig, Room, Setup, Unit, Wall
-from acquisition.bench.acoustics.air import Air, sound_speed
 from acquisition.bench.acoustics.arrivals import FACE, FLOOR, POST
 from acquisition.bench.acoustics.geometry import PathGeometry, Poses
 from acquisition.bench.acoustics.receiver import Pulses, crossings, gain_over_time, waveforms
 from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PERIOD, pulse_at, pulse_phases
+from acquisition.bench.laboratory.air import Air, sound_speed
 
 SPEED = float(sound_speed(19.0, 50.0))
 WAVELENGTH = SPEED / 40e3

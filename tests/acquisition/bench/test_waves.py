@@ -14,7 +14,6 @@ from acquisition.bench import (
     Unit,
     Wall,
 )
-from acquisition.bench.acoustics.air import Air, sound_speed
 from acquisition.bench.acoustics.arrivals import FACE, Arrivals
 from acquisition.bench.acoustics.geometry import PathGeometry, Poses, amplitude_scale
 from acquisition.bench.acoustics.receiver import (
@@ -31,6 +30,7 @@ from acquisition.bench.acoustics.receiver import (
 from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PERIOD, Piston, pulse_at, pulse_phases
 from acquisition.bench.firmware import first_echoes, smoothed, to_codes
+from acquisition.bench.laboratory.air import Air, sound_speed
 
 SPEED = float(sound_speed(19.0, 50.0))
 WAVELENGTH = SPEED / 40e3

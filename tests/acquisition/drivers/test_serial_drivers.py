@@ -201,7 +201,7 @@ def test_another_maxbotix_model_is_an_error():
 class TestPseudoTerminal:
     """The same with pyserial, in real time."""
 
-    def test_srf08_and_hcsr04(self, patiently):
+    def test_srf08_and_hcsr04(self, retry):
         def attempt():
             twin = ArduinoTwin(make_twin(Srf08Twin, HostClock()), make_twin(HcSr04Twin, HostClock()))
             with PseudoTerminal(twin) as far:
@@ -213,9 +213,9 @@ class TestPseudoTerminal:
                     sonar.ping()
                 sonar.bus.close()
 
-        patiently(attempt)
+        retry(attempt)
 
-    def test_unplugged(self, patiently):
+    def test_unplugged(self, retry):
         def attempt():
             with PseudoTerminal(ArduinoTwin(None, make_twin(HcSr04Twin, HostClock()))) as far:
                 sonar = HcSr04.open(far.path)
@@ -225,16 +225,16 @@ class TestPseudoTerminal:
                     sonar.ping()
                 sonar.bridge.close()
 
-        patiently(attempt)
+        retry(attempt)
 
-    def test_maxbotix(self, patiently):
+    def test_maxbotix(self, retry):
         def attempt():
             with PseudoTerminal(make_twin(MaxBotixTwin, HostClock(), model="lv")) as far:
                 sonar = MaxBotix.open(far.path, model="lv")
                 assert sonar.ping().ranges == pytest.approx((1.01,), abs=0.03)
                 sonar.port.close()
 
-        patiently(attempt)
+        retry(attempt)
 
     def test_a_missing_port_is_an_error_with_the_ports_found(self):
         with pytest.raises(DeviceError, match=r"/dev/ttyNONE: .*serial ports found: .*; check the USB cable"):

@@ -197,7 +197,7 @@ def test_checksums_of_sketch_and_host_agree(mega):
     mega.output.clear()
 
 
-def test_pyserial_communicates_with_the_compiled_sketch_at_a_pseudo_terminal(bridge, mega, patiently):
+def test_pyserial_communicates_with_the_compiled_sketch_at_a_pseudo_terminal(bridge, mega, retry):
     def attempt():
         with PseudoTerminal(OnCable(mega)) as far:
             opened = Bridge.open(far.path)
@@ -208,4 +208,4 @@ def test_pyserial_communicates_with_the_compiled_sketch_at_a_pseudo_terminal(bri
                 HcSr04(opened).ping()
             opened.close()
 
-    patiently(attempt)
+    retry(attempt)

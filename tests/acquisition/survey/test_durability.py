@@ -214,7 +214,7 @@ def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, number, code):
     error = process.communicate()[1]
     assert process.returncode == code
     if number == signal.SIGINT:
-        assert "of 120 conditions are on disk, go on with --resume" in error
+        assert "of 120 conditions are on disk; continue with --resume" in error
         assert "Traceback" not in error
     assert unfinished_path(path).exists()
     for arguments in ([str(path), "--resume"], [str(whole)]):

@@ -8,7 +8,7 @@ from noise.discrepancy.describe import formula
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
-STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "cells": {"placement_m": 0.003}})
+STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "visits": {"placement_m": 0.003}})
 
 
 def batch_of(seed, error_mm, cells=80, pings=6):

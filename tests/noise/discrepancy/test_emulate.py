@@ -15,7 +15,7 @@ from noise.discrepancy.verdict import BaselineCheck
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood
-from noise.fitting.stack import CELLS, Stack
+from noise.fitting.stack import VISITS, Stack
 from noise.fitting.starts import nuisance_start
 from noise.model import simulate
 from noise.physical import PhysicalModel
@@ -51,7 +51,7 @@ def test_a_wall_that_answers_where_the_target_is_too_faint_is_part_of_the_simula
     recording, fresh = heard(3, **WALL), Batch.of(heard(13, **WALL))
     assert 0.1 < np.mean(fresh.is_outlier(fresh.error)) < 0.6, "the wall answers for a good part of the targets"
     truth = PhysicalModel([CATALOGUE[name](**values) for name, values in {**TARGET, **WALL}.items()], 0.01)
-    best = Stack.of(truth).put([(CELLS, "placement_m"), (CELLS, "sharing")], [0.003, 0.0])
+    best = Stack.of(truth).put([(VISITS, "placement_m"), (VISITS, "urn_weight")], [0.003, 0.0])
     stack = emulated(recording, None, 0).stack
     assert stack.get(("fixed_clutter", "range_m")) == pytest.approx(4.4, abs=0.02)
     assert log_likelihood(stack, fresh).mean() > log_likelihood(best, fresh).mean() - 0.4, "on positions it never met"
@@ -69,7 +69,7 @@ def test_a_law_describes_a_simulation_that_it_reads_right_whatever_its_air_does(
     law = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004)])
     reading = simulate(law, Ping.of(distance=distance + swell + off_m), rng)
     scatter = float(np.hypot(0.004, swell.std()))
-    stack = Stack.of(law).put([("travel_time_jitter", "sigma_m"), (CELLS, "placement_m")], [scatter, 0.0])
+    stack = Stack.of(law).put([("travel_time_jitter", "sigma_m"), (VISITS, "placement_m")], [scatter, 0.0])
     check = checked(stack, Batch.of(Recording.of(Ping.of(distance=distance), reading)), np.random.default_rng(0))
     assert (check.describes_simulation, check.wholly) == (good, wholly)
     assert ("but for how" in check.note) == (good and not wholly)

@@ -18,7 +18,7 @@ from noise.physical import PhysicalModel
 
 torch.set_num_threads(1)
 SONAR = {"travel_time_jitter": {"sigma_m": 0.004}, "sensitivity": {"loss_db": 33.0}}
-LAW = Stack({**SONAR, "cells": {"placement_m": 0.003}})
+LAW = Stack({**SONAR, "visits": {"placement_m": 0.003}})
 KEY = ("zero_offset", "offset_m")
 
 

@@ -16,7 +16,7 @@ from noise.fitting.stack import Stack
 from noise.physical import PhysicalModel
 
 torch.set_num_threads(1)
-STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "cells": {"placement_m": 0.003}})
+STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "visits": {"placement_m": 0.003}})
 
 
 def heard(seed, change=lambda d, a: d, cells=80, pings=6, lost=None):

@@ -24,7 +24,7 @@ def test_the_same_measurement_is_asked_for_once():
 BASE = {
     "sensitivity": {"loss_db": 40.0},
     "travel_time_jitter": {"sigma_m": 0.004},
-    "cells": {"placement_m": 0.003, "sharing": 0.02, "kernel_m": 0.004},
+    "visits": {"placement_m": 0.003, "urn_weight": 0.02, "urn_width_m": 0.004},
 }
 PAIRS = {
     "zero and clock": ({"zero_offset": {"offset_m": 0.012}}, {"clock_scale": {"error": 0.012}}),

@@ -13,7 +13,7 @@ from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.stack import CELLS, Stack
+from noise.fitting.stack import VISITS, Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
 
@@ -43,7 +43,7 @@ def cancelling(share, seed):
 
 def searched(recording):
     split = Split.of(Batch.of(recording), np.random.default_rng(1))
-    base = Stack.of(sonar()).put([(CELLS, "placement_m")], [0.003])
+    base = Stack.of(sonar()).put([(VISITS, "placement_m")], [0.003])
     return Search(base, split.discover, split.confirm, split.both)
 
 

@@ -11,7 +11,7 @@ from noise.discrepancy.rest import beyond
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
-from noise.fitting.stack import CELLS, NUISANCES, SPREAD, Stack
+from noise.fitting.stack import NUISANCES, SPREAD, VISITS, Stack
 from noise.physical import PhysicalModel
 
 PINGS = 12
@@ -33,7 +33,7 @@ def left(recording, seed=0):
     """Return what is left of a recording that a scatter and nothing else explains."""
     batch = Batch.of(recording)
     stack = Stack.of(PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004)]))
-    stack = stack.put([(CELLS, "placement_m")], [0.004])
+    stack = stack.put([(VISITS, "placement_m")], [0.004])
     return remainder(maximise(stack, (*SPREAD, *NUISANCES), batch).stack, batch, np.random.default_rng(seed))
 
 
@@ -60,7 +60,7 @@ def test_a_wave_along_the_rail_follows_from_the_conditions():
 def test_too_few_cells_teach_nothing():
     few = Batch.of(recorded()).select(np.arange(60 * PINGS) < 5 * PINGS)
     stack = Stack.of(PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004)]))
-    stack = stack.put([(CELLS, "placement_m")], [0.004])
+    stack = stack.put([(VISITS, "placement_m")], [0.004])
     assert remainder(stack, few, np.random.default_rng(0)).nats == 0.0
 
 

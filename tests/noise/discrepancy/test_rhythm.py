@@ -9,7 +9,7 @@ from noise.discrepancy.rhythm import Beat, rhythm
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
-STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "cells": {"placement_m": 0.003}})
+STACK = Stack({"travel_time_jitter": {"sigma_m": 0.004}, "visits": {"placement_m": 0.003}})
 
 
 def recording(seed, wave=lambda t: 0.0 * t, carry=0.0, cells=40, pings=25):

@@ -14,7 +14,7 @@ from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
-from noise.fitting.stack import CELLS, JITTER, NUISANCES, Stack
+from noise.fitting.stack import JITTER, NUISANCES, VISITS, Stack
 from noise.fitting.starts import nuisance_start
 from noise.model import simulate
 from noise.physical import PhysicalModel
@@ -22,11 +22,11 @@ from noise.physical import PhysicalModel
 torch.set_num_threads(1)
 OFFSET, CLOCK = ("zero_offset", "offset_m"), ("clock_scale", "error")
 ELSEWHERE = {  # summits of what cells share that a climb may not come down from
-    (CELLS, "sharing"): 0.0,
-    (CELLS, "carry"): 0.6,
-    (CELLS, "kernel_m"): 0.02,
-    (CELLS, "hearing"): 0.05,
-    (CELLS, "placement_m"): 0.03,
+    (VISITS, "urn_weight"): 0.0,
+    (VISITS, "ping_correlation"): 0.6,
+    (VISITS, "urn_width_m"): 0.02,
+    (VISITS, "detection_weight"): 0.05,
+    (VISITS, "placement_m"): 0.03,
     (JITTER, "sigma_m"): 0.02,
 }
 

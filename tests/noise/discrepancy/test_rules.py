@@ -7,13 +7,13 @@ import pytest
 
 from noise.discrepancy.rules import Rules, spread_over_blocks
 
-CELLS = 70
+VISITS = 70
 AGAINST_A_SIMULATION = replace(Rules(), least_nats=12.0, least_t=2.0 * np.sqrt(2.0))  # with as many positions
 
 
 def struck(cells, nats=10.0, elsewhere=-0.05):
     """Return the gain of an effect that is plain in some cells and costs a little in all others."""
-    return np.r_[np.full(cells, nats), np.full(CELLS - cells, elsewhere)]
+    return np.r_[np.full(cells, nats), np.full(VISITS - cells, elsewhere)]
 
 
 @pytest.mark.parametrize(("cells", "believed"), [(1, False), (4, False), (5, False), (7, True), (20, True)])
@@ -37,9 +37,9 @@ def test_what_is_plain_needs_no_more_than_what_is_faint():
 
 
 def test_one_cell_makes_no_case_and_breaks_none():
-    even = np.full(CELLS, 0.5)
+    even = np.full(VISITS, 0.5)
     assert Rules().believes("clock_scale", even)
-    assert not Rules().believes("clock_scale", np.r_[60.0, np.zeros(CELLS - 1)])
+    assert not Rules().believes("clock_scale", np.r_[60.0, np.zeros(VISITS - 1)])
     heavy = np.r_[40.0, even]
     assert heavy.sum() < 2.0 * spread_over_blocks(heavy)
     assert Rules().believes("clock_scale", heavy, first=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from noise.effects import CATALOGUE
-from noise.effects.base import Seen
+from noise.effects.base import EchoSample
 from noise.effects.medium import ASSUMED_SPEED
 
 CLOCK = CATALOGUE["asynchronous_crosstalk"]
@@ -21,7 +21,7 @@ def echoes(seed, pace, period, jitter=0.0, error=0.0):
     late = np.mod(rng.uniform(0.0, period) - time, period) + rng.normal(0.0, error, len(time))
     reading = 0.5 * ASSUMED_SPEED * late
     hit = (late > 1e-3) & (reading < distance - 0.15) & (rng.random(len(time)) < 0.5)
-    return Seen(distance, time, np.where(hit, reading, distance))
+    return EchoSample(distance, time, np.where(hit, reading, distance))
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.002])

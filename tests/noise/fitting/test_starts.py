@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Recording
-from noise.effects import CATALOGUE, Seen
+from noise.effects import CATALOGUE, EchoSample
 from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood, maximise
 from noise.fitting.stack import NUISANCES, Stack
@@ -49,7 +49,7 @@ def test_a_parameter_that_shifts_no_echo_has_no_estimate():
 @pytest.mark.parametrize("period_s", [200.0, 900.0])
 def test_a_thermal_oscillation_starts_at_its_period(period_s):
     batch = batch_of(thermal_drift={"sine_k": 4.0, "cosine_k": -3.0, "period_s": period_s})
-    seen = Seen(batch.ping.distance, batch.ping.time, batch.reading.range)
+    seen = EchoSample(batch.ping.distance, batch.ping.time, batch.reading.range)
     first = CATALOGUE["thermal_drift"].guesses(seen)[0]
     assert first["period_s"] == pytest.approx(period_s, rel=0.1)
     assert np.hypot(first["sine_k"], first["cosine_k"]) == pytest.approx(5.0, abs=1.5)
@@ -57,7 +57,7 @@ def test_a_thermal_oscillation_starts_at_its_period(period_s):
 
 def test_intermittent_noise_starts_at_the_onset_of_early_readings():
     batch = batch_of(false_alarm={"per_metre": 5.0, "share": 0.3, "from_m": 0.25})
-    seen = Seen(batch.ping.distance, batch.ping.time, batch.reading.range)
+    seen = EchoSample(batch.ping.distance, batch.ping.time, batch.reading.range)
     guess, steady = CATALOGUE["false_alarm"].guesses(seen)
     assert guess["from_m"] == pytest.approx(0.25, abs=0.05)
     assert guess["share"] == pytest.approx(0.3, abs=0.12)
@@ -70,7 +70,7 @@ def test_steady_noise_is_fitted_from_its_starting_points():
     """Noise in all pings from the start is common, although one of its parameters is at its null value."""
     truth = {"per_metre": 0.03, "share": 1.0, "from_m": 0.0}
     batch = batch_of(visits=300, false_alarm=truth)
-    *_, steady = CATALOGUE["false_alarm"].guesses(Seen(batch.ping.distance, batch.ping.time, batch.reading.range))
+    *_, steady = CATALOGUE["false_alarm"].guesses(EchoSample(batch.ping.distance, batch.ping.time, batch.reading.range))
     assert steady["per_metre"] == pytest.approx(0.03, rel=0.35)
     stack = nuisance_start(Stack.of(PhysicalModel((), batch.resolution)), batch)
     starts = starting_points(stack, "false_alarm", batch, np.random.default_rng(0))
@@ -89,7 +89,7 @@ def test_the_value_of_a_stuck_register_is_guessed_exactly():
     value = np.where(
         rng.random(300) < 0.1, 0.3327, np.where(rng.random(300) < 0.1, rng.uniform(0.1, 0.6, 300), distance)
     )
-    (guess, *_) = CATALOGUE["stuck"].guesses(Seen(distance, np.zeros(300), value))
+    (guess, *_) = CATALOGUE["stuck"].guesses(EchoSample(distance, np.zeros(300), value))
     assert guess["value_m"] == 0.3327
     assert guess["probability"] == pytest.approx(0.1, abs=0.04)
-    assert CATALOGUE["stuck"].guesses(Seen(distance, np.zeros(300), distance)) == []
+    assert CATALOGUE["stuck"].guesses(EchoSample(distance, np.zeros(300), distance)) == []

@@ -83,14 +83,14 @@ def test_echo_and_no_echo_are_exact_however_rare_either_is(loss_db):
     law, _ = near_threshold(loss_db, np.full(1, 2.0))
     path = law.state.direct
     margin = float(path.level_db[0, 0] / law.state.width_db)
-    assert float(law.heard_tensor()[0]) == pytest.approx(stats.norm.cdf(margin), rel=1e-9)
+    assert float(law.any_echo_tensor()[0]) == pytest.approx(stats.norm.cdf(margin), rel=1e-9)
     assert float(law.no_echo_tensor()[0]) == pytest.approx(stats.norm.sf(margin), rel=1e-9)
 
 
 @pytest.mark.parametrize(("loss_db", "range_"), [(0.0, 0.0), (79.0, 2.0)])
 def test_a_visit_with_an_improbable_outcome_counts_once(loss_db, range_):
     law, batch = near_threshold(loss_db, np.full(25, range_))
-    odds = law.no_echo_tensor() if range_ == 0.0 else law.heard_tensor()
+    odds = law.no_echo_tensor() if range_ == 0.0 else law.any_echo_tensor()
     assert float(odds[0]) < 1e-12
     each = log_prob(law, VisitEffects(detection_weight=1.0, placement_m=0.002), batch).numpy()
     assert each[0] < -7.0

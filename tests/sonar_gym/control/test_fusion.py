@@ -19,7 +19,7 @@ from sonar_gym.control.street_inference import (
     space_probability,
 )
 from sonar_gym.sensing.mounts import LAYOUTS, in_world, mount_arrays
-from sonar_gym.sensing.scene import Box, Scene, Wall
+from sonar_gym.sensing.scene import Box, Scene, WallSegment
 
 EIGHT = LAYOUTS["eight"]
 MOUNTS, HALF = mount_arrays(EIGHT)
@@ -34,7 +34,7 @@ def test_expected_readings_equal_those_of_the_scene():
         Box(0.5 * (edges[0] + edges[1]), middle, edges[1] - edges[0], depth),
         Box(edges[2] + 15, middle, 30, depth),
     ]
-    scene = Scene([Wall(-30, wall, 30, wall), Wall(-30, kerb, 30, kerb), *boxes])
+    scene = Scene([WallSegment(-30, wall, 30, wall), WallSegment(-30, kerb, 30, kerb), *boxes])
     hits = scene.cast(in_world(MOUNTS, np.array([x, y, heading])), HALF, LIMIT)
     assert expected_ranges(STATE, MOUNTS, HALF, LIMIT) == pytest.approx(hits.distance)
 

@@ -6,8 +6,7 @@ import pytest
 
 from acquisition import Reading
 from noise import GaussianModel, IdealModel
-from sonar_gym.parking import drawing
-from sonar_gym.parking import rendering
+from sonar_gym.parking import drawing, rendering
 from sonar_gym.parking.drawing import Camera, credence_colour
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

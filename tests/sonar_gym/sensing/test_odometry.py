@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from sonar_gym.parking.environment import ODOMETRY_SPAN, STEP_S, SonarParkingEnv
 from sonar_gym.sensing import kernels
-from sonar_gym.sensing.odometry import ODOMETRIES, Odometer, OdometrySettings, odometry, dead_reckoned
+from sonar_gym.sensing.odometry import ODOMETRIES, Odometer, OdometrySettings, dead_reckoned, odometry
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)).map(np.array)
 

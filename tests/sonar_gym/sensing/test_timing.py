@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from noise import GaussianModel, IdealModel
 from sonar_gym.sensing.sonar import Sonar
-from sonar_gym.sensing.timing import ScheduledSonar, ConeConditions, timing
+from sonar_gym.sensing.timing import ConeConditions, ScheduledSonar, timing
 
 STEP = 0.1
 ROW = np.zeros(1, dtype=np.int64)

@@ -9,7 +9,8 @@ from acquisition import Ping, SettingError
 from noise import CATALOGUE, GaussianModel, PhysicalModel
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
-from noise.learned.recurrent import ANCHORS, LINKS, Cell, LstmModel
+from noise.learned.recurrent import LstmModel
+from noise.learned.recurrent_state import N_ANCHORS, N_HISTORY_FEATURES, LstmCell
 from sonar_gym import SonarObservation, SonarVectorObservation
 
 N, STEPS = 3, 14
@@ -43,9 +44,9 @@ def lstm():
     names = ("distance", "angle", "incidence", "reflectance")
     learned_on = Ping.of(distance=[0.1, 2.0, 5.5], angle=[0.0, 0.2, 0.6], incidence=[0.1, 0.0, 0.6], reflectance=0.5)
     inputs, state = Inputs.of(learned_on, names), 6
-    head = Head(3, 2, 0.01, 6.0, anchored=ANCHORS, fails=True)
-    width = inputs.width + LINKS
-    cell = Cell(*(rng.normal(size=shape) for shape in ((4 * state, width), (4 * state, state), (4 * state,))))
+    head = Head(3, 2, 0.01, 6.0, anchored=N_ANCHORS, fails=True)
+    width = inputs.width + N_HISTORY_FEATURES
+    cell = LstmCell(*(rng.normal(size=shape) for shape in ((4 * state, width), (4 * state, state), (4 * state,))))
     return LstmModel(inputs, head, cell, [(rng.normal(size=(head.width, width + state)), rng.normal(size=head.width))])
 
 

@@ -11,7 +11,7 @@ from noise import Faulty
 from training.agents import compare_drivers
 from training.agents.compare_drivers import Args, compare, sonar_of
 from training.cli import main
-from training.common.paired import Paired
+from training.common.statistics import PairedComparison
 
 bits = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60)
 
@@ -20,11 +20,11 @@ bits = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60
 @given(bits)
 def test_the_difference_is_that_of_the_shares_and_changes_sign_with_the_order(pairs):
     first, second = np.array(pairs).T
-    paired = Paired.of(first, second)
+    paired = PairedComparison.of(first, second)
     assert paired.difference == pytest.approx(second.mean() - first.mean())
     low, high = paired.interval
     assert -1.0 <= low < high <= 1.0
-    again = Paired.of(second, first)
+    again = PairedComparison.of(second, first)
     assert (again.p, again.difference) == pytest.approx((paired.p, -paired.difference))
     assert again.interval == pytest.approx((-high, -low))
 
@@ -32,14 +32,14 @@ def test_the_difference_is_that_of_the_shares_and_changes_sign_with_the_order(pa
 def test_the_interval_covers_the_truth_in_95_percent():
     rng = np.random.default_rng(0)
     first, second = rng.random((2000, 150)) < 0.9, rng.random((2000, 150)) < 0.8
-    intervals = np.array([Paired.of(a, b).interval for a, b in zip(first, second, strict=True)])
+    intervals = np.array([PairedComparison.of(a, b).interval for a, b in zip(first, second, strict=True)])
     covered = (intervals[:, 0] <= -0.1) & (intervals[:, 1] >= -0.1)
     assert covered.mean() == pytest.approx(0.95, abs=0.015)
 
 
 def test_mcnemar_s_test_has_known_p_values():
-    assert Paired(gained=1, lost=9, scenes=50).p == pytest.approx(22 / 1024)  # 2 (1 + 10) / 2^10
-    assert Paired(gained=0, lost=0, scenes=50).p == 1.0
+    assert PairedComparison(gained=1, lost=9, scenes=50).p == pytest.approx(22 / 1024)  # 2 (1 + 10) / 2^10
+    assert PairedComparison(gained=0, lost=0, scenes=50).p == 1.0
 
 
 def test_the_ideal_sonar_has_no_faults():

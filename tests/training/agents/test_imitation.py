@@ -6,7 +6,7 @@ import torch
 from stable_baselines3 import PPO
 
 from acquisition import SettingError
-from sonar_gym.control.memory import Memory, MemorySettings
+from sonar_gym.control.memory import MemorySettings, ObservationMemory
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from training.agents.imitation import ImitationSettings, LabelBuffer, Teacher, imitate, mean_action
 from training.agents.vec_env import AgentVecEnv
@@ -22,7 +22,7 @@ def results_of_teacher(envs, decisions=160):
     teachers = [Teacher(venv.envs.fleet) for venv in envs.venvs]
     envs.reset()
     for _ in range(decisions):
-        ways = [envs.memory.way[part] for part in envs.parts]
+        ways = [envs.memory.travel[part] for part in envs.parts]
         envs.advance(np.concatenate([t.act(way) for t, way in zip(teachers, ways, strict=True)]))
     return np.array([(end.success, end.collision) for end in envs.ended])
 
@@ -50,20 +50,20 @@ def test_each_car_drives_in_its_own_kind_of_environment():
 
 
 def test_an_action_is_repeated_and_its_rewards_are_summed():
-    envs, plain, memory = make_envs(3, repeat=3), SonarParkingVectorEnv(3), Memory(3)
+    envs, plain, memory = make_envs(3, repeat=3), SonarParkingVectorEnv(3), ObservationMemory(3)
     rows, action = np.arange(3), np.tile(np.float32([0.1, 0.7]), (3, 1))
     first = envs.reset()
     observation, _ = plain.reset(seed=1)
-    memory.forget(rows)
-    memory.see(rows, observation)
-    assert np.array_equal(first, memory.show(rows))
+    memory.reset(rows)
+    memory.update(rows, observation)
+    assert np.array_equal(first, memory.features(rows))
     shown, reward, _, _ = envs.advance(action)
     total = np.zeros(3)
     for _ in range(3):
         observation, r, *_ = plain.step(action)
-        memory.see(rows, observation)
+        memory.update(rows, observation)
         total += r
-    assert np.array_equal(shown, memory.show(rows))
+    assert np.array_equal(shown, memory.features(rows))
     assert reward == pytest.approx(total, abs=1e-5)
     plain.close()
 
@@ -82,7 +82,7 @@ def test_the_end_of_an_episode_is_reported_and_clears_the_memory():
     assert infos[0]["episode"]["r"] == pytest.approx(total[0], abs=1e-4)
     assert envs.ended[0].collision
     assert infos[0]["terminal_observation"].shape == shown[0].shape
-    assert envs.memory.way[0] == pytest.approx(0.0, abs=1e-6)  # of the new episode
+    assert envs.memory.travel[0] == pytest.approx(0.0, abs=1e-6)  # of the new episode
     assert not np.array_equal(infos[0]["terminal_observation"], shown[0])
 
 
@@ -111,5 +111,5 @@ def test_imitation_approaches_the_teacher():
     assert np.mean(losses[-20:]) < 0.4 * np.mean(losses[:5])
     assert len(losses) == 120
     own = mean_action(policy, torch.from_numpy(envs.reset())).detach().numpy()
-    labels = Teacher(envs.venvs[0].envs.fleet).act(envs.memory.way)
+    labels = Teacher(envs.venvs[0].envs.fleet).act(envs.memory.travel)
     assert np.abs(own[:, 1] - labels[:, 1]).mean() < 0.2  # all begin by driving forwards

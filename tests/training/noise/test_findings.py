@@ -5,7 +5,7 @@ import pytest
 
 from acquisition import Ping, Recording
 from noise import GaussianModel, simulate
-from noise.metrics import Score
+from noise.metrics import ClusterMean
 from training.noise.experiments import MemoryGain
 from training.noise.findings import POSITIONS, ConditionCredence, NoiseFindings, by_position_in_condition, targets
 
@@ -49,7 +49,7 @@ def test_likelihood_of_independent_pings_does_not_depend_on_position(recording):
      ("independent pings", 0.5, False), ("independent pings", -0.5, False)],
 )  # fmt: skip
 def test_memory_must_gain_on_correlated_pings_only(scenario, mean, met):
-    gain = MemoryGain(Score(-1.0, 0.1, 100, 10), Score(mean, 0.1, 100, 10))
+    gain = MemoryGain(ClusterMean(-1.0, 0.1, 100, 10), ClusterMean(mean, 0.1, 100, 10))
     (target,) = targets(NoiseFindings({}, {}, {}, {scenario: gain}, {}, ("a",)))
     assert target.met is met
     assert target.result == f"{mean:.3f} nats per ping, 95 %: {mean - 0.196:.3f} to {mean + 0.196:.3f}"

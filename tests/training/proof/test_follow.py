@@ -61,8 +61,8 @@ def test_fresh_readings_speak_for_the_law_that_drew_them(tmp_path):
     from training.proof.told import told
 
     usual = {"sensitivity": {"loss_db": 40.0}, "travel_time_jitter": {"sigma_m": 0.004}}
-    own = Stack({**usual, "cells": {"placement_m": 0.003}, "zero_offset": {"offset_m": 0.012}})
-    other = Stack({**usual, "cells": {"placement_m": 0.003}, "clock_scale": {"error": 0.012}})
+    own = Stack({**usual, "visits": {"placement_m": 0.003}, "zero_offset": {"offset_m": 0.012}})
+    other = Stack({**usual, "visits": {"placement_m": 0.003}, "clock_scale": {"error": 0.012}})
     rival = Rival("clock_scale", "zero_offset", 1.0, 0.0, other)
     seen = Ping.of(distance=np.linspace(0.7, 1.3, 20))
     asked = next_measurement(own, [("zero_offset", "clock_scale", other)], seed=0, seen=seen)

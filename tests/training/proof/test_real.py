@@ -66,5 +66,5 @@ def test_the_page_says_plainly_what_fits(verdict, effects, fits):
 
 
 def test_a_folder_without_recordings_is_told(tmp_path):
-    with pytest.raises(SettingError, match="holds none of"):
+    with pytest.raises(SettingError, match="contains none of"):
         main(Args(tmp_path, tmp_path / "out"))

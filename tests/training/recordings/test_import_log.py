@@ -92,10 +92,10 @@ def test_an_empty_field_is_no_answer_and_a_zero_no_echo(tmp_path):
     ("file", "options", "message"),
     [
         ("log.csv", [], "--columns is required"),
-        ("log.bag", [], "a bag holds no true distance"),
-        ("log.bag", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
-        ("log.mcap", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
-        ("log.db3", ["--constants", "distance_mm=1000"], "not a bag that can be read"),
+        ("log.bag", [], "a bag has no true distance"),
+        ("log.bag", ["--constants", "distance_mm=1000"], "not a readable bag"),
+        ("log.mcap", ["--constants", "distance_mm=1000"], "not a readable bag"),
+        ("log.db3", ["--constants", "distance_mm=1000"], "not a readable bag"),
         ("log.bag", ["--truth-topic", "/a", "--truth-csv", "b.csv"], "expected a topic or a table, got both"),
     ],
 )

@@ -8,12 +8,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from acquisition import NoAnswerError
-from acquisition.survey.plan import PLANS, Cell
+from acquisition.survey.plan import PLANS, Condition
 from acquisition.survey.session import Answer
 from training.recordings.operator import TerminalOperator, changes
 from training.recordings.record import effort
 
-CONDITION = Cell(500.0, 10.0, 0.9, 0.0, (("gain", 3.0), ("height_mm", 1500.0)))
+CONDITION = Condition(500.0, 10.0, 0.9, 0.0, (("gain", 3.0), ("height_mm", 1500.0)))
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_the_first_condition_is_described_in_full_in_mm_and_degrees(ask):
     text = out.getvalue()
     assert "Set up: distance 500 mm" in text
     assert "bearing of the reflector 10 deg" in text
-    assert "height of sensor and reflector over the floor 1500 mm" in text
+    assert "height of sensor and reflector above the floor 1500 mm" in text
     assert "gain" not in text  # a register of the sonar
     assert "r repeat the previous one" not in text
 

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition import DeviceError, NoAnswerError, Recording
 from acquisition.drivers import Echoes
-from acquisition.survey.plan import Plan
+from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from acquisition.survey.sources import DriverSource
 from training.cli import main
@@ -41,7 +41,7 @@ def test_the_seed_determines_the_file_and_resuming_a_complete_one_changes_nothin
     with pytest.raises(SystemExit):
         main(["record", "--out", str(paths[0]), "--seed", "1", *FEW])
     error = capsys.readouterr().err.strip()
-    assert error.endswith("a.csv: is there already; go on with it (--resume) or give another file")
+    assert error.endswith("a.csv: exists already; continue it with --resume or give another file")
     main(["record", "--out", str(paths[0]), "--seed", "1", "--resume", *FEW])
     assert paths[0].read_bytes() == first
 
@@ -99,7 +99,7 @@ def test_a_lost_connection_reports_what_is_on_disk_and_how_to_resume(tmp_path, f
                 raise fault
             return Echoes((1.0,))
 
-    plan = Plan((0.0,), (500.0, 700.0, 900.0), (0.9,), pings=2)
+    plan = SurveyPlan((0.0,), (500.0, 700.0, 900.0), (0.9,), pings=2)
     source = DriverSource(Unplugged(), sleep=lambda s: None, patience=1)
     with pytest.raises(type(fault), match=r"; 2 of 3 conditions are on disk; continue with --resume"):
         measure(Session(plan, source, tmp_path / "r.csv"), lambda done, total: None)

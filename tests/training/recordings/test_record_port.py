@@ -30,7 +30,7 @@ DEVICES = {
 
 
 @pytest.mark.parametrize("driver", DEVICES)
-def test_records_from_a_port(tmp_path, driver, patiently):
+def test_records_from_a_port(tmp_path, driver, retry):
     plan, path = tmp_path / "p.toml", tmp_path / "r.csv"
     plan.write_text(PLAN, encoding="utf-8")
     gain = ["--gain", "16"] if driver == "srf10" else []
@@ -44,7 +44,7 @@ def test_records_from_a_port(tmp_path, driver, patiently):
         assert recording.reading.range == pytest.approx(np.full(3, 1.0), abs=0.04)
         assert ("gain" in recording.ping.covariates) == (driver in ("srf08", "srf10"))
 
-    patiently(attempt)
+    retry(attempt)
 
 
 def test_no_answer_is_not_recorded_as_no_echo(tmp_path, capsys):

@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from acquisition.bench.acoustics.air import Gradient
-from acquisition.bench.acoustics.interference import Ambient, Hum, Mover, Neighbour, Reverberation
-from acquisition.bench.acoustics.shapes import Shape
+from acquisition.bench.laboratory.air import Gradient
+from acquisition.bench.laboratory.interference import Ambient, Hum, Mover, Neighbour, Reverberation
+from acquisition.bench.laboratory.shapes import Shape
 from acquisition.errors import SettingError
 
 Output = Literal["inch", "cm", "us"]

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.air import Floats
+from acquisition.bench.laboratory.air import Floats
 from acquisition.errors import SettingError
 from acquisition.ping import Ping
 
