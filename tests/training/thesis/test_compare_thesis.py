@@ -1,4 +1,4 @@
-"""What networks tell of silence, where the answer is known; tuning that finds what was planted; the whole command."""
+"""Distances without echo on data with known answers, recovery of a known unit, and the command compare-thesis."""
 
 from dataclasses import replace
 
@@ -7,96 +7,109 @@ import pytest
 
 from acquisition import ModelError, Ping, Reading, Recording, SettingError
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.laboratory.unit import RANGES
+from acquisition.bench.unit import RANGES
 from acquisition.survey.plan import PLANS
 from noise.learned.thesis import ThesisNetwork
 from training.thesis import rig
-from training.thesis.compare_thesis import Args, main
+from training.thesis.compare_thesis import Args, condition_readings, main
 from training.thesis.data import Samples
-from training.thesis.rig import published
-from training.thesis.rig_page import cell_readings
-from training.thesis.silence import ANGLES_DEG, Errors, Silence, kinds, middle, offset
-from training.thesis.tuning import COARSE, survey, tuned
+from training.thesis.rig import (
+    ANGLES_DEG,
+    COARSE,
+    NetworkErrors,
+    SilentDistances,
+    mean_offset,
+    ping_kinds,
+    published,
+    survey,
+    tuned,
+)
 
-DEAF_M = np.stack([6.0 - 0.05 * ANGLES_DEG, 4.0 - 0.05 * ANGLES_DEG])  # mirror, rubber
+LIMIT_M = np.stack([6.0 - 0.05 * ANGLES_DEG, 4.0 - 0.05 * ANGLES_DEG])  # mirror, rubber
 
 
-def made(reading_of):
-    """Return samples of the thesis's survey, 4 pings a condition, of what a function makes of place and ping number."""
+def samples_of(reading_of):
+    """Return the thesis's survey, 4 pings per condition; readings are a function of distance, limit and ping number."""
     grid = np.meshgrid(np.arange(0.05, 6.001, 0.05), ANGLES_DEG, [0.9, 0.1], indexing="ij")
     distance, angle, reflectance = (np.repeat(one.ravel(), 4) for one in grid)
     row, column = (reflectance < 0.5).astype(int), np.abs(angle[:, None] - ANGLES_DEG).argmin(axis=1)
-    heard = reading_of(distance, DEAF_M[row, column], np.arange(len(distance)) % 4)
+    readings = reading_of(distance, LIMIT_M[row, column], np.arange(len(distance)) % 4)
     ping = Ping.of(distance, np.deg2rad(angle), 0.0, reflectance)
-    return Samples.of(Recording.of(ping, Reading.of(heard)))
+    return Samples.of(Recording.of(ping, Reading.of(readings)))
 
 
-def test_silence_of_pings_tells_from_where_a_sonar_is_deaf():
-    silence = Silence.of_samples(made(lambda d, deaf, k: np.where(d > deaf + 1e-9, 0.0, d)))
-    shows = DEAF_M < 6.0
-    assert silence.deaf_from[shows] == pytest.approx(DEAF_M[shows], abs=0.051)
-    assert np.isnan(silence.never[0, 0])
-    assert silence.deaf_from[0, 0] == 6.0
-    assert np.isnan(silence.half).all()
+def silent_from(silent):
+    """Return the distance from which there is no echo, m: the mean of the distances from there to 6 m is known."""
+    return 2.0 * silent.never_right - 6.0
 
 
-def test_edge_is_where_every_other_ping_is_heard():
-    def fading(d, deaf, k):
-        return np.where(d > deaf + 0.15 + 1e-9, 0.0, np.where((d > deaf - 0.151) & (k % 2 == 0), 0.0, d))
+def test_pings_give_the_distance_from_which_there_is_no_echo():
+    silent = SilentDistances.of_samples(samples_of(lambda d, limit, k: np.where(d > limit + 1e-9, 0.0, d)))
+    shows = LIMIT_M < 6.0
+    assert silent_from(silent)[shows] == pytest.approx(LIMIT_M[shows], abs=0.051)
+    assert np.isnan(silent.never_right[0, 0])
+    assert np.isnan(silent.half_right).all()
 
-    silence = Silence.of_samples(made(fading))
-    assert silence.half == pytest.approx(np.minimum(DEAF_M, 6.0 - 0.075), abs=0.03)
+
+def test_half_right_conditions_are_those_with_an_echo_in_every_other_ping():
+    def fading(d, limit, k):
+        return np.where(d > limit + 0.15 + 1e-9, 0.0, np.where((d > limit - 0.151) & (k % 2 == 0), 0.0, d))
+
+    silent = SilentDistances.of_samples(samples_of(fading))
+    assert silent.half_right == pytest.approx(np.minimum(LIMIT_M, 6.0 - 0.075), abs=0.03)
 
 
-def test_a_network_is_asked_at_the_thesis_s_angles_with_a_reading_of_zero():
-    """A network that gives the angle back as label, less its credence; any reading or a wrong scale would show."""
-    silence = Silence.of_network(lambda x: 0.9 * x[:, 0] + x[:, 2] - 0.1 * x[:, 3] - 0.01 * x[:, 1])
+def test_a_network_is_evaluated_at_the_thesis_s_angles_with_reading_zero():
+    """The label of this network depends on all four inputs, so a wrong input or scale changes the result."""
+    silent = SilentDistances.of_network(lambda x: 0.9 * x[:, 0] + x[:, 2] - 0.1 * x[:, 3] - 0.01 * x[:, 1])
     expected = 5.97 * (0.9 * ANGLES_DEG / 45.0 - 0.01 * np.array([[0.9], [0.1]])) + 0.03
-    np.testing.assert_allclose(silence.never, expected, atol=1e-6)
-    np.testing.assert_allclose(silence.half, expected - 5.97 * 0.05, atol=1e-6)
+    np.testing.assert_allclose(silent.never_right, expected, atol=1e-6)
+    np.testing.assert_allclose(silent.half_right, expected - 5.97 * 0.05, atol=1e-6)
 
 
-def test_apart_and_middle():
-    low, high = (Silence(np.full((2, 11), x), np.full((2, 11), x)) for x in (4.0, 5.0))
-    assert low.apart(high) == pytest.approx(1.0)
-    assert middle([low, high]).apart(low) == pytest.approx(0.5)
-    nowhere = Silence(np.full((2, 11), np.nan), high.half)
-    assert nowhere.apart(high) == pytest.approx(1.0)  # as if silent from 6 m
+def test_rms_difference_and_mean():
+    low, high = (SilentDistances(np.full((2, 11), x), np.full((2, 11), x)) for x in (4.0, 5.0))
+    assert low.rms_difference(high) == pytest.approx(1.0)
+    assert SilentDistances.mean([low, high]).rms_difference(low) == pytest.approx(0.5)
+    always = SilentDistances(np.full((2, 11), np.nan), high.half_right)
+    assert always.rms_difference(high) == pytest.approx(1.0)  # counts as 6 m
 
 
-def test_errors_and_offsets_of_a_network_that_adds_a_tenth_of_a_metre():
-    samples = made(lambda d, deaf, k: np.where(k == 0, 0.0, np.where(k == 1, 1.5 * d, d)))
-    share = {name: which.mean() for name, which in kinds(samples).items()}
+def test_errors_and_offsets_of_a_network_with_an_error_of_a_tenth_of_a_metre():
+    samples = samples_of(lambda d, limit, k: np.where(k == 0, 0.0, np.where(k == 1, 1.5 * d, d)))
+    share = {name: which.mean() for name, which in ping_kinds(samples).items()}
     assert share == pytest.approx({"silent": 0.25, "right": 0.5, "wrong": 0.25})
 
     def network(x):
         return (6.0 * x[:, 2] + 0.07) / 5.97
 
-    errors = Errors.of(network, samples)
-    silent = np.sqrt(np.mean((0.1 - samples.distance) ** 2))
-    assert errors.by_kind["silent"] == pytest.approx(silent, rel=1e-3)
+    errors = NetworkErrors.of(network, samples)
+    missing = np.sqrt(np.mean((0.1 - samples.distance) ** 2))
+    assert errors.by_kind["silent"] == pytest.approx(missing, rel=1e-3)
     assert errors.by_kind["right"] == pytest.approx(0.1, abs=1e-6)
     wrong = np.sqrt(np.mean((0.5 * samples.distance + 0.1) ** 2))
     assert errors.by_kind["wrong"] == pytest.approx(wrong, rel=1e-3)
-    assert errors.loss == pytest.approx((0.5 * 0.1**2 + 0.25 * (wrong**2 + silent**2)) / 5.97**2, rel=1e-3)
-    np.testing.assert_allclose(offset(network, samples, np.array([0.0, 2.0, 7.0, 8.0])), [0.1, 0.1, np.nan], atol=1e-6)
+    assert errors.loss == pytest.approx((0.5 * 0.1**2 + 0.25 * (wrong**2 + missing**2)) / 5.97**2, rel=1e-3)
+    np.testing.assert_allclose(
+        mean_offset(network, samples, np.array([0.0, 2.0, 7.0, 8.0])), [0.1, 0.1, np.nan], atol=1e-6
+    )
 
 
-def test_tuning_finds_the_unit_that_was_concealed():
+def test_tuning_recovers_a_known_unit():
     plan = replace(COARSE, angles_deg=(0.0, 30.0), distances_mm=tuple(float(d) for d in range(400, 6001, 400)), pings=2)
-    setup, hidden = Setup(gain=20), replace(Unit.nominal(), sensitivity_db=9.0)
-    target = Silence.of_samples(Samples.of(survey(Rig(hidden, setup), plan, seed=1)))
-    nominal = Silence.of_samples(Samples.of(survey(Rig(Unit.nominal(), setup), plan, seed=2)))
-    told = []
-    found = tuned(setup, target, 15, 2, lambda done, of: told.append(done), plan)
-    assert found.misfit < 0.4 * nominal.apart(target)
+    setup, true_unit = Setup(gain=20), replace(Unit.nominal(), sensitivity_db=9.0)
+    target = SilentDistances.of_samples(Samples.of(survey(Rig(true_unit, setup), plan, seed=1)))
+    nominal = SilentDistances.of_samples(Samples.of(survey(Rig(Unit.nominal(), setup), plan, seed=2)))
+    trials = []
+    found = tuned(setup, target, 15, 2, lambda done, total: trials.append(done), plan)
+    assert found.misfit < 0.4 * nominal.rms_difference(target)
     assert found.unit.sensitivity_db == pytest.approx(9.0, abs=3.0)
     assert all(low <= getattr(found.unit, name) <= high for name, (low, high) in RANGES.items())
-    assert told[-1] == found.trials <= 15
+    assert trials[-1] == found.trials <= 15
 
 
 def random_network(kind, rng):
-    """Return a network of the thesis's shape with weights of chance."""
+    """Return a network of the thesis's kind with random weights."""
     if kind == "mlp":
         shapes = {"dense_1_W": (4, 3), "dense_1_b": (3,), "dense_2_W": (3, 1), "dense_2_b": (1,)}
     else:
@@ -109,7 +122,6 @@ def test_the_command_writes_tables_and_a_figure(tmp_path, monkeypatch, capsys):
     small = replace(PLANS["thesis"], distances_mm=(300.0, 1500.0, 3900.0, 6000.0))
     rng = np.random.default_rng(0)
     monkeypatch.setattr(rig, "PLANS", {"thesis": small})
-    monkeypatch.setattr("training.thesis.tuning.COARSE", replace(small, pings=1))
     author = {"MLP": random_network("mlp", rng), "LSTM": random_network("lstm", rng)}
     monkeypatch.setattr("training.thesis.compare_thesis.published", lambda folder: author)
     main(Args(tmp_path / "networks", tmp_path / "out", trials=0, pings=4, seeds=1, epochs=1))
@@ -119,48 +131,51 @@ def test_the_command_writes_tables_and_a_figure(tmp_path, monkeypatch, capsys):
     assert "compare-thesis --networks networks --out out --trials 0 --pings 4 --seeds 1 --epochs 1" in text
     assert (
         text.count("| gain 31, nominal") == 9
-    )  # two edges, each with its networks; misfit, errors, two of offsets, the printed cell
+    )  # two tables of distances with two rows each, differences, errors, two rows of offsets, printed condition
     assert (tmp_path / "out" / "rig-versus-thesis.png").read_bytes()[1:4] == b"PNG"
 
 
-def test_what_cannot_be_compared_is_refused(tmp_path):
-    with pytest.raises(ModelError, match=r"holds no \*\.h5 or \*\.hdf5; get the networks of github\.com"):
+def test_missing_networks_and_invalid_settings_are_errors(tmp_path):
+    with pytest.raises(ModelError, match=r"contains no \*\.h5 or \*\.hdf5; get the networks of github\.com"):
         published(tmp_path)
     with pytest.raises(SettingError, match="--seeds must be at least 1, got 0"):
         main(Args(tmp_path, tmp_path, seeds=0))
 
 
-def test_author_s_networks_know_where_his_sonar_was_silent(thesis_files):
-    """Published: all four agree that the mirror was heard to about the end ahead, and less and less far aside."""
-    answers = [Silence.of_network(network.output) for network in published(thesis_files).values()]
+def test_published_networks_agree_on_the_distances_without_echo(thesis_files):
+    """All four have echoes of the mirror almost to 6 m straight ahead and over shorter distances at larger angles."""
+    answers = [SilentDistances.of_network(network.output) for network in published(thesis_files).values()]
     assert len(answers) == 4
-    told = middle(answers)
-    assert (np.diff(told.never[:, 2:], axis=1) < 0.0).all()
-    assert (told.deaf_from[0, :3] > 5.0).all()
-    assert max(one.apart(told) for one in answers) < 0.5
+    mean = SilentDistances.mean(answers)
+    assert (np.diff(mean.never_right[:, 2:], axis=1) < 0.0).all()
+    assert (silent_from(mean)[0, :3] > 5.0).all()
+    assert max(one.rms_difference(mean) for one in answers) < 0.5
 
 
 @pytest.mark.slow
-def test_where_his_sonar_heard_tells_of_full_gain_and_of_reflectors_that_faced_it(thesis_files):
-    """At the gain that the thesis states silent pings lie a metre too near; at full gain they agree to 0.6 m.
+def test_published_networks_fit_full_gain_and_reflectors_that_face_the_sensor(thesis_files):
+    """The mean distances without echo differ by more than 0.9 m at the stated gain and less than 0.6 m at full gain.
 
-    With reflectors parallel to the sensor's face they do not, however sensitive the unit.
+    With reflectors parallel to the face of the sensor they differ more, even for the most sensitive unit.
     """
-    target = middle([Silence.of_network(network.output) for network in published(thesis_files).values()])
+    target = SilentDistances.mean(
+        [SilentDistances.of_network(network.output) for network in published(thesis_files).values()]
+    )
 
-    def apart(gain, facing=True, sensitivity_db=3.0):
+    def difference(gain, facing=True, sensitivity_db=3.0):
         rig = Rig(replace(Unit.nominal(), sensitivity_db=sensitivity_db), Setup(gain=gain))
-        return Silence.of_samples(Samples.of(survey(rig, replace(COARSE, facing=facing), 1))).apart(target)
+        return SilentDistances.of_samples(Samples.of(survey(rig, replace(COARSE, facing=facing), 1))).rms_difference(
+            target
+        )
 
-    assert apart(14) > 0.9
-    assert apart(31) < 0.6
-    assert apart(31, facing=False) > 1.1
-    assert apart(31, facing=False, sensitivity_db=12.0) > 0.8
+    assert difference(14) > 0.9
+    assert difference(31) < 0.6
+    assert difference(31, facing=False) > 1.1
+    assert difference(31, facing=False, sensitivity_db=12.0) > 0.8
 
 
-def test_printed_condition_is_found_among_samples():
-    samples = made(lambda d, deaf, k: np.where(k == 0, 0.0, d + 0.06))
-    case = rig.Case("any", Rig(), samples, {}, 0)
-    credence, heard = cell_readings(case)
+def test_printed_condition():
+    samples = samples_of(lambda d, limit, k: np.where(k == 0, 0.0, d + 0.06))
+    credence, readings = condition_readings(samples)
     assert credence == pytest.approx(0.75)
-    assert heard == pytest.approx([3960.0, 3960.0], abs=0.1)
+    assert readings == pytest.approx([3960.0, 3960.0], abs=0.1)

@@ -1,25 +1,15 @@
-"""The thesis's networks against its author's own weights, and their first weights against their laws."""
-
-from pathlib import Path
+"""Output of the networks with the published weights, and distributions of the initial weights."""
 
 import h5py
 import numpy as np
 import pandas as pd
 import pytest
 
-from training.thesis.networks import Network
-
-
-@pytest.fixture(scope="module")
-def thesis(real_recordings) -> Path:
-    folder = real_recordings.parent / "thesis"
-    if not folder.is_dir():
-        pytest.skip(f"no published networks at {folder}")
-    return folder
+from training.thesis.networks import FlatNetwork
 
 
 def published(path, kind):
-    """Return the author's weights as our flat vector."""
+    """Return the published weights as a flat vector."""
     with h5py.File(path) as file:
         weights: dict[str, np.ndarray] = {}
         file.visititems(
@@ -34,17 +24,17 @@ def published(path, kind):
 
 
 @pytest.mark.parametrize("kind", ["mlp", "lstm"])
-def test_the_author_s_weights_give_the_author_s_answers(thesis, kind):
-    reference = pd.read_csv(thesis / "reference-predictions.csv")
+def test_published_weights_give_the_published_predictions(thesis_files, kind):
+    reference = pd.read_csv(thesis_files / "reference-predictions.csv")
     feature = reference[["angle", "reflectance", "reading", "credence"]].to_numpy(np.float32)
-    theta = published(thesis / f"{kind}_nadam_25_15_1_weights.hdf5", kind)
-    np.testing.assert_allclose(Network(kind, 25).predict(theta, feature), reference[kind], atol=1e-5)
+    theta = published(thesis_files / f"{kind}_nadam_25_15_1_weights.hdf5", kind)
+    np.testing.assert_allclose(FlatNetwork(kind, 25).predict(theta, feature), reference[kind], atol=1e-5)
 
 
-def test_first_weights_follow_their_laws():
+def test_initial_weights_follow_their_distributions():
     rng = np.random.default_rng(0)
-    lstm = Network("lstm", 25)
-    theta = lstm.first(rng)
+    lstm = FlatNetwork("lstm", 25)
+    theta = lstm.initial(rng)
     parts = np.split(theta, np.cumsum([np.prod(shape) for shape in lstm.shapes.values()])[:-1])
     step, recurrent, bias, output, last = (p.reshape(s) for p, s in zip(parts, lstm.shapes.values(), strict=True))
     assert 2.2 < np.abs(step).max() <= np.sqrt(6.0)
@@ -54,14 +44,14 @@ def test_first_weights_follow_their_laws():
     assert not bias[[0, 2, 3]].any()
     assert not last.any()
     assert 0.4 < np.abs(output).max() <= np.sqrt(6.0 / 26)
-    he = Network("mlp", 1000).first(rng)[:4000]
+    he = FlatNetwork("mlp", 1000).initial(rng)[:4000]
     assert np.abs(he).max() <= np.sqrt(6.0 / 4)
     assert he.std() == pytest.approx(np.sqrt(2.0 / 4), rel=0.05)  # He et al. (2015), eq. 10
 
 
-@pytest.mark.parametrize("network", [Network("mlp", 20), Network("lstm", 3), Network("lstm", 1)], ids=str)
-def test_biases_are_not_penalised_and_every_number_has_its_place(network):
-    theta = network.first(np.random.default_rng(1))
+@pytest.mark.parametrize("network", [FlatNetwork("mlp", 20), FlatNetwork("lstm", 3), FlatNetwork("lstm", 1)], ids=str)
+def test_size_of_the_vector_and_penalised_weights(network):
+    theta = network.initial(np.random.default_rng(1))
     assert theta.shape == network.penalised.shape == (network.size,)
     biases = sum(np.prod(s) for name, s in network.shapes.items() if name.endswith("bias"))
     assert network.size - network.penalised.sum() == biases

@@ -1,4 +1,4 @@
-"""Each optimiser three ways: Keras 1's formulas written out, torch with the settings of the table, and compiled."""
+"""Each optimiser in three implementations: formulas of Keras 1, torch, and compiled."""
 
 import json
 import math
@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from training.thesis.fit import Recipe, rule_settings
-from training.thesis.networks import Network
-from training.thesis.online import RULES, SLOPES, learn
-from training.thesis.optimisers import OPTIMISERS
+from training.thesis.fit import OPTIMISERS, Recipe, rule_settings
+from training.thesis.networks import FlatNetwork
+from training.thesis.online import GRADIENTS, RULES, online_pass
 
 
 class Keras1:
-    """The rules of Keras 1.0.8 in double precision, each as its documentation and the thesis's section 2.2.3 have it.
+    """The rules of Keras 1.0.8 in double precision, from its documentation and section 2.2.3 of the thesis.
 
     Attributes:
-        a, b: the two running sums a rule may keep.
+        a, b: the two running sums of a rule.
     """
 
     def __init__(self, size):
@@ -57,7 +56,7 @@ class Keras1:
 
 
 @pytest.mark.parametrize("name", OPTIMISERS)
-def test_torch_s_rule_with_these_settings_is_keras_s(name):
+def test_torch_with_these_settings_equals_keras(name):
     rng = np.random.default_rng(0)
     here = rng.normal(size=30)
     theta, keras = torch.tensor(here.copy(), requires_grad=True), Keras1(30)
@@ -68,28 +67,28 @@ def test_torch_s_rule_with_these_settings_is_keras_s(name):
         rule.step()
         path -= getattr(keras, name)(slope)
     moved = np.abs(path - here).max()
-    assert np.abs(theta.detach().numpy() - path).max() < 1e-4 * moved  # what Adam's epsilon differs by
+    assert np.abs(theta.detach().numpy() - path).max() < 1e-4 * moved  # the difference in Adam's epsilon
 
 
-@pytest.mark.parametrize("kind", SLOPES)
+@pytest.mark.parametrize("kind", GRADIENTS)
 @pytest.mark.parametrize("name", OPTIMISERS)
-def test_compiled_steps_are_torch_s(name, kind):
+def test_compiled_steps_equal_torch(name, kind):
     rng = np.random.default_rng(4)
-    network, steps = Network(kind, 7), 120
-    first = network.first(rng)
+    network, steps = FlatNetwork(kind, 7), 120
+    first = network.initial(rng)
     feature, label = rng.random((steps, 4), dtype=np.float32), rng.random(steps, dtype=np.float32)
-    keep = ((rng.random((steps, 7)) < 0.8) / 0.8).astype(np.float32)
+    mask = ((rng.random((steps, 7)) < 0.8) / 0.8).astype(np.float32)
     recipe = Recipe(name, l1=1e-3, l2=2e-3)
     penalty, order = recipe.penalty(network), rng.permutation(steps)
 
     compiled = first.copy()
-    met = learn(
-        *(SLOPES[kind], RULES[name], compiled, np.zeros((2, network.size), np.float32), np.array([0.0, 1.0])),
-        *(rule_settings(recipe), feature, label, order, keep, penalty),
+    met = online_pass(
+        *(GRADIENTS[kind], RULES[name], compiled, np.zeros((2, network.size), np.float32), np.array([0.0, 1.0])),
+        *(rule_settings(recipe), feature, label, order, mask, penalty),
     )
     theta = torch.tensor(first, requires_grad=True)
     rule, losses = OPTIMISERS[name].of(theta), []
-    x, y, mask, lasso = map(torch.from_numpy, (feature, label, keep, penalty))
+    x, y, mask, lasso = map(torch.from_numpy, (feature, label, mask, penalty))
     for step, row in enumerate(order):
         rule.zero_grad()
         loss = ((network.output(theta, x[row : row + 1], mask[step : step + 1]) - y[row]) ** 2).sum()
@@ -102,11 +101,8 @@ def test_compiled_steps_are_torch_s(name, kind):
     np.testing.assert_allclose(compiled, there, atol=1e-4)
 
 
-def test_nadam_s_settings_are_those_of_the_published_networks(real_recordings):
-    path = real_recordings.parent / "thesis" / "mlp_nadam_25_15_1_my_model.h5"
-    if not path.exists():
-        pytest.skip(f"no published networks at {path.parent}")
-    with h5py.File(path) as file:
+def test_nadam_s_settings_equal_the_published_networks(thesis_files):
+    with h5py.File(thesis_files / "mlp_nadam_25_15_1_my_model.h5") as file:
         config = json.loads(file.attrs["training_config"])["optimizer_config"]["config"]
     ours = OPTIMISERS["nadam"].settings
     theirs = config["lr"], config["beta_1"], config["beta_2"], config["epsilon"], config["schedule_decay"]
