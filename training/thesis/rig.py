@@ -23,8 +23,8 @@ from scipy.optimize import minimize
 
 from acquisition import ModelError, Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.unit import RANGES
-from acquisition.survey.plan import PLANS, THESIS_ANGLES, Plan
+from acquisition.bench.laboratory.unit import RANGES
+from acquisition.survey.plan import PLANS, THESIS_ANGLES, SurveyPlan
 from noise.learned.thesis import ThesisNetwork, load_thesis_network
 from training.thesis.data import (
     DISTANCE_SPAN,
@@ -164,7 +164,7 @@ def mean_offset(network: Predictor, samples: Samples, edges: Floats) -> Floats:
     return np.array([error[band == k].mean() if (band == k).any() else np.nan for k in range(len(edges) - 1)])
 
 
-def survey(rig: Rig, plan: Plan, seed: int, progress: Progress | None = None) -> Recording:
+def survey(rig: Rig, plan: SurveyPlan, seed: int, progress: Progress | None = None) -> Recording:
     """Record a plan that varies only distance, angle and reflector with a rig."""
     parts = [plan.ping(number) for number in range(len(plan))]
     names = ("distance", "angle", "incidence", "reflectance", "time", "run")
@@ -198,7 +198,7 @@ def tuned(
     trials: int,
     seed: int,
     progress: Progress = lambda done, total: None,
-    plan: Plan = COARSE,
+    plan: SurveyPlan = COARSE,
 ) -> TunedUnit:
     """Fit the free properties of the nominal unit to the distances without echo (Nelder and Mead).
 

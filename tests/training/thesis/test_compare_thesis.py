@@ -7,7 +7,7 @@ import pytest
 
 from acquisition import ModelError, Ping, Reading, Recording, SettingError
 from acquisition.bench import Rig, Setup, Unit
-from acquisition.bench.unit import RANGES
+from acquisition.bench.laboratory.unit import RANGES
 from acquisition.survey.plan import PLANS
 from noise.learned.thesis import ThesisNetwork
 from training.thesis import rig
