@@ -1,8 +1,7 @@
-"""How fast the environment steps, alone and in thousands, beside highway-env's parking in the same run; what it keeps.
+"""Speed and memory of the environment, compared with highway-env in the same run.
 
-Run by `make benchmarks`; prints Markdown for docs/environment.md. All pairs are timed in turn, a round of one after a
-round of the other, so that whatever else the machine does falls on both. What runs in one thread is timed by the
-processor, so that waiting for others does not count; OMP_NUM_THREADS=1 keeps the algebra to that thread.
+Run by `make benchmarks`; prints Markdown for docs/environment.md. Environments are timed in alternating rounds, so that
+other load affects both. Results with one thread are processor times; set OMP_NUM_THREADS=1.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ LIDAR = {"observation": {"type": "LidarObservation", "cells": 8, "maximum_range"
 @pytest.fixture(scope="module", autouse=True)
 def commit() -> None:
     gymnasium.register_envs(highway_env)
-    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    result = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     load = os.getloadavg()[1] if hasattr(os, "getloadavg") else float("nan")
-    print(f"\ncommit {done.stdout.strip()}, {cores()} processors, load {load:.1f}; `make benchmarks`\n")
+    print(f"\ncommit {result.stdout.strip()}, {cores()} processors, load {load:.1f}; `make benchmarks`\n")
 
 
-def seconds(env: gymnasium.Env, steps: int) -> float:
-    """Return the processor time of a step of an environment under random actions, s."""
+def step_seconds(env: gymnasium.Env, steps: int) -> float:
+    """Return the processor time per step of an environment with random actions, s."""
     env.action_space.seed(0)
     env.reset(seed=0)
     start = time.process_time()
@@ -51,44 +50,46 @@ def seconds(env: gymnasium.Env, steps: int) -> float:
     return (time.process_time() - start) / steps
 
 
-def paired(env: gymnasium.Env, peer: gymnasium.Env, steps: int, peer_steps: int) -> np.ndarray:
-    """Return times of a step of both, round by round, s, (ROUNDS, 2)."""
-    seconds(env, 20), seconds(peer, 5)
-    return np.array([(seconds(env, steps), seconds(peer, peer_steps)) for _ in range(ROUNDS)])
+def paired(env: gymnasium.Env, reference: gymnasium.Env, steps: int, reference_steps: int) -> np.ndarray:
+    """Return the times per step of two environments, round by round, s, (ROUNDS, 2)."""
+    step_seconds(env, 20), step_seconds(reference, 5)
+    return np.array([(step_seconds(env, steps), step_seconds(reference, reference_steps)) for _ in range(ROUNDS)])
 
 
-def test_steps_beside_highway_env() -> None:
-    peer, lidar = gymnasium.make("parking-v0"), gymnasium.make("parking-v0", config=LIDAR)
-    print(
-        "| sonar | steps a second | times highway-env parking-v0 | times parking-v0 with its lidar |\n|---|---|---|---|"
-    )
+def test_speed_of_a_single_environment() -> None:
+    reference, lidar = gymnasium.make("parking-v0"), gymnasium.make("parking-v0", config=LIDAR)
+    print("| sonar | steps per second | relative to highway-env parking-v0 | with its lidar |\n|---|---|---|---|")
     for name in SONARS:
         env = gymnasium.make(sonar_gym.ENV_ID, sonar=name)
-        plain, seen = (paired(env, other, STEPS, STEPS // 5) for other in (peer, lidar))
-        ratio, with_lidar = (np.median(pairs[:, 1] / pairs[:, 0]) for pairs in (plain, seen))
-        print(f"| {name} | {1 / np.median(plain[:, 0]):.0f} | {ratio:.1f} | {with_lidar:.1f} |")
+        without_lidar, lidar_pairs = (paired(env, other, STEPS, STEPS // 5) for other in (reference, lidar))
+        ratio, with_lidar = (np.median(pairs[:, 1] / pairs[:, 0]) for pairs in (without_lidar, lidar_pairs))
+        print(f"| {name} | {1 / np.median(without_lidar[:, 0]):.0f} | {ratio:.1f} | {with_lidar:.1f} |")
         assert ratio > 1.0
 
 
-def seconds_of_many(envs: SonarParkingVectorEnv | SonarVecEnv, actions: np.ndarray, clock: Clock) -> float:
-    """Return the time of a step of one environment among many, s."""
+def vector_step_seconds(envs: SonarParkingVectorEnv | SonarVecEnv, actions: np.ndarray, clock: Clock) -> float:
+    """Return the time per step and environment of a vector environment, s."""
     start = clock()
     for action in actions:
         envs.step(action)
     return (clock() - start) / actions[..., 0].size
 
 
-def test_steps_of_many() -> None:
-    peer = gymnasium.make("parking-v0")
+def test_speed_of_a_vector_environment() -> None:
+    reference = gymnasium.make("parking-v0")
     rng = np.random.default_rng(0)
     actions = rng.uniform([-0.6, -0.8], [0.6, 1.0], (MANY_STEPS, MANY, 2)).astype(np.float32)
-    print(f"\n| sonar, {MANY} at once | threads, clock | steps a second, median | best round | times parking-v0 |")
+    print(
+        f"\n| sonar, {MANY} at once | threads, clock | steps per second, median | best round | relative to parking-v0 |"
+    )
     print("|---|---|---|---|---|")
     for name in SONARS:
         for threads, clock in ((1, time.process_time), (cores(), time.perf_counter)):
             envs = SonarParkingVectorEnv(MANY, sonar=name, threads=threads)
-            envs.reset(seed=0), seconds_of_many(envs, actions[:5], clock)
-            pairs = np.array([(seconds_of_many(envs, actions, clock), seconds(peer, 10)) for _ in range(MANY_ROUNDS)])
+            envs.reset(seed=0), vector_step_seconds(envs, actions[:5], clock)
+            pairs = np.array(
+                [(vector_step_seconds(envs, actions, clock), step_seconds(reference, 10)) for _ in range(MANY_ROUNDS)]
+            )
             envs.close()
             median, best = 1 / np.median(pairs[:, 0]), 1 / pairs[:, 0].min()
             ratio = np.median(pairs[:, 1] / pairs[:, 0])
@@ -96,65 +97,65 @@ def test_steps_of_many() -> None:
             assert ratio > 10.0
 
 
-def test_steps_of_stable_baselines() -> None:
+def test_speed_with_stable_baselines() -> None:
     rng = np.random.default_rng(0)
-    print("\n| sonar, `SonarVecEnv` | environments | steps a second, median | best round |\n|---|---|---|---|")
+    print("\n| sonar, `SonarVecEnv` | environments | steps per second, median | best round |\n|---|---|---|---|")
     for name in ("ideal", "srf08-mlp"):
         for count in (16, 64, 256):
             envs = SonarVecEnv(count, sonar=name, threads=1)
             actions = rng.uniform([-0.6, -0.8], [0.6, 1.0], (8192 // count, count, 2)).astype(np.float32)
-            envs.reset(), seconds_of_many(envs, actions[:5], time.process_time)
-            times = [seconds_of_many(envs, actions, time.process_time) for _ in range(MANY_ROUNDS)]
+            envs.reset(), vector_step_seconds(envs, actions[:5], time.process_time)
+            times = [vector_step_seconds(envs, actions, time.process_time) for _ in range(MANY_ROUNDS)]
             envs.close()
             print(f"| {name} | {count} | {1 / np.median(times):.0f} | {1 / np.min(times):.0f} |")
             assert np.median(times) < 1e-3
 
 
 def test_memory_of_an_environment() -> None:
-    print("\n| sonar, layout | kB an environment |\n|---|---|")
+    print("\n| sonar, layout | kB per environment |\n|---|---|")
     for name, layout in (("ideal", "eight"), ("srf08-mlp", "eight"), ("gaussian", "eight in turn")):
-        kept = []
+        memory = []
         for count in (64, 64 + MANY):
             tracemalloc.start()
             envs = SonarParkingVectorEnv(count, sonar=name, sonar_layout=layout, threads=1)
             envs.reset(seed=0), envs.step(np.zeros((count, 2)))
-            kept.append(tracemalloc.get_traced_memory()[0])
+            memory.append(tracemalloc.get_traced_memory()[0])
             tracemalloc.stop()
             envs.close()
-        each = (kept[1] - kept[0]) / MANY / 1000
-        print(f"| {name}, {layout} | {each:.1f} |")
-        assert each < 20.0
+        per_env = (memory[1] - memory[0]) / MANY / 1000
+        print(f"| {name}, {layout} | {per_env:.1f} |")
+        assert per_env < 20.0
 
 
 class Stopwatch(gymnasium.Wrapper):
-    """Notes what steps take, s."""
+    """Records the times of steps, s."""
 
     def __init__(self, env: gymnasium.Env) -> None:
         super().__init__(env)
-        self.took: list[float] = []
+        self.step_s: list[float] = []
 
     def step(self, action: Any) -> Any:
-        """Step, and note how long that took."""
+        """Step and record the time."""
         start = time.process_time()
         outcome = self.env.step(action)
-        self.took.append(time.process_time() - start)
+        self.step_s.append(time.process_time() - start)
         return outcome
 
 
 @pytest.mark.parametrize("sonar", ["ideal", "gaussian", "srf08-mlp"])
 @pytest.mark.parametrize("name", ["parking-v0", "highway-v0"])
-def test_what_the_wrapper_adds_to_a_step(name: str, sonar: str) -> None:
-    """Of a step's time, what is not the environment's own, measured within each step."""
+def test_relative_time_of_the_wrapper(name: str, sonar: str) -> None:
+    """Measure the time of the wrapper relative to that of the environment within each step."""
     inner = Stopwatch(gymnasium.make(name))
     outer = Stopwatch(sonar_gym.SonarObservation(inner, sonar))
-    seconds(outer, 200 if name == "parking-v0" else 12)
-    own, whole = np.array(inner.took), np.array(outer.took)
-    added = np.median((whole - own) / own)
-    print(f"\n`{sonar}` adds {100 * added:.1f} % to a step of {name}, which takes {1e3 * np.median(own):.1f} ms")
+    step_seconds(outer, 200 if name == "parking-v0" else 12)
+    inner_s, outer_s = np.array(inner.step_s), np.array(outer.step_s)
+    added = np.median((outer_s - inner_s) / inner_s)
+    print(f"\n`{sonar}` adds {100 * added:.1f} % to a step of {name}, which takes {1e3 * np.median(inner_s):.1f} ms")
     assert added <= 0.10
 
 
-def test_how_often_the_driver_parks() -> None:
+def test_success_of_the_scripted_driver() -> None:
     print("\n| sonar | parked | collided | streets |\n|---|---|---|---|")
     for name in SONARS:
         env = gymnasium.make(sonar_gym.ENV_ID, sonar=name)

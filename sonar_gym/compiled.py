@@ -1,8 +1,8 @@
-"""Compilation of kernels by numba, with a cache that is invalidated when any source file changes.
+"""The decorator for compiled kernels, with a cache on disk that follows all source files.
 
-Numba checks only the file of the outermost function. A kernel that calls kernels of another file would keep their old
-version (Numba manual, "Caching of compiled functions", limitations). So caches that are older than the newest source
-file are removed before they are read.
+Numba reuses a cached kernel while the file of the outermost function is unchanged, even if a kernel that it calls from
+another file has changed (Numba manual, "Caching of compiled functions", limitations). Therefore every cache index older
+than the newest source file with kernels is removed on import.
 """
 
 from __future__ import annotations
@@ -14,38 +14,37 @@ from pathlib import Path
 
 from numba import njit
 
-HERE = Path(__file__).parent
+PACKAGE = Path(__file__).parent
 
 
 def drop_stale(folder: Path) -> list[Path]:
-    """Remove the indices of compiled kernels below a folder that are older than the source of any of them.
+    """Remove the cache indices of kernels that are older than the newest source file of any kernel.
 
     Args:
-        folder: of the package; Numba writes to the `__pycache__` beside each module.
+        folder: folder of the package; Numba writes to the `__pycache__` next to each module.
 
     Returns:
-        What was removed. Without its index, Numba compiles a kernel again.
+        The removed indices. Without its index, Numba compiles a kernel again.
     """
     indices = list(folder.glob("**/__pycache__/*.nbi"))
-    sources = _ages({index.parent.parent / f"{index.name.split('.')[0]}.py" for index in indices})
-    newest = max(
-        (age for age in sources if age <= time.time()), default=0.0
-    )  # a future time stamp must not invalidate the cache at every start
-    stale = [index for index in indices for age in _ages([index]) if age < newest]
+    sources = _modified({index.parent.parent / f"{index.name.split('.')[0]}.py" for index in indices})
+    # a modification time in the future must not empty the cache at every start
+    newest = max((time_s for time_s in sources if time_s <= time.time()), default=0.0)
+    stale = [index for index in indices for time_s in _modified([index]) if time_s < newest]
     for index in stale:
-        with suppress(OSError):  # removed by another process, or the folder is read-only
+        with suppress(OSError):  # already removed by another process, or the folder is read-only
             index.unlink()
     return stale
 
 
-def _ages(files: Iterable[Path]) -> list[float]:
-    """Return the modification times of files that exist."""
-    times = []
+def _modified(files: Iterable[Path]) -> list[float]:
+    """Return the modification times of files, s; missing files are skipped."""
+    found = []
     for file in files:
         with suppress(OSError):
-            times.append(file.stat().st_mtime)
-    return times
+            found.append(file.stat().st_mtime)
+    return found
 
 
-drop_stale(HERE)
+drop_stale(PACKAGE)
 compiled = njit(cache=True, nogil=True)

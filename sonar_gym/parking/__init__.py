@@ -1,12 +1,6 @@
-"""The parking environment.
+"""The environment SonarParking-v0.
 
-environment: `SonarParking-v0`, one environment.
-vector: its vector form.
-fleet: n worlds as arrays, behind both.
-step_kernel: one step of many worlds, compiled.
-street: random streets and the reference path.
-vehicle: the car.
-prior: conditions of each sonar in the street, for credence given a reading.
-world: view of one world.
-rendering, drawing: frames.
+environment: one environment. vector: many environments. fleet: the arrays of n worlds that both share. step_kernel: one
+step, compiled. street: streets and the reference path. vehicle: the car. world: one world for display. prior: credence
+given a reading. rendering: pictures. drawing: colours, camera and brush.
 """

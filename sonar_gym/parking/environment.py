@@ -1,4 +1,4 @@
-"""SonarParking-v0: a miniature car finds a space and parks in it using sonar alone (Esmi 2016, section 6.1)."""
+"""SonarParking-v0: a miniature car finds a space and parks in it with sonars only (Esmi 2016, section 6.1)."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ from sonar_gym.sensing.odometry import OdometryChoice
 from sonar_gym.sensing.sonar import SonarChoice
 
 __all__ = ["MAX_RANGE", "MAX_STEPS", "ODOMETRY_SPAN", "STEP_S", "RewardWeights", "SonarParkingEnv"]
-ONE = np.zeros(1, dtype=np.int64)  # the rows of a fleet of one
+ROW_0 = np.zeros(1, dtype=np.int64)  # the row of the single world
 
 
 class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
-    """A miniature car drives past boxes, finds a space that is long enough, and parks in it, parallel to the kerb.
+    """A miniature car drives along a lane past boxes, finds a space that is wide enough, and parks in it.
 
     ## Description
 
-    A car at 1:10 (0.45 m long, 0.20 m wide, turning radius 0.45 m) drives along a street. Boxes of different
-    reflectance stand on its right. Most spaces between them are too short; one is long enough. The car perceives its
-    surroundings with eight sonars only. The aim is to stand still in that space, parallel to the kerb, without a
-    collision: the scenario of S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
+    A car at a scale of 1:10 (0.45 m long, 0.20 m wide, turning radius 0.45 m) drives along a street. Boxes with
+    different reflectances stand on its right; most spaces between them are too short, one is wide enough. Its only
+    sensors for the surroundings are eight sonars. The aim is to stand still in the wide space, parallel to the kerb,
+    without touching
+    anything: the scenario of S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
 
-    The readings are drawn from the law of a `noise.SonarModel`, given the true distance, bearing, incidence and
-    reflectance of the nearest point in each cone. The street does not depend on the model: the same seed gives the
-    same street for every model.
+    Readings are drawn from the law of a `noise.SonarModel`, given the true distance, bearing, incidence and reflectance
+    of the nearest point in each cone. The street does not depend on the model: the same seed gives the same street with
+    every model.
 
     ## Action Space
 
@@ -44,10 +45,10 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     | Num | Action | -1 | 1 |
     |---|---|---|---|
-    | 0 | commanded steering angle | 30 deg to the right | 30 deg to the left |
-    | 1 | commanded speed | 0.5 m/s backwards | 0.5 m/s forwards |
+    | 0 | steering angle command | 30 deg to the right | 30 deg to the left |
+    | 1 | speed command | 0.5 m/s backwards | 0.5 m/s forwards |
 
-    Servo and motor follow with a lag and a limited rate. Values beyond the limits are clipped. NaN and infinity raise
+    Servo and motor follow with a lag and a limited rate. Values beyond the limits are clipped; NaN and infinity raise a
     `SettingError`.
 
     ## Observation Space
@@ -57,13 +58,13 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     | Key | Shape | Meaning |
     |---|---|---|
     | `ranges` | (n,) | reading divided by the maximum range of 3.01 m, 0 to 1; 1 without an echo |
-    | `credence` | (n,) | P(reading within 10 % of the truth), given the reading alone; 0 without an echo |
-    | `echo` | (n,) | 1 echo, 0 no echo, -1 no answer (a broken connection) |
+    | `credence` | (n,) | P(reading within 10 % of the truth), given the reading only; 0 without an echo |
+    | `echo` | (n,) | 1 echo, 0 no echo, -1 no answer (a disconnected sensor) |
     | `age` | (n,) | time since the ping of the reading, s, at most 1 |
-    | `ego` | (7,) | measurements of wheel encoder, gyro and clock, see below |
+    | `ego` | (7,) | wheel encoder, gyro and clock, see below |
 
-    `ego`: speed and steering angle as fractions of their maximum; cosine and sine of the change of heading since the
-    start; displacement along the initial heading / 10 m and across it / 2 m; time / 40 s.
+    `ego`: speed and steering angle relative to their maxima; cosine and sine of the heading since the start; odometry
+    along the initial heading / 10 m and across it / 2 m; time / 40 s.
 
     ## Rewards
 
@@ -72,22 +73,21 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     ## Starting State
 
-    The car stands at the beginning of its lane with a small offset and heading error. The number, length, reflectance
-    and texture of the boxes and the number and length of the spaces are random (`StreetSettings`).
+    The car stands at the beginning of its lane, with an offset of some millimetres and degrees. Number, length,
+    reflectance and texture of the boxes, and number and length of the spaces, are random (`StreetSettings`).
 
     ## Episode End
 
-    Terminated: the car stands in the gap (`info["is_success"]`), that is, slower than 0.03 m/s, within 10 deg of the
-    direction of the kerb, and at most 20 mm over the line of the strip; or it touched an obstacle
-    (`info["collision"]`); or it left the street at the open end behind it (`info["left_street"]`). Truncated after 400
-    steps (40 s) when made by `gymnasium.make`.
+    Terminated: the car stands in the gap (`info["is_success"]`: slower than 0.03 m/s, within 10 deg of the direction of
+    the kerb, at most 20 mm over the strip's line), touches an obstacle (`info["collision"]`), or leaves the street by
+    the open end behind it (`info["left_street"]`). Truncated after 400 steps (40 s) when made by `gymnasium.make`.
 
     ## Information
 
-    `info` holds the hidden truth. For the ping of each reading, each (n,): `distance` (m; 3.01 for an empty cone),
-    `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause`, the cause of the reading as an index of
-    `env.unwrapped.causes`; `credence_given_condition`, unless the model can only be sampled. For the car:
-    `is_success`, `collision`, `left_street`, `reward_terms`.
+    `info` holds what the car cannot measure. For the ping of each reading, each (n,): `distance` (m; 3.01 where the
+    cone is empty), `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause` of the reading, an index of
+    `env.unwrapped.causes`; `credence_given_condition`, if the model has probabilities. For the car: `is_success`,
+    `collision`, `left_street`, `reward_terms`.
 
     ## Arguments
 
@@ -97,27 +97,27 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     - `sonar`: "ideal" (default), "gaussian", another name of `noise.model_names()`, the path of a saved model, or a
       `SonarModel`.
-    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never fire together;
-      latency 20 ms), "four", or a list of `Mount` or of mappings of their fields: position, cone, period, phase and
-      latency.
+    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never fire together,
+      and readings arrive 20 ms later), "four", or a list of `Mount` or mappings of their fields: position, cone,
+      period, phase and latency.
     - `difficulty`: "easy", "normal" (default) or "hard": length of the gap, number of spaces that are too short,
       reflectance of the boxes, offset of the start.
-    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields. Fields
+    - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields; fields
       of `street` override those of the difficulty.
-    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of
-      the odometry in `ego`.
+    - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of the
+      odometry in `ego`.
     - `render_mode`: None, "rgb_array" or "human".
 
-    To fix what is normally random, pass `options` to `reset()`: `difficulty`; `street`, a mapping of fields of
-    `StreetSettings`, or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`,
-    `reflectance`, `texture_deg`; `start`, x, y, heading of the car in m, m, rad.
+    `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
+    or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`, `reflectance`,
+    `texture_deg`; `start`, x, y, heading of the car in m, m, rad.
 
     ## Version History
 
     - v0: first version.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 - as in Gymnasium
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 - as Gymnasium
 
     def __init__(
         self,
@@ -143,8 +143,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     @property
     def world(self) -> WorldView:
-        """A view of the present state."""
-        return self.fleet.view(0)
+        """A view of the current world."""
+        return self.fleet.world(0)
 
     @property
     def street(self) -> Street:
@@ -153,7 +153,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the causes of readings, by number: causes in the scene, then the faults of the model."""
+        """Names of the causes of readings, by number: those of the scene, then the faults of the model."""
         return self.fleet.causes
 
     @property
@@ -163,8 +163,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     @property
     def car(self) -> Car:
-        """The present state of the car; it can be replaced."""
-        return self.world.car
+        """The current car; it can be replaced."""
+        return Car(self.fleet.car_settings, self.fleet.worlds.car[0].copy())
 
     @car.setter
     def car(self, car: Car) -> None:
@@ -173,28 +173,28 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a street and place the car at its start. `options` fixes what is normally random."""
+        """Draw a street and place the car at its start; `options` fixes what is normally random."""
         super().reset(seed=seed)
         if seed is not None or not self._streams_seeded:
             self.fleet.seed(self.np_random_seed if seed is None else seed)
             self._streams_seeded = True
-        self.fleet.reset(ONE, [self.np_random], options)
-        self._show()
+        self.fleet.reset(ROW_0, [self.np_random], options)
+        self._render_window()
         return self.fleet.observation(0), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive for 0.1 s with the commanded steering and speed, then take readings."""
-        self._check_begun("step")
-        self.fleet.step(ONE, self._checked(action))
-        self._show()
+        """Drive for 0.1 s with the given steering and speed commands."""
+        self._check_reset("step")
+        self.fleet.step(ROW_0, self._valid_action(action))
+        self._render_window()
         reward = sum(self.fleet.worlds.terms[0].tolist())
         return self.fleet.observation(0), reward, any(self.fleet.worlds.ended[0].tolist()), False, self._info()
 
-    def _check_begun(self, call: str) -> None:
+    def _check_reset(self, call: str) -> None:
         if self.fleet.worlds.steps[0] < 0:
             raise gymnasium.error.ResetNeeded(f"SonarParking-v0: {call}() before the first reset(); call reset() first")
 
-    def _checked(self, action: ArrayLike) -> NDArray[np.float64]:
+    def _valid_action(self, action: ArrayLike) -> NDArray[np.float64]:
         value = np.asarray(action, dtype=np.float64)
         if value.shape != (2,):
             raise SettingError(f"action has shape {value.shape}, expected (2,): steering and speed")
@@ -212,16 +212,16 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     # ---- rendering ---------------------------------------------------------------------------------------------------
 
-    def _show(self) -> None:
+    def _render_window(self) -> None:
         if self.render_mode == "human":
             self.render()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the scene; an array (height, width, 3) of uint8 for "rgb_array", a window for "human"."""
+        """Draw the scene: an array (height, width, 3) of uint8 for "rgb_array", a window for "human"."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs a render_mode: gymnasium.make(..., render_mode='rgb_array')")
             return None
-        self._check_begun("render")
+        self._check_reset("render")
         if self._renderer is None:
             from sonar_gym.parking.rendering import Renderer  # imports pygame
 

@@ -1,8 +1,8 @@
-"""Prior distribution of the conditions of each sonar in the street, from which credence given a reading follows.
+"""Credence given a reading on the street, from a prior over the conditions of each sonar.
 
-A robot knows the kind of its world and which sonar gave a reading, but not its own position. The conditions of each
-sonar are therefore sampled from streets of the task with the car near the reference path. A sonar that faces along the
-street mostly measures faces at the edge of its cone; one that faces sideways measures them at normal incidence.
+The conditions of each sonar are sampled on streets like those of the task, with the car near the path that parks it. A
+sonar that points along the street mostly detects faces at the edge of its cone; one that points sideways detects faces
+at normal incidence.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from acquisition import Ping
 from noise import CredenceTable, SonarModel
 from sonar_gym.parking.street import Street, StreetSettings, draw_street, reference_path
 from sonar_gym.parking.vehicle import CarSettings
-from sonar_gym.sensing.kernels import NOTHING, touches
+from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.sonar import bin_edges, broad_table
 
 Floats = NDArray[np.float64]
-SEED = 2016  # fixed, so that every process computes the same prior
-STREETS, POSES = 60, 12  # number of streets, and of poses in each
-OFF_PATH, OFF_HEADING = 0.03, np.radians(5.0)  # m, rad; standard deviations from the path, chosen here
+SEED = 2016  # fixed, so that the prior is the same in every environment
+STREETS, POSES = 60, 12  # number of streets, and of poses on each
+OFF_PATH, OFF_HEADING = 0.03, np.radians(5.0)  # m, rad; standard deviations about the path, chosen here
 BROAD_WEIGHT = 0.05  # weight of the broad prior, for readings that the sample never gives
 
 
 def _poses(street: Street, car: CarSettings, rng: np.random.Generator) -> list[Floats]:
-    """Return collision-free poses near the path from the start to the gap."""
+    """Return poses near the reference path, from the start to the space, at which the car touches nothing."""
     path = reference_path(street, car)[:, :3]
     on_street = path[path[:, 0] >= street.start[0]]
-    chosen = on_street[rng.integers(len(on_street), size=POSES)]
-    chosen = chosen + rng.normal(size=chosen.shape) * [OFF_PATH, OFF_PATH, OFF_HEADING]
-    return [pose for pose in chosen if touches(pose, car.body, street.scene.segments) == NOTHING]
+    poses = on_street[rng.integers(len(on_street), size=POSES)]
+    poses = poses + rng.normal(size=poses.shape) * [OFF_PATH, OFF_PATH, OFF_HEADING]
+    return [pose for pose in poses if touches(pose, car.body, street.scene.segments) == NO_HIT]
 
 
 @lru_cache(maxsize=16)
@@ -45,12 +45,12 @@ def street_pings(
     """Return a sample of the conditions of each sonar, each (n,), including empty cones."""
     rng = np.random.default_rng(SEED)
     local, half = mount_arrays(mounts)
-    met = []
+    pings = []
     for _ in range(STREETS):
         street = draw_street(streets, rng)
         poses = _poses(street, car, rng)
-        met += [street.scene.cast(in_world(local, pose), half, max_range).ping(0.0) for pose in poses]
-    fields = {name: np.stack([getattr(ping, name) for ping in met]) for name in FIELDS}
+        pings += [street.scene.cast(in_world(local, pose), half, max_range).ping(0.0) for pose in poses]
+    fields = {name: np.stack([getattr(ping, name) for ping in pings]) for name in FIELDS}
     return tuple(Ping.of(**{name: value[:, i] for name, value in fields.items()}) for i in range(len(mounts)))
 
 
@@ -60,7 +60,7 @@ FIELDS = ("distance", "angle", "incidence", "reflectance")
 def street_credence(
     model: SonarModel, streets: StreetSettings, car: CarSettings, mounts: tuple[Mount, ...], max_range: float
 ) -> tuple[CredenceTable, ...]:
-    """Return the credence given a reading for each sonar of a car in such streets; cached per model."""
+    """Return the credence given a reading for each sonar of a car on such streets; computed once per model."""
     return _street_credence(cast(Hashable, model), streets, car, mounts, max_range)
 
 
@@ -69,5 +69,5 @@ def _street_credence(
     model: Any, streets: StreetSettings, car: CarSettings, mounts: tuple[Mount, ...], max_range: float
 ) -> tuple[CredenceTable, ...]:
     edges, broad = bin_edges(max_range), broad_table(model, max_range)
-    pings = street_pings(streets, car, mounts, max_range)
-    return tuple(CredenceTable.over(model, ping, edges).mixed(broad, BROAD_WEIGHT) for ping in pings)
+    samples = street_pings(streets, car, mounts, max_range)
+    return tuple(CredenceTable.over(model, ping, edges).mixed(broad, BROAD_WEIGHT) for ping in samples)

@@ -1,6 +1,6 @@
-"""The step of all forms of the environment, compiled by numba: many cars, each in its own street.
+"""One step of many cars, each on its own street, compiled by numba; all forms of the environment use it.
 
-World i is row i of every array. Rows are independent, so they can be stepped in any order and by several threads.
+World i is row i of every array. Rows are independent, so they can be stepped in any order and in several threads.
 """
 
 from __future__ import annotations
@@ -12,45 +12,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_gym.compiled import compiled
-from sonar_gym.sensing.kernels import NOTHING, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
-from sonar_gym.sensing.odometry import PULL, SCALE, integrate
+from sonar_gym.sensing.kernels import NO_HIT, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
+from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 
 Bits = NDArray[np.bool_]
-Singles = NDArray[np.float32]
-DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBJECT, X, Y, SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT = range(12)
-COLUMNS = 12
+Floats32 = NDArray[np.float32]
+DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, X, Y, SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT = range(12)
+N_COLUMNS = 12
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
-TASK = 8
+N_TASK = 8
 PARKED, COLLISION, LEFT_STREET = range(3)
-PARTS = 5  # parts of a step; collisions are checked at the end of each
-TIME_TOLERANCE_S = 1e-9  # two times that differ by less are equal
-# Causes of readings, by number; the faults of a model are numbered from FAULTS on
-EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, FAULTS = range(8)
+PARTS = 5  # parts of a step; contact is tested at the end of each
+SAME_TIME_S = 1e-9  # s; times closer than this are equal
+# Causes of readings, by number; the faults of the model follow
+EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, FIRST_FAULT = range(8)
 CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer")
-_ECHO, _NO_ANSWER = 1, 2  # members of acquisition.EchoStatus
+_ECHO, _NO_ANSWER = 1, 2  # as acquisition.EchoStatus
 
 
-class Worlds(NamedTuple):
-    """State of the worlds, written by a step.
+class WorldArrays(NamedTuple):
+    """State of n worlds with s sonars each, modified by a step.
 
     Attributes:
-        steps: number of steps since the start of the episode, (n,).
-        car: x, y, heading, speed, steering angle, (n, 5).
-        odometry: state of the odometer, see `odometry.integrate`, (n, 7).
-        task: x of the two ends of the gap, m; y of the line of the strip, m; x and y of the end of the reference path,
-            m; angle of its two arcs, rad; x at which they begin, m; cost to go, m; columns `GAP` to `COST`, (n, TASK).
+        steps: number of steps in the episode, (n,).
+        car: x, y, heading, speed, steering angle: m, m, rad, m/s, rad, (n, 5).
+        odometry: state of the odometry, see `odometry.update_odometry`, (n, 7).
+        task: begin and end of the gap, m; y of the strip's line, m; x and y of the end of the reference path, m; angle
+            of its two arcs, rad; x at which they begin, m; cost to go, m; in columns `GAP` to `COST`, (n, N_TASK).
         counts: number of segments, (n,).
-        segments: m, (n, m, 4).
-        surface: reflectance and texture of each segment, 1 and rad, (n, m, 2).
-        owner: index of the object of each segment, (n, m).
-        last_pings: the last ping of each sonar: its condition, time and reading, columns `DISTANCE` to `FAULT`,
-            (n, s, COLUMNS).
-        fired: whether that ping is new, (n, s).
+        segments: segments, m, (n, m, 4).
+        surface: reflectance and slope of the facets of each segment, 1 and rad, (n, m, 2).
+        owner: number of the obstacle of each segment, (n, m).
+        last_ping: last ping of each sonar: conditions, time, reading; in columns `DISTANCE` to `FAULT`, (n, s,
+            N_COLUMNS).
+        fired: whether that ping was sent in this step, (n, s).
         in_flight: whether its reading has not arrived yet, (n, s).
-        observed: the pings of the readings that arrived last, (n, s, COLUMNS).
-        terms: reward terms: progress, time, parked, crashed, (n, 4).
+        shown: pings whose readings arrived last, (n, s, N_COLUMNS).
+        terms: terms of the reward: progress, time, parked, crashed, (n, 4).
         ended: parked, collision, left the street, (n, 3).
-        ranges, credence, echo, age: observations of the sonars, (n, s).
+        ranges, credence, echo, age: observation of the sonars, (n, s).
         ego: observation of the car, (n, 7).
         cause: cause of each reading, (n, s).
     """
@@ -63,99 +63,101 @@ class Worlds(NamedTuple):
     segments: Floats
     surface: Floats
     owner: Ints
-    last_pings: Floats
+    last_ping: Floats
     fired: Bits
     in_flight: Bits
-    observed: Floats
+    shown: Floats
     terms: Floats
     ended: Bits
-    ranges: Singles
-    credence: Singles
-    echo: Singles
-    age: Singles
-    ego: Singles
+    ranges: Floats32
+    credence: Floats32
+    echo: Floats32
+    age: Floats32
+    ego: Floats32
     cause: Ints
 
 
 class StepConstants(NamedTuple):
-    """Constants shared by all worlds.
+    """Quantities that are equal in all worlds.
 
     Attributes:
-        measures: dynamics of the car, see `CarSettings.dynamics`.
+        dynamics: `CarSettings.dynamics`, (7,).
         body: rectangle of the car, (4,).
         mounts: poses of the sonars in the frame of the car, (s, 3).
-        half: half opening angles, rad, (s,).
-        timing: period, phase, latency of each sonar, s, (s, 3).
+        half_angles: half opening angles, rad, (s,).
+        timing: period, phase and latency of each sonar, s, (s, 3).
         arc: arc of the reference path, see `cost_to_go`.
-        weights: reward weights, in the order of `RewardWeights`.
-        share: scales of `ego`: speed, steering, odometry along and across, steps, (5,).
+        weights: weights of the reward, in the order of `RewardWeights`.
+        scale: scales of `ego`: speed, steering angle, distance along, distance across, steps, (5,).
         limits: limits of `is_parked`: speed, m/s, angle, rad, overhang, m; x of the open end of the street, m.
         edges, tables: credence given a reading, one table per sonar, (b + 1,), (s, b).
         dt: duration of a step, s.
-        far: maximum range, m.
+        max_range: maximum range, m.
     """
 
-    measures: Floats
+    dynamics: Floats
     body: Floats
     mounts: Floats
-    half: Floats
+    half_angles: Floats
     timing: Floats
     arc: Floats
     weights: Floats
-    share: Floats
+    scale: Floats
     limits: Floats
     edges: Floats
     tables: Floats
     dt: float
-    far: float
+    max_range: float
 
 
 @compiled
-def firing(begin: float, dt: float, period: float, phase: float) -> float:
-    """Return the delay from `begin` to the last ping of a sonar within a step, s, in (0, dt]; -1 without a ping.
+def firing_delay(begin: float, dt: float, period: float, phase: float) -> float:
+    """Return the delay from `begin` to the last ping of a sonar within dt, s, in (0, dt]; -1 if it does not fire.
 
     Args:
-        begin: time since the start of the episode, s.
-        dt: duration of the step, s.
-        period: interval between pings, s; 0 for one ping at the end of every step.
+        begin: time in the episode, s.
+        dt: duration, s.
+        period: time between pings, s; 0 for one ping at the end of every dt.
         phase: time of the first ping, s.
     """
     if period <= 0.0:
         return dt
-    last = phase + math.floor((begin + dt - phase + TIME_TOLERANCE_S) / period) * period
-    return min(last - begin, dt) if last > begin + TIME_TOLERANCE_S and last >= phase - TIME_TOLERANCE_S else -1.0
+    last = phase + math.floor((begin + dt - phase + SAME_TIME_S) / period) * period
+    return min(last - begin, dt) if last > begin + SAME_TIME_S and last >= phase - SAME_TIME_S else -1.0
 
 
 @compiled
 def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_radian: float) -> float:
-    """Return the minimum over the reference path of remaining path length plus the cost of the offset from the path.
+    """Return the minimum over the reference path of the remaining length plus the cost of the deviation from the path.
 
-    The path follows the lane, then two equal arcs backwards. Along the lane the minimum has a closed form (the law of
-    refraction). On the arcs, poses 1 cm apart are compared.
+    The path follows the lane, then two equal arcs backwards. On the lane the minimum has a closed form, as in
+    refraction of
+    light: distances to the path and along it have different costs. On the arcs, poses at intervals of 1 cm are
+        compared.
 
     Args:
-        pose: x, y, heading, (3,).
-        task: task of this world.
-        arc: rows of angle, displacement in x and in y, arc length: rad, m, m, m, increasing from 0, (k, 4).
-        per_metre: cost of a lateral distance of 1 m, m.
-        per_radian: cost of a heading error of 1 rad, m.
+        pose: pose of the car, (3,).
+        task: row of `WorldArrays.task`.
+        arc: angle, distance along x, distance along y, arc length: rad, m, m, m, from 0 on, (k, 4).
+        per_metre: cost of a deviation of 1 m from the path, m.
+        per_radian: cost of a deviation of 1 rad from its heading, m.
     """
     radius = arc[-1, 3] / arc[-1, 0]
-    half_way = radius * task[TURN]
+    arc_length = radius * task[TURN]
     ahead = abs(pose[1]) / math.sqrt(per_metre * per_metre - 1.0) if per_metre > 1.0 else math.inf
     lane_x = min(pose[0] + ahead, task[READY_X])
-    off = per_metre * math.hypot(pose[0] - lane_x, pose[1])
-    best = 2.0 * half_way + task[READY_X] - lane_x + off + per_radian * abs(pose[2])
+    deviation_cost = per_metre * math.hypot(pose[0] - lane_x, pose[1])
+    best = 2.0 * arc_length + task[READY_X] - lane_x + deviation_cost + per_radian * abs(pose[2])
     for second in (True, False):
         for k in range(arc.shape[0]):
-            left = arc[k, 3] if second else 2.0 * half_way - arc[k, 3]
+            remaining = arc[k, 3] if second else 2.0 * arc_length - arc[k, 3]
             if arc[k, 0] > task[TURN]:
                 break
-            if left >= best:
+            if remaining >= best:
                 continue
             x = task[GOAL_X] + arc[k, 1] if second else task[READY_X] - arc[k, 1]
             y = task[GOAL_Y] + arc[k, 2] if second else -arc[k, 2]
-            cost = left + per_metre * math.sqrt((pose[0] - x) ** 2 + (pose[1] - y) ** 2)
+            cost = remaining + per_metre * math.sqrt((pose[0] - x) ** 2 + (pose[1] - y) ** 2)
             if cost < best:
                 turn = abs((pose[2] - arc[k, 0] + math.pi) % (2.0 * math.pi) - math.pi)
                 best = min(best, cost + per_radian * turn)
@@ -164,7 +166,7 @@ def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_ra
 
 @compiled
 def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool:
-    """Return whether a car is parked: slow, parallel to the kerb, and with every corner inside the gap."""
+    """Return whether a car stands in the gap: slow, parallel to the kerb, and with no corner outside."""
     if abs(state[3]) > limits[0] or abs(state[2]) > limits[1]:
         return False
     for x, y in ((body[0], body[1]), (body[0], body[3]), (body[2], body[1]), (body[2], body[3])):
@@ -174,60 +176,64 @@ def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool
     return True
 
 
-# The functions below unpack named tuples once per call: each access counts references, which costs more than the work.
+# The kernels below unpack the named tuples once: each access counts references, which costs more than the work.
 
 
 @compiled
-def cast_ping(
-    last_pings: Floats,
+def measure_ping(
+    last_ping: Floats,
     i: int,
     s: int,
     pose: tuple[float, float, float],
     sent: float,
     mounts: Floats,
-    half: Floats,
+    half_angles: Floats,
     segments: Floats,
     surface: Floats,
     owner: Ints,
-    far: float,
+    max_range: float,
 ) -> None:
-    """Cast the cone of sonar s of world i from a pose of the car, and write the condition (see `Hits`)."""
+    """Write the conditions of a ping of sonar s of world i with the car at a pose; see `Hits` for the columns."""
     c, sn = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + c * mounts[s, 0] - sn * mounts[s, 1], pose[1] + sn * mounts[s, 0] + c * mounts[s, 1]
-    away, bearing, met, face, at_x, at_y = cast_cone(x, y, pose[2] + mounts[s, 2], half[s], segments, far)
-    last_pings[i, s, DISTANCE], last_pings[i, s, BEARING], last_pings[i, s, SENT] = away, bearing, sent
-    last_pings[i, s, X], last_pings[i, s, Y] = at_x, at_y
-    last_pings[i, s, INCIDENCE], last_pings[i, s, REFLECTANCE], last_pings[i, s, OBJECT] = 0.0, 0.0, NOTHING
-    if face != NOTHING:
-        last_pings[i, s, INCIDENCE] = max(met - surface[i, face, 1], 0.0)
-        last_pings[i, s, REFLECTANCE], last_pings[i, s, OBJECT] = surface[i, face, 0], owner[i, face]
+    distance, bearing, incidence, face, at_x, at_y = cast_cone(
+        x, y, pose[2] + mounts[s, 2], half_angles[s], segments, max_range
+    )
+    last_ping[i, s, DISTANCE], last_ping[i, s, BEARING], last_ping[i, s, SENT] = distance, bearing, sent
+    last_ping[i, s, X], last_ping[i, s, Y] = at_x, at_y
+    last_ping[i, s, INCIDENCE], last_ping[i, s, REFLECTANCE], last_ping[i, s, OBSTACLE] = 0.0, 0.0, NO_HIT
+    if face != NO_HIT:
+        last_ping[i, s, INCIDENCE] = max(incidence - surface[i, face, 1], 0.0)
+        last_ping[i, s, REFLECTANCE], last_ping[i, s, OBSTACLE] = surface[i, face, 0], owner[i, face]
 
 
 @compiled
-def deliver(last_pings: Floats, in_flight: Bits, observed: Floats, i: int, s: int, now: float, latency: float) -> None:
-    """Observe the reading of a ping if it has arrived. At the start of an episode all readings have arrived."""
-    if in_flight[i, s] and (now == 0.0 or now + TIME_TOLERANCE_S >= last_pings[i, s, SENT] + latency):
+def receive(last_ping: Floats, in_flight: Bits, shown: Floats, i: int, s: int, now: float, latency: float) -> None:
+    """Show the reading of a sonar's ping if it has arrived; readings at the start of an episode arrive at once."""
+    if in_flight[i, s] and (now == 0.0 or now + SAME_TIME_S >= last_ping[i, s, SENT] + latency):
         in_flight[i, s] = False
-        for k in range(COLUMNS):
-            observed[i, s, k] = last_pings[i, s, k]
+        for k in range(N_COLUMNS):
+            shown[i, s, k] = last_ping[i, s, k]
 
 
 @compiled
-def write_ego(ego: Singles, car: Floats, odometry: Floats, i: int, share: Floats, wheelbase: float, step: int) -> None:
-    """Write speed, steering, odometry and time to `ego`, all with the errors of the odometer."""
+def update_ego(
+    ego: Floats32, car: Floats, odometry: Floats, i: int, scale: Floats, wheelbase: float, step: int
+) -> None:
+    """Write the observation of the car; speed and steering angle have the same errors as the odometry."""
     x, y, turn, pull = odometry[i, 0], odometry[i, 1], odometry[i, 2], odometry[i, PULL]
     speed, steering = car[i, 3] * (1.0 + odometry[i, SCALE]), car[i, 4]
-    if pull != 0.0:  # an offset of the steering sensor: straight motion is measured as a curve
+    if pull != 0.0:  # a steering offset: driving straight appears as a bend
         steering = math.atan(math.tan(steering) + pull * wheelbase)
-    shares = (speed / share[0], steering / share[1])
-    values = (*shares, math.cos(turn), math.sin(turn), x / share[2], y / share[3], step / share[4])
+    scaled = (speed / scale[0], steering / scale[1])
+    values = (*scaled, math.cos(turn), math.sin(turn), x / scale[2], y / scale[3], step / scale[4])
     for k in range(7):
         ego[i, k] = min(max(values[k], -1.0), 1.0)
 
 
 @compiled
-def write_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
-    """Write the reward terms and the new cost to go."""
+def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
+    """Write the terms of the reward and the cost to go."""
     cost = cost_to_go(car[i, :3], task[i], arc, weights[4], weights[5])
     terms[i, 0], terms[i, 1] = weights[0] * (task[i, COST] - cost), weights[1]
     terms[i, 2] = weights[2] if ended[i, PARKED] else 0.0
@@ -236,123 +242,139 @@ def write_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, 
 
 
 @compiled
-def begin(rows: Ints, w: Worlds, r: StepConstants) -> None:
-    """Begin episodes in worlds whose street and car are set: all sonars fire, and all other state is reset."""
-    last_pings, car, surface, owner, mounts, half = w.last_pings, w.car, w.surface, w.owner, r.mounts, r.half
+def begin(rows: Ints, w: WorldArrays, r: StepConstants) -> None:
+    """Begin episodes in worlds whose car and street are set: all sonars ping, and the reward is zero."""
+    last_ping, car, surface, owner, mounts, half_angles = (
+        w.last_ping,
+        w.car,
+        w.surface,
+        w.owner,
+        r.mounts,
+        r.half_angles,
+    )
     for i in rows:
         w.steps[i] = 0
         pose, segments = (car[i, 0], car[i, 1], car[i, 2]), w.segments[i, : w.counts[i]]
-        for s in range(half.shape[0]):
-            cast_ping(last_pings, i, s, pose, 0.0, mounts, half, segments, surface, owner, r.far)
+        for s in range(half_angles.shape[0]):
+            measure_ping(last_ping, i, s, pose, 0.0, mounts, half_angles, segments, surface, owner, r.max_range)
         w.fired[i], w.in_flight[i], w.ended[i] = True, False, False
-        write_reward(w.terms, car, w.task, w.ended, i, r.arc, r.weights)
+        update_reward(w.terms, car, w.task, w.ended, i, r.arc, r.weights)
         w.terms[i] = 0.0
-        write_ego(w.ego, car, w.odometry, i, r.share, r.measures[0], 0)
+        update_ego(w.ego, car, w.odometry, i, r.scale, r.dynamics[0], 0)
 
 
 @compiled
-def advance(rows: Ints, wanted: Floats, w: Worlds, r: StepConstants) -> None:
-    """Drive the cars of some worlds for one step. Each sonar fires from the pose that the car has at that time.
+def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants) -> None:
+    """Drive the cars of some worlds for one step; each sonar pings from the pose of the car at its firing time.
 
     Args:
-        rows: worlds.
-        wanted: commanded steering and speed as fractions of their maximum, one row per world of `rows`, (k, 2).
-        w: state of the worlds.
+        rows: numbers of the worlds, (k,).
+        actions: steering angle and speed relative to their maxima, (k, 2).
+        w: state of all worlds.
         r: constants.
     """
     steps, car, task, counts, faces, surface, owner = w.steps, w.car, w.task, w.counts, w.segments, w.surface, w.owner
-    last_pings, fired, in_flight, observed = w.last_pings, w.fired, w.in_flight, w.observed
+    last_ping, fired, in_flight, shown = w.last_ping, w.fired, w.in_flight, w.shown
     terms, ended, ego, odometry = w.terms, w.ended, w.ego, w.odometry
-    measures, body, mounts, half, timing = r.measures, r.body, r.mounts, r.half, r.timing
-    arc, weights, share, limits, dt, far = r.arc, r.weights, r.share, r.limits, r.dt, r.far
-    h, start, before, due = dt / PARTS, np.empty(3), np.empty(3), np.empty(half.shape[0])
+    dynamics, body, mounts, half_angles, timing = r.dynamics, r.body, r.mounts, r.half_angles, r.timing
+    arc, weights, scale, limits, dt, max_range = r.arc, r.weights, r.scale, r.limits, r.dt, r.max_range
+    h, start, before, delay = dt / PARTS, np.empty(3), np.empty(3), np.empty(half_angles.shape[0])
     for k in range(rows.shape[0]):
         i = rows[k]
-        begun, hit, segments, state = steps[i] * dt, NOTHING, faces[i, : counts[i]], car[i]
+        begin_s, hit, segments, state = steps[i] * dt, NO_HIT, faces[i, : counts[i]], car[i]
         steps[i] += 1
         start[0], start[1], start[2] = state[0], state[1], state[2]
-        for s in range(half.shape[0]):
-            due[s] = firing(begun, dt, timing[s, 0], timing[s, 1])
-            fired[i, s] = due[s] > 0.0
-            deliver(
-                last_pings, in_flight, observed, i, s, begun + dt, timing[s, 2]
-            )  # before the ping is replaced by a new one
+        for s in range(half_angles.shape[0]):
+            delay[s] = firing_delay(begin_s, dt, timing[s, 0], timing[s, 1])
+            fired[i, s] = delay[s] > 0.0
+            receive(last_ping, in_flight, shown, i, s, begin_s + dt, timing[s, 2])  # before the last ping is replaced
         for part in range(PARTS):
             before[0], before[1], before[2] = state[0], state[1], state[2]
-            steering, speed = wanted[k, 0] * measures[5], wanted[k, 1] * measures[6]
-            hit, curvature = drive_part(state, steering, speed, measures, body, segments, h)
-            last = part == PARTS - 1 or hit != NOTHING
-            for s in range(half.shape[0]):
-                since = due[s] - part * h
-                if due[s] > 0.0 and since > 0.0 and (last or since <= h):
-                    there = since >= h - TIME_TOLERANCE_S  # at the end of the part, or later if the car was stopped
-                    pose = (state[0], state[1], state[2]) if there else roll(before, state[3] * since, curvature)
-                    cast_ping(last_pings, i, s, pose, begun + due[s], mounts, half, segments, surface, owner, far)
+            steering, speed = actions[k, 0] * dynamics[5], actions[k, 1] * dynamics[6]
+            hit, curvature = drive_part(state, steering, speed, dynamics, body, segments, h)
+            last = part == PARTS - 1 or hit != NO_HIT
+            for s in range(half_angles.shape[0]):
+                since = delay[s] - part * h
+                if delay[s] > 0.0 and since > 0.0 and (last or since <= h):
+                    at_end = since >= h - SAME_TIME_S  # at the end of the part, or later if the car was stopped
+                    pose = (state[0], state[1], state[2]) if at_end else roll(before, state[3] * since, curvature)
+                    measure_ping(
+                        last_ping,
+                        i,
+                        s,
+                        pose,
+                        begin_s + delay[s],
+                        mounts,
+                        half_angles,
+                        segments,
+                        surface,
+                        owner,
+                        max_range,
+                    )
             if last:
                 break
-        if hit != NOTHING:
+        if hit != NO_HIT:
             state[3] = 0.0
-        ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NOTHING, state[0] < limits[3]
-        ended[i, PARKED] = hit == NOTHING and is_parked(state, body, task[i], limits)
-        integrate(odometry[i], start, state[:3])
-        write_reward(terms, car, task, ended, i, arc, weights)
-        write_ego(ego, car, odometry, i, share, measures[0], steps[i])
+        ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NO_HIT, state[0] < limits[3]
+        ended[i, PARKED] = hit == NO_HIT and is_parked(state, body, task[i], limits)
+        update_odometry(odometry[i], start, state[:3])
+        update_reward(terms, car, task, ended, i, arc, weights)
+        update_ego(ego, car, odometry, i, scale, dynamics[0], steps[i])
 
 
 @compiled
 def bin_of(range_: float, edges: Floats) -> int:
-    """Return the bin of a range in m. Bins have equal width; ranges beyond the last bin belong to it."""
+    """Return the bin of a range in m; the bins have equal widths, and larger ranges are in the last bin."""
     last = edges.shape[0] - 2
     place = min(int((range_ - edges[0]) / (edges[1] - edges[0])), last)
-    if range_ < edges[place]:  # rounding error of the division
+    if range_ < edges[place]:  # the division may be wrong by rounding
         return place - 1
     return place + 1 if place < last and range_ >= edges[place + 1] else place
 
 
 @compiled
-def cause_of(fault: float, status: float, object_index: float, range_: float, true: float) -> int:
-    """Return the cause of a reading. A reading within 10 % of the distance is correct, as for credence (Esmi 2016).
+def cause_of(fault: float, status: float, obstacle: float, reading: float, true: float) -> int:
+    """Return the cause of a reading; a right reading is within 10 % of the true distance, as for credence (Esmi 2016).
 
     Args:
-        fault: number of the fault of the model behind the reading, 0 for none.
-        status: `EchoStatus` of the reading.
-        object_index: object in the cone, -1 for none.
-        range_: reading, m.
-        true: distance, m.
+        fault: number of the model's fault that affects the reading, 0 for none.
+        status: status of the reading, an `EchoStatus`.
+        obstacle: number of the obstacle in the cone, -1 for none.
+        reading: reading, m.
+        true: true distance, m.
     """
     if fault > 0.0:
-        return FAULTS + int(fault) - 1
+        return FIRST_FAULT + int(fault) - 1
     if status == _NO_ANSWER:
         return NO_ANSWER
     if status != _ECHO:
-        return MISSED if object_index >= 0.0 else EMPTY
-    if object_index < 0.0:
+        return MISSED if obstacle >= 0.0 else EMPTY
+    if obstacle < 0.0:
         return GHOST
-    if abs(range_ - true) <= 0.1 * true:
+    if abs(reading - true) <= 0.1 * true:
         return TARGET
-    return EARLY if range_ < true else LATE
+    return EARLY if reading < true else LATE
 
 
 @compiled
-def observe(rows: Ints, w: Worlds, r: StepConstants) -> None:
-    """Write the observations of the readings that have arrived in some worlds.
+def update_observation(rows: Ints, w: WorldArrays, r: StepConstants) -> None:
+    """Write the observation of the sonars of some worlds from the readings that have arrived.
 
-    A reading arrives one latency after its ping and is observed until the next one arrives. Each sonar has at most one
-    ping in flight.
+    A reading arrives one latency after its ping and is shown until the next one. A sonar has one ping in flight.
     """
-    last_pings, observed, fired, in_flight, steps = w.last_pings, w.observed, w.fired, w.in_flight, w.steps
+    last_ping, shown, fired, in_flight, steps = w.last_ping, w.shown, w.fired, w.in_flight, w.steps
     ranges, credence, echo, age, cause = w.ranges, w.credence, w.echo, w.age, w.cause
-    timing, edges, tables, dt, far = r.timing, r.edges, r.tables, r.dt, r.far
+    timing, edges, tables, dt, max_range = r.timing, r.edges, r.tables, r.dt, r.max_range
     for i in rows:
         now = steps[i] * dt
         for s in range(timing.shape[0]):
             in_flight[i, s] |= fired[i, s]
-            deliver(last_pings, in_flight, observed, i, s, now, timing[s, 2])
-            range_, status = observed[i, s, RANGE], observed[i, s, STATUS]
+            receive(last_ping, in_flight, shown, i, s, now, timing[s, 2])
+            reading, status = shown[i, s, RANGE], shown[i, s, STATUS]
             ranges[i, s], credence[i, s], echo[i, s] = 1.0, 0.0, -1.0 if status == _NO_ANSWER else 0.0
             if status == _ECHO:
-                ranges[i, s], echo[i, s] = min(range_ / far, 1.0), 1.0
-                credence[i, s] = tables[s, bin_of(range_, edges)]
-            age[i, s] = min(max(now - observed[i, s, SENT], 0.0), 1.0)
-            fault, object_index, true = observed[i, s, FAULT], observed[i, s, OBJECT], observed[i, s, DISTANCE]
-            cause[i, s] = cause_of(fault, status, object_index, range_, true)
+                ranges[i, s], echo[i, s] = min(reading / max_range, 1.0), 1.0
+                credence[i, s] = tables[s, bin_of(reading, edges)]
+            age[i, s] = min(max(now - shown[i, s, SENT], 0.0), 1.0)
+            fault, obstacle, true = shown[i, s, FAULT], shown[i, s, OBSTACLE], shown[i, s, DISTANCE]
+            cause[i, s] = cause_of(fault, status, obstacle, reading, true)

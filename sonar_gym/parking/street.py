@@ -1,7 +1,7 @@
-"""The street of the parking task: boxes on the right with spaces between them, one of which is long enough to park.
+"""The street of the parking task: boxes on the right with gaps between them, of which one is wide enough.
 
-The centre of the lane is the x axis; the car drives towards +x. The parking strip lies on the right, between its line
-and the kerb. The scenario is from Esmi (2016), section 6.1 and figure 6.1; the dimensions are chosen here.
+The x axis is the centre of the lane; the car drives towards +x. The parking strip lies on the right, between its line
+and the kerb. The scenario is that of Esmi (2016), section 6.1 and figure 6.1; its dimensions are chosen here.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.scene import Box, Scene, box_faces
 
 Floats = NDArray[np.float64]
-REAR_ROOM = (0.02, 0.12)  # m; least and greatest distance behind the car at the end of the reference path
-TURN_ROOM = 0.27  # m; least excess of the gap over the car for parking in one move
-ARC_MARGIN = 1.1  # radius of the arcs of the reference path over the least turning radius
-PATH_STEP = 0.01  # m between poses of the reference path
+REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
+TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
+ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
+PATH_STEP = 0.01  # m; distance between poses of the reference path
 
 
 @dataclass(frozen=True)
 class StreetSettings:
-    """Distribution of the streets. Pairs are the limits of a uniform distribution; single numbers are fixed.
+    """Distributions and fixed dimensions of streets; pairs are the limits of uniform distributions.
 
     Attributes:
         gap: length of the space to park in, m.
         decoy: length of the spaces that are too short, m.
-        decoys: least and greatest number of such spaces.
+        decoys: number of those spaces.
         box: length of a box, m.
-        recess: distance of a box from the line of the strip, m.
+        recess: distance of a box behind the strip's line, m.
         reflectance: reflectance of a box, 0..1.
-        texture_deg: slope of the facets of the faces of a box; see `scene.WallSegment`.
-        kerb_reflectance: reflectance of the kerbs and of the wall at the end of the street, 0..1.
-        line: distance from the centre of the lane to the line of the strip, m.
-        depth: distance from the line of the strip to the kerb, m.
-        far_side: distance from the centre of the lane to the kerb on the left, m.
-        lead: distance from the start of the car to the first box, m.
+        texture_deg: slope of the facets of a box, deg; see `scene.WallSegment`.
+        kerb_reflectance: reflectance of the kerbs and of the wall that ends the street, 0..1.
+        line: distance from the lane's centre to the strip's line, m.
+        depth: depth of the strip, from its line to the kerb, m.
+        far_side: distance from the lane's centre to the left kerb, m.
+        lead: distance from the start to the first box, m.
         tail: distance from the last box to the end of the street, m.
-        start_offset: greatest lateral offset of the start, m.
-        start_heading_deg: greatest heading error at the start.
+        start_offset: largest offset of the start from the lane's centre, m.
+        start_heading_deg: largest heading error of the start, deg.
     """
 
     gap: tuple[float, float] = (0.85, 1.15)
@@ -64,7 +64,7 @@ class StreetSettings:
     start_heading_deg: float = 3.0
 
     def __post_init__(self) -> None:
-        """Raise SettingError for unordered pairs, invalid surfaces, and a gap that is not longer than the decoys."""
+        """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
         for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
             pair = tuple(getattr(self, name))
             if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
@@ -73,7 +73,8 @@ class StreetSettings:
         self._check_surfaces()
         if self.gap[0] <= self.decoy[1]:
             raise SettingError(
-                f"StreetSettings.gap must exceed decoy: least gap {self.gap[0]:g} m, greatest decoy {self.decoy[1]:g} m"
+                f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
+                f"longest decoy {self.decoy[1]:g} m"
             )
 
     def _check_surfaces(self) -> None:
@@ -107,13 +108,13 @@ LEVELS: dict[str, StreetSettings] = {
 
 
 def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
-    """Return the settings of a level, with the fields of a mapping replaced, or the given settings.
+    """Return the settings of a level, with some fields replaced, or complete settings as given.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap
     (0.75, 0.85)
     """
     if difficulty not in LEVELS:
-        raise SettingError(f"difficulty {difficulty!r}: no such level; expected {', '.join(LEVELS)}")
+        raise SettingError(f"difficulty {difficulty!r}: unknown level; expected {', '.join(LEVELS)}")
     if isinstance(given, StreetSettings):
         return given
     return replace(LEVELS[difficulty], **(given or {}))
@@ -124,11 +125,11 @@ class Street:
     """One street.
 
     Attributes:
-        settings: distribution of the street.
-        strip: boxes on the strip in order of x; rows of begin, length, recess, reflectance, texture: m, m, m, 1, deg,
+        settings: settings from which the street was drawn.
+        strip: begin, length, recess, reflectance, texture of the boxes on the strip, in driving order: m, m, m, 1, deg,
             (k, 5).
-        gap: x of the two ends of the space to park in, m.
-        start: initial x, y, heading of the rear axle of the car: m, m, rad, (3,).
+        gap: begin and end of the space to park in, x in m.
+        start: x, y, heading of the rear axle at the start: m, m, rad, (3,).
     """
 
     settings: StreetSettings
@@ -138,70 +139,73 @@ class Street:
 
     @property
     def end(self) -> float:
-        """The x of the wall at the end of the street, m."""
+        """X of the wall at the end of the street, m."""
         return float(self.strip[-1, 0] + self.strip[-1, 1] + self.settings.tail)
 
     @property
     def line(self) -> float:
-        """The y of the line of the strip, m."""
+        """Y of the strip's line, m."""
         return -self.settings.line
 
     @property
     def kerb(self) -> float:
-        """The y of the kerb, m."""
+        """Y of the right kerb, m."""
         return -self.settings.line - self.settings.depth
 
     @property
     def boxes(self) -> tuple[Box, ...]:
-        """The boxes on the strip, in order of x."""
-        kinds = self.strip[:, 3:]
-        return tuple(Box(*map(float, (*place, *kind))) for place, kind in zip(self._places(), kinds, strict=True))
+        """The boxes on the strip, in driving order."""
+        surfaces = self.strip[:, 3:]
+        return tuple(
+            Box(*map(float, (*rectangle, *surface)))
+            for rectangle, surface in zip(self._rectangles(), surfaces, strict=True)
+        )
 
-    def _places(self) -> Floats:
-        """Return centre, length, width and heading of the boxes, for `box_faces`."""
+    def _rectangles(self) -> Floats:
+        """Return centre, length, width and heading of the boxes, see `box_faces`."""
         begin, length, recess = self.strip[:, :3].T
         width = self.settings.depth - recess
         return np.column_stack([begin + 0.5 * length, self.line - recess - 0.5 * width, length, width, 0.0 * begin])
 
     @cached_property
     def scene(self) -> Scene:
-        """All reflecting obstacles: the boxes, the kerb on the right, the wall at the end, the kerb on the left."""
+        """All obstacles: the boxes, the right kerb, the end wall, the left kerb."""
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
-        walls = np.array(
-            [[-STREET_BEHIND_M, kerb, end, kerb], [end, kerb, end, left], [end, left, -STREET_BEHIND_M, left]]
+        walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
+        surfaces = np.concatenate(
+            [np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3]
         )
-        kinds = np.concatenate([np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3])
         owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
-        return Scene.of(np.concatenate([box_faces(self._places()), walls]), kinds, owner)
+        return Scene.of(np.concatenate([box_faces(self._rectangles()), walls]), surfaces, owner)
 
 
-STREET_BEHIND_M = 1.5  # m of street behind the start
+BEHIND = 1.5  # m; length of the street behind the start
 
 
 def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
-    """Draw a street. The same state of `rng` gives the same street."""
+    """Draw a street; the same state of `rng` gives the same street."""
     count = int(rng.integers(settings.decoys[0], settings.decoys[1] + 1))
     spaces = rng.uniform(*settings.decoy, size=count + 1)
-    place = int(rng.integers(0, count + 1))
-    spaces[place] = rng.uniform(*settings.gap)
+    where = int(rng.integers(0, count + 1))
+    spaces[where] = rng.uniform(*settings.gap)
     lengths = rng.uniform(*settings.box, size=count + 2)
     begins = settings.lead + np.cumsum(np.concatenate([[0.0], lengths[:-1] + spaces]))
     low, high = np.array([settings.recess, settings.reflectance, settings.texture_deg]).T
-    kinds = low + (high - low) * rng.random((count + 2, 3))
-    gap = (float(begins[place] + lengths[place]), float(begins[place + 1]))
-    sideways, turned = rng.uniform(-1.0, 1.0, size=2)
-    start = np.array([0.0, sideways * settings.start_offset, np.radians(turned * settings.start_heading_deg)])
-    return Street(settings, np.column_stack([begins, lengths, kinds]), gap, start)
+    surfaces = low + (high - low) * rng.random((count + 2, 3))
+    gap = (float(begins[where] + lengths[where]), float(begins[where + 1]))
+    offset, angle = rng.uniform(-1.0, 1.0, size=2)
+    start = np.array([0.0, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
+    return Street(settings, np.column_stack([begins, lengths, surfaces]), gap, start)
 
 
 BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0}
 
 
 def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) -> Street:
-    """Return a street with given boxes. The longest space between two boxes is the gap.
+    """Return a street with given boxes; the longest space between two of them is the gap.
 
     Args:
-        settings: all other dimensions. The car starts at the centre of the lane.
+        settings: all other dimensions; the car starts at the centre of the lane.
         boxes: mappings of begin and length, m, and optionally recess, reflectance and texture_deg.
 
     >>> street = street_of(StreetSettings(), [{"begin": 0.6, "length": 0.4}, {"begin": 2.0, "length": 0.4}])
@@ -210,7 +214,7 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     """
     unknown = [name for box in boxes for name in box if name not in BOX_FIELDS]
     if unknown:
-        raise SettingError(f"boxes: no field {unknown[0]!r}; expected {', '.join(BOX_FIELDS)}")
+        raise SettingError(f"boxes: unknown field {unknown[0]!r}; expected {', '.join(BOX_FIELDS)}")
     if len(boxes) < 2 or any(name not in box for box in boxes for name in ("begin", "length")):
         raise SettingError(f"boxes must be two or more, each with begin and length in m, got {list(boxes)}")
     rows = [[box.get(name, default) for name, default in BOX_FIELDS.items()] for box in boxes]
@@ -221,18 +225,18 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     widest = int(np.argmax(spaces))
     gap = (float(strip[widest, :2].sum()), float(strip[widest + 1, 0]))
     street = Street(settings, strip, gap, np.zeros(3))
-    _ = street.boxes  # raises SettingError for an invalid box
+    _ = street.boxes  # validates the boxes
     return street
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Geometry of the reference path.
+    """End and arcs of the reference path.
 
     Attributes:
-        x, y: position of the rear axle at its end, m.
-        turn: angle of each of its two arcs, rad.
-        ready_x: x on the lane at which the arcs begin, m.
+        x, y: position of the rear axle at the end of the path, m.
+        turn: angle of each of the two arcs, rad.
+        ready_x: x at which the arcs begin on the lane, m.
     """
 
     x: float
@@ -242,7 +246,7 @@ class Goal:
 
     @classmethod
     def of(cls, street: Street, car: CarSettings) -> Goal:
-        """Return the goal at the centre of the strip, as far behind the first box as a single move allows."""
+        """Return the goal in the middle of the strip, as far from the gap's first box as a single move allows."""
         spare = street.gap[1] - street.gap[0] - car.length - TURN_ROOM
         x = street.gap[0] + car.rear_overhang + min(max(spare, REAR_ROOM[0]), REAR_ROOM[1])
         y, radius = 0.5 * (street.line + street.kerb), arc_radius(car)
@@ -256,28 +260,28 @@ def arc_radius(car: CarSettings) -> float:
 
 
 def arc_table(car: CarSettings) -> Floats:
-    """Return points of an arc: angle, displacement in x and in y, arc length: rad, m, m, m, (k, 4)."""
+    """Return poses along an arc: angle, distance along x, distance along y, arc length: rad, m, m, m, (k, 4)."""
     radius = arc_radius(car)
     angle = np.arange(0.0, np.pi, PATH_STEP / radius)
     return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])
 
 
 def reference_path(street: Street, car: CarSettings) -> Floats:
-    """Return a path that parks the car: along the lane, then backwards in two equal arcs.
+    """Return a feasible path: along the lane, then backwards in two equal arcs.
 
     Args:
-        street: the street.
-        car: the car.
+        street: street to park on.
+        car: measures of the car.
 
     Returns:
-        Rows of x, y, heading of the rear axle and remaining length: m, m, rad, m, (k, 4).
+        X, y, heading of the rear axle and remaining length: m, m, rad, m, (k, 4).
     """
     goal, radius, arc = Goal.of(street, car), arc_radius(car), arc_table(car)
-    angle, along, across, way = np.vstack([arc[arc[:, 0] < goal.turn], _arc_end(radius, goal.turn)]).T
-    arcs, lane_x = 2.0 * radius * goal.turn, np.arange(-STREET_BEHIND_M, goal.ready_x, PATH_STEP)
+    angle, along, across, arc_length = np.vstack([arc[arc[:, 0] < goal.turn], _arc_end(radius, goal.turn)]).T
+    arcs, lane_x = 2.0 * radius * goal.turn, np.arange(-BEHIND, goal.ready_x, PATH_STEP)
     lane = np.column_stack([lane_x, 0 * lane_x, 0 * lane_x, arcs + goal.ready_x - lane_x])
-    first = np.column_stack([goal.ready_x - along, -across, angle, arcs - way])
-    second = np.column_stack([goal.x + along, goal.y + across, angle, way])[::-1]
+    first = np.column_stack([goal.ready_x - along, -across, angle, arcs - arc_length])
+    second = np.column_stack([goal.x + along, goal.y + across, angle, arc_length])[::-1]
     return np.vstack([lane, first, second])
 
 

@@ -1,4 +1,4 @@
-"""Vector form of SonarParking-v0: `gymnasium.make_vec("SonarParking-v0", num_envs=1024)`."""
+"""Many SonarParking-v0 environments: `gymnasium.make_vec("SonarParking-v0", num_envs=1024)`."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ from sonar_gym.sensing.sonar import SonarChoice
 Bits = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
-Outcome = tuple[Observation, Floats, Bits, Bits, dict[str, Any]]
-MASK = "reset_mask"  # option of `reset` in Gymnasium that selects environments
+StepResult = tuple[Observation, Floats, Bits, Bits, dict[str, Any]]
+MASK = "reset_mask"  # Gymnasium's reset option that selects environments
 
 
 def cores() -> int:
-    """Return the number of processors that this process may use."""
+    """Return the number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
-    """n environments that are stepped together. Each is identical to a `SonarParkingEnv` with its seed.
+    """n environments stepped together; each gives the same results as a `SonarParkingEnv` with its seed.
 
     Environment i is seeded with `seed + i`, or with item i of a list of seeds, and has its own random streams. Infos
-    are arrays with a leading axis of n. Each has a mask under the same name with the prefix "_", as in Gymnasium.
+    are arrays with a leading axis of n, each with a mask under its name preceded by "_", as in Gymnasium.
 
     Args:
-        num_envs: number of environments n.
+        num_envs: number of environments.
         sonar, sonar_layout, street, car, reward, odometry, difficulty, render_mode: see `SonarParkingEnv`.
-        max_episode_steps: time limit of an episode; None for no limit.
+        max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
-        threads: number of threads; by default one per processor if there are many environments.
-        pictured: indices of the environments that `render` draws.
+        threads: number of threads; default: one per processor.
+        pictured: numbers of the environments that `render` draws.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - as in Gymnasium
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium
         **SonarParkingEnv.metadata,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -74,7 +74,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
             raise SettingError(f"num_envs must be >= 1, got {num_envs}")
         check_render_mode(render_mode)
         if not all(0 <= i < num_envs for i in pictured):
-            raise SettingError(f"pictured must hold numbers of environments below {num_envs}, got {list(pictured)}")
+            raise SettingError(f"pictured must contain numbers of environments below {num_envs}, got {list(pictured)}")
         self.num_envs, self.render_mode, self.pictured = num_envs, render_mode, tuple(pictured)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -97,7 +97,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         self._rows = np.arange(num_envs)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
-        self._over = np.zeros(num_envs, dtype=np.bool_)  # ended and not yet reset
+        self._ended = np.zeros(num_envs, dtype=np.bool_)  # ended and not reset since
         self._renderers: dict[int, Any] = {}
 
     @property
@@ -112,11 +112,11 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the causes of readings, by number; see `SonarParkingEnv`."""
+        """Names of the causes of readings, by number, as in `SonarParkingEnv`."""
         return self.fleet.causes
 
     def _stream(self, i: int, seed: int | None = None) -> np.random.Generator:
-        """Return the generator of an environment, newly seeded if a seed is given or none exists yet."""
+        """Return the generator of an environment; a new one if a seed is given or there is none yet."""
         stream = self._streams[i]
         if stream is None or seed is not None:
             stream, self._seeds[i] = seeding.np_random(seed)
@@ -132,8 +132,9 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         """Begin new episodes in all environments, or in those of `options["reset_mask"]`.
 
         Args:
-            seed: seed of the first environment, increasing by one; or one seed per environment; None keeps the streams.
-            options: see `SonarParkingEnv.reset`; and `reset_mask`, bool, (n,).
+            seed: seed of the first environment, from which the others count up, or one seed per environment; None
+                continues the random streams.
+            options: options of `SonarParkingEnv.reset`, and `reset_mask`, bool, (n,).
         """
         seeds = self._seed_each(seed)
         options = dict(options or {})
@@ -142,7 +143,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         for i in rows:
             self._stream(int(i), seeds[i])
         self._begin(rows, options)
-        self._show()
+        self._render_window()
         return self.fleet.observation(slice(None)), self._infos(mask)
 
     def _seed_each(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
@@ -151,80 +152,84 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         if isinstance(seed, (int, np.integer)):
             return [int(seed) + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise SettingError(f"seed holds {len(seed)} seeds, expected {self.num_envs}: one per environment")
+            raise SettingError(f"seed has {len(seed)} items, expected {self.num_envs}: one per environment")
         return seed
 
     def _mask(self, given: Any) -> Bits:
         mask = np.asarray(given)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise SettingError(
-                f"reset option '{MASK}' must be {self.num_envs} booleans with at least one True; "
+                f"reset option '{MASK}' must be {self.num_envs} booleans, one or more true; "
                 f"got {mask.dtype} of shape {mask.shape}"
             )
         return mask
 
     def _begin(self, rows: Ints, options: Mapping[str, Any] | None = None) -> None:
         self.fleet.reset(rows, [self._stream(int(i)) for i in rows], options)
-        self._over[rows] = False
+        self._ended[rows] = False
 
-    def step(self, actions: ArrayLike) -> Outcome:
-        """Drive all cars for 0.1 s. `autoreset_mode` determines how ended episodes are reset.
+    def step(self, actions: ArrayLike) -> StepResult:
+        """Drive all cars for 0.1 s; `autoreset_mode` determines what happens when an episode ends.
 
-        Actions beyond -1..1 are clipped. NaN and infinity raise `SettingError` before any environment is stepped. The
-        action of an environment that is reset is ignored.
+        Actions beyond -1..1 are clipped; NaN and infinity raise a `SettingError`, and no car moves. The action of an
+        environment that is reset in this step is ignored.
         """
         if np.any(self.fleet.worlds.steps < 0):
             raise gymnasium.error.ResetNeeded("SonarParking-v0: step() before the first reset(); call reset() first")
-        again, going = self._rows[self._over], self._rows[~self._over]
-        if len(again) and self.autoreset_mode is AutoresetMode.DISABLED:
+        to_reset, running = self._rows[self._ended], self._rows[~self._ended]
+        if len(to_reset) and self.autoreset_mode is AutoresetMode.DISABLED:
             raise gymnasium.error.ResetNeeded(
-                f"SonarParking-v0: environment {again[0]} has ended; reset it with options={{'{MASK}': ...}}"
+                f"SonarParking-v0: environment {to_reset[0]} has ended; reset it with options={{'{MASK}': ...}}"
             )
-        if len(going):
-            self.fleet.step(going, self._checked(actions, going))
-        if len(again):
-            self._begin(again)
-        return self._outcome()
+        if len(running):
+            self.fleet.step(running, self._valid_actions(actions, running))
+        if len(to_reset):
+            self._begin(to_reset)
+        return self._step_result()
 
-    def _checked(self, actions: ArrayLike, going: Ints) -> Floats:
+    def _valid_actions(self, actions: ArrayLike, running: Ints) -> Floats:
         """Return the actions of the running environments, clipped to -1..1."""
         value = np.asarray(actions, dtype=np.float64)
         if value.shape != (self.num_envs, 2):
             raise SettingError(f"actions have shape {value.shape}, expected ({self.num_envs}, 2): steering and speed")
-        value = value[going]
+        value = value[running]
         if not np.isfinite(value.sum()):
-            for i, action in zip(going, value, strict=True):
+            for i, action in zip(running, value, strict=True):
                 if not np.all(np.isfinite(action)):
                     raise SettingError(f"action of environment {i} must be finite, got {action}: check the policy")
         return np.minimum(np.maximum(value, -1.0), 1.0)
 
-    def _outcome(self) -> Outcome:
-        """Return the results of a step, and reset ended episodes in the mode "SameStep"."""
-        fleet, everyone = self.fleet, np.ones(self.num_envs, dtype=np.bool_)
+    def _step_result(self) -> StepResult:
+        """Return the result of a step, with resets if the next episode begins in the same step."""
+        fleet, all_rows = self.fleet, np.ones(self.num_envs, dtype=np.bool_)
         rewards: Floats = fleet.worlds.terms.sum(axis=1)
         terminated: Bits = np.any(fleet.worlds.ended, axis=1)
         limit = self.max_episode_steps
         truncated: Bits = fleet.worlds.steps >= (np.inf if limit is None else limit)
-        self._over = terminated | truncated
-        final = self._finals(self._over) if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any() else {}
+        self._ended = terminated | truncated
+        final = (
+            self._final_infos(self._ended)
+            if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any()
+            else {}
+        )
         if final:
-            self._begin(self._rows[self._over])
-        self._show()
-        return fleet.observation(slice(None)), rewards, terminated, truncated, {**self._infos(everyone), **final}
+            self._begin(self._rows[self._ended])
+        self._render_window()
+        return fleet.observation(slice(None)), rewards, terminated, truncated, {**self._infos(all_rows), **final}
 
     def _infos(self, mask: Bits) -> dict[str, Any]:
         return masked(self.fleet.truth(slice(None)), mask)
 
-    def _finals(self, over: Bits) -> dict[str, Any]:
-        """Return the final observations and infos of ended episodes."""
+    def _final_infos(self, ended: Bits) -> dict[str, Any]:
+        """Return final observations and infos of the environments whose episodes have ended."""
         observations: NDArray[Any] = np.full(self.num_envs, None, dtype=object)
-        for i in self._rows[over]:
+        for i in self._rows[ended]:
             observations[i] = self.fleet.observation(i)
-        return masked({"final_obs": observations, "final_info": self._infos(over)}, over)
+        return masked({"final_obs": observations, "final_info": self._infos(ended)}, ended)
 
     # ---- rendering ---------------------------------------------------------------------------------------------------
 
-    def _show(self) -> None:
+    def _render_window(self) -> None:
         if self.render_mode == "human":
             self.render()
 
@@ -241,11 +246,11 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
         for i in shown:
             if i not in self._renderers:
                 self._renderers[i] = Renderer(self.render_mode, self.metadata["render_fps"])
-        pictures = [self._renderers[i].draw(self.fleet.view(i)) for i in shown]
+        pictures = [self._renderers[i].draw(self.fleet.world(i)) for i in shown]
         return tuple(pictures) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **_: Any) -> None:
-        """Close windows and shut threads down."""
+        """Close windows and threads."""
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()
@@ -253,7 +258,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[
 
 
 def masked(infos: Mapping[str, Any], mask: Bits) -> dict[str, Any]:
-    """Return infos, including nested ones, each with its mask of environments."""
+    """Return infos, also nested ones, each with a mask of the environments to which it applies."""
     out: dict[str, Any] = {}
     for name, value in infos.items():
         out[name] = masked(value, mask) if isinstance(value, dict) and not name.startswith("final") else value

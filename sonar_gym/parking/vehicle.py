@@ -1,4 +1,4 @@
-"""The miniature car at 1:10: a kinematic bicycle model with the rear axle as reference point."""
+"""The miniature car: a kinematic bicycle model about the rear axle, at a scale of 1:10."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import SettingError
-from sonar_gym.sensing import kernels
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class CarSettings:
-    """Dimensions and dynamics of the car. The miniature cars of Esmi (2016) have a tenth of the size of a real car.
+    """Measures of the car; the miniature cars of Esmi (2016) are about a tenth of the size of a real car.
 
     Attributes:
-        length, width: dimensions of the body, m.
+        length, width: length and width of the body, m.
         wheelbase: distance between the axles, m.
         rear_overhang: length of the body behind the rear axle, m.
         max_steering: maximum steering angle to either side, rad.
@@ -42,7 +41,7 @@ class CarSettings:
     speed_lag: float = 0.05
 
     def __post_init__(self) -> None:
-        """Raise SettingError for invalid dimensions."""
+        """Raise SettingError for invalid measures."""
         for name in ("length", "width", "wheelbase", "max_steering", "max_speed", "steering_rate", "acceleration"):
             if not getattr(self, name) > 0.0:
                 raise SettingError(f"CarSettings.{name} must be > 0, got {getattr(self, name):g}")
@@ -51,12 +50,12 @@ class CarSettings:
 
     @property
     def turning_radius(self) -> float:
-        """Least turning radius of the rear axle, m."""
+        """Minimum radius of the path of the rear axle, m."""
         return float(self.wheelbase / np.tan(self.max_steering))
 
     @property
     def centre(self) -> float:
-        """Distance from the rear axle forward to the centre of the body, m."""
+        """Distance of the centre of the body before the rear axle, m."""
         return 0.5 * self.length - self.rear_overhang
 
     @cached_property
@@ -67,9 +66,9 @@ class CarSettings:
 
     @cached_property
     def dynamics(self) -> Floats:
-        """Parameters of the drive for the kernels: wheelbase, rates and lags, maximum steering and speed, (7,)."""
-        follow = (self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag)
-        return np.array([self.wheelbase, *follow, self.max_steering, self.max_speed])
+        """Wheelbase, steering rate, steering lag, acceleration, speed lag, maximum steering and speed, (7,)."""
+        lags = (self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag)
+        return np.array([self.wheelbase, *lags, self.max_steering, self.max_speed])
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Car:
     """State of a car.
 
     Attributes:
-        settings: its dimensions and dynamics.
+        settings: measures of the car.
         state: x, y, heading of the rear axle, speed, steering angle: m, m, rad, m/s, rad, (5,).
     """
 
@@ -103,29 +102,3 @@ class Car:
     def steering(self) -> float:
         """Steering angle, positive to the left, rad."""
         return float(self.state[4])
-
-    def drive(self, steering: float, speed: float, segments: Floats, dt: float, parts: int = 5) -> tuple[Car, int]:
-        """Drive for dt s.
-
-        Args:
-            steering: command as a fraction of the maximum, -1 (right) to 1 (left).
-            speed: command as a fraction of the maximum, -1 to 1.
-            segments: obstacles, m, (m, 4).
-            dt: duration, s.
-            parts: number of equal parts after which collisions are checked.
-
-        Returns:
-            The car after dt, and the index of the segment it collided with, or -1.
-        """
-        s = self.settings
-        state, hit = kernels.drive(
-            self.state, steering * s.max_steering, speed * s.max_speed, s.dynamics, s.body, segments, dt, parts
-        )
-        return Car(s, state), hit
-
-    def corners(self) -> Floats:
-        """Return the corners of the body in the world: front left, rear left, rear right, front right, m, (4, 2)."""
-        rear, right, front, left = self.settings.body
-        local = np.array([[front, left], [rear, left], [rear, right], [front, right]])
-        c, s = np.cos(self.state[2]), np.sin(self.state[2])
-        return local @ np.array([[c, s], [-s, c]]) + self.state[:2]

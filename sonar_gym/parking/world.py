@@ -1,86 +1,98 @@
-"""View of one world of a fleet, for rendering and tests: street, car, cone hits and readings."""
+"""One world of a fleet for display and tests: street, car, conditions of the pings and their readings."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition import Reading
 from sonar_gym.parking import step_kernel
-from sonar_gym.parking.step_kernel import Worlds
+from sonar_gym.parking.step_kernel import WorldArrays
 from sonar_gym.parking.street import Street
 from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.sensing.mounts import Mount
 from sonar_gym.sensing.scene import Hits
-from sonar_gym.sensing.sonar import SonarReadings
 
 
 @dataclass(frozen=True)
-class WorldView:
-    """The present state of one world.
+class SonarReadings:
+    """Readings of s sonars.
 
     Attributes:
-        worlds: arrays of all worlds.
-        row: row of this world.
-        street: street of the episode.
+        reading: the readings.
+        credence: probability that each reading is right, given the reading, 0..1, (s,); 0 without an echo.
+    """
+
+    reading: Reading
+    credence: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class WorldView:
+    """The current state of one world.
+
+    Attributes:
+        arrays: arrays of all worlds.
+        row: number of the world.
+        street: street of this episode.
+        car_settings: measures of the car.
         mounts: sonars on the car.
-        car_settings: dimensions and dynamics of the car.
-        sonar_name: name of the sonar model, for display.
+        sonar_name: name of the sonar model.
         cause_names: names of the causes of readings, by number.
     """
 
-    worlds: Worlds
+    arrays: WorldArrays
     row: int
     street: Street
-    mounts: tuple[Mount, ...]
     car_settings: CarSettings
+    mounts: tuple[Mount, ...]
     sonar_name: str
     cause_names: tuple[str, ...]
 
     @property
     def car(self) -> Car:
         """The car."""
-        return Car(self.car_settings, self.worlds.car[self.row].copy())
+        return Car(self.car_settings, self.arrays.car[self.row].copy())
 
     @property
     def steps(self) -> int:
-        """Number of steps since the start of the episode."""
-        return int(self.worlds.steps[self.row])
+        """Number of steps in this episode."""
+        return int(self.arrays.steps[self.row])
 
     @property
     def hits(self) -> Hits:
-        """What the pings faced whose readings are observed."""
-        ping = self.worlds.observed[self.row].T.copy()
-        index = ping[step_kernel.OBJECT].astype(np.int64)
+        """Nearest points in the cones at the pings whose readings are shown."""
+        ping = self.arrays.shown[self.row].T.copy()
+        obstacle = ping[step_kernel.OBSTACLE].astype(np.int64)
         point = ping[[step_kernel.X, step_kernel.Y]].T.copy()
-        distance, bearing, incidence, reflectance = ping[: step_kernel.OBJECT]
-        return Hits(distance, bearing, incidence, reflectance, index >= 0, index, point)
+        distance, bearing, incidence, reflectance = ping[: step_kernel.OBSTACLE]
+        return Hits(distance, bearing, incidence, reflectance, obstacle >= 0, obstacle, point)
 
     @property
     def readings(self) -> SonarReadings:
-        """The observed readings."""
-        ping = self.worlds.observed[self.row].T
+        """The readings shown."""
+        ping = self.arrays.shown[self.row].T
         reading = Reading(ping[step_kernel.RANGE].copy(), ping[step_kernel.STATUS].astype(np.uint8))
-        credence = self.worlds.credence[self.row].astype(np.float64)
-        return SonarReadings(reading, credence, ping[step_kernel.GIVEN_CONDITION].copy())
+        return SonarReadings(reading, self.arrays.credence[self.row].astype(np.float64))
 
     @property
     def causes(self) -> tuple[str, ...]:
         """Name of the cause of each reading."""
-        return tuple(self.cause_names[number] for number in self.worlds.cause[self.row])
+        return tuple(self.cause_names[number] for number in self.arrays.cause[self.row])
 
     @property
     def parked(self) -> bool:
         """Whether the car stands in the gap."""
-        return bool(self.worlds.ended[self.row, step_kernel.PARKED])
+        return bool(self.arrays.ended[self.row, step_kernel.PARKED])
 
     @property
     def collision(self) -> bool:
         """Whether the car touches an obstacle."""
-        return bool(self.worlds.ended[self.row, step_kernel.COLLISION])
+        return bool(self.arrays.ended[self.row, step_kernel.COLLISION])
 
     @property
     def left_street(self) -> bool:
-        """Whether the car has left the street at its open end."""
-        return bool(self.worlds.ended[self.row, step_kernel.LEFT_STREET])
+        """Whether the car has left the street by the open end."""
+        return bool(self.arrays.ended[self.row, step_kernel.LEFT_STREET])

@@ -1,9 +1,6 @@
-"""Sonars, scenes and odometry.
+"""Sonars in an environment, from their mounts to the observed readings.
 
-mounts: positions, cones and schedules of sonars.
-scene: reflecting faces and cone casting.
-kernels: geometry and motion, compiled.
-sonar: random readings of a set of sonars, and their credence.
-timing: period, phase and latency.
+kernels: compiled geometry and kinematics. mounts: positions, cones and timing of sonars. scene: reflecting faces and
+the cones cast on them. sonar: a set of sonars with one model. timing: pings in flight and their arrival.
 odometry: dead reckoning with errors.
 """

@@ -1,6 +1,6 @@
-"""Geometry and motion kernels on plain arrays, compiled by numba.
+"""Compiled geometry and kinematics on plain arrays: pure functions for one world.
 
-Segments are rows (x1, y1, x2, y2) in m; poses are rows (x, y, heading) in m, m, rad. Angles are anticlockwise.
+Segments are rows (x1, y1, x2, y2) in m; poses are rows (x, y, heading) in m, m, rad. Angles are positive anticlockwise.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sonar_gym.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-NOTHING = -1  # index for an empty cone
-TIE = 1e-9  # m; tolerance for two faces that share a corner
+NO_HIT = -1  # index of the segment where a cone is empty
+TIE = 1e-9  # m; two faces of one corner have equal distances up to rounding
 
 
 @compiled
 def clip_half_plane(f0: float, f1: float, low: float, high: float) -> tuple[float, float]:
-    """Intersect [low, high] with the set of t where f0 + t (f1 - f0) >= 0. An empty interval has low > high."""
+    """Narrow [low, high] to the t with f0 + t (f1 - f0) >= 0; an empty interval has low > high."""
     slope = f1 - f0
     if slope == 0.0:
         return (low, high) if f0 >= 0.0 else (1.0, 0.0)
@@ -40,10 +40,11 @@ def to_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
 def nearest_in_wedge(
     x1: float, y1: float, x2: float, y2: float, cosine: float, sine: float
 ) -> tuple[float, float, bool]:
-    """Return the point of a segment nearest to the origin within a wedge about the x axis.
+    """Return the point of a segment nearest to the origin within a wedge about the x axis, and whether there is one.
 
-    A wedge narrower than half a turn is convex, so the part of the segment inside is one piece. Its nearest point is
-    the foot of the perpendicular, clamped to the piece. `cosine` and `sine` are those of half the opening angle.
+    A wedge with an opening angle below pi is convex, so the part of the segment inside is one piece, and its nearest
+    point is the foot of the perpendicular, clamped to the piece. The segment is (x1, y1, x2, y2); `cosine` and `sine`
+    are those of half the opening angle.
     """
     left1, left2 = sine * x1 - cosine * y1, sine * x2 - cosine * y2
     right1, right2 = sine * x1 + cosine * y1, sine * x2 + cosine * y2
@@ -54,14 +55,14 @@ def nearest_in_wedge(
     if low > high:
         return 0.0, 0.0, False
     dx, dy = x2 - x1, y2 - y1
-    square = dx * dx + dy * dy
-    foot = -(x1 * dx + y1 * dy) / square if square > 0.0 else 0.0
+    length2 = dx * dx + dy * dy
+    foot = -(x1 * dx + y1 * dy) / length2 if length2 > 0.0 else 0.0
     t = min(max(foot, low), high)
     return x1 + t * dx, y1 + t * dy, True
 
 
 @compiled
-def squareness(x: float, y: float, dx: float, dy: float) -> float:
+def incidence_cosine(x: float, y: float, dx: float, dy: float) -> float:
     """Return the cosine of the angle between the ray to (x, y) and the normal of a face along (dx, dy), 0 to 1."""
     scale = math.sqrt((x * x + y * y) * (dx * dx + dy * dy))
     return min(1.0, abs(x * dy - y * dx) / scale) if scale > 0.0 else 1.0
@@ -78,8 +79,8 @@ def out_of_frame(x: float, y: float, pose: Floats) -> tuple[float, float]:
 def cast_cone(
     x: float, y: float, heading: float, half: float, segments: Floats, limit: float
 ) -> tuple[float, float, float, int, float, float]:
-    """Find the nearest point of any segment within one cone; see `cast_cones`."""
-    best, square, index, at_x, at_y = limit, 0.0, NOTHING, 0.0, 0.0
+    """Return the nearest point of any segment in one cone; see `cast_cones`. Segments behind the sensor are skipped."""
+    best, best_cosine, index, at_x, at_y = limit, 0.0, NO_HIT, 0.0, 0.0
     c, s, cosine, sine = math.cos(heading), math.sin(heading), math.cos(half), math.sin(half)
     for k in range(segments.shape[0]):
         ax, ay, bx, by = segments[k, 0] - x, segments[k, 1] - y, segments[k, 2] - x, segments[k, 3] - y
@@ -88,36 +89,36 @@ def cast_cone(
             continue
         y1, y2 = c * ay - s * ax, c * by - s * bx
         px, py, inside = nearest_in_wedge(x1, y1, x2, y2, cosine, sine)
-        away = math.sqrt(px * px + py * py)
-        if not inside or away > best + TIE or away > limit:
+        distance = math.sqrt(px * px + py * py)
+        if not inside or distance > best + TIE or distance > limit:
             continue
-        met = squareness(px, py, x2 - x1, y2 - y1)
-        if away < best - TIE or index == NOTHING or met > square:
-            best, square, index, at_x, at_y = away, met, k, px, py
-    if index == NOTHING:
-        return limit, 0.0, 0.0, NOTHING, x, y
-    bearing = math.atan2(at_y, at_x) if best > TIE else 0.0  # undefined on the face itself
-    return best, bearing, math.acos(square), index, x + c * at_x - s * at_y, y + s * at_x + c * at_y
+        cosine_here = incidence_cosine(px, py, x2 - x1, y2 - y1)
+        if distance < best - TIE or index == NO_HIT or cosine_here > best_cosine:
+            best, best_cosine, index, at_x, at_y = distance, cosine_here, k, px, py
+    if index == NO_HIT:
+        return limit, 0.0, 0.0, NO_HIT, x, y
+    bearing = math.atan2(at_y, at_x) if best > TIE else 0.0  # no direction is defined on the face itself
+    return best, bearing, math.acos(best_cosine), index, x + c * at_x - s * at_y, y + s * at_x + c * at_y
 
 
 @compiled
 def cast_cones(
     poses: Floats, half: Floats, segments: Floats, limit: float
 ) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-    """Find the nearest point of any segment within each cone.
+    """Return the nearest point of any segment in each cone.
 
-    The line to the nearest point lies inside the convex cone, so nothing occludes it: no occlusion test is needed.
+    The line to the nearest point lies in the convex cone, so no other segment can block it: no occlusion test is
+    needed.
 
     Args:
         poses: poses of the sensors, (s, 3).
         half: half opening angles, rad, below pi/2, (s,).
-        segments: (m, 4).
-        limit: maximum range, m.
+        segments: segments, m, (m, 4).
+        limit: maximum distance, m.
 
     Returns:
-        Distance, m, (s,), `limit` for an empty cone; bearing off the axis, rad, (s,); angle of incidence, rad, (s,),
-        the smaller one at a corner of two faces; index of the segment, (s,), -1 for none; point, m,
-        (s, 2).
+        Distance, m, (s,), `limit` where the cone is empty; bearing off the axis, rad, (s,); incidence, rad, (s,), the
+        smaller one where two faces meet; index of the segment, (s,), -1 for none; point in the world, m, (s, 2).
     """
     count = poses.shape[0]
     distance, bearing, incidence = np.empty(count), np.empty(count), np.empty(count)
@@ -125,7 +126,7 @@ def cast_cones(
     for i in range(count):
         found = cast_cone(poses[i, 0], poses[i, 1], poses[i, 2], half[i], segments, limit)
         distance[i], bearing[i], incidence[i], index[i], x, y = found
-        if index[i] != NOTHING:
+        if index[i] != NO_HIT:
             point[i, 0], point[i, 1] = x, y
     return distance, bearing, incidence, index, point
 
@@ -145,9 +146,9 @@ def touches(pose: Floats, body: Floats, segments: Floats) -> int:
     """Return the first segment that intersects a rectangle, or -1.
 
     Args:
-        pose: pose of the frame of the body, (3,).
+        pose: pose of the body's frame, (3,).
         body: rectangle in that frame, (rear, right, front, left), m.
-        segments: (m, 4).
+        segments: segments, m, (m, 4).
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(segments.shape[0]):
@@ -167,21 +168,21 @@ def touches(pose: Floats, body: Floats, segments: Floats) -> int:
         low, high = clip_half_plane(body[3] - y1, body[3] - y2, low, high)
         if low <= high:
             return k
-    return NOTHING
+    return NO_HIT
 
 
 @compiled
 def approach(value: float, target: float, rate: float, lag: float, dt: float) -> float:
-    """Return the value of a first-order lag after dt s: time constant `lag` s, rate at most `rate` per second."""
+    """Return a first-order lag's value after dt s: time constant `lag` s, slope at most `rate` per second."""
     change = (target - value) * (1.0 - math.exp(-dt / lag)) if lag > 0.0 else target - value
     return value + min(max(change, -rate * dt), rate * dt)
 
 
 @compiled
 def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, float]:
-    """Return the exact pose after the rear axle travels `travel` m along an arc of `curvature` 1/m.
+    """Return the pose after the rear axle has moved `travel` m along an arc of `curvature` 1/m (exact).
 
-    The chord of an arc of angle a has the length travel * sin(a/2)/(a/2) and the direction a/2.
+    The chord of an arc with angle a has length travel sin(a/2)/(a/2) and direction a/2.
     """
     turn = travel * curvature
     half = 0.5 * turn
@@ -195,41 +196,22 @@ def roll(pose: Floats, travel: float, curvature: float) -> tuple[float, float, f
 def drive_part(
     state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, h: float
 ) -> tuple[int, float]:
-    """Drive a car for h s and update `state` in place. See `drive`.
+    """Drive a car for h s, in place.
+
+    Args:
+        state: x, y, heading, speed, steering angle: m, m, rad, m/s, rad, (5,); modified.
+        steering: steering angle command, rad.
+        speed: speed command, m/s.
+        car: wheelbase m, steering rate rad/s, steering lag s, acceleration m/s^2, speed lag s, ...
+        body: rectangle in the frame of the car, (rear, right, front, left), m.
+        segments: obstacles, m, (m, 4).
+        h: duration, s.
 
     Returns:
-        Index of the segment of a collision or -1, and curvature of the path, 1/m.
+        The index of the segment touched or -1, and the curvature of the path, 1/m.
     """
     state[4] = approach(state[4], steering, car[1], car[2], h)
     state[3] = approach(state[3], speed, car[3], car[4], h)
     curvature = math.tan(state[4]) / car[0]
     state[0], state[1], state[2] = roll(state[:3], state[3] * h, curvature)
     return touches(state[:3], body, segments), curvature
-
-
-@compiled
-def drive(
-    state: Floats, steering: float, speed: float, car: Floats, body: Floats, segments: Floats, dt: float, parts: int
-) -> tuple[Floats, int]:
-    """Drive a car for dt s in equal parts. The car stops where its body touches a segment.
-
-    Args:
-        state: x, y, heading, speed, steering angle: m, m, rad, m/s, rad.
-        steering: commanded steering angle, rad.
-        speed: commanded speed, m/s.
-        car: wheelbase m, steering rate rad/s, steering lag s, acceleration m/s^2, speed lag s, ...
-        body: rectangle in the frame of the car, (rear, right, front, left), m.
-        segments: obstacles, m, (m, 4).
-        dt: duration, s.
-        parts: number of equal parts of dt.
-
-    Returns:
-        The state after dt, and the index of the segment of a collision or -1.
-    """
-    out, hit = state.copy(), NOTHING
-    for _ in range(parts):
-        hit, _ = drive_part(out, steering, speed, car, body, segments, dt / parts)
-        if hit != NOTHING:
-            out[3] = 0.0
-            break
-    return out, hit

@@ -1,4 +1,4 @@
-"""Positions, cones and schedules of the sonars on the car."""
+"""Mounts of the sonars on the car: position, cone and timing."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Mount:
     """One sonar on the car.
 
     Attributes:
-        name: name for display.
-        x, y: position in front and left of the rear axle, m.
+        name: display name.
+        x, y: position before and left of the centre of the rear axle, m.
         heading_deg: direction of the beam axis, anticlockwise from straight ahead, deg.
         cone_deg: full opening angle, deg.
-        period_s: interval between pings, s; 0 for a ping at every observation.
-        phase_s: time of the first ping in an episode, s; different phases avoid cross-talk.
-        latency_s: delay from a ping to its reading, s; at most the period.
+        period_s: time between pings, s; 0 for one ping at every observation.
+        phase_s: time of the first ping in an episode, s; sonars that would disturb each other fire at different times.
+        latency_s: time from a ping to the arrival of its reading, s; at most the period.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Mount:
     latency_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise SettingError for an invalid cone or invalid times."""
+        """Raise SettingError for an invalid cone or time."""
         if not 0.0 < self.cone_deg < 180.0:
             raise SettingError(f"Mount.cone_deg of {self.name!r} must lie in (0, 180) deg, got {self.cone_deg:g} deg")
         for name in ("period_s", "phase_s", "latency_s"):
@@ -49,7 +49,7 @@ class Mount:
         if 0.0 < self.period_s < self.latency_s:
             raise SettingError(
                 f"Mount.latency_s of {self.name!r} is {self.latency_s:g} s, more than its period of {self.period_s:g} "
-                "s: a sonar cannot fire before its reading has arrived"
+                "s: give a shorter latency or a longer period"
             )
 
 
@@ -63,8 +63,8 @@ EIGHT = (
     Mount("rear right", -0.08, -0.09, -145.0),
     Mount("rear", -0.09, 0.0, 180.0),
 )
-# Firing times of the eight sonars in a cycle of 0.1 s; neighbours never fire together. With a range of 3.01 m, the
-# reading of an SRF08 takes 17.6 ms of sound and about 2 ms on the bus (Devantech, SRF08).
+# Firing times of the eight sonars in a cycle of 0.1 s; neighbours never fire together. An SRF08 with a range of 3.01 m
+# needs 17.6 ms for the sound and about 2 ms on the bus (Devantech, SRF08).
 TURN_S = (0.02, 0.04, 0.08, 0.02, 0.06, 0.06, 0.04, 0.08)
 LATENCY_S = 0.020
 
@@ -85,7 +85,7 @@ Layout = str | Iterable[Mount | Mapping[str, Any]]
 
 
 def layout(given: Layout) -> tuple[Mount, ...]:
-    """Return mounts given by the name of a layout, as mounts, or as mappings of their fields.
+    """Return mounts by the name of a layout, or from mounts or mappings of their fields.
 
     >>> [mount.name for mount in layout("four")]
     ['front', 'right front', 'right rear', 'rear']
@@ -93,12 +93,12 @@ def layout(given: Layout) -> tuple[Mount, ...]:
     if isinstance(given, str):
         if given not in LAYOUTS:
             raise SettingError(
-                f"sonar_layout {given!r}: no such layout; expected {', '.join(LAYOUTS)}, or a list of mounts"
+                f"sonar_layout {given!r}: unknown name; expected {', '.join(LAYOUTS)}, or a list of mounts"
             )
         return LAYOUTS[given]
     mounts = tuple(mount if isinstance(mount, Mount) else Mount(**mount) for mount in given)
     if not mounts:
-        raise SettingError("sonar_layout holds 0 mounts, expected 1 or more")
+        raise SettingError("sonar_layout has 0 mounts, expected 1 or more")
     return mounts
 
 
@@ -112,23 +112,23 @@ def timing_array(mounts: Sequence[Mount], step_s: float) -> Floats:
     """Return period, phase and latency of each sonar, s, (s, 3).
 
     Args:
-        mounts: the sonars.
-        step_s: time between observations, s; no sonar may fire more often.
+        mounts: sonars.
+        step_s: time between observations, s; the shortest possible period.
     """
     for mount in mounts:
         if 0.0 < mount.period_s < step_s:
             raise SettingError(
-                f"Mount.period_s of {mount.name!r} is {mount.period_s:g} s, less than the {step_s:g} s "
-                "between observations: use 0 for a ping at every observation"
+                f"Mount.period_s of {mount.name!r} is {mount.period_s:g} s, less than the {step_s:g} s from one "
+                "observation to the next: give 0 for a ping at every observation"
             )
         if mount.period_s == 0.0 and mount.latency_s > step_s:
             raise SettingError(
                 f"Mount.latency_s of {mount.name!r} is {mount.latency_s:g} s, more than the {step_s:g} s to its next "
-                "ping: use a longer period_s"
+                "ping: give a longer period_s"
             )
     return np.array([[m.period_s, m.phase_s, m.latency_s] for m in mounts])
 
 
 def in_world(poses: Floats, car: Floats) -> Floats:
-    """Transform poses from the frame of a car at x, y, heading to the world, (s, 3)."""
+    """Transform poses from the frame of the car to the world, (s, 3); `car` is its x, y, heading."""
     return mounted(poses, car)

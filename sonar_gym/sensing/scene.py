@@ -1,4 +1,4 @@
-"""Scenes of straight reflecting faces, and casting of sonar cones on them."""
+"""Scenes of straight reflecting faces, and the cones of sonars cast on them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from acquisition import Ping, SettingError
 from sonar_gym.sensing import kernels
 
 Floats = NDArray[np.float64]
-CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # corners of a square with side 2
-EMPTY_M = 20.0  # m; distance given to a model for an empty cone, beyond the range of every sonar
+CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # of a square with sides of 2 m
+EMPTY_M = 20.0  # m; distance given to a model for an empty cone: beyond the range of every sonar
 
 
-def check_surface(what: str, reflectance: float, texture_deg: float) -> None:
-    """Raise SettingError for a reflectance outside 0..1 or a texture outside 0..90 deg."""
+def check_surface(name: str, reflectance: float, texture_deg: float) -> None:
+    """Raise SettingError for an invalid reflectance or slope of facets."""
     if not 0.0 <= reflectance <= 1.0:
-        raise SettingError(f"{what}.reflectance must lie in [0, 1], got {reflectance:g}")
+        raise SettingError(f"{name}.reflectance must lie in [0, 1], got {reflectance:g}")
     if not 0.0 <= texture_deg < 90.0:
-        raise SettingError(f"{what}.texture_deg must lie in [0, 90) deg, got {texture_deg:g} deg")
+        raise SettingError(f"{name}.texture_deg must lie in [0, 90) deg, got {texture_deg:g} deg")
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class WallSegment:
 
     Attributes:
         x1, y1, x2, y2: end points, m.
-        reflectance: 0..1.
-        texture_deg: slope of the facets of a rough face, deg. The face reflects at incidence angles up to this slope as
-            a smooth face does at normal incidence.
+        reflectance: reflectance, 0..1.
+        texture_deg: slope of the facets of a rough face, deg; at incidence angles up to this slope the face reflects
+            like a smooth face at normal incidence.
     """
 
     x1: float
@@ -59,9 +59,9 @@ class Box:
     Attributes:
         x, y: centre, m.
         length, width: sides along and across the heading, m.
-        heading: rad.
-        reflectance: 0..1.
-        texture_deg: slope of the facets, see `WallSegment`.
+        heading: heading, rad.
+        reflectance: reflectance, 0..1.
+        texture_deg: slope of the facets, deg; see `WallSegment`.
     """
 
     x: float
@@ -73,7 +73,7 @@ class Box:
     texture_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise SettingError for a box without extent or with an invalid surface."""
+        """Raise SettingError for sides that are not positive and for an invalid surface."""
         if self.length <= 0.0 or self.width <= 0.0:
             raise SettingError(f"Box sides must be > 0 m, got {self.length:g} m x {self.width:g} m")
         check_surface("Box", self.reflectance, self.texture_deg)
@@ -90,10 +90,10 @@ class Box:
 
 
 def box_faces(boxes: Floats) -> Floats:
-    """Return the faces of b boxes as segments, m, (4 b, 4).
+    """Return the faces of boxes as segments, m, (4 b, 4).
 
     Args:
-        boxes: rows of centre x, y, length, width, heading: m, m, m, m, rad, (b, 5).
+        boxes: centre x, y, length, width, heading of each box: m, m, m, m, rad, (b, 5).
     """
     half, c, s = 0.5 * boxes[:, None, 2:4], np.cos(boxes[:, None, 4]), np.sin(boxes[:, None, 4])
     local = CORNERS * half
@@ -108,28 +108,28 @@ class Hits:
     """Nearest points in s cones.
 
     Attributes:
-        distance: distance of the nearest point, m, (s,); the range limit for an empty cone.
-        bearing: angle of that point off the beam axis, rad, (s,).
-        incidence: angle between ray and surface normal, less the slope of the facets of a rough face, rad, (s,).
-        reflectance: reflectance of the face, (s,); 0 for an empty cone.
-        seen: whether the cone holds a reflector, (s,).
-        object_index: index of the wall or box in its scene, (s,); -1 for an empty cone.
-        point: the nearest point, m, (s, 2).
+        distance: distance of the nearest point, m, (s,); the limit of the cast where the cone is empty.
+        bearing: bearing of that point off the beam axis, rad, (s,).
+        incidence: angle between ray and surface normal, less the slope of the facets, at least 0, rad, (s,).
+        reflectance: reflectance of the face, (s,); 0 where the cone is empty.
+        in_cone: whether a face is in the cone, (s,).
+        obstacle: number of the obstacle in its scene, (s,); -1 where the cone is empty.
+        point: nearest point, m, (s, 2).
     """
 
     distance: Floats
     bearing: Floats
     incidence: Floats
     reflectance: Floats
-    seen: NDArray[np.bool_]
-    item: NDArray[np.int64]
+    in_cone: NDArray[np.bool_]
+    obstacle: NDArray[np.int64]
     point: Floats
 
     def ping(self, time: float) -> Ping:
-        """Return the conditions of the sensors at a time in s. Each sensor is its own run."""
+        """Return the conditions of pings at a time in s; each sensor is a run of its own."""
         n = len(self.distance)
         return Ping(
-            distance=np.where(self.seen, self.distance, EMPTY_M),
+            distance=np.where(self.in_cone, self.distance, EMPTY_M),
             angle=self.bearing,
             incidence=self.incidence,
             reflectance=self.reflectance,
@@ -139,57 +139,57 @@ class Hits:
 
 
 class Scene:
-    """Obstacles that reflect sound.
+    """Obstacles that reflect sound and stop cars.
 
     Args:
-        objects: walls and boxes.
+        obstacles: walls and boxes.
 
     Attributes:
         segments: all faces, m, (m, 4).
         surface: reflectance and slope of the facets of each face, 1 and rad, (m, 2).
-        owner: index of the object of each face, (m,).
+        owner: number of the obstacle of each face, (m,).
 
     >>> hits = Scene([WallSegment(2.0, -1.0, 2.0, 1.0)]).cast(np.array([[0.0, 0.0, 0.0]]), np.array([0.3]), limit=3.0)
     >>> float(hits.distance[0]), float(hits.incidence[0])
     (2.0, 0.0)
     """
 
-    def __init__(self, objects: Iterable[WallSegment | Box]) -> None:
-        objects = tuple(objects)
-        faces = [item.faces for item in objects]
+    def __init__(self, obstacles: Iterable[WallSegment | Box]) -> None:
+        obstacles = tuple(obstacles)
+        faces = [obstacle.faces for obstacle in obstacles]
         owner = np.repeat(np.arange(len(faces)), [len(face) for face in faces])
-        kind = np.array([[item.reflectance, item.texture_deg] for item in objects]).reshape(-1, 2)
-        self._store(np.vstack(faces) if faces else np.empty((0, 4)), kind[owner], owner)
+        surface = np.array([[obstacle.reflectance, obstacle.texture_deg] for obstacle in obstacles]).reshape(-1, 2)
+        self._set_faces(np.vstack(faces) if faces else np.empty((0, 4)), surface[owner], owner)
 
     @classmethod
     def of(cls, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> Scene:
         """Return a scene of given faces.
 
         Args:
-            segments: m, (m, 4).
-            surface: reflectance and texture in deg of each face, (m, 2).
-            owner: index of the object of each face, (m,).
+            segments: faces, m, (m, 4).
+            surface: reflectance and slope of the facets of each face, 1 and deg, (m, 2).
+            owner: number of the obstacle of each face, (m,).
         """
         scene = cls.__new__(cls)
-        scene._store(segments, surface, owner)
+        scene._set_faces(segments, surface, owner)
         return scene
 
-    def _store(self, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> None:
+    def _set_faces(self, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> None:
         self.segments, self.owner = segments, owner.astype(np.int64)
         self.surface = np.column_stack([surface[:, 0], np.radians(surface[:, 1])])
-        # one extra entry: an empty cone has index -1, which must not select the last object
+        # an extra last row: an empty cone has index -1
         self._surface = np.vstack([self.surface, [0.0, 0.0]])
-        self._owner = np.append(self.owner, kernels.NOTHING)
+        self._owner = np.append(self.owner, kernels.NO_HIT)
 
     def cast(self, poses: Floats, half: Floats, limit: float) -> Hits:
-        """Cast cones.
+        """Return the nearest point in each of s cones.
 
         Args:
-            poses: poses of the sensors, rows x, y, heading: m, m, rad, (s, 3).
+            poses: x, y, heading of the sensors, m, m, rad, (s, 3).
             half: half opening angles, rad, (s,).
-            limit: maximum range, m.
+            limit: maximum distance, m.
         """
         distance, bearing, incidence, index, point = kernels.cast_cones(poses, half, self.segments, limit)
         reflectance, texture = self._surface[index].T
-        met = np.maximum(incidence - texture, 0.0)
-        return Hits(distance, bearing, met, reflectance, index >= 0, self._owner[index], point)
+        effective = np.maximum(incidence - texture, 0.0)
+        return Hits(distance, bearing, effective, reflectance, index >= 0, self._owner[index], point)

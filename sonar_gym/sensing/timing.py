@@ -1,7 +1,7 @@
-"""Schedules of sonars: period, phase and latency in seconds, independent of the step of the environment.
+"""When sonars ping and when their readings arrive, from periods, phases and latencies in seconds.
 
-The world is known at the observations only. A ping between two observations faces the world at the first of them. Its
-reading is observed from the first observation after its arrival until the next reading arrives.
+The environment is known only at its observations. A ping sent between two observations is given the conditions of the
+earlier one. Its reading is shown from the first observation at or after its arrival until the next reading arrives.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from sonar_gym.sensing.sonar import ECHO_CODE, Sonar
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bits = NDArray[np.bool_]
-TIME_TOLERANCE_S = 1e-9  # s; two moments as near as this are one
-DISTANCE, BEARING, INCIDENCE, REFLECTANCE, SEEN, SENT, RANGE, STATUS, GIVEN_CONDITION = range(9)
-COLUMNS, MET = 9, 5  # number of columns of a ping, and of those with its condition
+SAME_TIME_S = 1e-9  # s; times closer than this are equal
+DISTANCE, BEARING, INCIDENCE, REFLECTANCE, IN_CONE, SENT, RANGE, STATUS, GIVEN_CONDITION = range(9)
+N_COLUMNS, N_CONDITIONS = 9, 5  # columns of a ping, and how many of them are its conditions
 Times = tuple[ArrayLike, ArrayLike, ArrayLike]  # period, phase and latency, s
-MAX_AGE_S = 1.0  # maximum age in an observation
+MAX_AGE_S = 1.0  # upper limit of the age in an observation
 
 
-class ConeConditions(NamedTuple):
-    """Conditions in the cones of r cars with s sonars each.
+class PingConditions(NamedTuple):
+    """Conditions of the pings of s sonars on each of r cars.
 
     Attributes:
-        distance: m, (r, s); undefined for an empty cone.
-        bearing: angle of the reflector off the beam axis, rad, (r, s).
+        distance: distance to the nearest reflector, m, (r, s); arbitrary where the cone is empty.
+        bearing: bearing of the reflector off the beam axis, rad, (r, s).
         incidence: angle between beam and surface normal, rad, (r, s).
-        reflectance: (r, s).
-        seen: whether the cone holds a reflector, (r, s).
+        reflectance: reflectance of the surface, 0..1, (r, s).
+        in_cone: whether a reflector is in the cone, (r, s).
     """
 
     distance: Floats
     bearing: Floats
     incidence: Floats
     reflectance: Floats
-    seen: Bits
+    in_cone: Bits
 
 
 def timing(count: int, step_s: float, times: Times) -> Floats:
@@ -49,123 +49,128 @@ def timing(count: int, step_s: float, times: Times) -> Floats:
     Args:
         count: number of sonars.
         step_s: time between observations, s.
-        times: period (0 for a ping at every observation), phase (time of the first ping; unused if the period is 0) and
-            latency, s; each one number, or one per sonar.
+        times: period (0 for a ping at every observation), time of the first ping (unused if the period is 0), and
+            latency of the reading, s; each is one number or one for each sonar.
+
+    Raises:
+        SettingError: a time is negative or not finite, or a period is shorter than `step_s`.
     """
     columns = []
-    for name, given in zip(("period_s", "phase_s", "latency_s"), times, strict=True):
-        value = np.asarray(given, dtype=np.float64)
+    for name, value_s in zip(("period_s", "phase_s", "latency_s"), times, strict=True):
+        value = np.asarray(value_s, dtype=np.float64)
         if value.shape not in ((), (count,)):
-            raise SettingError(f"{name} has shape {value.shape}, expected one number or {count} numbers, one per sonar")
+            raise SettingError(f"{name} has shape {value.shape}, expected one number or {count}, one for each sonar")
         if not np.all((value >= 0.0) & np.isfinite(value)):
-            raise SettingError(f"{name} must be finite and >= 0 s, got {given}")
+            raise SettingError(f"{name} must be finite and >= 0 s, got {value_s}")
         columns.append(np.broadcast_to(value, count))
-    often = (columns[0] > 0.0) & (columns[0] < step_s - TIME_TOLERANCE_S)
-    if often.any():
+    too_short = (columns[0] > 0.0) & (columns[0] < step_s - SAME_TIME_S)
+    if too_short.any():
         raise SettingError(
-            f"period_s is {columns[0][often][0]:g} s, less than the {step_s:g} s between observations: "
-            "use 0 for a ping at every observation"
+            f"period_s is {columns[0][too_short][0]:g} s, less than the {step_s:g} s from one observation to the next: "
+            "give 0 for a ping at every observation"
         )
     return np.stack(columns, axis=1)
 
 
-class ScheduledSonar:
-    """Sonars of n cars that fire on a schedule, and whose readings arrive after a latency.
+class PingSchedule:
+    """Draws the readings of the sonars of n cars at their pings and shows them when they arrive.
 
     Args:
-        sonar: the sonars; one copy per car.
+        sonar: sonars, with one copy per car.
         when: period, phase and latency of each sonar, s, (s, 3).
         step_s: time between observations, s.
+
+    Attributes:
+        shown: pings whose readings arrived last, in columns `DISTANCE` to `GIVEN_CONDITION`, (n, s, N_COLUMNS).
     """
 
     def __init__(self, sonar: Sonar, when: Floats, step_s: float) -> None:
         self.sonar, self.step_s = sonar, step_s
         self._period, self._phase, self._latency = when.T
-        self._always = not (self._period.any() or self._latency.any())
+        self._every_step = not (self._period.any() or self._latency.any())
         n, s = sonar.copies, sonar.count
-        last_pings = self._latency / np.maximum(self._period, step_s)
-        self._depth = (
-            int(np.floor(last_pings.max() + TIME_TOLERANCE_S)) + 2
-        )  # pings in flight, and the one that arrived last
-        self._in_flight = np.zeros((n, s, self._depth, COLUMNS))
+        in_flight = self._latency / np.maximum(self._period, step_s)
+        self._depth = int(np.floor(in_flight.max() + SAME_TIME_S)) + 2  # pings in flight, and the latest to arrive
+        self._in_flight = np.zeros((n, s, self._depth, N_COLUMNS))
         self._slot = np.zeros((n, s), dtype=np.int64)
-        self._before = np.zeros((MET, n, s))
+        self._before = np.zeros((N_CONDITIONS, n, s))
         self._steps, self._sonars = np.zeros(n, dtype=np.int64), np.arange(s)
-        self.shown = np.zeros((n, s, COLUMNS))
+        self.shown = np.zeros((n, s, N_COLUMNS))
 
-    def begin(self, rows: Ints, met: ConeConditions) -> None:
-        """Begin episodes of some cars: clear previous readings; all sonars fire, and their readings arrive at once."""
-        self.sonar.forget(rows)
+    def begin(self, rows: Ints, conditions: PingConditions) -> None:
+        """Begin episodes of some cars: clear the memory, ping with all sonars, and show their readings at once."""
+        self.sonar.clear_memory(rows)
         self._steps[rows] = 0
         self._in_flight[rows, :, :, SENT] = np.inf
-        now: Floats = np.stack(met)
+        now: Floats = np.stack(conditions)
         self._before[:, rows] = now
-        self.shown[rows] = self._pinged(rows, now, 0.0)
+        self.shown[rows] = self._measured(rows, now, 0.0)
 
-    def step(self, rows: Ints, met: ConeConditions) -> None:
+    def step(self, rows: Ints, conditions: PingConditions) -> None:
         """Advance some cars by one observation."""
         self._steps[rows] += 1
-        world: Floats = np.stack(met)
+        current: Floats = np.stack(conditions)
         now: Floats = np.asarray(self._steps[rows, None] * self.step_s, dtype=np.float64)
-        if self._always:
-            self.shown[rows] = self._pinged(rows, world, now)
+        if self._every_step:
+            self.shown[rows] = self._measured(rows, current, now)
             return
-        sent, fired = self._firing(now)
-        faced = np.where(sent < now - TIME_TOLERANCE_S, self._before[:, rows], world)
-        self._before[:, rows] = world
+        sent_s, fired = self._last_pings(now)
+        at_ping = np.where(sent_s < now - SAME_TIME_S, self._before[:, rows], current)
+        self._before[:, rows] = current
         if fired.any():
-            self._send(rows, fired, self._pinged(rows, faced, sent, fired))
-        self._show(rows, now)
+            self._send(rows, fired, self._measured(rows, at_ping, sent_s, fired))
+        self._update_shown(rows, now)
 
-    def _firing(self, now: Floats) -> tuple[Floats, Bits]:
-        """Return the time of the last ping of each sonar, s, and whether it is after the last observation, (r, s)."""
+    def _last_pings(self, now: Floats) -> tuple[Floats, Bits]:
+        """Return the time of each sonar's last ping, s, and whether it was sent since the last observation, (r, s)."""
         period = np.where(self._period > 0.0, self._period, 1.0)
-        last = self._phase + np.floor((now - self._phase) / period + TIME_TOLERANCE_S) * period
+        last = self._phase + np.floor((now - self._phase) / period + SAME_TIME_S) * period
         last = np.where(self._period > 0.0, last, now)
-        begun = (self._period == 0.0) | (last >= self._phase - TIME_TOLERANCE_S)
-        return last, begun & (last > now - self.step_s + TIME_TOLERANCE_S)
+        begun = (self._period == 0.0) | (last >= self._phase - SAME_TIME_S)
+        return last, begun & (last > now - self.step_s + SAME_TIME_S)
 
-    def _pinged(self, rows: Ints, met: Floats, sent: ArrayLike, fired: Bits | None = None) -> Floats:
-        """Draw the readings of pings and return all columns, (r, s, COLUMNS); `fired` None means all sonars."""
+    def _measured(self, rows: Ints, conditions: Floats, sent_s: ArrayLike, fired: Bits | None = None) -> Floats:
+        """Return pings with their readings, (r, s, N_COLUMNS); `fired` selects some of them, None means all."""
         count = self.sonar.count
-        out = np.empty((len(rows), count, COLUMNS))
-        out[..., :MET], out[..., SENT], out[..., GIVEN_CONDITION] = np.moveaxis(met, 0, -1), np.asarray(sent), 0.0
-        pings, place = out.reshape(-1, COLUMNS), (rows[:, None] * count + self._sonars).ravel()
-        each = [count] * len(rows)
+        out = np.empty((len(rows), count, N_COLUMNS))
+        out[..., :N_CONDITIONS], out[..., SENT] = np.moveaxis(conditions, 0, -1), np.asarray(sent_s)
+        out[..., GIVEN_CONDITION] = 0.0
+        pings, index = out.reshape(-1, N_COLUMNS), (rows[:, None] * count + self._sonars).ravel()
+        counts = [count] * len(rows)
         if fired is not None:
-            pings, place, each = out[fired], place[fired.ravel()], fired.sum(axis=1).tolist()
-        distance, bearing, incidence, reflectance, seen, moment = pings[:, : SENT + 1].T
-        ping = Ping(np.where(seen > 0.0, distance, EMPTY_M), bearing, incidence, reflectance, moment, place)
-        drawn = self.sonar.draw(ping, rows, each, place)
+            pings, index, counts = out[fired], index[fired.ravel()], fired.sum(axis=1).tolist()
+        distance, bearing, incidence, reflectance, in_cone, time = pings[:, : SENT + 1].T
+        ping = Ping(np.where(in_cone > 0.0, distance, EMPTY_M), bearing, incidence, reflectance, time, index)
+        drawn = self.sonar.draw(ping, rows, counts, index)
         pings[:, RANGE], pings[:, STATUS] = drawn.reading.range, drawn.reading.status
         if drawn.credence_given_condition is not None:
-            pings[:, GIVEN_CONDITION] = np.where(seen > 0.0, drawn.credence_given_condition, 0.0)
+            pings[:, GIVEN_CONDITION] = np.where(in_cone > 0.0, drawn.credence_given_condition, 0.0)
         if fired is not None:
             out[fired] = pings
         return out
 
     def _send(self, rows: Ints, fired: Bits, pings: Floats) -> None:
-        """Store new pings in the slots of the oldest."""
+        """Store new pings as in flight, in place of the oldest ones."""
         row, sonar = np.nonzero(fired)
         slot = self._slot[rows[row], sonar]
         self._in_flight[rows[row], sonar, slot] = pings[fired]
         self._slot[rows[row], sonar] = (slot + 1) % self._depth
 
-    def _show(self, rows: Ints, now: Floats) -> None:
-        """Observe the newest pings whose readings have arrived."""
-        last_pings = self._in_flight[rows]
-        sent = last_pings[..., SENT]
-        arrived = np.where(sent + self._latency[:, None] <= now[..., None] + TIME_TOLERANCE_S, sent, -np.inf)
+    def _update_shown(self, rows: Ints, now: Floats) -> None:
+        """Show the latest pings whose readings have arrived."""
+        in_flight = self._in_flight[rows]
+        sent_s = in_flight[..., SENT]
+        arrived = np.where(sent_s + self._latency[:, None] <= now[..., None] + SAME_TIME_S, sent_s, -np.inf)
         newest = np.argmax(arrived, axis=-1)[..., None]
         latest = np.take_along_axis(arrived, newest, axis=-1)[..., 0]
-        came = np.take_along_axis(last_pings, newest[..., None], axis=2)[:, :, 0]
+        received = np.take_along_axis(in_flight, newest[..., None], axis=2)[:, :, 0]
         newer = latest > self.shown[rows][..., SENT]
-        self.shown[rows] = np.where(newer[..., None], came, self.shown[rows])
+        self.shown[rows] = np.where(newer[..., None], received, self.shown[rows])
 
-    # ---- results -----------------------------------------------------------------------------------------------------
+    # ---- output ------------------------------------------------------------------------------------------------------
 
     def observation(self) -> dict[str, NDArray[np.float32]]:
-        """Return the observations, each (n, s): `ranges`, `credence`, `echo` and `age`."""
+        """Return the observations, each (n, s): `ranges`, `credence`, `echo` and `age` of the readings shown."""
         n, s = self.sonar.copies, self.sonar.count
         reading = Reading(self.shown[..., RANGE].ravel(), self.shown[..., STATUS].astype(np.uint8).ravel())
         ranges = np.where(reading.status == EchoStatus.ECHO, reading.range / self.sonar.max_range, 1.0)
@@ -178,14 +183,14 @@ class ScheduledSonar:
         }
 
     def truth(self) -> dict[str, Any]:
-        """Return the true conditions of the pings behind the observed readings, each (n, s)."""
+        """Return the true conditions of the pings whose readings are shown, each (n, s)."""
         columns = np.moveaxis(self.shown, -1, 0).copy()
         out: dict[str, Any] = {
             "distance": columns[DISTANCE],
             "bearing": columns[BEARING],
             "incidence": columns[INCIDENCE],
             "reflectance": columns[REFLECTANCE],
-            "in_cone": columns[SEEN] > 0.0,
+            "in_cone": columns[IN_CONE] > 0.0,
         }
         if self.sonar.has_credence:
             out["credence_given_condition"] = columns[GIVEN_CONDITION]

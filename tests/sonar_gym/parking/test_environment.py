@@ -1,4 +1,4 @@
-"""SonarParking-v0: the checkers' rules, the same world for all sonars, and what each number means."""
+"""SonarParking-v0: the Gymnasium interface, observations, rewards and the end of episodes."""
 
 import subprocess
 import sys
@@ -20,8 +20,8 @@ SONARS = ["ideal", "gaussian"]
 CHECKED = [*SONARS, "srf08-mlp"]
 
 
-class DeadWire(IdealModel):
-    """Never answers: every reading has status NO_ANSWER."""
+class NoAnswer(IdealModel):
+    """A sensor that never answers: every reading has status NO_ANSWER."""
 
     def law(self, ping, past=None):
         law = super().law(ping, past)
@@ -43,32 +43,32 @@ def drive(env, seed, steps=60):
 
 
 @pytest.mark.parametrize("sonar", CHECKED)
-def test_gymnasium_s_checker_has_no_complaint(sonar):
+def test_checker_of_gymnasium_gives_no_warning(sonar):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gymnasium.make("SonarParking-v0", sonar=sonar).unwrapped, skip_render_check=True)
 
 
-def test_gymnasium_s_checker_has_no_complaint_of_the_pictures():
+def test_checker_of_gymnasium_gives_no_warning_with_rendering():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gymnasium.make("SonarParking-v0", render_mode="rgb_array").unwrapped)
 
 
 @pytest.mark.parametrize("sonar", CHECKED)
-def test_stable_baselines_checker_has_no_complaint(sonar):
+def test_checker_of_stable_baselines_gives_no_warning(sonar):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_for_sb3(gymnasium.make("SonarParking-v0", sonar=sonar))
 
 
-def test_both_ways_of_naming_it_work():
+def test_both_forms_of_the_id_work():
     assert isinstance(gymnasium.make("sonar_gym:SonarParking-v0").unwrapped, SonarParkingEnv)
     assert gymnasium.make("SonarParking-v0").spec.max_episode_steps == 400
     assert sonar_gym.ENV_ID in gymnasium.registry
 
 
-def test_spec_goes_through_json():
+def test_spec_can_be_restored_from_json():
     env = gymnasium.make("SonarParking-v0", sonar="gaussian", street={"gap": [0.9, 1.0]}, sonar_layout="four")
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.fleet.sonar_name == "gaussian"
@@ -76,7 +76,7 @@ def test_spec_goes_through_json():
     assert again.observation_space["ranges"].shape == (4,)
 
 
-def test_observation_stays_inside_its_space_for_2000_random_steps():
+def test_observation_is_in_its_space_for_2000_random_steps():
     env = gymnasium.make("SonarParking-v0", sonar="gaussian")
     env.action_space.seed(3)
     observation, _ = env.reset(seed=3)
@@ -92,7 +92,7 @@ def test_observation_stays_inside_its_space_for_2000_random_steps():
             env.reset()
 
 
-def test_same_seed_same_episode():
+def test_same_seed_gives_same_episode():
     a, b = (drive(gymnasium.make("SonarParking-v0", sonar="gaussian"), 5) for _ in range(2))
     assert len(a) == len(b)
     for (first, _), (second, _) in zip(a, b, strict=True):
@@ -116,11 +116,11 @@ def run(script):
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
 
 
-def test_same_seed_same_episode_in_other_processes():
+def test_same_seed_gives_same_episode_in_other_processes():
     assert run(SCRIPT) == run(SCRIPT)
 
 
-def test_all_sonars_see_the_same_world():
+def test_the_world_does_not_depend_on_the_sonar():
     a, b = (drive(gymnasium.make("SonarParking-v0", sonar=sonar), 5) for sonar in SONARS)
     assert len(a) == len(b)
     for (first, truth), (second, same) in zip(a, b, strict=True):
@@ -141,16 +141,16 @@ def test_streets_of_later_episodes_do_not_depend_on_the_sonar():
     assert np.array_equal(*worlds)
 
 
-def test_ideal_sonar_reads_the_truth_to_a_step_of_its_register():
+def test_ideal_sonar_reads_the_truth_up_to_its_resolution():
     for observation, info in drive(gymnasium.make("SonarParking-v0"), 2):
         assert np.array_equal(observation["echo"] == 1, info["in_cone"])
         assert np.all(observation["ranges"][~info["in_cone"]] == 1.0)
-        said = observation["ranges"].astype(np.float64) * MAX_RANGE
-        assert np.all(np.abs(said - info["distance"])[info["in_cone"]] <= 0.0005 + 1e-6)
+        readings = observation["ranges"].astype(np.float64) * MAX_RANGE
+        assert np.all(np.abs(readings - info["distance"])[info["in_cone"]] <= 0.0005 + 1e-6)
         assert np.all(observation["credence"][info["in_cone"]] == 1.0)
 
 
-def test_noise_has_the_stated_spread():
+def test_noise_has_the_standard_deviation_of_the_model():
     env = gymnasium.make("SonarParking-v0", sonar=GaussianModel(sigma=0.02, sigma_per_metre=0.0))
     error = []
     for seed in range(5):
@@ -160,14 +160,14 @@ def test_noise_has_the_stated_spread():
     assert abs(np.mean(error)) < 0.002
 
 
-def test_dead_wire_is_told_apart_from_silence():
-    observation, _ = gymnasium.make("SonarParking-v0", sonar=DeadWire()).reset(seed=0)
+def test_no_answer_differs_from_no_echo():
+    observation, _ = gymnasium.make("SonarParking-v0", sonar=NoAnswer()).reset(seed=0)
     assert np.all(observation["echo"] == -1.0)
     assert np.all(observation["ranges"] == 1.0)
     assert np.all(observation["credence"] == 0.0)
 
 
-def test_odometry_begins_at_zero_and_follows_the_wheels():
+def test_odometry_starts_at_zero_and_follows_the_car():
     env = gymnasium.make("SonarParking-v0")
     observation, _ = env.reset(seed=1)
     assert np.array_equal(observation["ego"], np.array([0, 0, 1, 0, 0, 0, 0], dtype=np.float32))
@@ -182,7 +182,7 @@ def test_odometry_begins_at_zero_and_follows_the_wheels():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [0, 1])
-def test_actions_that_are_not_finite_are_refused(bad, place):
+def test_actions_that_are_not_finite_raise_an_error(bad, place):
     env = SonarParkingEnv()
     env.reset(seed=0)
     action = np.zeros(2, dtype=np.float32)
@@ -191,7 +191,7 @@ def test_actions_that_are_not_finite_are_refused(bad, place):
         env.step(action)
 
 
-def test_action_of_another_shape_is_refused():
+def test_action_of_another_shape_raises_an_error():
     env = SonarParkingEnv()
     env.reset(seed=0)
     with pytest.raises(SettingError, match=r"action has shape \(3,\), expected \(2,\)"):
@@ -209,7 +209,7 @@ def test_actions_beyond_the_limits_are_clipped():
     assert np.array_equal(*poses)
 
 
-def test_running_into_the_boxes_ends_the_episode():
+def test_a_collision_ends_the_episode():
     env = SonarParkingEnv()
     env.reset(seed=0)
     for _ in range(100):
@@ -252,16 +252,16 @@ def test_standing_in_the_lane_beside_the_gap_is_no_success():
     assert not env.step(np.zeros(2))[4]["is_success"]
 
 
-def test_progress_is_paid_for_driving_on_and_taken_back_for_driving_back():
+def test_progress_is_positive_forwards_and_negative_backwards():
     env = SonarParkingEnv(street={"start_offset": 0.0, "start_heading_deg": 0.0})
     env.reset(seed=0)
-    forth = sum(env.step(np.array([0.0, 1.0]))[4]["reward_terms"]["progress"] for _ in range(10))
-    assert forth == pytest.approx(env.car.pose[0], abs=0.02)
-    back = sum(env.step(np.array([0.0, -1.0]))[4]["reward_terms"]["progress"] for _ in range(10))
-    assert back < 0
+    forwards = sum(env.step(np.array([0.0, 1.0]))[4]["reward_terms"]["progress"] for _ in range(10))
+    assert forwards == pytest.approx(env.car.pose[0], abs=0.02)
+    backwards = sum(env.step(np.array([0.0, -1.0]))[4]["reward_terms"]["progress"] for _ in range(10))
+    assert backwards < 0
 
 
-def test_unknown_sonar_and_unknown_render_mode_are_refused():
+def test_unknown_sonar_and_render_mode_raise_an_error():
     with pytest.raises(UnknownModelError, match="model 'sonic': no such name or folder"):
         SonarParkingEnv(sonar="sonic")
     with pytest.raises(SettingError, match="sonar is a int, expected a name"):
@@ -270,7 +270,7 @@ def test_unknown_sonar_and_unknown_render_mode_are_refused():
         SonarParkingEnv(render_mode="ansi")
 
 
-def test_first_comes_reset():
+def test_step_and_render_need_a_reset():
     env = SonarParkingEnv(render_mode="rgb_array")
     with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) before the first reset"):
         env.step(np.zeros(2))
@@ -278,7 +278,7 @@ def test_first_comes_reset():
         env.render()
 
 
-def test_vector_of_environments_steps_each_as_if_alone():
+def test_gymnasium_vector_gives_the_results_of_single_environments():
     envs = gymnasium.make_vec("SonarParking-v0", num_envs=3, vectorization_mode="sync", sonar="gaussian")
     observations, _ = envs.reset(seed=4)
     alone, _ = gymnasium.make("SonarParking-v0", sonar="gaussian").reset(seed=5)
@@ -289,7 +289,7 @@ def test_vector_of_environments_steps_each_as_if_alone():
     envs.close()
 
 
-def test_ppo_takes_it_as_it_is():
+def test_ppo_can_learn_without_wrappers():
     env = gymnasium.make("SonarParking-v0", sonar="gaussian")
     model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=32, n_epochs=1, seed=0, device="cpu")
     model.learn(64)
@@ -299,7 +299,7 @@ def test_ppo_takes_it_as_it_is():
 
 IMPORT = """
 import time
-begin = time.process_time()  # of this process: how busy the machine is does not count
+begin = time.process_time()  # processor time of this process, independent of other load
 import sonar_gym
 took = time.process_time() - begin
 import sys, gymnasium
@@ -310,5 +310,5 @@ print(took)
 """
 
 
-def test_import_is_light_and_the_ideal_sonar_needs_no_torch():
+def test_import_is_fast_and_the_ideal_sonar_needs_no_torch():
     assert min(float(run(IMPORT)) for _ in range(2)) <= 1.0

@@ -1,4 +1,4 @@
-"""Pictures: their form, what they show, and that no display is needed."""
+"""Rendering: format and content of images; no display is needed."""
 
 import gymnasium
 import numpy as np
@@ -6,13 +6,13 @@ import pytest
 
 from acquisition import Reading
 from noise import GaussianModel, IdealModel
-from sonar_gym.parking import drawing, rendering
-from sonar_gym.parking.drawing import Camera, credence_colour
+from sonar_gym.parking import drawing
+from sonar_gym.parking.drawing import Brush, Camera, credence_colour
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
-def picture(seed=0, steps=0, **settings):
+def image(seed=0, steps=0, **settings):
     env = gymnasium.make("SonarParking-v0", render_mode="rgb_array", **settings)
     env.reset(seed=seed)
     for _ in range(steps):
@@ -27,34 +27,34 @@ def share(frame, colour):
     return np.mean(np.all(frame == np.array(colour, dtype=np.uint8), axis=2))
 
 
-def test_picture_has_the_form_that_gymnasium_asks_for():
-    frame = picture()
+def test_image_has_the_format_of_gymnasium():
+    frame = image()
     assert frame.dtype == np.uint8
     assert frame.shape == (660, 1000, 3)
 
 
-def test_same_seed_same_picture():
-    assert np.array_equal(picture(4, 10, sonar="gaussian"), picture(4, 10, sonar="gaussian"))
+def test_same_seed_gives_same_image():
+    assert np.array_equal(image(4, 10, sonar="gaussian"), image(4, 10, sonar="gaussian"))
 
 
-def test_car_and_paper_are_in_the_picture():
-    frame = picture()
+def test_car_and_background_are_in_the_image():
+    frame = image()
     assert share(frame, drawing.CAR) > 0.003
     assert share(frame, drawing.PAPER) > 0.1
 
 
-def test_bad_readings_are_red_and_good_ones_green():
-    good, bad = credence_colour(1.0), credence_colour(0.0)
-    trusted = picture(sonar="ideal")
-    assert share(trusted, good) > 0.002
-    doubtful = picture(sonar=GaussianModel(sigma=2.0))
-    assert share(doubtful, good) < share(trusted, good) / 3
-    assert bad == drawing.CREDENCE[0]
+def test_readings_of_low_credence_are_red_and_others_green():
+    high, low = credence_colour(1.0), credence_colour(0.0)
+    ideal = image(sonar="ideal")
+    assert share(ideal, high) > 0.002
+    noisy = image(sonar=GaussianModel(sigma=2.0))
+    assert share(noisy, high) < share(ideal, high) / 3
+    assert low == drawing.CREDENCE[0]
 
 
-def test_camera_turns_metres_into_pixels_with_up_up():
+def test_camera_transforms_metres_to_pixels_with_y_up():
     camera = Camera(left=1.0, top=2.0, scale=100.0, x=10.0, y=20.0)
-    assert camera.place((1.5, 1.0)) == (60.0, 120.0)
+    assert camera.pixel((1.5, 1.0)) == (60.0, 120.0)
 
 
 def test_human_mode_shows_a_window_and_returns_nothing(monkeypatch):
@@ -66,8 +66,8 @@ def test_human_mode_shows_a_window_and_returns_nothing(monkeypatch):
     env.close()
 
 
-class Haunted(IdealModel):
-    """Reads half a metre whatever is there."""
+class FixedEcho(IdealModel):
+    """A sonar that always reads 0.5 m."""
 
     def law(self, ping, past=None):
         law = super().law(ping, past)
@@ -75,13 +75,18 @@ class Haunted(IdealModel):
         return law
 
 
-def test_ghosts_are_struck_out_and_named(monkeypatch):
+def test_ghosts_are_marked_and_labelled(monkeypatch):
     nose = {"name": "nose", "x": 0.36, "y": 0.0, "heading_deg": 0.0, "cone_deg": 10.0}
     side = {"name": "side", "x": 0.0, "y": -0.1, "heading_deg": -90.0}
-    env = gymnasium.make("SonarParking-v0", render_mode="rgb_array", sonar=Haunted(), sonar_layout=[nose, side])
+    env = gymnasium.make("SonarParking-v0", render_mode="rgb_array", sonar=FixedEcho(), sonar_layout=[nose, side])
     env.reset(options={"boxes": [{"begin": 3.0, "length": 0.3}, {"begin": 4.2, "length": 0.3}]})
-    assert env.unwrapped.world.causes == ("ghost", "target")  # the street's end is beyond the nose's reach
-    crosses, draw = [], rendering._cross
-    monkeypatch.setattr(rendering, "_cross", lambda *given: crosses.append(given) or draw(*given))
+    assert env.unwrapped.world.causes == ("ghost", "target")  # the end of the street is out of range of the nose
+    lines, texts, draw_line, draw_text = [], [], Brush.line, Brush.text
+    monkeypatch.setattr(
+        Brush, "line", lambda self, points, *a, **k: lines.append(points) or draw_line(self, points, *a, **k)
+    )
+    monkeypatch.setattr(Brush, "text", lambda self, text, *a, **k: texts.append(text) or draw_text(self, text, *a, **k))
     env.render()
-    assert len(crosses) == 2  # the nose's, and that of the legend
+    diagonals = [p for p in lines if len(p) == 2 and np.allclose(np.abs(np.subtract(*p)), 10.0)]
+    assert len(diagonals) == 2 * 4  # two lines and their outlines, at the ghost and in the legend
+    assert texts.count("ghost") == 1

@@ -1,4 +1,4 @@
-"""Kernels of a step: firing, latency, cost to go and causes, each against what can be said without them."""
+"""Kernels of a step: firing, cost to go and causes against independent calculations."""
 
 import math
 
@@ -17,8 +17,8 @@ GOAL = Goal.of(STREET, CAR)
 TASK = np.array([*STREET.gap, STREET.line, GOAL.x, GOAL.y, GOAL.turn, GOAL.ready_x, 0.0])
 
 
-def least(pose, per_metre, per_radian):
-    """Return the cost to go by trying every pose of the path."""
+def minimum_cost(pose, per_metre, per_radian):
+    """Return the cost to go by comparison of all poses of the path."""
     path = reference_path(STREET, CAR)
     turn = np.abs((pose[2] - path[:, 2] + np.pi) % (2 * np.pi) - np.pi)
     off = np.hypot(path[:, 0] - pose[0], path[:, 1] - pose[1])
@@ -27,33 +27,33 @@ def least(pose, per_metre, per_radian):
 
 @settings(max_examples=200, deadline=None)
 @given(st.floats(-1.0, 3.5), st.floats(-0.5, 0.5), st.floats(-1.0, 1.0))
-def test_cost_to_go_is_the_least_over_the_whole_path(x, y, heading):
+def test_cost_to_go_is_the_minimum_over_the_whole_path(x, y, heading):
     cost = step_kernel.cost_to_go(np.array([x, y, heading]), TASK, arc_table(CAR), 3.0, 0.5)
-    tried = least((x, y, heading), 3.0, 0.5)
-    assert cost <= tried + 0.02 * (3.0 + 1.0 + 0.5 / 0.45)  # poses tried are 1 cm apart
-    assert cost >= tried - 0.02 * (3.0 + 1.0 + 0.5 / 0.45)
+    reference = minimum_cost((x, y, heading), 3.0, 0.5)
+    assert cost <= reference + 0.02 * (3.0 + 1.0 + 0.5 / 0.45)  # the poses compared are 1 cm apart
+    assert cost >= reference - 0.02 * (3.0 + 1.0 + 0.5 / 0.45)
 
 
-def test_cost_to_go_falls_by_what_is_driven_along_the_lane():
+def test_cost_to_go_decreases_by_the_distance_driven_along_the_lane():
     cost = [step_kernel.cost_to_go(np.array([x, 0.0, 0.0]), TASK, arc_table(CAR), 3.0, 0.5) for x in (0.0, 0.25)]
     assert cost[0] - cost[1] == pytest.approx(0.25, abs=1e-12)
     arcs = 2 * 1.1 * CAR.turning_radius * GOAL.turn
     assert cost[0] == pytest.approx(GOAL.ready_x + arcs, abs=1e-12)
 
 
-def test_off_the_lane_the_cost_is_that_of_the_refracted_way():
-    # at w to 1, the least of x' - x + w * way is where the way makes the angle arcsin(1/w) with the normal
+def test_cost_off_the_lane_is_that_of_the_refracted_path():
+    # with costs w and 1, the minimum of x' - x + w * length has the angle arcsin(1/w) to the normal
     cost = step_kernel.cost_to_go(np.array([0.0, 0.1, 0.0]), TASK, arc_table(CAR), 3.0, 0.5)
-    on_it = step_kernel.cost_to_go(np.array([0.0, 0.0, 0.0]), TASK, arc_table(CAR), 3.0, 0.5)
-    assert cost - on_it == pytest.approx(0.1 * math.sqrt(3.0**2 - 1.0), abs=1e-12)
+    on_lane = step_kernel.cost_to_go(np.array([0.0, 0.0, 0.0]), TASK, arc_table(CAR), 3.0, 0.5)
+    assert cost - on_lane == pytest.approx(0.1 * math.sqrt(3.0**2 - 1.0), abs=1e-12)
 
 
 @settings(deadline=None)  # the first call compiles
 @given(st.floats(0.1, 1.0), st.floats(0.0, 0.5))
-def test_every_ping_of_a_period_is_fired_once_and_in_time(period, phase):
+def test_every_ping_of_a_period_is_fired_once_at_its_time(period, phase):
     fired = []
     for step in range(40):
-        since = step_kernel.firing(step * 0.1, 0.1, period, phase)
+        since = step_kernel.firing_delay(step * 0.1, 0.1, period, phase)
         assert since == -1.0 or 0.0 < since <= 0.1 + 1e-12
         if since > 0.0:
             fired.append(step * 0.1 + since)
@@ -62,12 +62,12 @@ def test_every_ping_of_a_period_is_fired_once_and_in_time(period, phase):
     assert fired == pytest.approx(expected, abs=1e-8)
 
 
-def test_without_a_period_every_step_ends_in_a_ping():
-    assert all(step_kernel.firing(step * 0.1, 0.1, 0.0, 0.0) == 0.1 for step in range(5))
+def test_without_a_period_every_step_ends_with_a_ping():
+    assert all(step_kernel.firing_delay(step * 0.1, 0.1, 0.0, 0.0) == 0.1 for step in range(5))
 
 
 @pytest.mark.parametrize(
-    ("status", "said", "true", "fault", "cause"),
+    ("status", "reading", "true", "fault", "cause"),
     [
         (0, 0.0, None, 0, step_kernel.EMPTY),
         (1, 1.05, 1.0, 0, step_kernel.TARGET),
@@ -76,16 +76,16 @@ def test_without_a_period_every_step_ends_in_a_ping():
         (1, 2.0, None, 0, step_kernel.GHOST),
         (0, 0.0, 1.0, 0, step_kernel.MISSED),
         (2, 0.0, 1.0, 0, step_kernel.NO_ANSWER),
-        (1, 1.0, 1.0, 2, step_kernel.FAULTS + 1),
+        (1, 1.0, 1.0, 2, step_kernel.FIRST_FAULT + 1),
     ],
 )
-def test_each_reading_has_its_cause(status, said, true, fault, cause):
-    thing, distance = (-1.0, 3.01) if true is None else (0.0, true)
-    assert step_kernel.cause_of(fault, status, thing, said, distance) == cause
+def test_cause_of_each_kind_of_reading(status, reading, true, fault, cause):
+    obstacle, distance = (-1.0, 3.01) if true is None else (0.0, true)
+    assert step_kernel.cause_of(fault, status, obstacle, reading, distance) == cause
 
 
 @settings(deadline=None)  # the first call compiles
 @given(st.floats(0.0, 4.0))
-def test_credence_is_looked_up_in_the_bin_that_a_search_finds(said):
+def test_bin_agrees_with_a_search(reading):
     edges = np.linspace(0.0, 3.3, 101)
-    assert step_kernel.bin_of(said, edges) == min(int(np.searchsorted(edges, said, side="right")) - 1, 99)
+    assert step_kernel.bin_of(reading, edges) == min(int(np.searchsorted(edges, reading, side="right")) - 1, 99)

@@ -1,4 +1,4 @@
-"""Streets, scenes and layouts: what is drawn keeps its stated limits, what is wrong is refused by name."""
+"""Streets, scenes and layouts: random quantities stay within their limits, invalid settings raise errors."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def spaces(street):
     return ends[1:, 0] - ends[:-1, 1]
 
 
-def test_each_street_has_one_space_that_is_wide_enough():
+def test_each_street_has_exactly_one_space_that_is_long_enough():
     for street in STREETS:
         lengths = spaces(street)
         wide = lengths >= 0.85
@@ -27,7 +27,7 @@ def test_each_street_has_one_space_that_is_wide_enough():
         assert street.gap[1] - street.gap[0] == pytest.approx(lengths[wide][0])
 
 
-def test_streets_differ_in_all_that_is_drawn():
+def test_all_random_quantities_vary_between_streets():
     assert {len(street.boxes) for street in STREETS} == {2, 3, 4}
     reflectance = np.array([box.reflectance for street in STREETS for box in street.boxes])
     assert reflectance.min() < 0.15
@@ -35,7 +35,7 @@ def test_streets_differ_in_all_that_is_drawn():
     assert np.ptp([street.start[1] for street in STREETS]) > 0.05
 
 
-def test_reference_path_can_be_driven_without_touching():
+def test_reference_path_is_feasible_and_free_of_contact():
     car = CarSettings()
     for street in STREETS[:100]:
         path = reference_path(street, car)
@@ -47,50 +47,50 @@ def test_reference_path_can_be_driven_without_touching():
         assert all(touches(pose, car.body, street.scene.segments) == -1 for pose in on_street[:, :3].copy())
 
 
-def test_same_generator_state_same_street():
+def test_same_generator_state_gives_same_street():
     a, b = (draw_street(StreetSettings(), np.random.default_rng(7)) for _ in range(2))
     assert a.boxes == b.boxes
     assert np.array_equal(a.scene.segments, b.scene.segments)
 
 
-def test_gap_no_wider_than_a_decoy_is_refused():
-    with pytest.raises(SettingError, match=r"gap must exceed decoy: least gap 0.4 m, greatest decoy 0.45 m"):
+def test_gap_not_longer_than_a_decoy_raises_an_error():
+    with pytest.raises(SettingError, match=r"gap must exceed decoy: shortest gap 0.4 m, longest decoy 0.45 m"):
         StreetSettings(gap=(0.4, 1.0))
 
 
-def test_pair_out_of_order_is_refused():
+def test_pair_out_of_order_raises_an_error():
     with pytest.raises(SettingError, match=r"StreetSettings\.box must be two numbers"):
         StreetSettings(box=(0.7, 0.3))
 
 
-def test_box_faces_close_and_bear_its_reflectance():
+def test_box_faces_are_closed_and_have_its_reflectance():
     box = Box(1.0, 2.0, 0.4, 0.2, 0.3, reflectance=0.7)
     assert np.allclose(box.faces[:, 2:], np.roll(box.faces[:, :2], -1, axis=0))
     assert np.allclose(box.corners.mean(axis=0), [1.0, 2.0])
     hits = Scene([WallSegment(-1, -1, -1, 1), box]).cast(np.array([[1.0, 0.0, np.pi / 2]]), np.array([0.3]), 3.0)
-    assert (hits.reflectance[0], hits.object_index[0]) == (0.7, 1)
+    assert (hits.reflectance[0], hits.obstacle[0]) == (0.7, 1)
 
 
 @pytest.mark.parametrize("make", [lambda r: WallSegment(0, 0, 1, 0, r), lambda r: Box(0, 0, 1, 1, 0, r)])
-def test_reflectance_outside_its_limits_is_refused(make):
+def test_reflectance_outside_its_limits_raises_an_error(make):
     with pytest.raises(SettingError, match=r"reflectance must lie in \[0, 1\], got 1.5"):
         make(1.5)
 
 
-def test_box_without_extent_is_refused():
+def test_box_without_extent_raises_an_error():
     with pytest.raises(SettingError, match="Box sides must be > 0 m"):
         Box(0, 0, 0.0, 1.0)
 
 
-def test_empty_scene_is_silent_everywhere():
+def test_cones_on_an_empty_scene_are_empty():
     hits = Scene([]).cast(np.zeros((2, 3)), np.array([0.3, 0.4]), 3.0)
-    assert not hits.seen.any()
+    assert not hits.in_cone.any()
     ping = hits.ping(1.5)
     assert np.all(ping.distance == EMPTY_M)
     assert np.all(ping.time == 1.5)
 
 
-def test_mounts_turn_with_the_car():
+def test_mounts_rotate_with_the_car():
     poses, half = mount_arrays([Mount("side", 0.2, -0.1, -90.0, 40.0)])
     world = in_world(poses, np.array([1.0, 2.0, np.pi / 2]))
     assert world[0] == pytest.approx([1.1, 2.2, 0.0])
@@ -101,9 +101,9 @@ def test_layouts_by_name_by_mounts_and_by_mappings():
     assert len(layout("eight")) == 8
     assert layout([{"name": "nose", "x": 0.3, "y": 0.0, "heading_deg": 0.0}])[0] == Mount("nose", 0.3, 0.0, 0.0)
     assert layout(LAYOUTS["four"]) == LAYOUTS["four"]
-    with pytest.raises(SettingError, match="sonar_layout 'five': no such layout; expected eight, eight in turn, four"):
+    with pytest.raises(SettingError, match="sonar_layout 'five': unknown name; expected eight, eight in turn, four"):
         layout("five")
-    with pytest.raises(SettingError, match="sonar_layout holds 0 mounts"):
+    with pytest.raises(SettingError, match="sonar_layout has 0 mounts"):
         layout([])
     with pytest.raises(SettingError, match=r"cone_deg of 'x' must lie in \(0, 180\) deg, got 180 deg"):
         Mount("x", 0, 0, 0, 180.0)

@@ -1,4 +1,4 @@
-"""Credence in the street: as often right as it says, and taken over conditions that are the task's own."""
+"""Credence on the street is calibrated; sets of sonars share a model."""
 
 import gymnasium
 import numpy as np
@@ -19,22 +19,22 @@ STREET = (StreetSettings(), CarSettings(), LAYOUTS["eight"], MAX_RANGE)
 
 
 @pytest.mark.parametrize("sonar", ["gaussian", "srf08-mlp"])
-def test_readings_are_right_as_often_as_credence_says(sonar):
-    env, driver, said, right = gymnasium.make("SonarParking-v0", sonar=sonar), ParkingDriver(), [], []
+def test_share_of_right_readings_equals_the_mean_credence(sonar):
+    env, driver, credence, right = gymnasium.make("SonarParking-v0", sonar=sonar), ParkingDriver(), [], []
     for seed in range(3000, 3008):
         episode = run_episode(env, driver, seed)
         echo = episode.echoes == 1
-        said.extend(episode.credence[echo])
+        credence.extend(episode.credence[echo])
         right.extend((np.abs(episode.readings - episode.truths) <= 0.1 * episode.truths)[echo])
-    said, right = np.array(said), np.array(right)
-    assert np.mean(right) == pytest.approx(np.mean(said), abs=0.05)
-    place = np.digitize(said, [0.2, 0.4, 0.6, 0.8])
+    credence, right = np.array(credence), np.array(right)
+    assert np.mean(right) == pytest.approx(np.mean(credence), abs=0.05)
+    place = np.digitize(credence, [0.2, 0.4, 0.6, 0.8])
     for k in range(5):
         if np.sum(place == k) > 300:
-            assert np.mean(right[place == k]) == pytest.approx(np.mean(said[place == k]), abs=0.15)
+            assert np.mean(right[place == k]) == pytest.approx(np.mean(credence[place == k]), abs=0.15)
 
 
-def test_sonars_that_look_sideways_meet_faces_squarely_and_others_at_the_cone_s_edge():
+def test_front_sonars_detect_faces_at_the_edge_of_the_cone_and_side_sonars_do_not():
     pings = dict(zip([mount.name for mount in LAYOUTS["eight"]], street_pings(*STREET), strict=True))
     for ping in pings.values():
         assert len(ping) > 500
@@ -44,7 +44,7 @@ def test_sonars_that_look_sideways_meet_faces_squarely_and_others_at_the_cone_s_
     assert edge["left"] < 0.5 < edge["front"]
 
 
-def test_sonar_without_noise_is_always_believed():
+def test_credence_of_a_sonar_without_noise_is_one():
     for table in street_credence(IdealModel(), *STREET):
         assert np.all(table.values[: int(BINS / 1.1)] == 1.0)
 
@@ -62,20 +62,20 @@ def test_mixture_of_tables_is_the_table_of_the_mixture():
 def test_each_sonar_has_its_own_table():
     model = GaussianModel()
     table = broad_table(model, 3.0)
-    doubt = CredenceTable(table.edges, 0.5 * table.values, table.share)
-    sonar = Sonar(model, 3, 3.0, tables=[table, doubt, table])
+    halved = CredenceTable(table.edges, 0.5 * table.values, table.share)
+    sonar = Sonar(model, 3, 3.0, tables=[table, halved, table])
     credence = sonar.credence(Reading.of([1.0, 1.0, 0.0]))
     assert credence == pytest.approx([table.given(Reading.of([1.0]))[0], 0.5 * credence[0], 0.0])
 
 
-def test_readings_beyond_the_range_are_silence():
+def test_readings_beyond_the_maximum_range_are_no_echo():
     sonar = Sonar(IdealModel(), 2, 1.0)
     reading = sonar.draw(Ping.of([0.5, 2.0]), [0], [2], slice(None)).reading
     assert list(reading.echo) == [True, False]
     assert list(reading.range) == [0.5, 0.0]
 
 
-def test_a_model_that_is_named_is_loaded_once_and_one_in_a_folder_each_time(tmp_path):
+def test_a_named_model_is_loaded_once_and_one_in_a_folder_each_time(tmp_path):
     assert resolve("srf08-mlp") is resolve("srf08-mlp")
     folder = tmp_path / "mine"
     save_model(GaussianModel(sigma=0.01), folder)
