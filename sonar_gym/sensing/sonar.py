@@ -16,7 +16,7 @@ from acquisition import EchoStatus, Ping, Reading, SettingError
 from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.faults import Faulty, FaultyLaw
 from noise.law import UniformSource
-from noise.model import Remembering
+from noise.model import StatefulModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -145,7 +145,7 @@ class Sonar:
         shared = resolve(model)
         self.model = listener(shared)
         # checked once: isinstance with a protocol is slow
-        self._stateful = self.model if isinstance(self.model, Remembering) else None
+        self._stateful = self.model if isinstance(self.model, StatefulModel) else None
         self.count, self.copies = count, copies
         self.max_range = max_range
         tables = [broad_table(shared, max_range)] * count if tables is None else tables

@@ -19,7 +19,7 @@ from sonar_gym.sensing import kernels
 from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays
 from sonar_gym.sensing.scene import box_faces
 from sonar_gym.sensing.sonar import broad_table
-from sonar_gym.sensing.timing import ConeConditions, Times
+from sonar_gym.sensing.timing import PingConditions, Times
 from sonar_gym.wrappers.settings import DEFAULT_MAX_RANGE, SonarSettings
 from sonar_gym.wrappers.sources import Generators, Ints
 
@@ -95,7 +95,7 @@ class RoadSource:
         """Begin an episode with new reflectances."""
         self._reflectance.clear()
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> ConeConditions:
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
         """Cast the cones on the current road."""
         ego, limit = pose_of(self.base.vehicle), self.max_range / self.scale
         things = solid_things(self.base.road, self.base.vehicle)
@@ -106,7 +106,7 @@ class RoadSource:
         distance, bearing, incidence, face, _ = kernels.cast_cones(*cones, box_faces(boxes[near]), limit)
         material = np.array([*(self._reflectance_of(things[k], rngs[0]) for k in near), 0.0])
         reflectance = material[np.where(face >= 0, face // 4, -1)]
-        return ConeConditions(
+        return PingConditions(
             distance[None] * self.scale, bearing[None], incidence[None], reflectance[None], (face >= 0)[None]
         )
 

@@ -19,7 +19,7 @@ from acquisition import SettingError
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
 from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
-from sonar_gym.sensing.timing import ScheduledSonar, timing
+from sonar_gym.sensing.timing import PingSchedule, timing
 from sonar_gym.wrappers.highway import RoadSource, is_road
 from sonar_gym.wrappers.settings import SonarSettings
 from sonar_gym.wrappers.sources import ConditionSource, RangesSource, StreetSource
@@ -52,11 +52,11 @@ def source_of(base: Any, space: spaces.Space[Any], settings: SonarSettings, copi
     return RangesSource(space, settings, base, copies)
 
 
-def timed_sonars(source: ConditionSource, sonar: SonarChoice, copies: int) -> ScheduledSonar:
+def timed_sonars(source: ConditionSource, sonar: SonarChoice, copies: int) -> PingSchedule:
     """Return sonars with the range, credence tables and ping times of a source."""
     model = resolve(sonar)
     sonars = Sonar(model, source.count, source.max_range, WRAPPER_TAG, source.tables(model), copies)
-    return ScheduledSonar(sonars, timing(source.count, source.step_s, source.times), source.step_s)
+    return PingSchedule(sonars, timing(source.count, source.step_s, source.times), source.step_s)
 
 
 def space_of(source: ConditionSource) -> spaces.Dict:
@@ -122,7 +122,7 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Clear the memory of the sonars, reset the environment, and ping."""
-        self.sonar.forget()
+        self.sonar.clear_memory()
         if seed is not None:
             self.sonar.seed(seed)
         observation, info = self.env.reset(seed=seed, options=options)

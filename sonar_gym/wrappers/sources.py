@@ -18,7 +18,7 @@ from noise import CredenceTable, SonarModel
 from sonar_gym.parking.fleet import MAX_RANGE, STEP_S, Fleet
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.sensing.sonar import bin_edges
-from sonar_gym.sensing.timing import ConeConditions, Times
+from sonar_gym.sensing.timing import PingConditions, Times
 from sonar_gym.wrappers.settings import (
     CONDITION_NAMES,
     DEFAULT_MAX_RANGE,
@@ -59,7 +59,7 @@ class ConditionSource(Protocol):
         """Begin episodes in some environments, given their observations and infos."""
         ...
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> ConeConditions:
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
         """Return the conditions of pings sent now in some environments."""
         ...
 
@@ -130,7 +130,7 @@ class RangesSource:
         """Draw the reflectances of the episode."""
         self._reflectance[rows] = self._values("reflectance", rows, observation, info, rngs)
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> ConeConditions:
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
         """Return the observed ranges with the other conditions, from their keys, constants or priors."""
         ranges = self._flat(observation)[..., self._mask].reshape(len(rows), self.count)
         distance = ranges * self.settings.metres_per_unit
@@ -144,7 +144,7 @@ class RangesSource:
         reflectance = (
             self._values("reflectance", rows, observation, info, rngs) if every_step else self._reflectance[rows]
         )
-        return ConeConditions(distance, bearing, incidence, reflectance, in_range)
+        return PingConditions(distance, bearing, incidence, reflectance, in_range)
 
     def retained(self, observation: Any) -> dict[str, Any]:
         """Return the other keys, and the numbers that are not ranges."""
@@ -202,13 +202,13 @@ class StreetSource:
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
         """Do nothing: no condition is drawn per episode."""
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> ConeConditions:
+    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
         """Return the true conditions in `info`."""
         parts = (info[name] for name in ("distance", "bearing", "incidence", "reflectance", "in_cone"))
         distance, bearing, incidence, reflectance, in_cone = (
             np.asarray(part).reshape(len(rows), self.count) for part in parts
         )
-        return ConeConditions(distance, bearing, incidence, reflectance, in_cone & (distance < self.max_range))
+        return PingConditions(distance, bearing, incidence, reflectance, in_cone & (distance < self.max_range))
 
     def retained(self, observation: Any) -> dict[str, Any]:
         """Return the odometry and the elapsed time."""

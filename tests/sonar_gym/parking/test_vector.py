@@ -21,11 +21,12 @@ from noise.faults import Constant, Faulty, Short
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
-from noise.learned.recurrent import ANCHORS, LINKS, Cell, LstmModel
+from noise.learned.recurrent import LstmModel
+from noise.learned.recurrent_state import N_ANCHORS, N_HISTORY_FEATURES, LstmCell
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.rendering import Renderer
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.sb3 import one_of
+from sonar_gym.sb3 import env_info
 
 MODES = list(AutoresetMode)
 
@@ -54,11 +55,11 @@ def lstm(state=6):
     """Return a stateful model with random weights."""
     rng, ping = np.random.default_rng(0), Ping.of([0.1, 3.0], [0.0, 0.5], [0.0, 0.6], [0.1, 0.9])
     inputs = Inputs.of(ping, ("distance", "angle", "incidence", "reflectance"))
-    head = Head(near=2, fixed=1, resolution=0.01, max_range=6.0, anchored=ANCHORS, fails=True)
-    n_inputs = inputs.width + LINKS
+    head = Head(near=2, fixed=1, resolution=0.01, max_range=6.0, anchored=N_ANCHORS, fails=True)
+    n_inputs = inputs.width + N_HISTORY_FEATURES
     shapes = ((4 * state, n_inputs), (4 * state, state), (4 * state,))
     layers = [(rng.normal(size=(head.width, n_inputs + state)), rng.normal(size=head.width))]
-    return LstmModel(inputs, head, Cell(*(rng.normal(size=shape) for shape in shapes)), layers)
+    return LstmModel(inputs, head, LstmCell(*(rng.normal(size=shape) for shape in shapes)), layers)
 
 
 def native(n, mode=AutoresetMode.NEXT_STEP, **settings):
@@ -207,12 +208,12 @@ class FirstOfVector(gymnasium.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         observation, info = self.envs.reset(seed=seed, options=options)
-        return {key: value[0] for key, value in observation.items()}, one_of(info, 0)
+        return {key: value[0] for key, value in observation.items()}, env_info(info, 0)
 
     def step(self, action):
         observation, reward, terminated, truncated, info = self.envs.step(action[None])
         first = {key: value[0] for key, value in observation.items()}
-        return first, float(reward[0]), bool(terminated[0]), bool(truncated[0]), one_of(info, 0)
+        return first, float(reward[0]), bool(terminated[0]), bool(truncated[0]), env_info(info, 0)
 
     def close(self):
         self.envs.close()

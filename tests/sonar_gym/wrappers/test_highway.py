@@ -47,7 +47,7 @@ def test_wall_ahead_is_detected_although_its_centre_is_far():
     assert hits.distance[0] == pytest.approx(20.5 - 16.0 - 2.5)
     assert hits.incidence[0] == pytest.approx(0.0, abs=1e-9)
     put(env, 0.0, 0.0, 0.0)
-    assert not cast(env).seen.any()
+    assert not cast(env).in_cone.any()
 
 
 def test_wall_on_the_left_is_detected_by_the_left_sonar():
@@ -55,7 +55,7 @@ def test_wall_on_the_left_is_detected_by_the_left_sonar():
     env.reset(seed=0)
     put(env, 0.0, -17.0, 0.0)  # driving right along the upper wall: the wall is on the left
     hits = cast(env)
-    assert list(hits.seen) == [False, True, False]
+    assert list(hits.in_cone) == [False, True, False]
     assert hits.distance[1] == pytest.approx(20.5 - 17.0 - 1.0)
 
 
@@ -72,7 +72,7 @@ def test_cones_agree_with_shapely_on_a_crowded_road(seed):
         arc = np.column_stack([pose[0] + 30.0 * np.cos(angles), pose[1] + 30.0 * np.sin(angles)])
         inside = [body.intersection(Polygon([pose[:2], *arc])) for body in bodies]
         near = [Point(pose[:2]).distance(part) for part in inside if not part.is_empty]
-        assert hits.seen[i] == bool(near)
+        assert hits.in_cone[i] == bool(near)
         if near:
             assert hits.distance[i] == pytest.approx(min(near), abs=1e-3)
 
@@ -141,7 +141,7 @@ def test_metres_per_unit_scales_the_road():
     put(scaled, 0.0, 0.0, -np.pi / 2)
     assert cast(scaled).distance[0] == pytest.approx(0.1 * (20.5 - 2.5))
     put(full, 0.0, 0.0, -np.pi / 2)
-    assert not cast(full).seen.any()
+    assert not cast(full).in_cone.any()
 
 
 def test_time_step_is_that_of_the_policy():
