@@ -42,13 +42,13 @@ def read_tensors(folder: Path, shapes: Mapping[str, tuple[int, ...]]) -> tuple[d
             )
         tensors = load_file(path)
     except FileNotFoundError:
-        raise ModelError(f"{path}: is missing; the folder of a network needs the weights beside model.json") from None
+        raise ModelError(f"{path}: is missing; the folder of a network needs its weights beside the description") from None
     except (SafetensorError, OSError) as error:
         raise ModelError(
             f"{path}: cannot be read as safetensors ({error}); it is damaged or of another model"
         ) from None
     if {name: value.shape for name, value in tensors.items()} != shapes:
-        raise ModelError(f"{path}: the tensors differ from those in model.json ({', '.join(shapes)})")
+        raise ModelError(f"{path}: the tensors differ from those of the description ({', '.join(shapes)})")
     if not all(value.dtype == np.float32 and np.all(np.isfinite(value)) for value in tensors.values()):
         raise ModelError(f"{path}: contains values that are not finite float32; it is damaged")
     card = folder / CARD_FILE

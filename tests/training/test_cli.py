@@ -31,7 +31,7 @@ def test_an_unknown_command_is_one_line_and_exit_code_2():
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
-    assert "'diagnos' is no command; there are" in done.stderr
+    assert "'diagnos' is not a command. Commands: demo" in done.stderr
 
 
 def test_a_missing_file_is_one_line_and_exit_code_2(tmp_path):

@@ -89,10 +89,10 @@ KINDS = {
     "other memory": "retrain it",
     "unknown field": "does not describe an agent",
     "no weights": "is missing",
-    "cut weights": "damaged or foreign",
+    "cut weights": "damaged or of another model",
     "not finite": "not finite",
-    "other size": "damaged or foreign",
-    "other tensors": "other tensors",
+    "other size": "damaged or of another model",
+    "other tensors": "the tensors differ",
 }
 
 
@@ -150,7 +150,7 @@ def test_an_action_is_repeated():
 def test_the_shipped_agent_is_small_and_has_a_card():
     assert "parking" in agent_names()
     shipped = load_policy("parking")
-    assert "## Data" in shipped.card
+    assert "## Training data" in shipped.card
     assert "## Scores" in shipped.card
     assert sum(weight.size + bias.size for weight, bias in shipped.layers) < 200_000
 

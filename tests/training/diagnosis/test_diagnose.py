@@ -47,7 +47,7 @@ def test_the_summary_names_the_cause_in_a_few_lines(finished):
     assert done.returncode == 0, done.stderr
     lines = done.stdout.strip().splitlines()
     assert 4 <= len(lines) <= 12
-    assert "shifted" in lines[1]
+    assert "offset of +2" in lines[1]
     assert any("nats" in line for line in lines)
 
 
