@@ -14,9 +14,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.arrays import Bits, Floats, Ints
 from acquisition.errors import SettingError
-
-Floats = NDArray[np.float64]
 
 
 class EchoStatus(IntEnum):
@@ -54,7 +53,7 @@ class Ping:
     incidence: Floats
     reflectance: Floats
     time: Floats
-    run: NDArray[np.int64]
+    run: Ints
     covariates: Mapping[str, Floats] = field(default_factory=dict)
 
     @classmethod
@@ -157,17 +156,17 @@ class Reading:
         return Reading(self.range[pick], self.status[pick], more)
 
     @property
-    def echo(self) -> NDArray[np.bool_]:
+    def echo(self) -> Bits:
         """Mask of the pings with an echo, (n,)."""
         return self.status == _ECHO
 
     @property
-    def answered(self) -> NDArray[np.bool_]:
+    def answered(self) -> Bits:
         """Mask of the pings that the sensor answered, (n,)."""
         return self.status != EchoStatus.NO_ANSWER
 
 
-def previous(reading: Reading, run: NDArray[np.int64]) -> Reading:
+def previous(reading: Reading, run: Ints) -> Reading:
     """Return the previous reading of the same run for each ping; status NO_ANSWER for the first ping of a run.
 
     Args:
@@ -184,7 +183,7 @@ def previous(reading: Reading, run: NDArray[np.int64]) -> Reading:
     return Reading.of(value, status)
 
 
-def interval(time: Floats, run: NDArray[np.int64]) -> Floats:
+def interval(time: Floats, run: Ints) -> Floats:
     """Return the time since the previous ping of the same run, s, (n,); 0 for the first ping of a run.
 
     Args:

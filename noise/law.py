@@ -12,11 +12,11 @@ from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from acquisition import EchoStatus, Reading
+from acquisition.arrays import Floats, Ints
 
-Floats = NDArray[np.float64]
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 
 MAX_N_WIDE = 64  # pings; up to this number the inverse is searched in many parts at once
@@ -89,16 +89,16 @@ class EchoLaw(ABC):
         """P(the sensor answers that there is no echo), (n,)."""
         return np.clip(1.0 - self.echo - self.no_answer, 0.0, 1.0)
 
-    def step(self, range_: ArrayLike) -> NDArray[np.int64]:
+    def step(self, range_: ArrayLike) -> Ints:
         """Return the register step nearest to a range in m, 1 to `last_step`."""
         nearest = np.rint(np.asarray(range_, dtype=np.float64) / self.resolution)
         return np.clip(nearest, 1, self.last_step).astype(np.int64)
 
-    def cdf_step(self, step: NDArray[np.int64]) -> Floats:
+    def cdf_step(self, step: Ints) -> Floats:
         """Return P(echo and register <= step), (n,) or (m, n); 0 for steps below 1."""
         return np.where(step < 1, 0.0, self.arrival(self.edge(step)))
 
-    def edge(self, step: NDArray[np.int64]) -> Floats:
+    def edge(self, step: Ints) -> Floats:
         """Return the upper edge of a step as exact range, m; -inf below the first step, +inf from the last step on."""
         inside = (step + 0.5) * self.resolution
         return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
@@ -124,7 +124,7 @@ class EchoLaw(ABC):
         status = np.where(u >= 1.0 - self.no_answer, EchoStatus.NO_ANSWER, status)
         return Reading.of(np.where(status == EchoStatus.ECHO, step * self.resolution, 0.0), status)
 
-    def _invert(self, u: Floats) -> NDArray[np.int64]:
+    def _invert(self, u: Floats) -> Ints:
         """Return the smallest step whose cdf exceeds u, (n,) or (m, n), by repeated division into equal parts."""
         shape = np.broadcast_shapes(np.shape(u), (len(self),))
         low, high = np.zeros(shape, dtype=np.int64), np.full(shape, self.last_step)
@@ -138,7 +138,7 @@ class EchoLaw(ABC):
             high = np.take_along_axis(cuts, below + 1, axis=0)[0]
         return high
 
-    def _cdf_rows(self, step: NDArray[np.int64]) -> Floats:
+    def _cdf_rows(self, step: Ints) -> Floats:
         """Return `cdf_step` for any number of leading axes, (..., n)."""
         return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import ModelError, UnknownModelError
+from acquisition.arrays import Ints, Singles
 from acquisition.io.files import whole_folder
 from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 from sonar_gym.control.memory import MemorySettings, ObservationMemory
 
-Singles = NDArray[np.float32]
 Layer = tuple[Singles, Singles]
 Observation = Mapping[str, NDArray[Any]]
 FORMAT = 1
@@ -138,12 +138,12 @@ class VectorAgent:
         self._action = np.zeros((count, ACTIONS), dtype=np.float32)
         self._age = np.zeros(count, dtype=np.int64)
 
-    def reset(self, rows: NDArray[np.int64]) -> None:
+    def reset(self, rows: Ints) -> None:
         """Begin the episodes of some cars."""
         self.memory.reset(rows)
         self._age[rows] = 0
 
-    def act(self, observation: Observation, rows: NDArray[np.int64] | None = None) -> Singles:
+    def act(self, observation: Observation, rows: Ints | None = None) -> Singles:
         """Return the actions of some cars, or of all, (r, 2), from their observations."""
         rows = np.arange(self.count) if rows is None else rows
         self.memory.update(rows, observation)

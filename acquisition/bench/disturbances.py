@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from acquisition.bench.acoustics.arrivals import BOUNCE, LEAK, OTHER, Arrivals, Complexes, Integers
+from acquisition.arrays import Ints
+from acquisition.bench.acoustics.arrivals import BOUNCE, LEAK, OTHER, Arrivals, Complexes
 from acquisition.bench.acoustics.geometry import amplitude_scale
 from acquisition.bench.acoustics.receiver import Pulses
 from acquisition.bench.acoustics.room import arrivals
@@ -40,7 +41,7 @@ def _previous_pings(batch: Reception) -> list[Pulses]:
     return [_within_waveform(batch, row[pair], pulses.delay[index] - lag[pair], pulses.weight[index])]
 
 
-def _overlaps(batch: Reception) -> tuple[Integers, Integers, Floats]:
+def _overlaps(batch: Reception) -> tuple[Ints, Ints, Floats]:
     """Return overlapping pairs whose later ping is in the batch: its row, the previous ping, and the lag, s."""
     later, previous, lag = batch.drawn.overlaps
     place = np.full(len(batch.drawn.ping), -1)
@@ -100,13 +101,13 @@ def _external_paths(paths: Arrivals) -> Arrivals:
     return paths[(paths.group != LEAK) & (paths.group != BOUNCE)]
 
 
-def _within_waveform(batch: Reception, row: Integers, delay: Floats, weight: Complexes) -> Pulses:
+def _within_waveform(batch: Reception, row: Ints, delay: Floats, weight: Complexes) -> Pulses:
     """Return the pulses that overlap the waveform."""
     keep = (delay > -PULSE_LENGTH) & (delay < batch.samples * PERIOD)
     return Pulses(row[keep], delay[keep], weight[keep])
 
 
-def _source_path_pairs(source: Integers, row: Integers, count: int) -> tuple[Integers, Integers]:
+def _source_path_pairs(source: Ints, row: Ints, count: int) -> tuple[Ints, Ints]:
     """Return all pairs of a source and a path in the source's scene, as indices of sources and of paths.
 
     Args:

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, GROUPS, LEAK, OTHER, POST, Arrivals, Complexes, Integers
+from acquisition.arrays import Ints
+from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, GROUPS, LEAK, OTHER, POST, Arrivals, Complexes
 from acquisition.bench.acoustics.geometry import PathGeometry, amplitude_scale
 from acquisition.bench.acoustics.receiver import (
     Pulses,
@@ -62,7 +63,7 @@ class DrawnPings:
         return Air.of(self.visits.temperature_c, self.visits.humidity_pct)
 
     @cached_property
-    def overlaps(self) -> tuple[Integers, Integers, Floats]:
+    def overlaps(self) -> tuple[Ints, Ints, Floats]:
         """Pairs of pings of which the later receives sound of the previous, and the lag, s."""
         return overlapping_pings(self.ping)
 
@@ -87,8 +88,8 @@ class Reception:
     unit: Unit
     setup: Setup
     drawn: DrawnPings
-    rows: Integers
-    segments: Integers
+    rows: Ints
+    segments: Ints
 
     @cached_property
     def samples(self) -> int:
@@ -96,7 +97,7 @@ class Reception:
         return int(np.ceil(self.setup.listening / PERIOD)) + 2
 
     @cached_property
-    def segment(self) -> Integers:
+    def segment(self) -> Ints:
         """Index into `segments` of each ping, (m,)."""
         return np.searchsorted(self.segments, self.drawn.visits.segment[self.rows])
 
@@ -120,7 +121,7 @@ class Reception:
         """Pulses of the echo paths at the receiver; row is the segment."""
         return self.pulses_of(self.paths, self.geometry.air)
 
-    def geometry_of(self, segments: Integers) -> PathGeometry:
+    def geometry_of(self, segments: Ints) -> PathGeometry:
         """Return the geometry of some segments."""
         return PathGeometry.of(self.unit, self.setup, self.drawn.placed[segments], self.drawn.air[segments])
 
@@ -148,7 +149,7 @@ class Reception:
         factor[:, LEAK], delay[:, LEAK] = 1.0, 0.0
         return factor, delay
 
-    def threshold(self, pings: slice | Integers = slice(None)) -> Floats | None:
+    def threshold(self, pings: slice | Ints = slice(None)) -> Floats | None:
         """Return the comparator's threshold relative to its nominal value, (k, samples), or None if constant."""
         hum = self.setup.hum
         return None if hum is None else hum.threshold(self.time[pings, None] + np.arange(self.samples) * PERIOD)
@@ -200,7 +201,7 @@ class Reception:
         return amplification(self.unit, self.setup, self.samples)
 
     def _comparator_echoes(
-        self, waves: list[SharedWaveforms | SeparateWaveforms], pings: slice | Integers, rng: np.random.Generator
+        self, waves: list[SharedWaveforms | SeparateWaveforms], pings: slice | Ints, rng: np.random.Generator
     ) -> Floats:
         """Return the echo times of some of the pings, s, (k, 17)."""
         noise_rms = self.drawn.noise_rms[self.rows[pings]]
@@ -210,7 +211,7 @@ class Reception:
         return first_echoes(ping, time + start * PERIOD, len(noise_rms), self.unit, listening)
 
     def _truth(
-        self, shared_waves: SharedWaveforms, group: Integers, onset: Floats, other: Complexes | None, first: Floats
+        self, shared_waves: SharedWaveforms, group: Ints, onset: Floats, other: Complexes | None, first: Floats
     ) -> TrueEchoes:
         """Return the true echoes of the pings of one segment with first echoes at `first`, s, (k,)."""
         level, count, rows = np.abs(shared_waves.component) * self._gain, len(first), np.arange(len(first))

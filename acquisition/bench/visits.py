@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.arrivals import Integers
+from acquisition.arrays import Ints
 from acquisition.bench.laboratory.air import Floats
 from acquisition.ping import Ping
 
@@ -29,9 +29,9 @@ class Visits:
     """
 
     start: NDArray[np.bool_]
-    visit: Integers
-    segment: Integers
-    first: Integers
+    visit: Ints
+    segment: Ints
+    first: Ints
     temperature_c: Floats
     humidity_pct: Floats
 
@@ -52,7 +52,7 @@ class Visits:
         )
         return cls(start, visit, segment, first, _mean(temperature_c, segment), _mean(humidity_pct, segment))
 
-    def batches(self, which: NDArray[np.bool_]) -> Iterator[tuple[Integers, Integers]]:
+    def batches(self, which: NDArray[np.bool_]) -> Iterator[tuple[Ints, Ints]]:
         """Yield pings and their segments in batches of whole segments, or parts of a segment longer than a batch.
 
         Args:
@@ -69,5 +69,5 @@ class Visits:
             begin = end
 
 
-def _mean(value: Floats, index: Integers) -> Floats:
+def _mean(value: Floats, index: Ints) -> Floats:
     return np.asarray(np.bincount(index, value) / np.maximum(np.bincount(index), 1))

@@ -22,12 +22,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from acquisition.arrays import Bits, Floats
 from acquisition.errors import MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.io.recording import Recording
 
-Floats = NDArray[np.float64]
 SUFFIXES = (".bag", ".mcap", ".db3")
 RANGE_TYPE = "sensor_msgs/msg/Range"
 INFRARED = 1  # radiation_type of sensor_msgs/Range
@@ -208,7 +207,7 @@ def read_table(path: Path, first_stamp: float) -> TimeSeries:
     return TimeSeries(stamp, {TRUTH_COLUMNS[n][0]: number[:, k] * TRUTH_COLUMNS[n][1] for k, n in enumerate(known, 1)})
 
 
-def reading_mm(range_m: Floats, min_range_m: Floats, max_range_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def reading_mm(range_m: Floats, min_range_m: Floats, max_range_m: Floats) -> tuple[Floats, Bits]:
     """Return readings as in a recording, mm (0: no echo, NaN: no answer), and the mask of those too close to measure.
 
     >>> reading_mm(np.array([1.0, np.inf, -np.inf, np.nan]), np.full(4, 0.02), np.full(4, 4.0))[0]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from acquisition.arrays import Floats
 from acquisition.bench.rig import Rig
 from acquisition.drivers.driver import SonarDriver
 from acquisition.errors import DeviceError, NoAnswerError, SettingError
@@ -19,7 +19,6 @@ from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, SurveyPlan
 from acquisition.survey.quantities import SWEEPS
 
-Floats = NDArray[np.float64]
 DRIFT_STREAM = 2**31  # random stream of the drift; larger than any condition number
 TEST_PINGS, TEST_INTERVAL_S = 5, 0.07  # of the connection test before a session
 

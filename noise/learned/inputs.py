@@ -8,11 +8,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import Ping
+from acquisition.arrays import Bits, Floats, Ints
 
-Floats = NDArray[np.float64]
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
 LOG_OFFSET_M = 0.02  # m; added to the distance to limit the slope of its logarithm
 
@@ -30,7 +29,7 @@ class FeatureBatch(NamedTuple):
     feature: Floats
     distance: Floats
     excess: Floats
-    missing: NDArray[np.bool_]
+    missing: Bits
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ class Inputs:
         np.multiply(inside - low, 2.0 / span, out=scaled)
         scaled -= 1.0
         feature[:, len(self.names)] = self._log_distance(inside[:, 0])
-        missing: NDArray[np.bool_] = np.zeros(len(value), dtype=bool)
+        missing: Bits = np.zeros(len(value), dtype=bool)
         known[:] = 1.0
         if self.covariates:
             gone = np.isnan(value)
@@ -132,7 +131,7 @@ class Inputs:
         return FeatureBatch(feature, ping.distance, excess, missing)
 
     @cached_property
-    def _covariate(self) -> NDArray[np.int64]:
+    def _covariate(self) -> Ints:
         return np.array([k for k, name in enumerate(self.names) if name in self.covariates], dtype=np.int64)
 
     @cached_property

@@ -42,7 +42,9 @@ def read_tensors(folder: Path, shapes: Mapping[str, tuple[int, ...]]) -> tuple[d
             )
         tensors = load_file(path)
     except FileNotFoundError:
-        raise ModelError(f"{path}: is missing; the folder of a network needs its weights beside the description") from None
+        raise ModelError(
+            f"{path}: is missing; the folder of a network needs its weights beside the description"
+        ) from None
     except (SafetensorError, OSError) as error:
         raise ModelError(
             f"{path}: cannot be read as safetensors ({error}); it is damaged or of another model"

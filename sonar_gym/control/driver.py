@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Floats, Singles
 from sonar_gym.control.fusion import StreetFilter
 from sonar_gym.control.perception import Perception, RawPerception
 from sonar_gym.parking.environment import MAX_RANGE, ODOMETRY_SPAN
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS, Mount
 
-Floats = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 NEEDED = ("left", "right front", "right rear", "rear", "front")
 ARC_MARGIN = 1.05  # ratio of the arcs' radius to the least turning radius; leaves room for corrections
@@ -56,7 +56,7 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Begin an episode."""
 
-    def act(self, observation: Observation) -> NDArray[np.float32]:
+    def act(self, observation: Observation) -> Singles:
         """Return an action in [-1, 1]^2."""
         ...
 
@@ -153,7 +153,7 @@ class ParkingDriver:
         self._end_count = 0
         self.perception.reset()
 
-    def act(self, observation: Observation) -> NDArray[np.float32]:
+    def act(self, observation: Observation) -> Singles:
         """Return the steering and speed setpoints as fractions of their maxima, (2,)."""
         ego = np.asarray(observation["ego"], dtype=np.float64)
         odometry = np.array([ego[4] * ODOMETRY_SPAN[0], ego[5] * ODOMETRY_SPAN[1], np.arctan2(ego[3], ego[2])])

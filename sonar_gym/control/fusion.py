@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from acquisition.arrays import Floats
 from sonar_gym.control.perception import JUMP, MIN_CREDENCE, ParkingSpace, box_distance, find_runs
 from sonar_gym.control.street_inference import (
     BIAS,
@@ -32,7 +32,6 @@ from sonar_gym.control.street_inference import (
 from sonar_gym.sensing import kernels
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 
-Floats = NDArray[np.float64]
 MEDIAN_COUNT = 3  # readings whose median gives the clearance; one of them may be an outlier
 START_SD = 1e-3  # m; the origin is the initial position
 WALL_SONAR, BOX_SONAR = "left", "right front"

@@ -17,12 +17,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Floats, Ints, Singles
 from sonar_gym.parking.fleet import EGO, MAX_RANGE, ODOMETRY_SPAN
 from sonar_gym.sensing.mounts import Layout, layout, mount_arrays
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 Observation = Mapping[str, NDArray[Any]]
 RIGHT, LEFT = 0, 1  # index of the lateral profile
 SIDE_TOLERANCE = math.radians(15.0)  # greatest deviation of a side sonar from perpendicular to the car

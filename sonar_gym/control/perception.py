@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from acquisition.arrays import Bits, Floats
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 
-Floats = NDArray[np.float64]
 JUMP = 0.12  # m; in a space, a side sonar reads at least this much more than beside the boxes
 WINDOW = 5  # readings in the running median, which removes isolated outliers
 MIN_RUN = 3  # readings; a shorter run of near or far readings is treated as outliers
@@ -233,7 +232,7 @@ def box_distance(reading: Floats) -> float:
     return float(np.median(near)) if len(near) else 0.2
 
 
-def find_runs(far: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
+def find_runs(far: Bits) -> list[tuple[int, int, bool]]:
     """Return begin, end and value of the runs of equal values; a run that is too short joins the one before."""
     out: list[tuple[int, int, bool]] = []
     edges = np.flatnonzero(np.diff(far)) + 1

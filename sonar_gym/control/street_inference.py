@@ -6,12 +6,11 @@ The state consists of the car's pose, the curvature bias of its odometry, and th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from acquisition.arrays import Bits, Floats
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing import kernels
 
-Floats = NDArray[np.float64]
 X, Y, HEADING, BIAS, WALL, FACE, KERB, EDGES = range(8)  # indices of the state; the edges of the boxes follow
 FAR_M = 30.0  # m; extent of the lines of the street to either side
 DIFFERENCE = 1e-4  # m, rad; step of the finite differences
@@ -175,7 +174,7 @@ def update_all(
     return state, covariance
 
 
-def space_probability(far: NDArray[np.bool_], credence: Floats, step: Floats, far_share: float, rate: float) -> Floats:
+def space_probability(far: Bits, credence: Floats, step: Floats, far_share: float, rate: float) -> Floats:
     """Return the probability that there was no box beside a sonar at each of its readings, given all readings, (n,).
 
     Hidden Markov model with the states box and space, by the forward-backward algorithm (Rabiner 1989). A reading is

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from acquisition import Ping, SettingError
+from acquisition.arrays import Floats, Ints, Singles
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.step_kernel import StepConstants, WorldArrays
@@ -39,9 +39,7 @@ from sonar_gym.sensing.odometry import odometry as odometry_settings
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Observation = dict[str, NDArray[np.float32]]
+Observation = dict[str, Singles]
 STEP_S = 0.1  # s; an SRF08 needs 65 ms, several at once after a general call (Devantech)
 MAX_RANGE = 3.01  # m; SRF08 with range register 69: (69 + 1) * 43 mm
 MAX_STEPS = 400  # steps of an episode, the time limit set by `gymnasium.make` and `make_vec`

@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import Ping
+from acquisition.arrays import Floats
 from noise import CredenceTable, SonarModel
 from sonar_gym.parking.street import Street, StreetSettings, draw_street, reference_path
 from sonar_gym.parking.vehicle import CarSettings
@@ -22,7 +22,6 @@ from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.sonar import bin_edges, broad_table
 
-Floats = NDArray[np.float64]
 SEED = 2016  # fixed, so that the prior is the same in every environment
 STREETS, POSES = 60, 12  # number of streets, and of poses on each
 OFF_PATH, OFF_HEADING = 0.03, np.radians(5.0)  # m, rad; standard deviations about the path, chosen here

@@ -9,14 +9,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from acquisition.arrays import Bits, Singles
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.kernels import NO_HIT, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 
-Bits = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
+Floats32 = Singles
 DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, X, Y, SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT = range(12)
 N_COLUMNS = 12
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)

@@ -12,13 +12,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Floats
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.scene import Box, Scene, box_faces
 
-Floats = NDArray[np.float64]
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
 TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Bits, Floats, Ints, Singles
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation, RewardWeights
 from sonar_gym.parking.street import StreetSettings
@@ -22,9 +23,6 @@ from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.odometry import OdometryChoice
 from sonar_gym.sensing.sonar import SonarChoice
 
-Bits = NDArray[np.bool_]
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 StepResult = tuple[Observation, Floats, Bits, Bits, dict[str, Any]]
 MASK = "reset_mask"  # Gymnasium's reset option that selects environments
 
@@ -34,7 +32,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class SonarParkingVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
     """n environments stepped together; each gives the same results as a `SonarParkingEnv` with its seed.
 
     Environment i is seeded with `seed + i`, or with item i of a list of seeds, and has its own random streams. Infos

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import SettingError
-
-Floats = NDArray[np.float64]
+from acquisition.arrays import Floats
 
 
 @dataclass(frozen=True)

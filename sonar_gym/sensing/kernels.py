@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from acquisition.arrays import Floats, Ints
 from sonar_gym.compiled import compiled
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 NO_HIT = -1  # index of the segment where a cone is empty
 TIE = 1e-9  # m; two faces of one corner have equal distances up to rounding
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Floats
 from sonar_gym.sensing.kernels import mounted
 
-Floats = NDArray[np.float64]
 CONE_DEG = 55.0  # full beam of SRF04 and SRF08 at -6 dB; Devantech, Sonar FAQ
 
 

@@ -14,12 +14,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Floats
 from sonar_gym.compiled import compiled
 
-Floats = NDArray[np.float64]
 ODOMETRY_TAG = 0x57E9  # a random stream apart from those of the streets and of the sonars
 
 

@@ -6,12 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import Ping, SettingError
+from acquisition.arrays import Bits, Floats, Ints
 from sonar_gym.sensing import kernels
 
-Floats = NDArray[np.float64]
 CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # of a square with sides of 2 m
 EMPTY_M = 20.0  # m; distance given to a model for an empty cone: beyond the range of every sonar
 
@@ -121,8 +120,8 @@ class Hits:
     bearing: Floats
     incidence: Floats
     reflectance: Floats
-    in_cone: NDArray[np.bool_]
-    obstacle: NDArray[np.int64]
+    in_cone: Bits
+    obstacle: Ints
     point: Floats
 
     def ping(self, time: float) -> Ping:
@@ -162,7 +161,7 @@ class Scene:
         self._set_faces(np.vstack(faces) if faces else np.empty((0, 4)), surface[owner], owner)
 
     @classmethod
-    def of(cls, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> Scene:
+    def of(cls, segments: Floats, surface: Floats, owner: Ints) -> Scene:
         """Return a scene of given faces.
 
         Args:
@@ -174,7 +173,7 @@ class Scene:
         scene._set_faces(segments, surface, owner)
         return scene
 
-    def _set_faces(self, segments: Floats, surface: Floats, owner: NDArray[np.int64]) -> None:
+    def _set_faces(self, segments: Floats, surface: Floats, owner: Ints) -> None:
         self.segments, self.owner = segments, owner.astype(np.int64)
         self.surface = np.column_stack([surface[:, 0], np.radians(surface[:, 1])])
         # an extra last row: an empty cone has index -1

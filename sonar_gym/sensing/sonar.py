@@ -10,16 +10,14 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
+from acquisition.arrays import Floats, Ints
 from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.faults import Faulty, FaultyLaw
 from noise.law import UniformSource
 from noise.model import StatefulModel
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 SonarChoice = str | os.PathLike[str] | SonarModel
 Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])

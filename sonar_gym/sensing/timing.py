@@ -9,15 +9,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
+from acquisition.arrays import Bits, Floats, Ints, Singles
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import ECHO_CODE, Sonar
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bits = NDArray[np.bool_]
 SAME_TIME_S = 1e-9  # s; times closer than this are equal
 DISTANCE, BEARING, INCIDENCE, REFLECTANCE, IN_CONE, SENT, RANGE, STATUS, GIVEN_CONDITION = range(9)
 N_COLUMNS, N_CONDITIONS = 9, 5  # columns of a ping, and how many of them are its conditions
@@ -169,7 +167,7 @@ class PingSchedule:
 
     # ---- output ------------------------------------------------------------------------------------------------------
 
-    def observation(self) -> dict[str, NDArray[np.float32]]:
+    def observation(self) -> dict[str, Singles]:
         """Return the observations, each (n, s): `ranges`, `credence`, `echo` and `age` of the readings shown."""
         n, s = self.sonar.copies, self.sonar.count
         reading = Reading(self.shown[..., RANGE].ravel(), self.shown[..., STATUS].astype(np.uint8).ravel())

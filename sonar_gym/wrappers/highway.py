@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Floats
 from noise import CredenceTable, SonarModel
 from sonar_gym.sensing import kernels
 from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays
@@ -23,7 +23,6 @@ from sonar_gym.sensing.timing import PingConditions, Times
 from sonar_gym.wrappers.settings import DEFAULT_MAX_RANGE, SonarSettings
 from sonar_gym.wrappers.sources import Generators, Ints
 
-Floats = NDArray[np.float64]
 BASE = "base"  # key of the retained observation, if it is not a Dict
 EGO_FIRST_TYPES = ("Kinematics", "ExitObservation")  # observations whose first row is the controlled vehicle
 EGO_ONLY_TYPES = ("KinematicsGoal", "AttributesObservation")  # observations of the controlled vehicle alone

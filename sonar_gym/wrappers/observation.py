@@ -13,9 +13,9 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Bits, Ints
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
 from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
@@ -24,8 +24,6 @@ from sonar_gym.wrappers.highway import RoadSource, is_road
 from sonar_gym.wrappers.settings import SonarSettings
 from sonar_gym.wrappers.sources import ConditionSource, RangesSource, StreetSource
 
-Bits = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 WRAPPER_TAG = 0x5EA2  # of the random stream; differs from that of the sonars inside the environment
 GOAL_REWARD = "compute_reward"
 ONE = np.zeros(1, dtype=np.int64)  # row index of a single environment

@@ -11,9 +11,9 @@ from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arrays import Bits, Floats, Ints
 from noise import CredenceTable, SonarModel
 from sonar_gym.parking.fleet import MAX_RANGE, STEP_S, Fleet
 from sonar_gym.parking.prior import street_credence
@@ -28,8 +28,6 @@ from sonar_gym.wrappers.settings import (
     prior_ping,
 )
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Generators = Sequence[np.random.Generator]
 REST = "rest"  # key of the numbers that are not ranges, if the observation was a single array
 
@@ -102,7 +100,7 @@ class RangesSource:
             raise SettingError(f"SonarObservation needs ranges in a Box, got {space}: give the key of a Box")
         return space
 
-    def _range_mask(self, box: spaces.Box) -> NDArray[np.bool_]:
+    def _range_mask(self, box: spaces.Box) -> Bits:
         size, indices = int(np.prod(box.shape)), self.settings.indices
         mask = np.full(size, indices is None)
         for index in indices if indices is not None else ():

@@ -12,12 +12,12 @@ from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 import sonar_gym
 from acquisition import SettingError
+from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.io.files import write_text
 from noise.credence import wilson
 from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
@@ -29,9 +29,6 @@ from training.agents.sonars import mismatched
 from training.common.progress import bars
 from training.common.statistics import PairedComparison
 
-Bits = NDArray[np.bool_]
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
 Observation = dict[str, Singles]
 OnProgress = Callable[[str, int, int], None]  # name of the task, steps done, steps in total
 STREETS_AT_ONCE = 250
@@ -121,7 +118,7 @@ class Outcomes:
     success: Bits
     collision: Bits
     steps: Ints
-    score: NDArray[np.float64]
+    score: Floats
 
     @property
     def successes(self) -> Rate:

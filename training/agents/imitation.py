@@ -13,17 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch.nn import functional as F
 
+from acquisition.arrays import Bits, Floats, Singles
 from sonar_gym.parking.fleet import Fleet
 from sonar_gym.parking.step_kernel import GOAL_X, GOAL_Y, READY_X, TURN
 from sonar_gym.parking.street import arc_radius
 from training.agents.vec_env import AgentVecEnv
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 # ---- the teacher -----------------------------------------------------------------------------------------------------
 
@@ -114,7 +111,7 @@ class Teacher:
         return PathPosition(start - pose[:, 0], travelled, remaining, off, turned, curvature)
 
 
-def _reversing(pose: Floats, at: PathPosition, way: Floats) -> NDArray[np.bool_]:
+def _reversing(pose: Floats, at: PathPosition, way: Floats) -> Bits:
     """Return which cars reverse: those at the start of the path, or reversing already and near the path."""
     max_turned = np.where(at.remaining < FINAL_LENGTH, MAX_FINAL_TURNED, MAX_TURNED)
     off_path = (np.abs(at.off) > MAX_OFF_PATH) | (np.abs(at.turned) > max_turned)
@@ -170,7 +167,7 @@ class LabelBuffer:
         self._action = np.zeros((size, actions), dtype=np.float32)
         self.count = 0
 
-    def add(self, shown: Singles, action: NDArray[np.float64]) -> None:
+    def add(self, shown: Singles, action: Floats) -> None:
         """Add observations, (n, shown), with actions, (n, actions)."""
         place = np.arange(self.count, self.count + len(shown)) % len(self._shown)
         self._shown[place], self._action[place] = shown, action

@@ -9,16 +9,16 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.tune.registry import register_env
 
 import sonar_gym
+from acquisition.arrays import Singles
 from sonar_gym.control.memory import MemorySettings, ObservationMemory
 
 NAME = "SonarParkingMemory-v0"
 ONE = np.zeros(1, dtype=np.int64)
-Singles = NDArray[np.float32]
 
 
 class MemoryObservation(gymnasium.Wrapper[Singles, Singles, dict[str, Any], Singles], RecordConstructorArgs):

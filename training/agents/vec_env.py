@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from acquisition import SettingError
+from acquisition.arrays import Bits, Ints, Singles
 from noise import SonarModel, load_model
 from sonar_gym.control.memory import MemorySettings, ObservationMemory
 from sonar_gym.sb3 import SonarVecEnv
 from training.agents.sonars import with_faults
 
-Singles = NDArray[np.float32]
-Bits = NDArray[np.bool_]
 EnvSettings = Mapping[str, Any]
 Infos = list[dict[str, Any]]
 Transition = tuple[Singles, Singles, Bits, Infos]
@@ -131,7 +130,7 @@ class AgentVecEnv(VecEnv):
         self.step_async(actions)
         return self.step_wait()
 
-    def _end(self, part: NDArray[np.int64], ended: Bits, part_infos: Infos, infos: Infos) -> None:
+    def _end(self, part: Ints, ended: Bits, part_infos: Infos, infos: Infos) -> None:
         """Store the last observation of episodes that end now, and clear the memory of their cars."""
         which = np.flatnonzero(ended)
         if not len(which):

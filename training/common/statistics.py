@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest, norm
 
-Bits = NDArray[np.bool_]
+from acquisition.arrays import Bits
+
 CONFIDENCE = 0.95
 
 

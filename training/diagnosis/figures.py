@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from acquisition.arrays import Floats, Ints
 from noise.discrepancy import Diagnosis
 from noise.discrepancy.residuals import pit
 from noise.fitting.batch import Batch
@@ -16,7 +16,6 @@ from noise.law import CREDENCE_TOLERANCE, EchoLaw
 from noise.model import SonarModel
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, TwoSlopeNorm, svg
 
-Floats = NDArray[np.float64]
 MAX_POINTS = 2500
 MAX_LARGE_POINTS = 500  # up to this number, points are drawn larger
 DEG = np.pi / 180.0
@@ -43,7 +42,7 @@ class Prediction:
         return np.where(known, 1000.0 * (self.batch.reading.range - self.median), np.nan)
 
 
-def _sampled(n: int) -> NDArray[np.int64]:
+def _sampled(n: int) -> Ints:
     return np.unique(np.linspace(0, n - 1, min(n, MAX_POINTS)).astype(np.int64))
 
 

@@ -16,16 +16,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from acquisition import Ping, Recording
+from acquisition.arrays import Bits, Floats, Ints
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.setup import Bus
 from acquisition.bench.laboratory.shapes import Wall
 from acquisition.survey.plan import PLANS, SurveyPlan
 from noise.model import steps
 
-Floats = NDArray[np.float64]
 DEG = np.pi / 180.0
 MIN_DISTANCE_M, MAX_DISTANCE_M, EMPTY_DISTANCE_M = 0.03, 6.0, 20.0  # the last is far beyond the range gate
 STEP_S, MOVE_S = 0.1, 20.0  # s; between pings, and to place the next reflector
@@ -68,7 +67,7 @@ class SessionCourse:
     """Conditions of one session: a `Ping`, and the scene of each, (n,)."""
 
     ping: Ping
-    scene: NDArray[np.int64]
+    scene: Ints
 
 
 def survey(visits: int, rng: np.random.Generator) -> SessionCourse:
@@ -104,7 +103,7 @@ def _angle_sweep(max_deg: float, pings: int, rng: np.random.Generator) -> Floats
     return np.abs(np.linspace(begin, end, pings)) * DEG
 
 
-def _draw_conditions(scene: NDArray[np.int64], rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
+def _draw_conditions(scene: Ints, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
     """Draw distance, bearing, incidence and reflectance of v visits, each (v,)."""
     n = len(scene)
     uniform = rng.uniform(MIN_DISTANCE_M, MAX_DISTANCE_M, n)
@@ -191,7 +190,7 @@ def _tables(sessions: Sessions, jobs: int) -> Iterator[pd.DataFrame]:
         yield from pool.map(record_unit, [sessions] * len(sessions.units), sessions.units)
 
 
-def first_pings(recording: Recording, count: int) -> NDArray[np.bool_]:
+def first_pings(recording: Recording, count: int) -> Bits:
     """Return a mask of the first `count` pings of each visit, (n,) bool."""
     visit = np.unique(np.stack([recording.run, recording.condition]), axis=1, return_inverse=True)[1].ravel()
     keep = np.zeros(len(recording), dtype=bool)

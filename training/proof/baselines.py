@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.model_selection import GroupKFold
 
 from acquisition import Recording
+from acquisition.arrays import Floats, Ints
 from noise.beam import fit_beam
 from noise.discrepancy.search import Search
 from noise.discrepancy.splits import Split
@@ -22,7 +22,6 @@ from noise.fitting.visit_effects import FLOOR
 from noise.fitting.visits import visits_of
 from noise.model import MAX_RANGE
 
-Floats = NDArray[np.float64]
 FOLDS, SHUFFLES, MOST = 4, 200, 240
 AKAIKE = 1.0  # nats a parameter
 NEAREST = 8  # effects that likelihood ratios fit
@@ -50,7 +49,7 @@ def two_samples(simulated: Recording, recorded: Recording, rng: np.random.Genera
     return {**_classifier(x, label, group), "kernel_p": _kernel_p(x, label, group, rng)}
 
 
-def _classifier(x: Floats, label: NDArray[np.int64], group: NDArray[np.int64]) -> dict[str, float]:
+def _classifier(x: Floats, label: Ints, group: Ints) -> dict[str, float]:
     """Return by how many nats a classifier tells unseen cells apart, and how many standard errors that is."""
     gain = np.zeros(len(x))
     for train, test in GroupKFold(FOLDS).split(x, label, group):
@@ -65,7 +64,7 @@ def _classifier(x: Floats, label: NDArray[np.int64], group: NDArray[np.int64]) -
     return {"classifier_nats": float(gain.sum()), "classifier_z": float(gain.sum()) / error}
 
 
-def _kernel_p(x: Floats, label: NDArray[np.int64], group: NDArray[np.int64], rng: np.random.Generator) -> float:
+def _kernel_p(x: Floats, label: Ints, group: Ints, rng: np.random.Generator) -> float:
     """Return the p-value of the maximum mean discrepancy under shuffles of whole cells, one mean row a cell."""
     first = np.unique(group, return_index=True)[1]
     mean = np.stack([np.bincount(group, column) for column in x[:, :7].T], axis=1) / np.bincount(group)[:, None]
@@ -78,7 +77,7 @@ def _kernel_p(x: Floats, label: NDArray[np.int64], group: NDArray[np.int64], rng
     return float((1 + np.sum(np.array(shuffled) >= found)) / (SHUFFLES + 1))
 
 
-def _discrepancy(kernel: Floats, side: NDArray[np.int64]) -> float:
+def _discrepancy(kernel: Floats, side: Ints) -> float:
     weight = np.where(side == 1, 1.0 / max(side.sum(), 1), -1.0 / max((1 - side).sum(), 1))
     return float(weight @ kernel @ weight)
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Ping, Reading, Recording
+from acquisition.arrays import Floats
 from acquisition.bench import Rig
 
-Floats = NDArray[np.float64]
 Rng = np.random.Generator
 Host = Callable[[Floats, Ping, Rng], Floats]
 # the columns that would give the cause away; the diagnosis sees what a usual log holds

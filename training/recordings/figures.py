@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import EchoStatus, Recording
+from acquisition.arrays import Floats, Ints
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, PolarAxes, panels
 
-Floats = NDArray[np.float64]
 TOLERANCE = 0.10  # a reading is correct within this share of the true distance (Esmi 2016, section 4.1)
 MAX_PANELS, MAX_POINTS = 4, 6000
 MAX_ANGLES, MAX_DISTANCES = 61, 250  # levels of a surface; more are binned
@@ -31,7 +30,7 @@ class Levels:
         high: upper edge of each level, (levels,); levels do not overlap.
     """
 
-    index: NDArray[np.int64]
+    index: Ints
     low: Floats
     high: Floats
 
@@ -231,7 +230,7 @@ def course(recording: Recording) -> bytes:
     return panels([*draws[:-1], last], (9.0, 2.9 * len(draws)), columns=1)
 
 
-def _errors(axes: Axes, recording: Recording, time: Floats, shown: NDArray[np.int64]) -> None:
+def _errors(axes: Axes, recording: Recording, time: Floats, shown: Ints) -> None:
     reading, error = recording.reading, 1000.0 * (recording.reading.range - recording.ping.distance)
     low, high = np.quantile(error[reading.echo], [0.02, 0.98]) if reading.echo.any() else (-1.0, 1.0)
     room = 0.3 * max(high - low, 5.0)
@@ -250,7 +249,7 @@ def _errors(axes: Axes, recording: Recording, time: Floats, shown: NDArray[np.in
         axes.legend(loc="upper right", fontsize=8)
 
 
-def _temperature(axes: Axes, recording: Recording, time: Floats, shown: NDArray[np.int64]) -> None:
+def _temperature(axes: Axes, recording: Recording, time: Floats, shown: Ints) -> None:
     axes.plot(time[shown], recording.table["temperature_c"].to_numpy(np.float64)[shown], ".", ms=2.5, color=BEFORE)
     axes.set(ylabel="temperature (degC)")
 
@@ -268,7 +267,7 @@ def _clock(recording: Recording) -> tuple[Floats, str]:
     return (out / 3600.0, "time (h)") if end > 5400.0 else (out, "time (s)")
 
 
-def _some(n: int) -> NDArray[np.int64]:
+def _some(n: int) -> Ints:
     """Return the rows to draw: all, or a random sample, which unlike a stride has no bias within visits."""
     if n <= MAX_POINTS:
         return np.arange(n)

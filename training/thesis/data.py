@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
+from acquisition.arrays import Bits, Floats, Ints, Singles
 from noise.law import CREDENCE_TOLERANCE
 
-Singles = NDArray[np.float32]
-Floats = NDArray[np.float64]
-Bits = NDArray[np.bool_]
 FEATURES = ("angle", "reflectance", "reading", "credence")
 MAX_ANGLE_DEG, MAX_RANGE = 45.0, 6.0
 MIN_DISTANCE, DISTANCE_SPAN = 0.030, 5.970  # m
@@ -39,7 +37,7 @@ class Samples:
 
     feature: Singles
     label: Singles
-    condition: NDArray[np.int64]
+    condition: Ints
 
     @classmethod
     def of(cls, recording: Recording) -> Samples:
@@ -67,7 +65,7 @@ class Samples:
         """Return the number of pings."""
         return len(self.label)
 
-    def __getitem__(self, rows: NDArray[np.int64]) -> Samples:
+    def __getitem__(self, rows: Ints) -> Samples:
         """Return the pings of some rows."""
         return Samples(self.feature[rows], self.label[rows], self.condition[rows])
 
@@ -126,7 +124,7 @@ def is_right(estimate: Floats, distance: Floats) -> Bits:
     return np.abs(estimate - distance) <= CREDENCE_TOLERANCE * distance * (1.0 + 1e-6)  # single-precision inputs
 
 
-def credence_of(estimate: Floats, distance: Floats, condition: NDArray[np.int64]) -> Floats:
+def credence_of(estimate: Floats, distance: Floats, condition: Ints) -> Floats:
     """Return the credence of each condition, (conditions,).
 
     Args:
@@ -137,7 +135,7 @@ def credence_of(estimate: Floats, distance: Floats, condition: NDArray[np.int64]
     return group_mean(is_right(estimate, distance), condition, condition.max() + 1)
 
 
-def group_mean(value: Floats | Bits, group: NDArray[np.int64], groups: int) -> Floats:
+def group_mean(value: Floats | Bits, group: Ints, groups: int) -> Floats:
     """Return the mean value of each group, nan for an empty group, (groups,)."""
     total, count = np.bincount(group, value, groups), np.bincount(group, minlength=groups)
     return np.divide(total, count, out=np.full(groups, np.nan), where=count > 0)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.arrays import Ints
 from acquisition.bench.laboratory.air import Floats
 
 Complexes = NDArray[np.complex128]
-Integers = NDArray[np.int64]
 LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, SIDES, CLUTTER, OTHER = range(10)
 GROUPS = ("leak", "face", "bounce", "post", "floor", "ceiling", "wall", "sides", "clutter", "other")
 
@@ -27,8 +27,8 @@ class Arrivals:
         amplitude: pressure relative to that at 1 m on the transmitter's axis, without absorption, (k,).
     """
 
-    row: Integers
-    group: Integers
+    row: Ints
+    group: Ints
     length: Floats
     amplitude: Complexes
 

@@ -12,7 +12,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, LEAK, Arrivals, Complexes, Integers
+from acquisition.arrays import Ints
+from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, LEAK, Arrivals, Complexes
 from acquisition.bench.acoustics.transducer import directivity
 from acquisition.bench.laboratory.air import CARRIER, Air, Floats
 from acquisition.bench.laboratory.setup import Setup
@@ -104,7 +105,7 @@ class PathGeometry:
         return len(self.reflectance)
 
     @cached_property
-    def rows(self) -> Integers:
+    def rows(self) -> Ints:
         """Indices of the scenes."""
         return np.arange(len(self))
 
@@ -140,7 +141,7 @@ class PathGeometry:
         return 2.0 * np.pi / self.wavelength * self.setup.roughness_m * np.cos(self.poses.incidence)
 
     @cached_property
-    def shapes(self) -> list[tuple[Shape, Integers]]:
+    def shapes(self) -> list[tuple[Shape, Ints]]:
         """Each shape with the scenes in which it reflects."""
         if self.setup.reflector is not None:
             return [(self.setup.reflector, np.flatnonzero(self.surface > 0.0))]
@@ -156,18 +157,18 @@ class PathGeometry:
             wide[rows], high[rows] = shape.half
         return wide, high
 
-    def beam(self, points: Floats, rows: Integers | slice = slice(None)) -> Floats:
+    def beam(self, points: Floats, rows: Ints | slice = slice(None)) -> Floats:
         """Return the one-way beam pattern towards points (m, 3) or (m, k, 3) of some scenes."""
         away = np.maximum(np.sqrt((points**2).sum(axis=-1)), 1e-9)
         return self.beam_at_cosine(points @ self.axis / away, rows)
 
-    def beam_at_cosine(self, cosine: Floats, rows: Integers | slice = slice(None)) -> Floats:
+    def beam_at_cosine(self, cosine: Floats, rows: Ints | slice = slice(None)) -> Floats:
         """Return the one-way beam pattern at angles of given cosines off the axis, (m,) or (m, k), of some scenes."""
         ka = self.ka[rows]
         straight = directivity(ka[:, None] if cosine.ndim == 2 else ka, cosine)
         return straight if self.unit.spill == 0.0 else straight + self.unit.spill
 
-    def negligible(self, amplitude: Floats, path: Floats, rows: Integers | slice = slice(None)) -> np.ndarray:
+    def negligible(self, amplitude: Floats, path: Floats, rows: Ints | slice = slice(None)) -> np.ndarray:
         """Return where an amplitude over a half path length (m,) is far below the threshold at full gain, (m,)."""
         loss = 10.0 ** (-0.1 * self.air.absorption_db[rows] * path)
         return amplitude_scale(self.unit, self.setup.supply) * np.abs(amplitude) * loss < NEGLIGIBLE
@@ -181,7 +182,7 @@ class PathGeometry:
             yield face
             yield from self._multiple_echoes(rows, h, mirror, face)
 
-    def _face(self, shape: Shape, rows: Integers) -> tuple[Floats, Floats, Arrivals]:
+    def _face(self, shape: Shape, rows: Ints) -> tuple[Floats, Floats, Arrivals]:
         """Return distance and mirror echo of the planes of m reflectors, (m,) each, and all echoes of their faces."""
         side, up, normal = (axis[rows] for axis in self.poses.axes)
         centre = self.poses.centre[rows]
@@ -195,7 +196,7 @@ class PathGeometry:
         mirror = mirror * winding
         return h, mirror, Arrivals.joined([Arrivals.of(rows, FACE, h, mirror), Arrivals.of(rows, FACE, length, edge)])
 
-    def _outline(self, shape: Disc | Plate, rows: Integers, h: Floats, foot: Floats) -> tuple[Floats, Floats, Floats]:
+    def _outline(self, shape: Disc | Plate, rows: Ints, h: Floats, foot: Floats) -> tuple[Floats, Floats, Floats]:
         """Return winding numbers of m outlines about their feet, (m,), and half length and amplitude per piece, (m, k).
 
         Along a piece the phase grows by 2 pi times twice the difference of its ends' distances over the wavelength.
@@ -213,7 +214,7 @@ class PathGeometry:
         edge = strength[:, None] * self.beam_at_cosine(cosine, rows) ** 2 * angle * spread / length**2
         return np.rint(angle.sum(axis=1) / (2.0 * np.pi)), length, np.nan_to_num(edge)
 
-    def _multiple_echoes(self, rows: Integers, h: Floats, mirror: Floats, face: Arrivals) -> Iterator[Arrivals]:
+    def _multiple_echoes(self, rows: Ints, h: Floats, mirror: Floats, face: Arrivals) -> Iterator[Arrivals]:
         """Yield the echoes that the sensor's housing reflects back to the reflectors."""
         factor, reach = np.zeros(len(self)), np.zeros(len(self))
         factor[rows] = mirror * HOUSING_AREA / self.wavelength[rows]

@@ -13,7 +13,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.acoustics.arrivals import Complexes, Integers
+from acquisition.arrays import Ints
+from acquisition.bench.acoustics.arrivals import Complexes
 from acquisition.bench.acoustics.transducer import OMEGA, OVERSAMPLING, PERIOD, pulse_phases, spectra
 from acquisition.bench.laboratory.air import Floats
 from acquisition.bench.laboratory.setup import Setup
@@ -42,7 +43,7 @@ class Pulses:
         weight: relative to the comparator's threshold at full gain, without the carrier's phase, (k,).
     """
 
-    row: Integers
+    row: Ints
     delay: Floats
     weight: Complexes
 

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.bench.acoustics.arrivals import CEILING, CLUTTER, FACE, FLOOR, POST, SIDES, WALL, Arrivals, Integers
+from acquisition.arrays import Ints
+from acquisition.bench.acoustics.arrivals import CEILING, CLUTTER, FACE, FLOOR, POST, SIDES, WALL, Arrivals
 from acquisition.bench.acoustics.geometry import PathGeometry, strip
 from acquisition.bench.laboratory.air import Floats
 from acquisition.bench.laboratory.setup import Post, Room, Scatterer
@@ -100,7 +101,7 @@ def _detours(geometry: PathGeometry) -> Iterator[Arrivals]:
             yield _detour(geometry, shape, rows, found)
 
 
-def _detour(geometry: PathGeometry, shape: Disc | Plate, rows: Integers, found: list[Surface]) -> Arrivals:
+def _detour(geometry: PathGeometry, shape: Disc | Plate, rows: Ints, found: list[Surface]) -> Arrivals:
     """Return the paths sensor - surface - reflector - surface - sensor, in both directions.
 
     Kirchhoff's integral is again a mirror echo and a wave from the outline, here of sound from one image of the sensor
@@ -152,7 +153,7 @@ def between_images(shape: Disc | Plate, first: Floats, second: Floats, wavelengt
     return 0.5 * np.concatenate([straight, r + s], axis=1), np.concatenate([inside, edge], axis=1)
 
 
-def _image_views(geometry: PathGeometry, rows: Integers, found: list[Surface]) -> tuple[Floats, Floats]:
+def _image_views(geometry: PathGeometry, rows: Ints, found: list[Surface]) -> tuple[Floats, Floats]:
     """Return m reflectors relative to the sensor and to its images in s surfaces.
 
     Positions along the reflectors' own axes, m, (s + 1, m, 3), and one-way amplitude factors, (s + 1, m).

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from acquisition.arrays import Bits, Floats, Ints
+
 CELSIUS = 273.15
 PRESSURE = 101_325.0  # Pa
 CARBON_DIOXIDE = 4.0e-4  # mole fraction in a room
@@ -87,7 +88,7 @@ class Drift:
         return self.sigma * np.sqrt(2.0 / DRIFT_COMPONENTS) * waves.sum(axis=1)
 
 
-def flutter(time: Floats, start: NDArray[np.bool_], tau: float, count: int, rng: np.random.Generator) -> Floats:
+def flutter(time: Floats, start: Bits, tau: float, count: int, rng: np.random.Generator) -> Floats:
     """Draw independent Ornstein-Uhlenbeck processes of unit variance at given times, (n, count).
 
     Args:
@@ -137,11 +138,11 @@ class Air:
         """Return air with additional absorption, dB/m."""
         return replace(self, absorption_db=self.absorption_db + extra_db) if extra_db else self
 
-    def loss(self, row: NDArray[np.int64], path: Floats) -> Floats:
+    def loss(self, row: Ints, path: Floats) -> Floats:
         """Return the pressure factor of a two-way path of half length `path`, m, in segments `row`."""
         return np.exp(-np.log(10.0) / 10.0 * self.absorption_db[row] * path)
 
-    def delay(self, row: NDArray[np.int64], path: Floats, ahead: float = 0.0) -> Floats:
+    def delay(self, row: Ints, path: Floats, ahead: float = 0.0) -> Floats:
         """Return the two-way travel time, s, over half length `path`, m, in segments `row`.
 
         Args:
