@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise.law import Floats
+from acquisition.arrays import Floats
 
 STD_PER_MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
 N_DEVIATIONS = 3.0  # limit of winsorising, in robust standard deviations; chosen here

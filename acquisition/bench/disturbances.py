@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from acquisition.arrays import Ints
+from acquisition.arrays import Floats, Ints
 from acquisition.bench.acoustics.arrivals import BOUNCE, LEAK, OTHER, Arrivals, Complexes
 from acquisition.bench.acoustics.geometry import amplitude_scale
 from acquisition.bench.acoustics.receiver import Pulses
 from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PERIOD, PULSE_LENGTH, REFERENCE_C, pulse_phases
-from acquisition.bench.laboratory.air import Floats
 from acquisition.bench.laboratory.interference import Mover, Neighbour, Reverberation
 from acquisition.bench.laboratory.unit import DEG
 from acquisition.bench.reception import Reception

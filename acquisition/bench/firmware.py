@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.laboratory.air import Floats
+from acquisition.arrays import Floats
 from acquisition.bench.laboratory.setup import Output
 from acquisition.bench.laboratory.unit import Unit
 

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from acquisition.arrays import Ints
+from acquisition.arrays import Floats, Ints
 from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, GROUPS, LEAK, OTHER, POST, Arrivals, Complexes
 from acquisition.bench.acoustics.geometry import PathGeometry, amplitude_scale
 from acquisition.bench.acoustics.receiver import (
@@ -22,7 +22,7 @@ from acquisition.bench.acoustics.receiver import (
 from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PERIOD
 from acquisition.bench.firmware import first_echoes
-from acquisition.bench.laboratory.air import Air, Floats, flutter, sound_speed
+from acquisition.bench.laboratory.air import Air, flutter, sound_speed
 from acquisition.bench.laboratory.interference import overlapping_pings
 from acquisition.bench.laboratory.setup import Setup
 from acquisition.bench.laboratory.unit import Unit

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import Floats
 from acquisition.bench.firmware import PER_UNIT
-from acquisition.bench.laboratory.air import Floats
 from acquisition.bench.laboratory.setup import Setup
 from acquisition.ping import EchoStatus, Reading
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.arrays import Ints
-from acquisition.bench.laboratory.air import Floats
+from acquisition.arrays import Floats, Ints
 from acquisition.ping import Ping
 
 BATCH = 256  # pings per batch: about 10 MB of waveforms

@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 
 from acquisition import Recording, SettingError
+from acquisition.arrays import Floats
 from noise.effects.medium import ASSUMED_TEMPERATURE_C, CELSIUS
-from noise.law import Floats
 
 STRAY = 0.08  # share of distance beyond which a reading is no echo of the target: +-45 K; ours
 LEAST_PINGS = 8  # of a run, for its middle to mean anything

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LassoLarsIC
 
+from acquisition.arrays import Floats
 from noise.discrepancy.residuals import seen_alone
 from noise.discrepancy.scan import features
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 RESAMPLES = 40
 STABLE = 0.7  # share of resamples that choose a term, for it to be kept

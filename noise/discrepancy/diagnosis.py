@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from acquisition import Ping, Reading, Recording, SettingError
+from acquisition.arrays import Floats
 from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
 from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
 from noise.discrepancy.gained import gained, with_gained
@@ -37,7 +38,6 @@ from noise.fitting.stack import JITTER, NUISANCES, VISITS, Stack
 from noise.fitting.starts import nuisance_starts
 from noise.fitting.threads import one_thread
 from noise.fitting.visit_effects import shared_scatter
-from noise.law import Floats
 from noise.model import SonarModel
 
 LASTING_SHARE = 0.8  # of the false alarms of a scan, for what lasts; the rest is for what a day may change; ours

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from acquisition import ModelError, Ping, Reading, Recording
+from acquisition.arrays import Floats
 from noise.discrepancy.company import company
 from noise.discrepancy.emulator import emulator
 from noise.discrepancy.held import still
@@ -34,7 +35,6 @@ from noise.discrepancy.verdict import BaselineCheck
 from noise.discrepancy.workers import ALONE, Workers
 from noise.fitting.batch import Batch
 from noise.fitting.stack import VISITS, Stack
-from noise.law import Floats
 from noise.model import IdealModel, SonarModel, simulate
 from noise.physical import PhysicalModel
 

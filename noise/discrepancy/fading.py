@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm, rankdata, spearmanr
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 FEWEST = 24  # stays, below which nothing is told; ours
 ORDERED = 0.35  # rank correlation of time with a condition, beyond which the order was not random; ours

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import ALARM, Finding, bias_or_scale, describe, family, place_of
 from noise.discrepancy.residuals import EXTRA, Residuals
 from noise.discrepancy.scan import Blocks, Region, regions
@@ -20,7 +21,6 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood
 from noise.fitting.stack import Stack
 from noise.fitting.visit_effects import detection_probability, law_of
-from noise.law import Floats
 
 LEAST = 1e-9  # probability below which none is told from another
 FEW = 0.1  # of the echoes: more that the law did not allow say that it is too narrow; ours

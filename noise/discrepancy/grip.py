@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm, rankdata
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 FEWEST = 20  # repeats, and fresh readings, below which nothing is told; ours
 PLAIN = 4.0  # deviations of a single reading, within which one may repeat the last by chance; ours

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom, poisson, t
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.smooth import lying
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 from noise.statistics import winsorised
 
 FEWEST_PINGS = 5  # echoes of a stay, for it to show whether readings change; ours

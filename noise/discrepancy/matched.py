@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from acquisition import Ping
+from acquisition.arrays import Floats
 from noise.discrepancy.scan import flipped, regions
 from noise.fitting.batch import Batch
-from noise.law import Floats
 
 FEWEST = 12  # shared cells, below which flips of sign say nothing; ours
 ASPECTS = ("place", "answers", "strays")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from acquisition import Ping
+from acquisition.arrays import Floats
 from noise.discrepancy.proposal import DEG, Proposal, propose
 from noise.effects.medium import ASSUMED_TEMPERATURE_C
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 HOPELESS = 0.02  # nats per ping: more than 500 pings, whose errors under any law weigh more than what they tell; ours
 

@@ -14,6 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.discrepancy.rules import Attempt, spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
 from noise.discrepancy.smooth import lying
@@ -21,7 +22,6 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import MIN_RESTART_GAIN
 from noise.fitting.stack import Key, Stack
 from noise.fitting.starts import MIN_SHIFT_M, slope, target_echo
-from noise.law import Floats
 from noise.statistics import winsorised
 
 FEWEST = 12  # stays, below which two shifts are not told apart; ours

@@ -18,13 +18,13 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.model_selection import GroupKFold
 from threadpoolctl import ThreadpoolController
 
+from acquisition.arrays import Floats
 from noise.discrepancy.residuals import seen_alone, seen_in_cell
 from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.scan import features
 from noise.discrepancy.transient import APART_M
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 THREADS = ThreadpoolController()  # looks for libraries once, now: a process may be forbidden to later
 CLASSES = 4  # of residuals: far below, below, above, far above

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 TICK_S = 1e-3  # finest grid of time; logs hold no more
 MOST_BINS = 1 << 20

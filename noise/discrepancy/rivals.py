@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from acquisition import Ping
+from acquisition.arrays import Floats
 from noise.discrepancy.explanation import Explained
 from noise.discrepancy.rules import TIE
 from noise.discrepancy.search import Crossed, Search
@@ -24,7 +25,6 @@ from noise.fitting.fit import Fit, Scales, highest, maximise
 from noise.fitting.stack import NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import echoes_of
 from noise.fitting.visit_effects import BANKS, law_of, prior_offset
-from noise.law import Floats
 
 SAME = 5.4  # nats: the right one of a pair is preferred with 95 %
 SETTLED = 10.8  # nats: 99 %

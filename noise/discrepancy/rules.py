@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
 from noise.fitting.stack import JITTER
-from noise.law import Floats
 
 SURE = 30.0  # nats, beyond which an effect is believed although cells that both files share show no difference; ours
 SURE_OF_AIR = 100.0  # the same of livelier air that nothing is located by: a law's misfit of levels passes for it; ours

@@ -18,9 +18,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import Floats
 from noise.discrepancy.residuals import ASPECTS, Residuals
 from noise.fitting.batch import Batch
-from noise.law import Floats
 
 ONE_SIDED = ("early", "late", "repeat")  # fewer strays than expected only says that the scatter was fitted too wide
 # what may change from day to day; how much of it is a mismatch, its size tells

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
+from acquisition.arrays import Floats
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.rules import spread_over_blocks
 from noise.discrepancy.search import Crossed, Search
@@ -16,7 +17,6 @@ from noise.discrepancy.verdict import Named
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, NUISANCES, VISITS, Stack
 from noise.fitting.starts import deviation_from_median
-from noise.law import Floats
 
 SCATTER = ((JITTER, "sigma_m"), (JITTER, "per_metre"))
 INNER = 0.8  # share of readings of a stay that say how it scatters; ours

@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.discrepancy.rules import Attempt, Rules, spread_over_blocks
 from noise.discrepancy.unseen import unseen
 from noise.discrepancy.workers import ALONE, Workers
@@ -25,7 +26,6 @@ from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
-from noise.law import Floats
 
 Progress = Callable[[str, float], None]
 T = TypeVar("T")

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from acquisition.arrays import Floats
 from noise.discrepancy.company import chance_astray
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 
 FAULTS = ("stuck", "stale_repeat", "spike", "corrupted_byte")  # that strike whatever the condition
 SHUFFLES = 4000

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.scan import by_block
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 from noise.statistics import winsorised
 
 FEWEST = 20  # stays, below which neighbours tell nothing; ours

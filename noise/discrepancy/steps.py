@@ -6,6 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.discrepancy.explanation import Interval
 from noise.discrepancy.locate import Finding
 from noise.discrepancy.rivals import SAME
@@ -15,7 +16,6 @@ from noise.discrepancy.verdict import Named
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.stack import SPREAD, Stack
-from noise.law import Floats
 
 COARSER = 1.5  # times the simulation's step; ours
 CUT = ("truncation", "step_m")

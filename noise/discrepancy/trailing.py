@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import Floats
 from noise.statistics import winsorised
 
 FEWEST = 12  # stretches of a way, below which nothing is told; ours

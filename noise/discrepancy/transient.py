@@ -17,9 +17,9 @@ from itertools import product
 import numpy as np
 from scipy.stats import norm
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate import Finding
 from noise.fitting.batch import Batch
-from noise.law import Floats
 from noise.statistics import winsorised
 
 FEWEST = 8  # moves, below which signs say nothing; ours

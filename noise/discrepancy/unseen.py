@@ -13,11 +13,11 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import qmc
 
+from acquisition.arrays import Floats
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, log_likelihood
 from noise.fitting.stack import VISITS, Key
 from noise.fitting.starts import between_bounds
-from noise.law import Floats
 
 HEARING: Key = (VISITS, "detection_weight")  # as little told where every position is either heard or missed
 SURPRISE = 10.0  # nats by which a block is worse than where it was fitted itself: parameters, not chance, do that; ours

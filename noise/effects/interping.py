@@ -9,11 +9,11 @@ import torch
 from scipy.fft import next_fast_len, rfft
 from torch import Tensor
 
+from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.medium import ASSUMED_SPEED
 from noise.effects.state import State, new_path, wall_level_db
 from noise.effects.target import presence
-from noise.law import Floats
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.state import Path, State
-from noise.law import Floats
 from noise.statistics import winsorised
 
 ASSUMED_SPEED = 344.83  # m/s; 58 us/cm, the constant of the HC-SR04 family and the working assumption for the SRF08

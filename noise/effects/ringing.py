@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.state import MIN_SPREAD_M, Path, State, new_path, wall_level_db
-from noise.law import Floats
 
 MAX_RANGE_M = 0.8  # largest reading of ring-down; chosen here
 MIN_READINGS = 4  # early readings required for initial values; chosen here

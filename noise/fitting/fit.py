@@ -16,11 +16,11 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from acquisition import Recording
+from acquisition.arrays import Floats
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import nuisance_start
 from noise.fitting.visit_effects import law_of, log_prob
-from noise.law import Floats
 from noise.physical import PhysicalModel
 
 # all values chosen here

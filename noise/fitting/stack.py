@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from acquisition.arrays import Floats
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.visit_effects import VisitEffects, direct_median, law_of
-from noise.law import Floats
 from noise.physical import PhysicalModel
 
 Values = dict[str, dict[str, float]]

@@ -9,10 +9,10 @@ import pandas as pd
 import torch
 from scipy.stats import qmc
 
+from acquisition.arrays import Floats
 from noise.effects import EchoSample, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, SIMULATION_CORRELATION, VISITS, Key, Stack
-from noise.law import Floats
 from noise.statistics import robust_std
 
 MIN_SCATTER_M = 5e-4  # of a starting point; chosen here

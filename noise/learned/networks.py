@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from acquisition import ModelError, Ping, Reading
-from noise.law import Floats
+from acquisition.arrays import Floats
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import ModelError, Ping, Reading
-from noise.law import Floats
+from acquisition.arrays import Floats
 from noise.learned.networks import dense
 from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 from noise.model import steps

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
-from noise.law import Floats
+from acquisition.arrays import Floats
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.networks import MlpModel, dense

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from acquisition import EchoStatus, Ping, Reading
-from noise.law import Floats
+from acquisition.arrays import Floats
 from noise.learned.mixture import UNIT_M
 
 N_ANCHORS = 2  # the last echo shifted with the reflector, and the last reading

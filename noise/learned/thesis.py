@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import ModelError
-from noise.law import Floats
+from acquisition.arrays import Floats
 
 Kind = Literal["mlp", "lstm"]
 MAX_ANGLE = np.deg2rad(45.0)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.arrays import Bits, Singles
+from acquisition.arrays import Bits, Floats, Ints, Singles
 from sonar_gym.compiled import compiled
-from sonar_gym.sensing.kernels import NO_HIT, Floats, Ints, cast_cone, drive_part, out_of_frame, roll
+from sonar_gym.sensing.kernels import NO_HIT, cast_cone, drive_part, out_of_frame, roll
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 
 Floats32 = Singles

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from acquisition import SettingError
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from noise import CredenceTable, SonarModel
 from sonar_gym.sensing import kernels
 from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays
@@ -21,7 +21,7 @@ from sonar_gym.sensing.scene import box_faces
 from sonar_gym.sensing.sonar import broad_table
 from sonar_gym.sensing.timing import PingConditions, Times
 from sonar_gym.wrappers.settings import DEFAULT_MAX_RANGE, SonarSettings
-from sonar_gym.wrappers.sources import Generators, Ints
+from sonar_gym.wrappers.sources import Generators
 
 BASE = "base"  # key of the retained observation, if it is not a Dict
 EGO_FIRST_TYPES = ("Kinematics", "ExitObservation")  # observations whose first row is the controlled vehicle

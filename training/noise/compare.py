@@ -17,10 +17,10 @@ import tyro
 from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
+from acquisition.arrays import Floats
 from noise import IdealModel, SonarModel, load_model
 from noise.beam import fit_beam
 from noise.faults import Faulty, Short
-from noise.law import Floats
 from noise.metrics import ClusterMean, Evaluation, evaluate
 from noise.model import MAX_RANGE
 from training.common.progress import bar

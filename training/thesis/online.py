@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from training.thesis.data import Floats, Singles
+from acquisition.arrays import Floats, Singles
 
 Compiled = Callable[..., Any]
 Single = Any  # a float32 in compiled code

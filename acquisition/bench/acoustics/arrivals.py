@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acquisition.arrays import Ints
-from acquisition.bench.laboratory.air import Floats
+from acquisition.arrays import Floats, Ints
 
 Complexes = NDArray[np.complex128]
 LEAK, FACE, BOUNCE, POST, FLOOR, CEILING, WALL, SIDES, CLUTTER, OTHER = range(10)

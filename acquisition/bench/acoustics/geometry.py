@@ -12,10 +12,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from acquisition.arrays import Ints
+from acquisition.arrays import Floats, Ints
 from acquisition.bench.acoustics.arrivals import BOUNCE, FACE, LEAK, Arrivals, Complexes
 from acquisition.bench.acoustics.transducer import directivity
-from acquisition.bench.laboratory.air import CARRIER, Air, Floats
+from acquisition.bench.laboratory.air import CARRIER, Air
 from acquisition.bench.laboratory.setup import Setup
 from acquisition.bench.laboratory.shapes import Disc, Plate, Shape, Wall, outline, shape_of, subtended, surfaces_of
 from acquisition.bench.laboratory.unit import Unit

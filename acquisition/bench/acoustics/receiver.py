@@ -13,10 +13,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.arrays import Ints
+from acquisition.arrays import Floats, Ints
 from acquisition.bench.acoustics.arrivals import Complexes
 from acquisition.bench.acoustics.transducer import OMEGA, OVERSAMPLING, PERIOD, pulse_phases, spectra
-from acquisition.bench.laboratory.air import Floats
 from acquisition.bench.laboratory.setup import Setup
 from acquisition.bench.laboratory.unit import Unit
 

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.arrays import Ints
+from acquisition.arrays import Floats, Ints
 from acquisition.bench.acoustics.arrivals import CEILING, CLUTTER, FACE, FLOOR, POST, SIDES, WALL, Arrivals
 from acquisition.bench.acoustics.geometry import PathGeometry, strip
-from acquisition.bench.laboratory.air import Floats
 from acquisition.bench.laboratory.setup import Post, Room, Scatterer
 from acquisition.bench.laboratory.shapes import Disc, Plate, Wall, outline
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.laboratory.air import Floats
+from acquisition.arrays import Floats
 from acquisition.errors import SettingError
 from acquisition.ping import Ping
 

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench.laboratory.air import Floats
+from acquisition.arrays import Floats
 
 PIECE = 4.0e-3  # m, length of a piece of outline, along which the phase is linear
 
