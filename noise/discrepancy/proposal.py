@@ -181,12 +181,6 @@ def _closer(own: Stack, others: Sequence[Stack], setting: Setting, ping: Ping, s
     return Proposal(ping[rows], setting, float(nats.min()), int(np.ceil(min(pings, 1e9))))
 
 
-def at_random(own: Stack, others: Sequence[Stack], seed: int) -> float:
-    """Return the least expected log likelihood ratio per ping of a measurement anywhere, as settings are."""
-    ping = USUAL.pings()
-    return float(min(ratios(own, other, ping, _as_is, seed, DRAWS).mean() for other in others))
-
-
 def ratios(own: Stack, other: Stack, ping: Ping, change: Callable[[Stack], Stack], seed: int, draws: int) -> Floats:
     """Return log likelihood ratios, nats, of what either of two explanations draws, for it, (2, n, draws)."""
     repeated = ping[np.repeat(np.arange(len(ping)), draws)]

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -18,8 +16,7 @@ from acquisition.io.files import write_bytes, write_text
 from noise.discrepancy import Diagnosis
 from training.diagnosis.drive import Drive
 from training.diagnosis.envelope import Envelope
-from training.diagnosis.figures import all_figures
-from training.diagnosis.report import TEMPLATES, facts
+from training.diagnosis.report import fill
 
 Picture = NDArray[np.uint8]
 WIDTH = 620  # px, of a film
@@ -78,17 +75,13 @@ def _strip(name: str, picture: Picture) -> Image.Image:
 
 def render(result: DemoResult, path: Path) -> Path:
     """Write the page with verdict, figures and film as one file."""
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
-    )
-    figures = {name: Markup(text) for name, text in all_figures(result.diagnosis).items()}
     film = base64.b64encode(result.film.read_bytes()).decode()
-    page = environment.get_template("demo.html").render(
-        **facts(result.diagnosis),
+    text = fill(
+        "demo.html",
+        result.diagnosis,
         envelope=result.envelope,
         drives=result.drives,
-        figures=figures,
         film=film,
-        seed=result.seed,
+        street_seed=result.seed,
     )
-    return write_text(path, page)
+    return write_text(path, text)

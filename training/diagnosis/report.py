@@ -71,12 +71,16 @@ def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
         corrected: folder of the corrected model, for the instructions.
         seed: seed of randomised PIT values.
     """
+    return re.sub(r"\n\s*\n+", "\n", fill("report.html", diagnosis, seed, corrected=corrected))
+
+
+def fill(template: str, diagnosis: Diagnosis, seed: int = 0, **variables: Any) -> str:
+    """Return a template filled with the facts and figures of a diagnosis, and with further variables."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
     )
     figures = {name: Markup(text) for name, text in all_figures(diagnosis, seed).items()}
-    page = environment.get_template("report.html").render(**facts(diagnosis), figures=figures, corrected=corrected)
-    return re.sub(r"\n\s*\n+", "\n", page)
+    return environment.get_template(template).render(**facts(diagnosis), figures=figures, **variables)
 
 
 def facts(diagnosis: Diagnosis) -> dict[str, Any]:

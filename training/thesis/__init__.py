@@ -1,12 +1,12 @@
-"""The training experiment of the thesis (Esmi 2016), repeated on recordings of the rig.
+"""The networks of Esmi (2016), "the thesis", trained again on recordings of this project.
 
-- `data`: recordings as inputs and labels of the thesis; the results that it prints
-- `networks`: MLP and LSTM on a flat weight vector
-- `online`: compiled training with one step per ping
-- `fit`: optimisers, settings and training of one network
-- `surfaces`: credence surfaces of readings and of networks
-- `experiment`: the networks of the comparison, their training, tests of the thesis's claims
-- `compare_optimizers`: command, tables and figures of the comparison of optimisers
-- `rig`: the rig compared with the sonar of the thesis
-- `compare_thesis`: command, tables and figure of that comparison
+data: recordings scaled as in the thesis; the results that it printed.
+networks: its MLP and LSTM as functions of a flat parameter vector.
+online: compiled training with one step per ping.
+fit: optimisers and training, online or in mini-batches.
+surfaces: credence surfaces and distances of silent pings.
+experiment: comparison of optimisers: jobs, stored results, tests of claims.
+rig: the simulated rig tuned to and compared with the thesis's sonar.
+compare_optimizers: command `compare-optimizers`, its tables and figures.
+compare_thesis: command `compare-thesis`, its tables and figure.
 """

@@ -1,12 +1,12 @@
-"""Train the thesis's networks on a recording and compare tables and figures with the printed ones.
+"""Train the thesis's networks on a recording, and compare the results with its tables and figures.
 
-The output is tables 4.2 to 4.4 and figures 4.3 to 4.6, 5.1 and A.1. A missing recording is made with the rig and the
-thesis's plan. Each network is saved in OUT/networks as soon as it is trained, so an interrupted run can be continued.
+It makes tables 4.2 to 4.4 and figures 4.3 to 4.6, 5.1 and A.1. If the recording does not exist, the rig records the
+thesis's survey. Each network is saved in OUT/networks as soon as it is trained, so an interrupted run can be resumed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,23 +20,25 @@ from training.common.canvas import AFTER, BEFORE, SOFT, Axes, Draw, panels
 from training.common.progress import bars
 from training.common.tables import markdown_table
 from training.recordings import record
-from training.thesis.data import (
-    A1_MINUTES,
-    A1_TRAIN,
-    A1_VALIDATION,
-    TABLE_NUMBER,
-    TABLES,
-    Floats,
-    OptimiserName,
-    Samples,
+from training.thesis.data import A1_MINUTES, A1_TRAIN, A1_VALIDATION, TABLE_NUMBER, TABLES, Floats, Samples
+from training.thesis.experiment import (
+    A1_UNITS,
+    FIGURE_UNITS,
+    TABLE_SETTINGS,
+    Comparison,
+    SeedMean,
+    ThesisFindings,
+    TrainingJob,
+    provenance,
+    train_all,
 )
-from training.thesis.experiment import Comparison, Mean, ThesisFindings, TrainingJob, made_by, train_all
-from training.thesis.fit import OPTIMISERS, Recipe, TrainingResult, device_of
-from training.thesis.surfaces import MIRROR, RUBBER, SHORT_RANGE, surfaces_figure
+from training.thesis.fit import OPTIMISERS, Fitted, Recipe, device_of
+from training.thesis.surfaces import MIRROR, READINGS, RUBBER, SHORT_RANGE_M, CredenceSurfaces
 
-COLOURS = ("#999999", "#d55e00", "#e69f00", "#0072b2", "#009e73", "#000000")  # Okabe and Ito, colour-blind safe
+# colours of Okabe and Ito, distinguishable with colour-vision deficiency
+COLOURS = ("#999999", "#d55e00", "#e69f00", "#0072b2", "#009e73", "#000000")
 CAPTIONS = {
-    "figure-4.3": "Validation loss after each pass, by optimiser and number of neurons; bands span the seeds",
+    "figure-4.3": "Validation loss after each epoch, by optimiser and number of neurons; bands span the seeds",
     "figure-4.4": "Training and validation loss of MLP and LSTM",
     "figure-4.5": "Credence of readings and mapped readings, mirror",
     "figure-4.6": "Credence of readings and mapped readings, rubber",
@@ -50,39 +52,35 @@ class Args:
     """Settings of `sonar-gym compare-optimizers`."""
 
     recording: Annotated[Path, tyro.conf.Positional]
-    """Recording of the thesis's plan (CSV); made with the rig if it does not exist."""
+    """Recording of the thesis's survey (CSV); recorded with the rig if the file does not exist."""
     out: Path
     """Folder for networks, tables and figures."""
     page: Path | None = None
-    """Folder for tables and figures, if not OUT."""
+    """Folder for tables and figures, if different from OUT."""
     seeds: int = 5
-    """Number of trainings of each network, each with another split, initial weights and order."""
+    """Number of trainings of each network; each has its own split, initial weights and order."""
     sizes: tuple[int, ...] = (10, 15, 20)
     """Hidden neurons of the tables."""
     epochs: int = 15
-    """Passes over the training pings; figure A.1 takes a third more."""
+    """Passes over the training pings; figure A.1 uses a third more."""
     batch: int = 1
     """Pings per step; 1 is online training, as in the thesis."""
     dropout: float = 0.05
-    """Fraction of hidden units dropped at each step."""
+    """Share of hidden units dropped at each step."""
     l1: float = 0.0
-    """Weight of the sum of |w| in the objective."""
+    """Coefficient of the sum of |w| in the objective."""
     l2: float = 0.0
-    """Weight of the sum of w^2 in the objective (weight decay); with l1, an elastic net."""
+    """Coefficient of the sum of w^2 (weight decay); together with l1 an elastic net."""
     patience: int | None = None
-    """Passes without a lower validation loss after which training stops; by default it does not stop early."""
+    """Epochs without a lower validation loss after which training stops; by default it never stops early."""
     device: str = "cpu"
-    """Device for mini-batches: cpu, cuda, cuda:1."""
+    """Device on which mini-batches are trained: cpu, cuda, cuda:1."""
     rig_seed: int = 1
-    """Seed of the recording, if it is made."""
+    """Seed of the recording, if it has to be made."""
 
     @property
     def comparison(self) -> Comparison:
-        """The networks to train.
-
-        Raises:
-            SettingError: there is no network to train, or a setting is out of range.
-        """
+        """The networks to train."""
         if self.seeds < 1 or not self.sizes or min(self.sizes) < 1:
             raise SettingError(f"seeds {self.seeds} and sizes {self.sizes} must be at least 1")
         recipe = Recipe("nadam", self.epochs, self.batch, self.dropout, self.l1, self.l2, self.patience, self.device)
@@ -90,183 +88,175 @@ class Args:
 
 
 def main(args: Args) -> None:
-    """Make the recording if it is missing, train missing networks, write tables and figures."""
+    """Record if necessary, train the missing networks, write tables and figures."""
     comparison = args.comparison
     device_of(args.device)
     if not args.recording.exists():
         record.main(record.Args(args.recording, driver="rig", plan="thesis", seed=args.rig_seed))
-    origin, samples = _origin(args), Samples.of(Recording.load(args.recording))
-    findings = ThesisFindings(comparison, _trained(comparison.jobs, samples, args.out / "networks"), samples)
+    made = provenance(["compare-optimizers", args.recording.name, "--out", args.out.name], args)
+    about = f"{made}; means over seeds 0 to {args.seeds - 1} with 95 % intervals (Student's t)."
+    samples = Samples.of(Recording.load(args.recording))
+    findings = ThesisFindings(comparison, _train(comparison.jobs, samples, args.out / "networks"), samples)
     folder = args.page or args.out
     figures = all_figures(findings)
     for name, image in figures.items():
         write_bytes(folder / f"{name}.png", image)
-    text = page(findings, origin, figures)
+    text = page(findings, about, figures)
     write_text(folder / "tables.md", text)
     print(text)
 
 
-def _trained(jobs: list[TrainingJob], samples: Samples, folder: Path) -> dict[TrainingJob, TrainingResult]:
-    """Train networks and show the number of passes in a progress bar."""
+def _train(jobs: list[TrainingJob], samples: Samples, folder: Path) -> dict[TrainingJob, Fitted]:
+    """Train networks and show a progress bar of the epochs."""
     with bars() as progress:
         task = progress.add_task("training", total=None)
 
         def report(job: TrainingJob, done: int, total: int) -> None:
-            name = f"{job.network.kind} {job.network.hidden}, {job.recipe.optimiser}, seed {job.seed}"
-            progress.update(task, completed=done, total=total, description=name)
+            text = f"{job.network.kind} {job.network.hidden}, {job.recipe.optimiser}, seed {job.seed}"
+            progress.update(task, completed=done, total=total, description=text)
 
         return train_all(jobs, samples, folder, report)
 
 
-def _origin(args: Args) -> str:
-    """Return a sentence with command, commit and seeds."""
-    made = made_by("compare-optimizers", [args.recording.name, "--out", args.out.name], args)
-    return f"{made}; means over seeds 0 to {args.seeds - 1} with 95 % intervals (Student's t)."
-
-
-def page(findings: ThesisFindings, origin: str, figures: Iterable[str]) -> str:
-    """Return the tables and figures in Markdown.
+def page(findings: ThesisFindings, about: str, figures: Iterable[str] = ()) -> str:
+    """Return a page of all tables.
 
     Args:
         findings: results.
-        origin: sentence with the command and the commit.
-        figures: names of the images in the same folder.
+        about: the command and commit that made the page.
+        figures: names of the images in the page's folder.
     """
     numbered = [hidden for hidden in findings.comparison.sizes if hidden in TABLES]
-    parts = [
-        f"# The thesis's networks on a recording\n\n{origin}",
-        _losses_without_training(findings.samples),
-        *[f"## Table {TABLE_NUMBER[hidden]}: {hidden} neurons\n\n{_table(findings, hidden)}" for hidden in numbered],
-        f"## Ranking\n\n{_ranking(findings, numbered)}" if numbered else "",
-        f"## Figures 4.4 and A.1\n\n{_larger_networks(findings)}",
-        f"## Other ways to train\n\n{_variants(findings)}",
-        f"## Credence, mean over conditions\n\n{_credence(findings)}",
-        f"## Claims of the thesis\n\n{_claims(findings)}",
-        *[f"## {name.replace('-', ' ').capitalize()}\n\n![{CAPTIONS[name]}]({name}.png)" for name in figures],
+    tables = [(f"Table {TABLE_NUMBER[hidden]}: {hidden} neurons", _table(findings, hidden)) for hidden in numbered]
+    sections = [
+        *tables,
+        *([("Ranking", _ranking(findings, numbered))] if numbered else []),
+        ("Figures 4.4 and A.1", _larger_networks(findings)),
+        ("Other training settings", _variants(findings)),
+        ("Credence, mean over conditions", _credence(findings)),
+        ("Statements of the thesis", _claims(findings)),
+        *[(name.replace("-", " ").capitalize(), f"![{CAPTIONS[name]}]({name}.png)") for name in figures],
     ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    title = f"# The thesis's networks on a recording\n\n{about}\n\n{_loss_limits(findings.samples)}\n"
+    return "\n".join([title, *(f"## {heading}\n\n{text}\n" for heading, text in sections)])
 
 
-def _losses_without_training(samples: Samples) -> str:
-    silent = 100.0 * np.mean(samples.range == 0.0)
+def _loss_limits(samples: Samples) -> str:
+    silent = 100.0 * np.mean(samples.feature[:, 2] == 0.0)
     return (
-        f"{len(samples)} pings in {samples.condition.max() + 1} conditions; {silent:.1f} % without echo. The mean "
-        f"distance as output for every ping has a loss of {np.var(samples.label):.4f}. The minimum loss of any "
-        f"function of the four inputs is {samples.loss_floor():.4f}, the variance of labels of pings with equal inputs."
+        f"{len(samples)} pings on {samples.condition.max() + 1} conditions; {silent:.1f} % silent. The mean distance "
+        f"as the output for each ping has a loss of {np.var(samples.label):.4f}; no function of the four inputs has a "
+        f"loss below {samples.loss_floor():.4f}, the variance of the labels among pings with equal inputs."
     )
 
 
 def _table(findings: ThesisFindings, hidden: int) -> str:
-    """Return one of tables 4.2 to 4.4, each column of the thesis followed by the one obtained here."""
+    """Return one of tables 4.2 to 4.4, each column next to that of the thesis."""
     header = "optimiser|train, thesis|train|validation, thesis|validation|rank, thesis|rank|minutes, thesis|seconds"
     printed, ranks = TABLES[hidden], findings.ranks(hidden)
-    printed_ranks = {name: rank for rank, name in enumerate(sorted(printed, key=lambda n: printed[n].validation), 1)}
-
-    def row(name: OptimiserName, optimiser: str) -> tuple[object, ...]:
-        jobs, old = findings.comparison.table(hidden, name), printed[name]
-        train, validation = Mean.of(findings.final(jobs, "train")), Mean.of(findings.final(jobs))
-        losses = f"{old.train:.4f}", train, f"{old.validation:.4f}", validation
-        return (optimiser, *losses, printed_ranks[name], ranks[name], f"{old.minutes:.2f}", _seconds(findings, jobs))
-
-    return markdown_table(header.split("|"), [row(name, optimiser.title) for name, optimiser in OPTIMISERS.items()])
+    printed_ranks = {n: rank for rank, n in enumerate(sorted(printed, key=lambda n: printed[n].validation), 1)}
+    rows = []
+    for name, optimiser in OPTIMISERS.items():
+        row, (train, validation, seconds) = printed[name], _results(findings, findings.comparison.table(hidden, name))
+        losses = f"{row.train:.4f}", train, f"{row.validation:.4f}", validation
+        rows.append((optimiser.title, *losses, printed_ranks[name], ranks[name], f"{row.minutes:.2f}", seconds))
+    return markdown_table(header.split("|"), rows)
 
 
-def _seconds(findings: ThesisFindings, jobs: list[TrainingJob]) -> str:
-    return f"{np.median(findings.final(jobs, 'seconds')):.1f}"
+def _results(findings: ThesisFindings, jobs: list[TrainingJob]) -> tuple[SeedMean, SeedMean, str]:
+    """Return training loss, validation loss and the median time in seconds."""
+    train, validation = SeedMean.of(findings.final(jobs, "train")), SeedMean.of(findings.final(jobs))
+    return train, validation, f"{np.median(findings.final(jobs, 'seconds')):.1f}"
 
 
 def _ranking(findings: ThesisFindings, sizes: list[int]) -> str:
-    """Return the rank correlation of the optimisers' losses with the thesis's."""
-
-    def row(hidden: int) -> tuple[object, ...]:
+    """Return the rank correlations with the thesis's tables."""
+    rows = []
+    for hidden in sizes:
         rho, tau, single = findings.agreement(hidden)
-        return hidden, f"{rho:.2f}", f"{tau:.2f}", f"{single.min():.2f} to {single.max():.2f}"
-
-    return markdown_table(("neurons", "Spearman's rho", "Kendall's tau", "rho of single seeds"), map(row, sizes))
+        rows.append((hidden, f"{rho:.2f}", f"{tau:.2f}", f"{single.min():.2f} to {single.max():.2f}"))
+    return markdown_table(("neurons", "Spearman's rho", "Kendall's tau", "rho of single seeds"), rows)
 
 
 def _larger_networks(findings: ThesisFindings) -> str:
-    """Return the losses of the networks of figures 4.4 and A.1."""
     header = "network|train, thesis|train|validation, thesis|validation|best validation|minutes, thesis|seconds"
-    comparison, printed = findings.comparison, (f"{A1_TRAIN[-1]:.4f}", f"{A1_VALIDATION[-1]:.4f}", f"{A1_MINUTES:.1f}")
-
-    def row(jobs: list[TrainingJob], thesis: tuple[str, str, str] = ("–", "–", "–")) -> tuple[object, ...]:
-        network, final = jobs[0].network, Mean.of(findings.final(jobs))
-        name = f"{network.kind.upper()}, {network.hidden} units, {jobs[0].recipe.epochs} passes"
-        best = Mean.of([findings.results[job].validation.min() for job in jobs])
-        train, seconds = Mean.of(findings.final(jobs, "train")), _seconds(findings, jobs)
-        return name, thesis[0], train, thesis[1], final, best, thesis[2], seconds
-
-    rows = [row(comparison.mlp), row(comparison.lstm), row(comparison.long, printed)]
+    unprinted, printed = ("–", "–", "–"), (f"{A1_TRAIN[-1]:.4f}", f"{A1_VALIDATION[-1]:.4f}", f"{A1_MINUTES:.1f}")
+    comparison, rows = findings.comparison, []
+    for jobs, thesis in ((comparison.mlp, unprinted), (comparison.lstm, unprinted), (comparison.a1, printed)):
+        network, epochs = jobs[0].network, jobs[0].recipe.epochs
+        train, validation, seconds = _results(findings, jobs)
+        best = SeedMean.of([findings.fitted[job].validation.min() for job in jobs])
+        name = f"{network.kind.upper()}, {network.hidden} units, {epochs} epochs"
+        rows.append((name, thesis[0], train, thesis[1], validation, best, thesis[2], seconds))
     return markdown_table(header.split("|"), rows)
 
 
 def _variants(findings: ThesisFindings) -> str:
-    """Return the effect of changes to the recipe on the last network of the tables."""
-    base = findings.final(findings.comparison.variants["as the tables"])
+    """Return the effects of other settings on the largest network of the tables."""
+    base = findings.final(findings.comparison.variants[TABLE_SETTINGS])
     rows: list[tuple[object, ...]] = []
     for name, jobs in findings.comparison.variants.items():
-        final = findings.final(jobs)
-        rows.append((name, Mean.of(final), Mean.of(final - base) if rows else "–", _seconds(findings, jobs)))
+        change = "–" if name == TABLE_SETTINGS else SeedMean.of(findings.final(jobs) - base)
+        _, validation, seconds = _results(findings, jobs)
+        rows.append((name, validation, change, seconds))
     return markdown_table(("Nadam with", "validation", "change, paired by seed", "seconds"), rows)
 
 
 def _credence(findings: ThesisFindings) -> str:
-    """Return the mean credence of readings and of the networks' estimates, by reflector and range."""
+    """Return the mean credence of readings and of networks' outputs by reflector and range."""
     surfaces = findings.surfaces
-    every, near = np.ones(len(surfaces.distance), dtype=bool), surfaces.distance < SHORT_RANGE
-    subsets = {"": every, ", below 500 mm": near, ", conditions without any echo": surfaces.silent}
-    columns = {f"{r}{text}": surfaces.of(r) & chosen for r in (MIRROR, RUBBER) for text, chosen in subsets.items()}
-    rows = [[name, *(_share(surfaces.mean(name, chosen)) for chosen in columns.values())] for name in surfaces.names]
+    every, near = np.ones(len(surfaces.distance), dtype=bool), surfaces.distance < SHORT_RANGE_M
+    subsets = {"": every, ", below 500 mm": near, ", without any echo": surfaces.silent}
+    columns = {f"{r}{text}": surfaces.of(r) & subset for r in (MIRROR, RUBBER) for text, subset in subsets.items()}
+    rows = [[name, *(_share(surfaces.mean(name, c)) for c in columns.values())] for name in surfaces.credence]
     return markdown_table(["", *columns], rows)
 
 
 def _share(values: Floats) -> str:
-    mean = Mean.of(values)
-    return f"{mean.value:.3f}" + (f" ± {mean.half:.3f}" if len(values) > 1 else "")
+    mean = SeedMean.of(values)
+    return f"{mean.value:.3f}" + (f" ± {mean.half_width:.3f}" if len(values) > 1 else "")
 
 
 def _claims(findings: ThesisFindings) -> str:
     rows = [(claim.thesis, claim.here, claim.verdict) for claim in findings.claims()]
-    return markdown_table(("the thesis", "here", "result"), rows)
+    return markdown_table(("the thesis", "here", ""), rows)
 
 
 def all_figures(findings: ThesisFindings) -> dict[str, bytes]:
-    """Return the figures as PNG, by their number in the thesis."""
-    comparison, surfaces = findings.comparison, findings.surfaces
-    units, (hidden, _) = comparison.figure, comparison.longest
-    pair = [(comparison.mlp, f"MLP, {units} neurons"), (comparison.lstm, f"LSTM, {units} cells")]
-    curves = [_training(findings, jobs, title) for jobs, title in pair]
-    longest = _training(findings, comparison.long, f"{hidden} neurons, this recording")
+    """Return each figure as PNG, by its number in the thesis."""
+    comparison = findings.comparison
     tables = [_optimisers(findings, hidden) for hidden in comparison.sizes]
+    mlp = _training(findings, comparison.mlp, f"MLP, {FIGURE_UNITS} neurons")
+    lstm = _training(findings, comparison.lstm, f"LSTM, {FIGURE_UNITS} cells")
+    a1 = _training(findings, comparison.a1, f"{A1_UNITS} neurons, this recording")
     return {
         "figure-4.3": panels(tables, (3.2 * len(tables), 3.4), share_y=True),
-        "figure-4.4": panels(curves, (7.0, 3.2), share_y=True),
-        "figure-a.1": panels([longest, _printed], (7.0, 3.2)),
-        "figure-4.5": surfaces_figure(surfaces, (MIRROR,)),
-        "figure-4.6": surfaces_figure(surfaces, (RUBBER,)),
-        "figure-5.1": surfaces_figure(surfaces, (MIRROR, RUBBER)),
+        "figure-4.4": panels([mlp, lstm], (7.0, 3.2), share_y=True),
+        "figure-a.1": panels([a1, _printed_training], (7.0, 3.2)),
+        "figure-4.5": _surfaces(findings, (MIRROR,)),
+        "figure-4.6": _surfaces(findings, (RUBBER,)),
+        "figure-5.1": _surfaces(findings, (MIRROR, RUBBER)),
     }
 
 
-def _band(axes: Axes, losses: Floats, colour: str, label: str, style: str = "-") -> None:
-    """Draw the mean and the range over seeds."""
-    passes = np.arange(1, losses.shape[1] + 1)
-    axes.plot(passes, losses.mean(axis=0), color=colour, lw=1.6, label=label, ls=style)
-    axes.fill_between(passes, losses.min(axis=0), losses.max(axis=0), color=colour, alpha=0.18, lw=0)
+def _plot_band(axes: Axes, losses: Floats, colour: str, label: str, style: str = "-") -> None:
+    """Plot the mean over seeds and their range."""
+    epochs = np.arange(1, losses.shape[1] + 1)
+    axes.plot(epochs, losses.mean(axis=0), color=colour, lw=1.6, label=label, ls=style)
+    axes.fill_between(epochs, losses.min(axis=0), losses.max(axis=0), color=colour, alpha=0.18, lw=0)
 
 
-def _floor(axes: Axes, findings: ThesisFindings) -> None:
-    axes.axhline(findings.samples.loss_floor(), color=SOFT, lw=0.9, ls=":", label="minimum of any function")
+def _plot_floor(axes: Axes, findings: ThesisFindings) -> None:
+    axes.axhline(findings.samples.loss_floor(), color=SOFT, lw=0.9, ls=":", label="lower bound")
 
 
 def _optimisers(findings: ThesisFindings, hidden: int) -> Draw:
     def draw(axes: Axes) -> None:
         for (name, optimiser), colour in zip(OPTIMISERS.items(), COLOURS, strict=True):
             losses = findings.curves(findings.comparison.table(hidden, name), "validation")
-            _band(axes, losses, colour, optimiser.title)
-        _floor(axes, findings)
-        axes.set(xlabel="passes", title=f"{hidden} neurons")
+            _plot_band(axes, losses, colour, optimiser.title)
+        _plot_floor(axes, findings)
+        axes.set(xlabel="epoch", title=f"{hidden} neurons")
         if hidden == findings.comparison.sizes[0]:
             axes.set(ylabel="validation loss")
         if hidden == findings.comparison.sizes[-1]:
@@ -277,18 +267,64 @@ def _optimisers(findings: ThesisFindings, hidden: int) -> Draw:
 
 def _training(findings: ThesisFindings, jobs: list[TrainingJob], title: str) -> Draw:
     def draw(axes: Axes) -> None:
-        _band(axes, findings.curves(jobs, "train"), BEFORE, "training (dropout on)", "--")
-        _band(axes, findings.curves(jobs, "validation"), AFTER, "validation")
-        _floor(axes, findings)
-        axes.set(xlabel="passes", ylabel="loss", title=title)
+        _plot_band(axes, findings.curves(jobs, "train"), BEFORE, "training (dropout on)", "--")
+        _plot_band(axes, findings.curves(jobs, "validation"), AFTER, "validation")
+        _plot_floor(axes, findings)
+        axes.set(xlabel="epoch", ylabel="loss", title=title)
         axes.legend(fontsize=8)
 
     return draw
 
 
-def _printed(axes: Axes) -> None:
-    passes = np.arange(1, len(A1_TRAIN) + 1)
-    axes.plot(passes, A1_TRAIN, color=BEFORE, lw=1.6, ls="--", label="training (dropout on)")
-    axes.plot(passes, A1_VALIDATION, color=AFTER, lw=1.6, label="validation")
-    axes.set(xlabel="passes", ylabel="loss", title="30 neurons, in the thesis")
+def _printed_training(axes: Axes) -> None:
+    epochs = np.arange(1, len(A1_TRAIN) + 1)
+    axes.plot(epochs, A1_TRAIN, color=BEFORE, lw=1.6, ls="--", label="training (dropout on)")
+    axes.plot(epochs, A1_VALIDATION, color=AFTER, lw=1.6, label="validation")
+    axes.set(xlabel="epoch", ylabel="loss", title="30 neurons, in the thesis")
     axes.legend(fontsize=8)
+
+
+def _surfaces(findings: ThesisFindings, reflectors: Sequence[str]) -> bytes:
+    """Draw the credence of readings and of the outputs of MLP and LSTM, one row per reflector."""
+    names = {READINGS: "readings", "MLP": "mapped by MLP", "LSTM": "mapped by LSTM"}
+    draws = [_surface(findings.surfaces, k, r, f"{r}: {text}") for r in reflectors for k, text in names.items()]
+    size = (9.0, 2.8 * len(reflectors))
+    return panels(draws, size, columns=len(names), colours=("credence", 0.0, 1.0))
+
+
+def _surface(surfaces: CredenceSurfaces, name: str, reflector: str, title: str) -> Draw:
+    def draw(axes: Axes) -> None:
+        subset = surfaces.of(reflector)
+        angle, distance, value = grid(
+            surfaces.angle[subset], surfaces.distance[subset], surfaces.credence[name][0, subset]
+        )
+        a, d = np.meshgrid(np.deg2rad(np.clip(bin_edges(angle), 0.0, None)), bin_edges(distance), indexing="ij")
+        axes.pcolormesh(d * np.cos(a), d * np.sin(a), value, vmin=0.0, vmax=1.0, cmap="viridis", rasterized=True)
+        axes.set(aspect="equal", facecolor="#f4f5f7")
+        axes.set_xlabel("along the axis (m)", fontsize=9)
+        axes.set_ylabel("across the axis (m)", fontsize=9)
+        axes.set_title(title, fontsize=9)
+        axes.tick_params(labelsize=8)
+
+    return draw
+
+
+def grid(angle: Floats, distance: Floats, value: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the distinct angles and distances of a survey and the values on their grid, nan where not measured."""
+    angles, row = np.unique(np.round(angle, 6), return_inverse=True)
+    distances, column = np.unique(np.round(distance, 4), return_inverse=True)
+    out = np.full((len(angles), len(distances)), np.nan)
+    out[row, column] = value
+    return angles, distances, out
+
+
+def bin_edges(centre: Floats) -> Floats:
+    """Return the edges of bins about their centres, halfway between neighbours, (n + 1,).
+
+    >>> bin_edges(np.array([0.0, 1.0, 3.0]))
+    array([-0.5,  0.5,  2. ,  4. ])
+    """
+    if len(centre) == 1:
+        return centre[0] + np.array([-0.5, 0.5])
+    half = np.diff(centre) / 2
+    return np.concatenate([[centre[0] - half[0]], centre[:-1] + half, [centre[-1] + half[-1]]])

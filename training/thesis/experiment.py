@@ -1,4 +1,4 @@
-"""The networks of the comparison, their training with results saved to files, and tests of the thesis's claims."""
+"""Comparison of optimisers: its networks, their training and storage, and tests of the thesis's claims."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import hashlib
 import json
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,13 +21,32 @@ from acquisition import ModelError
 from acquisition.io.files import write_bytes
 from training.common.commit import commit
 from training.thesis.data import LSTM_TIME_RATIO, TABLES, Floats, OptimiserName, Samples
-from training.thesis.fit import OPTIMISERS, Recipe, TrainingResult, fit
-from training.thesis.networks import FlatNetwork, Kind
-from training.thesis.surfaces import MIRROR, RUBBER, SHORT_RANGE, CredenceSurfaces
+from training.thesis.fit import OPTIMISERS, Fitted, Recipe, fit
+from training.thesis.networks import FlatNetwork
+from training.thesis.surfaces import MIRROR, RUBBER, SHORT_RANGE_M, CredenceSurfaces
 
 ARRAYS = ("theta", "train", "validation", "seconds")
+FIGURE_UNITS = 25  # hidden units of the MLP and the LSTM of figures 4.4 to 5.1
+A1_UNITS, A1_EPOCHS_RATIO = 30, 20 / 15  # neurons of figure A.1; its epochs as a multiple of the tables'
+THESIS_ORDER: tuple[OptimiserName, ...] = ("nadam", "adam", "rmsprop", "adadelta", "sgd", "adagrad")
+TABLE_SETTINGS = "settings of the tables"
+# changes of the comparison's recipe, with Nadam
+VARIANTS: dict[str, dict[str, Any]] = {
+    TABLE_SETTINGS: {},
+    "mini-batches of 32": {"batch": 32},
+    "mini-batches of 256": {"batch": 256},
+    "batches of 256, rate falling from 0.06, no dropout": {
+        "batch": 256,
+        "dropout": 0.0,
+        "learning_rate": 0.06,
+        "falls_to": 0.01,
+    },
+    "no dropout": {"dropout": 0.0},
+    "weight decay, l2 = 1e-6": {"l2": 1e-6},
+    "lasso, l1 = 1e-6": {"l1": 1e-6},
+    "elastic net, both": {"l1": 1e-6, "l2": 1e-6},
+}
 Verdict = Literal["agrees", "contrary", "undecided"]
-Curve = Literal["train", "validation"]
 
 
 @dataclass(frozen=True)
@@ -36,8 +56,8 @@ class TrainingJob:
     Attributes:
         network: architecture.
         recipe: settings of training.
-        seed: seed of split, initial weights, order and dropout; equal seeds have equal splits.
-        by_condition: validate on whole conditions instead of, as the thesis, on single pings.
+        seed: of the split, initial parameters, order and dropout; jobs with equal seeds have equal splits.
+        by_condition: validate on whole conditions; the thesis validates on single pings.
     """
 
     network: FlatNetwork
@@ -46,204 +66,173 @@ class TrainingJob:
     by_condition: bool = False
 
     def key(self, digest: str) -> str:
-        """Return a file name that is unique to this job and data."""
+        """Return a file name that is unique to this job and these data."""
         network = {"kind": self.network.kind, "hidden": self.network.hidden}
         content = [network, asdict(self.recipe), self.seed, digest, *(["whole"] if self.by_condition else [])]
-        suffix = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-        return f"{self.network.kind}-{self.network.hidden}-{self.recipe.optimiser}-seed{self.seed}-{suffix}"
+        mark = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+        return f"{self.network.kind}-{self.network.hidden}-{self.recipe.optimiser}-seed{self.seed}-{mark}"
 
-    def run(self, samples: Samples, report: Callable[[int, float], None]) -> TrainingResult:
-        """Split the samples and train the network."""
+    def run(self, samples: Samples, report: Callable[[int], None]) -> Fitted:
+        """Train the network; `report` is called after each epoch with its number."""
         rng = np.random.default_rng(self.seed)
         train, validation = samples.split(rng, self.by_condition)
         return fit(self.network, train, validation, self.recipe, rng, report)
 
 
-# changes to the recipe of the comparison, with Nadam
-VARIANTS: dict[str, dict[str, Any]] = {
-    "as the tables": {},
-    "mini-batches of 32": {"batch": 32},
-    "mini-batches of 256": {"batch": 256},
-    "256, falling rate from 0.06, no dropout": {"batch": 256, "dropout": 0.0, "learning_rate": 0.06, "falls_to": 0.01},
-    "no dropout": {"dropout": 0.0},
-    "weight decay, l2 = 1e-6": {"l2": 1e-6},
-    "lasso, l1 = 1e-6": {"l1": 1e-6},
-    "elastic net, both": {"l1": 1e-6, "l2": 1e-6},
-}
-
-
 @dataclass(frozen=True)
 class Comparison:
-    """The networks of the comparison; each list of jobs has one job per seed.
+    """The networks that are compared.
 
     Attributes:
-        recipe: common settings of training.
-        seeds: number of seeds.
+        recipe: settings of all networks, except for what is compared.
+        seeds: number of trainings of each network.
         sizes: hidden neurons of the tables.
-        figure: hidden units of the MLP and the LSTM of figures 4.4 to 5.1.
-        longest: hidden neurons of figure A.1, and the ratio of its number of passes to that of the tables.
     """
 
     recipe: Recipe = field(default_factory=Recipe)
     seeds: int = 5
     sizes: tuple[int, ...] = (10, 15, 20)
-    figure: int = 25
-    longest: tuple[int, float] = (30, 20 / 15)
 
     def table(self, hidden: int, optimiser: OptimiserName) -> list[TrainingJob]:
-        """Return the networks of one row of a table."""
-        return self._jobs("mlp", hidden, optimiser=optimiser)
+        """Return the networks of one row of a table, one per seed."""
+        return self._seeded(FlatNetwork("mlp", hidden), replace(self.recipe, optimiser=optimiser))
 
     @cached_property
     def mlp(self) -> list[TrainingJob]:
         """The MLP of figures 4.4 to 5.1."""
-        return self._jobs("mlp", self.figure)
+        return self._seeded(FlatNetwork("mlp", FIGURE_UNITS), self.recipe)
 
     @cached_property
     def lstm(self) -> list[TrainingJob]:
         """The LSTM of figures 4.4 to 5.1."""
-        return self._jobs("lstm", self.figure)
+        return self._seeded(FlatNetwork("lstm", FIGURE_UNITS), self.recipe)
 
     @cached_property
-    def long(self) -> list[TrainingJob]:
+    def a1(self) -> list[TrainingJob]:
         """The MLP of figure A.1."""
-        hidden, ratio = self.longest
-        return self._jobs("mlp", hidden, epochs=round(ratio * self.recipe.epochs))
+        recipe = replace(self.recipe, epochs=round(A1_EPOCHS_RATIO * self.recipe.epochs))
+        return self._seeded(FlatNetwork("mlp", A1_UNITS), recipe)
 
     @cached_property
     def variants(self) -> dict[str, list[TrainingJob]]:
-        """Other ways to train or validate the last network of the tables, by description of the change."""
-        rows = {name: self._jobs("mlp", self.sizes[-1], **changes) for name, changes in VARIANTS.items()}
-        by_condition = [replace(job, by_condition=True) for job in self._jobs("mlp", self.sizes[-1])]
+        """The largest network of the tables with other settings of training or validation, by name of the change."""
+        network = FlatNetwork("mlp", self.sizes[-1])
+        rows = {name: self._seeded(network, replace(self.recipe, **changes)) for name, changes in VARIANTS.items()}
+        by_condition = [replace(job, by_condition=True) for job in self._seeded(network, self.recipe)]
         return {**rows, "validation on whole conditions": by_condition}
 
     @cached_property
     def jobs(self) -> list[TrainingJob]:
-        """All networks without repetition, ordered by seed, so that an interrupted run completes some seeds."""
+        """All different networks, seed by seed, so that an interrupted run has completed some seeds."""
         rows = [self.table(hidden, name) for hidden in self.sizes for name in OPTIMISERS]
-        rows += [self.mlp, self.lstm, self.long, *self.variants.values()]
-        return list(dict.fromkeys(job for seed in zip(*rows, strict=True) for job in seed))
+        every = [*rows, self.mlp, self.lstm, self.a1, *self.variants.values()]
+        return list(dict.fromkeys(job for seed in zip(*every, strict=True) for job in seed))
 
-    def _jobs(self, kind: Kind, hidden: int, **changes: Any) -> list[TrainingJob]:
-        recipe = replace(self.recipe, **changes)
-        return [TrainingJob(FlatNetwork(kind, hidden), recipe, seed) for seed in range(self.seeds)]
+    def _seeded(self, network: FlatNetwork, recipe: Recipe) -> list[TrainingJob]:
+        return [TrainingJob(network, recipe, seed) for seed in range(self.seeds)]
 
 
-def digest(samples: Samples) -> str:
-    """Return a hash of the data, which distinguishes networks of different data."""
-    return hashlib.sha256(samples.feature.tobytes() + samples.label.tobytes()).hexdigest()
+Progress = Callable[[TrainingJob, int, int], None]
+"""Called with the current job, the number of completed epochs of all jobs, and their total."""
 
 
 def train_all(
-    jobs: list[TrainingJob],
-    samples: Samples,
-    folder: Path,
-    report: Callable[[TrainingJob, int, int], None] = lambda job, done, total: None,
-) -> dict[TrainingJob, TrainingResult]:
-    """Train the networks that are not in a folder yet, and load the others.
+    jobs: list[TrainingJob], samples: Samples, folder: Path, report: Progress = lambda job, done, total: None
+) -> dict[TrainingJob, Fitted]:
+    """Train the networks whose files do not exist yet; load the others.
 
     Args:
         jobs: networks.
-        samples: data.
-        folder: where each network is written as soon as it is trained.
-        report: called after each pass with the job, and the completed and total number of passes of all jobs.
+        samples: pings.
+        folder: each network is written to it as soon as it is trained.
+        report: called after each epoch.
     """
-    data, done = digest(samples), dict.fromkeys(jobs, 0)
+    mark, done, total = digest(samples), dict.fromkeys(jobs, 0), sum(job.recipe.epochs for job in jobs)
 
-    def passed(job: TrainingJob, epoch: int) -> None:
+    def completed(job: TrainingJob, epoch: int) -> None:
         done[job] = epoch
-        report(job, sum(done.values()), sum(job.recipe.epochs for job in jobs))
+        report(job, sum(done.values()), total)
 
-    return {job: _trained(job, samples, folder / f"{job.key(data)}.safetensors", passed) for job in jobs}
+    return {job: _load_or_train(job, samples, folder / f"{job.key(mark)}.safetensors", completed) for job in jobs}
 
 
-def _trained(
-    job: TrainingJob, samples: Samples, path: Path, report: Callable[[TrainingJob, int], None]
-) -> TrainingResult:
+def digest(samples: Samples) -> str:
+    """Return a hash of the data; it distinguishes networks trained on different data."""
+    return hashlib.sha256(samples.feature.tobytes() + samples.label.tobytes()).hexdigest()
+
+
+def _load_or_train(
+    job: TrainingJob, samples: Samples, path: Path, completed: Callable[[TrainingJob, int], None]
+) -> Fitted:
     if path.exists():
-        result = _loaded(job, path)
+        fitted = _load(job, path)
     else:
-        result = job.run(samples, lambda epoch, loss: report(job, epoch))
-        # safetensors writes the underlying memory, which is wrong for a strided view
-        write_bytes(path, save({name: np.ascontiguousarray(getattr(result, name)) for name in ARRAYS}))
-    report(job, job.recipe.epochs)
-    return result
+        fitted = job.run(samples, lambda epoch: completed(job, epoch))
+        # safetensors writes contiguous memory, which for a strided view holds other values
+        write_bytes(path, save({name: np.ascontiguousarray(getattr(fitted, name)) for name in ARRAYS}))
+    completed(job, job.recipe.epochs)
+    return fitted
 
 
-def _loaded(job: TrainingJob, path: Path) -> TrainingResult:
+def _load(job: TrainingJob, path: Path) -> Fitted:
     try:
         arrays = load(path.read_bytes())
-        result = TrainingResult(*(arrays[name] for name in ARRAYS))
+        fitted = Fitted(*(arrays[name] for name in ARRAYS))
     except (SafetensorError, KeyError) as error:
         raise ModelError(f"{path}: not a network of a comparison ({error}); delete it to train it again") from None
-    if result.theta.shape != (job.network.size,):
-        raise ModelError(f"{path}: {len(result.theta)} weights, expected {job.network.size}; delete it")
-    return result
+    if fitted.theta.shape != (job.network.size,):
+        raise ModelError(f"{path}: {len(fitted.theta)} parameters, expected {job.network.size}; delete it")
+    return fitted
 
 
-def made_by(command: str, words: Sequence[str], args: Any) -> str:
-    """Return the command and the commit that made a page.
+def provenance(command: Sequence[str], args: Any) -> str:
+    """Return the commit and the command with those options of a dataclass `args` that differ from their defaults.
 
-    Args:
-        command: command of `sonar-gym`.
-        words: its required arguments.
-        args: all arguments (dataclass); options that differ from their default are shown, except `page`.
+    Paths are not options here: `command` names those that matter.
     """
-    shown = ["sonar-gym", command, *words]
+    words = ["sonar-gym", *command]
     for f in fields(args):
         value = getattr(args, f.name)
-        if f.name != "page" and f.default is not MISSING and value != f.default:
-            shown += [f"--{f.name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else [value])]
-    return f"Made by `{shlex.join(shown)}` at commit {commit()}"
+        if not isinstance(value, Path) and value != f.default:
+            words += [f"--{f.name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else [value])]
+    return f"Made by `{shlex.join(words)}` at commit {commit()}"
 
 
 @dataclass(frozen=True)
-class Mean:
-    """A mean over seeds.
-
-    Attributes:
-        value: mean.
-        half: half width of the 95 % interval (Student's t); 0 for one seed.
-    """
+class SeedMean:
+    """Mean over seeds with the half-width of its 95 % interval (Student's t); 0 for a single seed."""
 
     value: float
-    half: float
+    half_width: float
 
     @classmethod
-    def of(cls, values: Sequence[float] | Floats) -> Mean:
+    def of(cls, values: Sequence[float] | Floats) -> SeedMean:
         """Return the mean of one value per seed."""
         n = len(values)
-        half = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
-        return cls(float(np.mean(values)), half)
+        half_width = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        return cls(float(np.mean(values)), half_width)
 
     def __str__(self) -> str:
-        return f"{self.value:.4f} ± {self.half:.4f}"
+        return f"{self.value:.4f} ± {self.half_width:.4f}"
 
     def verdict(self) -> Verdict:
-        """Return whether the interval is above zero, below zero, or contains it; one seed is undecided."""
-        if self.half == 0.0 or not abs(self.value) > self.half:
+        """Return whether the mean is significantly positive ("agrees") or negative; undecided for a single seed."""
+        if self.half_width == 0.0 or not abs(self.value) > self.half_width:
             return "undecided"
         return "agrees" if self.value > 0.0 else "contrary"
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the thesis and the result here."""
+    """A statement of the thesis, the result of the comparison, and whether they agree."""
 
     thesis: str
     here: str
     verdict: Verdict
 
     @classmethod
-    def of(cls, thesis: str, here: str, values: Floats) -> Claim:
-        """Return the verdict on values, one per seed, that are positive if the claim is true.
-
-        Args:
-            thesis: the claim.
-            here: the result; "{}" stands for the mean of the values.
-            values: (seeds,).
-        """
-        mean = Mean.of(values)
+    def of(cls, thesis: str, here: str, mean: SeedMean) -> Claim:
+        """Return a claim that a mean is positive; `here` has a place for the mean."""
         return cls(thesis, here.format(mean), mean.verdict())
 
 
@@ -253,31 +242,33 @@ class ThesisFindings:
 
     Attributes:
         comparison: the networks.
-        results: result of training of each job.
+        fitted: result of training of each.
         samples: all pings.
     """
 
     comparison: Comparison
-    results: dict[TrainingJob, TrainingResult]
+    fitted: dict[TrainingJob, Fitted]
     samples: Samples
 
-    def final(self, jobs: list[TrainingJob], name: Literal["train", "validation", "seconds"] = "validation") -> Floats:
-        """Return a loss or the time after the last pass, (seeds,)."""
-        return np.array([getattr(self.results[job], name)[-1] for job in jobs])
+    def final(
+        self, jobs: list[TrainingJob], quantity: Literal["train", "validation", "seconds"] = "validation"
+    ) -> Floats:
+        """Return a quantity after the last epoch of each network, (n_seeds,)."""
+        return np.array([getattr(self.fitted[job], quantity)[-1] for job in jobs])
 
-    def curves(self, jobs: list[TrainingJob], name: Curve) -> Floats:
-        """Return the losses after each pass, (seeds, passes); after an early stop the last one is repeated."""
-        passes, losses = jobs[0].recipe.epochs, [getattr(self.results[job], name) for job in jobs]
-        return np.array([np.pad(one, (0, passes - len(one)), mode="edge") for one in losses])
+    def curves(self, jobs: list[TrainingJob], quantity: Literal["train", "validation"]) -> Floats:
+        """Return the losses after each epoch, (n_seeds, n_epochs); constant after an early stop."""
+        epochs, losses = jobs[0].recipe.epochs, [getattr(self.fitted[job], quantity) for job in jobs]
+        return np.array([np.pad(one, (0, epochs - len(one)), mode="edge") for one in losses])
 
     def losses(self, hidden: int) -> Floats:
-        """Return the final validation losses of a table, (optimisers, seeds)."""
+        """Return the final validation losses of a table, (n_optimisers, n_seeds)."""
         return np.array([self.final(self.comparison.table(hidden, name)) for name in OPTIMISERS])
 
     def ranks(self, hidden: int) -> dict[OptimiserName, int]:
-        """Return the rank of each optimiser in a table; 1 has the lowest validation loss."""
-        order = rankdata(self.losses(hidden).mean(axis=1), method="ordinal")
-        return {name: int(rank) for name, rank in zip(OPTIMISERS, order, strict=True)}
+        """Return the rank of each optimiser in a table, 1 for the lowest validation loss."""
+        ranks = rankdata(self.losses(hidden).mean(axis=1), method="ordinal")
+        return {name: int(rank) for name, rank in zip(OPTIMISERS, ranks, strict=True)}
 
     def agreement(self, hidden: int) -> tuple[float, float, Floats]:
         """Return Spearman's and Kendall's correlation with the thesis's table, and Spearman's of each seed."""
@@ -288,72 +279,63 @@ class ThesisFindings:
 
     @cached_property
     def surfaces(self) -> CredenceSurfaces:
-        """Credence of the readings and of the estimates by the networks of figures 4.5 to 5.1."""
-        pairs = {"MLP": self.comparison.mlp, "LSTM": self.comparison.lstm}
-        weights = {k: (jobs[0].network, [self.results[job].theta for job in jobs]) for k, jobs in pairs.items()}
-        return CredenceSurfaces(self.samples, weights)
+        """Credence of the readings and of the outputs of the networks of figures 4.5 to 5.1."""
+        groups = {"MLP": self.comparison.mlp, "LSTM": self.comparison.lstm}
+        networks = {k: (jobs[0].network, [self.fitted[job].theta for job in jobs]) for k, jobs in groups.items()}
+        return CredenceSurfaces(self.samples, networks)
 
     def claims(self) -> list[Claim]:
-        """Return the claims of the thesis about its networks with the results here."""
-        ranking = [self._ends_lower(better, worse) for better, worse in PAIRS]
-        return [*ranking, *self._sizes(), self._first_pass(), *self._lstm(), self._batches(), *self._mapping()]
+        """Return the thesis's statements on its networks, each with the result of the comparison."""
+        ranking = [self._ends_lower(better, worse) for better, worse in pairwise(THESIS_ORDER)]
+        return [*ranking, *self._sizes(), self._first_epoch(), *self._lstm(), self._batches(), *self._mapping()]
 
     def _ends_lower(self, better: OptimiserName, worse: OptimiserName) -> Claim:
         table, final = self.comparison.table, self.final
         gaps = [final(table(hidden, worse)) - final(table(hidden, better)) for hidden in self.comparison.sizes]
         thesis = f"{OPTIMISERS[better].title} ends lower than {OPTIMISERS[worse].title}"
-        return Claim.of(thesis, "by {}, mean over sizes", np.mean(gaps, axis=0))
+        return Claim.of(thesis, "by {}, mean over sizes", SeedMean.of(np.mean(gaps, axis=0)))
 
     def _sizes(self) -> list[Claim]:
-        first, last = self.comparison.sizes[0], self.comparison.sizes[-1]
-        gap = self.final(self.comparison.table(first, "nadam")) - self.final(self.comparison.table(last, "nadam"))
-        claim = Claim.of(f"{last} neurons end lower than {first} (Nadam)", "by {}", gap)
-        return [claim] if len(self.comparison.sizes) > 1 else []
+        sizes = self.comparison.sizes
+        if len(sizes) < 2:
+            return []
+        small, large = (self.final(self.comparison.table(hidden, "nadam")) for hidden in (sizes[0], sizes[-1]))
+        thesis = f"{sizes[-1]} neurons end lower than {sizes[0]} (Nadam)"
+        return [Claim.of(thesis, "by {}", SeedMean.of(small - large))]
 
-    def _first_pass(self) -> Claim:
+    def _first_epoch(self) -> Claim:
         hidden = self.comparison.sizes[-1]
         first = {name: self.curves(self.comparison.table(hidden, name), "validation")[:, 0] for name in OPTIMISERS}
-        rival = min((name for name in first if name != "nadam"), key=lambda name: float(first[name].mean()))
-        here = f"lower than the next, {OPTIMISERS[rival].title}, by {{}} ({hidden} neurons)"
-        return Claim.of("after the first pass Nadam is lowest", here, first[rival] - first["nadam"])
+        second = min((name for name in first if name != "nadam"), key=lambda name: float(first[name].mean()))
+        here = f"lower than the next, {OPTIMISERS[second].title}, by {{}} ({hidden} neurons)"
+        return Claim.of("Nadam is lowest after the first epoch", here, SeedMean.of(first[second] - first["nadam"]))
 
     def _lstm(self) -> list[Claim]:
         mlp, lstm = self.comparison.mlp, self.comparison.lstm
         ratio = float(np.median(self.final(lstm, "seconds") / self.final(mlp, "seconds")))
-        here = f"{ratio:.1f} times as long; each is compiled for its own shape"
+        time = f"{ratio:.1f} times as long; each is compiled for its own architecture"
         verdict: Verdict = "agrees" if 2 / 3 < ratio / LSTM_TIME_RATIO < 1.5 else "contrary"
-        gap = self.final(mlp) - self.final(lstm)
+        gap = SeedMean.of(self.final(mlp) - self.final(lstm))
         return [
             Claim.of("the LSTM ends lower than the MLP with as many units", "by {}", gap),
-            Claim("the LSTM takes almost 5 times as long as the MLP", here, verdict),
+            Claim("the LSTM takes almost 5 times as long as the MLP", time, verdict),
         ]
 
     def _batches(self) -> Claim:
-        """Test mini-batches at the learning rate of Keras only; the table of variants has others."""
+        """Compare at Keras's learning rates only, as the thesis did; the table has mini-batches at another rate."""
         variants = self.comparison.variants
-        gaps = [self.final(v) - self.final(variants["as the tables"]) for k, v in variants.items() if "mini" in k]
-        here = "the better of them ends higher by {}"
-        return Claim.of("mini-batches are no better than online training", here, np.min(gaps, axis=0))
+        base = self.final(variants[TABLE_SETTINGS])
+        gaps = [self.final(jobs) - base for name, jobs in variants.items() if name.startswith("mini-batches")]
+        here = "the better mini-batches end higher by {}"
+        return Claim.of("mini-batches are no better than online", here, SeedMean.of(np.min(gaps, axis=0)))
 
     def _mapping(self) -> list[Claim]:
         surfaces = self.surfaces
-        mirror, rubber = surfaces.of(MIRROR), surfaces.of(RUBBER)
-        near = mirror & (surfaces.distance < SHORT_RANGE)
+        mirror, rubber, near = surfaces.of(MIRROR), surfaces.of(RUBBER), surfaces.distance < SHORT_RANGE_M
         gaps = [surfaces.mean(name, mirror) - surfaces.mean(name, rubber) for name in surfaces.networks]
-        short = surfaces.mean("LSTM", near) - surfaces.mean("MLP", near)
+        short = surfaces.mean("LSTM", mirror & near) - surfaces.mean("MLP", mirror & near)
+        higher = "mapped credence higher by {}"
         return [
-            Claim.of(
-                "both networks map the mirror better", "mapped credence higher by {} at least", np.min(gaps, axis=0)
-            ),
-            Claim.of("at short range the LSTM maps the mirror better", "mapped credence higher by {}", short),
+            Claim.of("both networks map the mirror better", f"{higher} at least", SeedMean.of(np.min(gaps, axis=0))),
+            Claim.of("at short range the LSTM maps the mirror better", higher, SeedMean.of(short)),
         ]
-
-
-# neighbours in the order of all three tables of the thesis
-PAIRS: tuple[tuple[OptimiserName, OptimiserName], ...] = (
-    ("nadam", "adam"),
-    ("adam", "rmsprop"),
-    ("rmsprop", "adadelta"),
-    ("adadelta", "sgd"),
-    ("sgd", "adagrad"),
-)

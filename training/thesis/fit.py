@@ -1,10 +1,10 @@
-"""Training of one network, online or in mini-batches, with the six optimisers of the thesis.
+"""Optimisers with the settings of Keras 1.0.8, and training of the thesis's networks: online or in mini-batches.
 
-The optimisers are torch's own rules with the settings of Keras 1.0.8. The published networks state those of Nadam
-(learning rate 0.002, betas 0.9 and 0.999, epsilon 1e-8, schedule 0.004); the others are the defaults of Keras 1, which
-are the values in section 2.2.3 of the thesis. One negligible difference remains: Keras adds Adam's epsilon before the
-bias correction of the second moment, torch after it, so at step t Keras has 1e-8 / sqrt(1 - 0.999^t) where torch has
-1e-8. The thesis prints the momentum schedule 0.99 (1 - 0.5 * 0.96^(t / 250)); its files have 0.9 in place of 0.99.
+The six update rules are torch's; their settings differ from torch's defaults. Nadam's are stated in the files of the
+published networks (learning rate 0.002, betas 0.9 and 0.999, epsilon 1e-8, schedule 0.004); the others are the defaults
+of Keras 1, as in the thesis's section 2.2.3. One negligible difference remains: Keras adds Adam's epsilon before the
+bias correction of the second moment, torch after it, so that at step t Keras has 1e-8 / sqrt(1 - 0.999^t) for torch's
+1e-8. The thesis prints Nadam's momentum schedule as 0.99 (1 - 0.5 * 0.96^(t / 250)); its files have 0.9 for 0.99.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
 import numpy as np
 import torch
@@ -23,35 +23,37 @@ from acquisition import SettingError
 from noise.fitting.threads import one_thread
 from training.thesis.data import Floats, OptimiserName, Samples, Singles
 from training.thesis.networks import FlatNetwork
-from training.thesis.online import GRADIENTS, RULES, online_pass
-
-Report = Callable[[int, float], None]
+from training.thesis.online import GRADIENTS, RULES, learn
 
 
 @dataclass(frozen=True)
 class Optimiser:
-    """An update rule of torch.
+    """An update rule with its settings.
 
     Attributes:
-        title: name in the tables of the thesis.
+        title: name in the thesis's tables.
         rule: class of torch.
-        settings: its arguments: the values of Keras 1 under torch's names.
+        settings: its arguments: Keras 1's values under torch's names.
     """
 
     title: str
     rule: Callable[..., torch.optim.Optimizer]
     settings: dict[str, Any]
 
-    def of(self, theta: torch.Tensor, learning_rate: float | None = None) -> torch.optim.Optimizer:
-        """Return the optimiser of a weight vector; `learning_rate` replaces the default of Keras."""
-        return self.rule([theta], **self.with_rate(learning_rate))
-
-    def with_rate(self, learning_rate: float | None) -> dict[str, Any]:
-        """Return the settings, with `learning_rate` in place of the default if given."""
+    def arguments(self, learning_rate: float | None = None) -> dict[str, Any]:
+        """Return the settings, with the learning rate replaced if one is given."""
         return self.settings | ({} if learning_rate is None else {"lr": learning_rate})
 
+    def of(self, theta: torch.Tensor, learning_rate: float | None = None) -> torch.optim.Optimizer:
+        """Return torch's optimiser of a parameter vector."""
+        return self.rule([theta], **self.arguments(learning_rate))
 
-# in the order of tables 4.2 to 4.4
+    def values(self, learning_rate: float | None = None) -> Floats:
+        """Return the settings in the order of the compiled rules, the learning rate first."""
+        return np.hstack(list(self.arguments(learning_rate).values())).astype(np.float64)
+
+
+# in the order of the thesis's tables 4.2 to 4.4
 OPTIMISERS: dict[OptimiserName, Optimiser] = {
     "sgd": Optimiser("SGD", torch.optim.SGD, {"lr": 0.01}),
     "adagrad": Optimiser("ADAGRAD", torch.optim.Adagrad, {"lr": 0.01, "eps": 1e-8}),
@@ -62,23 +64,24 @@ OPTIMISERS: dict[OptimiserName, Optimiser] = {
         "NADAM", torch.optim.NAdam, {"lr": 0.002, "betas": (0.9, 0.999), "eps": 1e-8, "momentum_decay": 0.004}
     ),
 }
+assert tuple(OPTIMISERS) == get_args(OptimiserName)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Settings of training; the defaults are those of the thesis.
+    """Settings of training; the defaults are the thesis's.
 
     Attributes:
-        optimiser: key of `OPTIMISERS`.
+        optimiser: name in `OPTIMISERS`.
         epochs: maximum number of passes over the training pings.
         batch: pings per step; 1 is online training.
-        dropout: fraction of hidden units dropped at each step.
-        l1: weight of sum |w| in the objective; with `l2`, an elastic net.
-        l2: weight of sum w^2. The thesis mentions weight decay without a value; its published networks have none.
-        patience: passes without a lower validation loss after which training stops; None: no early stopping.
-        device: torch device: cpu, cuda, cuda:1.
-        learning_rate: initial learning rate; None: the default of Keras for the optimiser.
-        falls_to: final learning rate as a fraction of the initial one, reached along a cosine; 1 keeps it constant.
+        dropout: share of hidden units dropped at each step.
+        l1: coefficient of sum |w| in the objective; together with `l2` an elastic net.
+        l2: coefficient of sum w^2. The thesis mentions weight decay without a value; its published networks have none.
+        patience: epochs without a lower validation loss after which training stops; None never stops early.
+        device: torch device of mini-batches: cpu, cuda, cuda:1.
+        learning_rate: initial learning rate; None is Keras's default of the optimiser.
+        falls_to: ratio of final to initial learning rate; between them the rate follows a cosine. 1 is constant.
     """
 
     optimiser: OptimiserName = "nadam"
@@ -93,7 +96,7 @@ class Recipe:
     falls_to: float = 1.0
 
     def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
+        """Raise SettingError for an unknown optimiser or a value out of `LIMITS`."""
         if self.optimiser not in OPTIMISERS:
             raise SettingError(f"optimiser {self.optimiser!r} is not one of {', '.join(OPTIMISERS)}")
         for name, low, high in LIMITS:
@@ -103,15 +106,15 @@ class Recipe:
 
     @property
     def compiled(self) -> bool:
-        """Whether to use compiled training: one step per ping on the CPU, where the overhead of torch dominates."""
+        """Whether training is compiled: one ping per step on the CPU."""
         return self.batch == 1 and self.device == "cpu"
 
     def penalty(self, network: FlatNetwork) -> Singles:
-        """Return the weights of |w| and w^2 for each parameter, (2, size); 0 for biases."""
+        """Return the coefficients of |w| and w^2 for each parameter of a network, (2, size); 0 for biases."""
         return np.outer([self.l1, self.l2], network.penalised).astype(np.float32)
 
-    def rate(self, epoch: int) -> float:
-        """Return the learning rate as a fraction of the initial one in a pass, counted from 0."""
+    def rate_factor(self, epoch: int) -> float:
+        """Return the learning rate of an epoch, counted from 0, as a factor of the initial one."""
         progress = epoch / max(self.epochs - 1, 1)
         return self.falls_to + (1.0 - self.falls_to) * 0.5 * (1.0 + float(np.cos(np.pi * progress)))
 
@@ -129,14 +132,14 @@ LIMITS = (
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingResult:
-    """A trained network and its learning curves.
+class Fitted:
+    """Result of training.
 
     Attributes:
-        theta: the weights with the lowest validation loss, (size,).
-        train: mean squared error during each pass, with dropout, (passes,).
-        validation: mean squared error after each pass, without dropout, (passes,).
-        seconds: time from the start to the end of each pass, validation included, (passes,).
+        theta: parameters with the lowest validation loss, (size,).
+        train: mean squared error before each step, with dropout, averaged over each epoch, (epochs,).
+        validation: mean squared error after each epoch, without dropout, (epochs,).
+        seconds: time from the start to the end of each epoch, validation included, (epochs,).
     """
 
     theta: Singles
@@ -144,14 +147,19 @@ class TrainingResult:
     validation: Floats
     seconds: Floats
 
+    @property
+    def best_epoch(self) -> int:
+        """Epoch of the lowest validation loss, counted from 1."""
+        return int(np.argmin(self.validation)) + 1
+
 
 class Trainer(Protocol):
-    """A network in training."""
+    """A network during training."""
 
     theta: Singles
 
-    def run(self, order: NDArray[np.int64], rate: float) -> float:
-        """Make one pass in an order, at a fraction of the initial learning rate; return the mean squared error."""
+    def run_epoch(self, order: NDArray[np.int64], rate_factor: float) -> float:
+        """Train once on the pings in an order; return the mean squared error before each step."""
         ...
 
 
@@ -163,32 +171,26 @@ class OnlineTrainer:
     ) -> None:
         self.theta, self._samples, self._rng = theta, samples, rng
         self._functions = GRADIENTS[network.kind], RULES[recipe.optimiser]
-        self._settings = rule_settings(recipe)
+        self._settings = OPTIMISERS[recipe.optimiser].values(recipe.learning_rate)
         self._hidden, self._dropout, self._penalty = network.hidden, recipe.dropout, recipe.penalty(network)
-        self._memory, self._clock = np.zeros((2, network.size), np.float32), np.array([0.0, 1.0])
+        self._accumulators, self._counters = np.zeros((2, network.size), np.float32), np.array([0.0, 1.0])
 
-    def run(self, order: NDArray[np.int64], rate: float) -> float:
-        """Make one pass."""
-        settings = np.concatenate([rate * self._settings[:1], self._settings[1:]])
-        loss = online_pass(
-            *(*self._functions, self.theta, self._memory, self._clock, settings),
-            *(self._samples.feature, self._samples.label, order, self._mask(len(order)), self._penalty),
+    def run_epoch(self, order: NDArray[np.int64], rate_factor: float) -> float:
+        """Train once on the pings in an order."""
+        settings = np.concatenate([rate_factor * self._settings[:1], self._settings[1:]])
+        loss = learn(
+            *(*self._functions, self.theta, self._accumulators, self._counters, settings),
+            *(self._samples.feature, self._samples.label, order, self._dropout_mask(len(order)), self._penalty),
         )
         return float(loss)
 
-    def _mask(self, steps: int) -> Singles:
-        active = self._rng.random((steps, self._hidden), dtype=np.float32) >= self._dropout
-        return active.astype(np.float32) / np.float32(1.0 - self._dropout)
+    def _dropout_mask(self, steps: int) -> Singles:
+        retained = self._rng.random((steps, self._hidden), dtype=np.float32) >= self._dropout
+        return retained.astype(np.float32) / np.float32(1.0 - self._dropout)
 
 
-def rule_settings(recipe: Recipe) -> Floats:
-    """Return the settings of a recipe's compiled rule, the learning rate first."""
-    settings = OPTIMISERS[recipe.optimiser].with_rate(recipe.learning_rate)
-    return np.hstack(list(settings.values())).astype(np.float64)
-
-
-class MiniBatchTrainer:
-    """Training with torch, one step per mini-batch, on any device."""
+class BatchTrainer:
+    """Training by torch with one step per mini-batch, on any device."""
 
     def __init__(
         self, network: FlatNetwork, samples: Samples, recipe: Recipe, theta: Singles, rng: np.random.Generator
@@ -205,19 +207,19 @@ class MiniBatchTrainer:
 
     @property
     def theta(self) -> Singles:
-        """A copy of the current weights."""
+        """Current parameters, (size,)."""
         return self._theta.detach().cpu().numpy().copy()
 
-    def run(self, order: NDArray[np.int64], rate: float) -> float:
-        """Make one pass."""
-        self._optimiser.param_groups[0]["lr"] = rate * self._initial_rate
+    def run_epoch(self, order: NDArray[np.int64], rate_factor: float) -> float:
+        """Train once on the pings in an order."""
+        self._optimiser.param_groups[0]["lr"] = rate_factor * self._initial_rate
         rows = torch.from_numpy(order).to(self._device)
         losses = [self._step(part) * len(part) for part in torch.split(rows, self._recipe.batch)]
         return float(torch.stack(losses).sum()) / len(order)
 
     def _step(self, rows: torch.Tensor) -> torch.Tensor:
         self._optimiser.zero_grad()
-        output = self._network.output(self._theta, self._feature[rows], self._mask(len(rows)))
+        output = self._network.output(self._theta, self._feature[rows], self._dropout_mask(len(rows)))
         loss = torch.mean((output - self._label[rows]) ** 2)
         (loss + self._decay()).backward()
         self._optimiser.step()
@@ -228,10 +230,10 @@ class MiniBatchTrainer:
             return 0.0
         return self._penalty[0] @ torch.abs(self._theta) + self._penalty[1] @ self._theta**2
 
-    def _mask(self, pings: int) -> torch.Tensor | None:
+    def _dropout_mask(self, n_pings: int) -> torch.Tensor | None:
         if self._recipe.dropout == 0.0:
             return None
-        draw = torch.rand((pings, self._network.hidden), generator=self._random, device=self._device)
+        draw = torch.rand((n_pings, self._network.hidden), generator=self._random, device=self._device)
         return (draw >= self._recipe.dropout) / (1.0 - self._recipe.dropout)
 
 
@@ -245,7 +247,7 @@ def device_of(name: str) -> torch.device:
         torch.empty(0, device=name)
         return torch.device(name)
     except (RuntimeError, AssertionError) as error:
-        raise SettingError(f"device {name!r} is not available ({str(error).splitlines()[0]}): try cpu") from None
+        raise SettingError(f"device {name!r} cannot be used here ({str(error).splitlines()[0]}): try cpu") from None
 
 
 def fit(
@@ -254,41 +256,37 @@ def fit(
     validation: Samples,
     recipe: Recipe,
     rng: np.random.Generator,
-    report: Report = lambda epoch, loss: None,
-) -> TrainingResult:
+    report: Callable[[int], None] = lambda epoch: None,
+) -> Fitted:
     """Train a network.
 
     Args:
-        network: its architecture.
-        train: training pings, shuffled before each pass.
-        validation: validation pings, used only to select the best weights.
-        recipe: settings of training.
-        rng: random generator of initial weights, order of pings and dropout.
-        report: called after each pass with its number and the validation loss.
+        network: architecture.
+        train: training pings, shuffled before each epoch.
+        validation: pings that select the best parameters.
+        recipe: settings.
+        rng: random generator of initial parameters, order and dropout.
+        report: called after each epoch with its number, counted from 1.
 
     Raises:
-        SettingError: training diverged.
+        SettingError: the loss is not finite.
     """
-    with fast_floats():
-        trainer = _trainer(network, train, recipe, rng)
+    with flush_denormals():
+        engine: Any = OnlineTrainer if recipe.compiled else BatchTrainer
+        trainer: Trainer = engine(network, train, recipe, network.initial(rng), rng)
         start, rows, best = time.perf_counter(), list[tuple[float, float, float]](), trainer.theta.copy()
         for epoch in range(recipe.epochs):
-            train_loss = trainer.run(rng.permutation(len(train)), recipe.rate(epoch))
+            train_loss = trainer.run_epoch(rng.permutation(len(train)), recipe.rate_factor(epoch))
             loss = mean_squared_error(network, trainer.theta, validation)
             if not np.isfinite(loss):
-                raise SettingError(f"training diverged in pass {epoch + 1}: lower the learning rate of {recipe}")
+                raise SettingError(f"training diverged in epoch {epoch + 1}: lower the learning rate of {recipe}")
             if loss < min((row[1] for row in rows), default=np.inf):
                 best = trainer.theta.copy()
             rows.append((train_loss, loss, time.perf_counter() - start))
-            report(epoch + 1, loss)
+            report(epoch + 1)
             if _out_of_patience(recipe, [row[1] for row in rows]):
                 break
-    return TrainingResult(best, *np.array(rows).T)
-
-
-def _trainer(network: FlatNetwork, samples: Samples, recipe: Recipe, rng: np.random.Generator) -> Trainer:
-    trainer: Any = OnlineTrainer if recipe.compiled else MiniBatchTrainer
-    return trainer(network, samples, recipe, network.initial(rng), rng)
+    return Fitted(best, *np.array(rows).T)
 
 
 def _out_of_patience(recipe: Recipe, losses: list[float]) -> bool:
@@ -296,17 +294,17 @@ def _out_of_patience(recipe: Recipe, losses: list[float]) -> bool:
 
 
 def mean_squared_error(network: FlatNetwork, theta: Singles, samples: Samples) -> float:
-    """Return the loss without dropout."""
+    """Return the loss of a network on pings, without dropout."""
     error = network.predict(theta, samples.feature).astype(np.float64) - samples.label
     return float(np.mean(error**2))
 
 
 @contextmanager
-def fast_floats() -> Iterator[None]:
-    """Restrict torch to one thread and flush denormal numbers to zero.
+def flush_denormals() -> Iterator[None]:
+    """Restrict torch to one thread, and treat numbers below 1e-38 as zero.
 
-    The moments of a weight with zero gradient decay towards zero, and x86 takes about a hundred times as long to
-    multiply denormal numbers: without flushing, Nadam's passes over an LSTM are six times slower.
+    The moments of a parameter with zero gradient decay exponentially. On x86 a multiplication of such denormal numbers
+    takes a hundred times longer, which makes Nadam's epochs of an LSTM six times slower.
     """
     torch.set_flush_denormal(True)
     try:

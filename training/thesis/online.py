@@ -1,10 +1,11 @@
-"""Online training, one step per ping, compiled: about a hundred times faster than torch for networks of this size.
+"""Compiled online training: one optimiser step after every ping, as in the thesis.
 
-One pass over 123,100 pings is one compiled call. The update rules equal those of `training.thesis.fit.OPTIMISERS` and
-the networks equal `training.thesis.networks`; the tests compare both with torch step by step.
+With a network of 181 parameters, the calls of torch themselves take most of the time. An epoch of 123,100 pings is one
+compiled call, about a hundred times faster. The update rules are those of `training.thesis.fit.OPTIMISERS`, the
+networks those of `training.thesis.networks`; tests compare both with torch step by step.
 
-`online_pass` takes two kinds of compiled functions, each with one signature, both on flat vectors: a *gradient* writes
-the gradient of the squared error of one ping and returns this error; a *rule* updates the weights by a gradient.
+`learn` combines two kinds of function on flat vectors, each compiled once for one signature: a *gradient* function
+writes the gradient of one ping's squared error and returns that error; a *rule* updates the parameters by a gradient.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from acquisition.arrays import Floats, Singles
+from training.thesis.data import Floats, OptimiserName, Singles
+from training.thesis.networks import Kind
 
 Compiled = Callable[..., Any]
-Single = Any  # a float32 in compiled code
+Single = Any  # float32 in compiled code
 
 _vector, _matrix, _table = types.float32[::1], types.float32[:, ::1], types.float64[::1]
 GRADIENT = types.float64(_vector, _vector, types.float32, _vector, _vector)
@@ -34,59 +36,59 @@ def _sigmoid(x: Single) -> Single:
 
 
 @njit(cache=True)
-def _mlp_parts(theta: Singles, inputs: int, hidden: int) -> tuple[Singles, Singles, Singles, Singles]:
-    """Return views: weights and biases of the hidden layer, weights and bias of the output."""
+def _mlp_arrays(theta: Singles, inputs: int, hidden: int) -> tuple[Singles, Singles, Singles, Singles]:
+    """Return weights and biases of the hidden layer, then of the output, as views."""
     bias, out = inputs * hidden, (inputs + 1) * hidden
     return theta[:bias].reshape(inputs, hidden), theta[bias:out], theta[out : out + hidden], theta[out + hidden :]
 
 
 @njit(cache=True)
-def _lstm_parts(theta: Singles, hidden: int) -> tuple[Singles, Singles, Singles, Singles, Singles]:
-    """Return views: input weights, recurrent weights and biases of the gates, weights and bias of the output."""
-    width = 4 * hidden
-    bias, out = (hidden + 1) * width, (hidden + 2) * width
-    recurrent = theta[width:bias].reshape(hidden, width)
-    return theta[:width], recurrent, theta[bias:out], theta[out : out + hidden], theta[out + hidden :]
+def _lstm_arrays(theta: Singles, hidden: int) -> tuple[Singles, Singles, Singles, Singles, Singles]:
+    """Return input weights, recurrent weights and gate biases, then weights and bias of the output, as views."""
+    wide = 4 * hidden
+    bias, out = (hidden + 1) * wide, (hidden + 2) * wide
+    recurrent = theta[wide:bias].reshape(hidden, wide)
+    return theta[:wide], recurrent, theta[bias:out], theta[out : out + hidden], theta[out + hidden :]
 
 
 @njit(GRADIENT, cache=True, fastmath=True, nogil=True)
-def mlp_gradient(theta: Singles, x: Singles, label: Single, mask: Singles, gradient: Singles) -> float:
-    """Write the gradient of (output - label)^2 for one ping into `gradient`; return the squared error."""
-    hidden, inputs = len(mask), len(x)
-    first, bias, out, last = _mlp_parts(theta, inputs, hidden)
-    d_first, d_bias, d_out, d_last = _mlp_parts(gradient, inputs, hidden)
+def mlp_gradient(theta: Singles, x: Singles, label: Single, dropout_mask: Singles, gradient: Singles) -> float:
+    """Write the gradient of (output - label)^2 of one ping into `gradient`; return the squared error."""
+    hidden, inputs = len(dropout_mask), len(x)
+    first, bias, out, last = _mlp_arrays(theta, inputs, hidden)
+    d_first, d_bias, d_out, d_last = _mlp_arrays(gradient, inputs, hidden)
     unit, total = np.empty(hidden, np.float32), last[0]
     for j in range(hidden):
         z = bias[j]
         for i in range(inputs):
             z += x[i] * first[i, j]
         unit[j] = _sigmoid(z)
-        total += unit[j] * mask[j] * out[j]
+        total += unit[j] * dropout_mask[j] * out[j]
     output = _sigmoid(total)
     error = output - label
     d_last[0] = TWO * error * output * (ONE - output)
     for j in range(hidden):
-        d_out[j] = d_last[0] * unit[j] * mask[j]
-        d_bias[j] = d_last[0] * out[j] * mask[j] * unit[j] * (ONE - unit[j])
+        d_out[j] = d_last[0] * unit[j] * dropout_mask[j]
+        d_bias[j] = d_last[0] * out[j] * dropout_mask[j] * unit[j] * (ONE - unit[j])
         for i in range(inputs):
             d_first[i, j] = d_bias[j] * x[i]
     return error * error
 
 
 @njit(cache=True, fastmath=True)
-def _lstm_forward(theta: Singles, x: Singles, gate: Singles, cell: Singles, activated: Singles, state: Singles) -> None:
-    """Compute the forward pass, one input per step.
+def _lstm_forward(theta: Singles, x: Singles, gate: Singles, cell: Singles, squashed: Singles, state: Singles) -> None:
+    """Run the sequence, one input per step.
 
     Args:
-        theta: weights.
+        theta: parameters, (size,).
         x: inputs, (steps,).
-        gate: output: gates and candidate of each step, (steps, 4 * hidden).
-        cell: output: cell states; row 0 is the initial zeros, (steps + 1, hidden).
-        activated: output: sigmoids of the cell states, (steps, hidden).
-        state: output: hidden states; row 0 is the initial zeros, (steps + 1, hidden).
+        gate: output; gates and candidate of each step, (steps, 4 * hidden).
+        cell: output; cell values, the first row 0, (steps + 1, hidden).
+        squashed: output; sigmoids of the cell values, (steps, hidden).
+        state: output; hidden states, the first row 0, (steps + 1, hidden).
     """
-    steps, hidden = activated.shape
-    first, recurrent, bias, _, _ = _lstm_parts(theta, hidden)
+    steps, hidden = squashed.shape
+    first, recurrent, bias, _, _ = _lstm_arrays(theta, hidden)
     for t in range(steps):
         z = gate[t]
         for k in range(4 * hidden):
@@ -101,29 +103,29 @@ def _lstm_forward(theta: Singles, x: Singles, gate: Singles, cell: Singles, acti
         for h in range(hidden):
             z[3 * hidden + h] = _sigmoid(z[3 * hidden + h])
             cell[t + 1, h] = z[hidden + h] * cell[t, h] + z[h] * z[3 * hidden + h]
-            activated[t, h] = _sigmoid(cell[t + 1, h])
-            state[t + 1, h] = z[2 * hidden + h] * activated[t, h]
+            squashed[t, h] = _sigmoid(cell[t + 1, h])
+            state[t + 1, h] = z[2 * hidden + h] * squashed[t, h]
 
 
 @njit(cache=True, fastmath=True)
-def _hard(value: Single) -> Single:
+def _hard_derivative(value: Single) -> Single:
     """Return the derivative of the hard sigmoid from its value: 0 where it is saturated."""
     return FIFTH if 0.0 < value < 1.0 else np.float32(0.0)
 
 
 @njit(cache=True, fastmath=True)
 def _gate_gradients(
-    z: Singles, before: Singles, activated: Singles, d_state: Singles, d_cell: Singles, d: Singles
+    z: Singles, before: Singles, squashed: Singles, d_state: Singles, d_cell: Singles, d: Singles
 ) -> None:
-    """Write the gradient at the inputs of one step's gates into `d`; propagate `d_cell` one step back."""
-    hidden = len(activated)
+    """Write the gradient with respect to one step's gate inputs into `d`; propagate `d_cell` one step back."""
+    hidden = len(squashed)
     for h in range(hidden):
-        entry, forget, out, candidate = z[h], z[hidden + h], z[2 * hidden + h], z[3 * hidden + h]
-        d_cell[h] += d_state[h] * out * activated[h] * (ONE - activated[h])
-        d[h] = d_cell[h] * candidate * _hard(entry)
-        d[hidden + h] = d_cell[h] * before[h] * _hard(forget)
-        d[2 * hidden + h] = d_state[h] * activated[h] * _hard(out)
-        d[3 * hidden + h] = d_cell[h] * entry * candidate * (ONE - candidate)
+        gate_in, forget, out, candidate = z[h], z[hidden + h], z[2 * hidden + h], z[3 * hidden + h]
+        d_cell[h] += d_state[h] * out * squashed[h] * (ONE - squashed[h])
+        d[h] = d_cell[h] * candidate * _hard_derivative(gate_in)
+        d[hidden + h] = d_cell[h] * before[h] * _hard_derivative(forget)
+        d[2 * hidden + h] = d_state[h] * squashed[h] * _hard_derivative(out)
+        d[3 * hidden + h] = d_cell[h] * gate_in * candidate * (ONE - candidate)
         d_cell[h] *= forget
 
 
@@ -131,9 +133,9 @@ def _gate_gradients(
 def _weight_gradients(
     theta: Singles, value: Single, state: Singles, d: Singles, gradient: Singles, d_state: Singles
 ) -> None:
-    """Add one step's contribution to the weight gradient; write that of the previous state into `d_state`."""
-    recurrent = _lstm_parts(theta, len(state))[1]
-    d_first, d_recurrent, d_bias, _, _ = _lstm_parts(gradient, len(state))
+    """Add one step's contribution to the gradient; write that of the previous hidden state into `d_state`."""
+    recurrent = _lstm_arrays(theta, len(state))[1]
+    d_first, d_recurrent, d_bias, _, _ = _lstm_arrays(gradient, len(state))
     for k in range(len(d)):
         d_first[k] += value * d[k]
         d_bias[k] += d[k]
@@ -146,56 +148,56 @@ def _weight_gradients(
 
 
 @njit(GRADIENT, cache=True, fastmath=True, nogil=True)
-def lstm_gradient(theta: Singles, x: Singles, label: Single, mask: Singles, gradient: Singles) -> float:
-    """Write the gradient of (output - label)^2 for one ping into `gradient`; return the squared error."""
-    steps, hidden = len(x), len(mask)
-    gate, activated = np.empty((steps, 4 * hidden), np.float32), np.empty((steps, hidden), np.float32)
+def lstm_gradient(theta: Singles, x: Singles, label: Single, dropout_mask: Singles, gradient: Singles) -> float:
+    """Write the gradient of (output - label)^2 of one ping into `gradient`, through all steps; return the error."""
+    steps, hidden = len(x), len(dropout_mask)
+    gate, squashed = np.empty((steps, 4 * hidden), np.float32), np.empty((steps, hidden), np.float32)
     cell, state = np.zeros((steps + 1, hidden), np.float32), np.zeros((steps + 1, hidden), np.float32)
-    _lstm_forward(theta, x, gate, cell, activated, state)
-    out, last = _lstm_parts(theta, hidden)[3:]
+    _lstm_forward(theta, x, gate, cell, squashed, state)
+    out, last = _lstm_arrays(theta, hidden)[3:]
     error = last[0] - label
     for h in range(hidden):
-        error += state[steps, h] * mask[h] * out[h]
+        error += state[steps, h] * dropout_mask[h] * out[h]
     gradient[:] = 0.0
-    d_out, d_last = _lstm_parts(gradient, hidden)[3:]
+    d_out, d_last = _lstm_arrays(gradient, hidden)[3:]
     d_last[0] = TWO * error
     d_state, d_cell = np.empty(hidden, np.float32), np.zeros(hidden, np.float32)
     d = np.empty(4 * hidden, np.float32)
     for h in range(hidden):
-        d_out[h] = d_last[0] * state[steps, h] * mask[h]
-        d_state[h] = d_last[0] * mask[h] * out[h]
+        d_out[h] = d_last[0] * state[steps, h] * dropout_mask[h]
+        d_state[h] = d_last[0] * dropout_mask[h] * out[h]
     for t in range(steps - 1, -1, -1):
-        _gate_gradients(gate[t], cell[t], activated[t], d_state, d_cell, d)
+        _gate_gradients(gate[t], cell[t], squashed[t], d_state, d_cell, d)
         _weight_gradients(theta, x[t], state[t], d, gradient, d_state)
     return error * error
 
 
-# Arguments of a rule: the weights, their gradient, two state variables per weight (initially 0), a clock (number of
-# steps, and for Nadam the product of all momenta so far), and its settings in the order of `fit.OPTIMISERS`.
+# Arguments of a rule: parameters, their gradient, two accumulators per parameter (initially 0), counters (number of
+# steps and, for Nadam, product of all momenta so far), and settings in the order of `training.thesis.fit.OPTIMISERS`.
 
 
 @njit(RULE, cache=True, fastmath=True, nogil=True)
-def sgd(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, settings: Floats) -> None:
-    """Gradient descent."""
+def sgd(theta: Singles, gradient: Singles, accumulators: Singles, counters: Floats, settings: Floats) -> None:
+    """Step against the gradient."""
     rate = np.float32(settings[0])
     for k in range(len(theta)):
         theta[k] -= rate * gradient[k]
 
 
 @njit(RULE, cache=True, fastmath=True, nogil=True)
-def adagrad(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, settings: Floats) -> None:
-    """Divide by the square root of the sum of all squared gradients (thesis, eq. 2.11)."""
-    rate, eps, square = np.float32(settings[0]), np.float32(settings[1]), memory[0]
+def adagrad(theta: Singles, gradient: Singles, accumulators: Singles, counters: Floats, settings: Floats) -> None:
+    """Divide by the root of the sum of squared gradients (thesis, eq. 2.11)."""
+    rate, eps, square = np.float32(settings[0]), np.float32(settings[1]), accumulators[0]
     for k in range(len(theta)):
         square[k] += gradient[k] * gradient[k]
         theta[k] -= rate * gradient[k] / (math.sqrt(square[k]) + eps)
 
 
 @njit(RULE, cache=True, fastmath=True, nogil=True)
-def adadelta(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, settings: Floats) -> None:
-    """Multiply by the ratio of the RMS of previous steps to the RMS of gradients (thesis, eq. 2.12)."""
+def adadelta(theta: Singles, gradient: Singles, accumulators: Singles, counters: Floats, settings: Floats) -> None:
+    """Divide by the root mean square of gradients, multiply by that of previous steps (thesis, eq. 2.12)."""
     rate, rho, eps = np.float32(settings[0]), np.float32(settings[1]), np.float32(settings[2])
-    square, moved = memory[0], memory[1]
+    square, moved = accumulators[0], accumulators[1]
     for k in range(len(theta)):
         square[k] = rho * square[k] + (ONE - rho) * gradient[k] * gradient[k]
         step = gradient[k] * math.sqrt(moved[k] + eps) / math.sqrt(square[k] + eps)
@@ -204,54 +206,54 @@ def adadelta(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, 
 
 
 @njit(RULE, cache=True, fastmath=True, nogil=True)
-def rmsprop(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, settings: Floats) -> None:
-    """Divide by the square root of a decaying mean of squared gradients (thesis, eqs. 2.13, 2.14)."""
+def rmsprop(theta: Singles, gradient: Singles, accumulators: Singles, counters: Floats, settings: Floats) -> None:
+    """Divide by the root of a decaying mean of squared gradients (thesis, eqs. 2.13, 2.14)."""
     rate, rho, eps = np.float32(settings[0]), np.float32(settings[1]), np.float32(settings[2])
-    square = memory[0]
+    square = accumulators[0]
     for k in range(len(theta)):
         square[k] = rho * square[k] + (ONE - rho) * gradient[k] * gradient[k]
         theta[k] -= rate * gradient[k] / (math.sqrt(square[k]) + eps)
 
 
 @njit(cache=True, fastmath=True)
-def _moments(gradient: Singles, memory: Singles, b1: Single, b2: Single) -> None:
-    """Update the decaying means of gradients and of squared gradients (thesis, eqs. 2.15, 2.16)."""
-    mean, square = memory[0], memory[1]
+def _moments(gradient: Singles, accumulators: Singles, b1: Single, b2: Single) -> None:
+    """Update the decaying means of gradients and of their squares (thesis, eqs. 2.15, 2.16)."""
+    mean, square = accumulators[0], accumulators[1]
     for k in range(len(gradient)):
         mean[k] = b1 * mean[k] + (ONE - b1) * gradient[k]
         square[k] = b2 * square[k] + (ONE - b2) * gradient[k] * gradient[k]
 
 
 @njit(RULE, cache=True, fastmath=True, nogil=True)
-def adam(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, settings: Floats) -> None:
-    """Divide the mean gradient by the RMS of gradients, both bias-corrected (thesis, eqs. 2.15 to 2.19)."""
+def adam(theta: Singles, gradient: Singles, accumulators: Singles, counters: Floats, settings: Floats) -> None:
+    """Divide the mean gradient by the root of the mean square, both bias-corrected (thesis, eqs. 2.15 to 2.19)."""
     rate, b1, b2, eps = settings
-    _moments(gradient, memory, np.float32(b1), np.float32(b2))
-    mean_rate = np.float32(rate / (1.0 - b1 ** clock[0]))
-    unbias, epsilon = np.float32(1.0 / math.sqrt(1.0 - b2 ** clock[0])), np.float32(eps)
-    mean, square = memory[0], memory[1]
+    _moments(gradient, accumulators, np.float32(b1), np.float32(b2))
+    mean_rate = np.float32(rate / (1.0 - b1 ** counters[0]))
+    correction, floor = np.float32(1.0 / math.sqrt(1.0 - b2 ** counters[0])), np.float32(eps)
+    mean, square = accumulators[0], accumulators[1]
     for k in range(len(theta)):
-        theta[k] -= mean_rate * mean[k] / (math.sqrt(square[k]) * unbias + epsilon)
+        theta[k] -= mean_rate * mean[k] / (math.sqrt(square[k]) * correction + floor)
 
 
 @njit(RULE, cache=True, fastmath=True, nogil=True)
-def nadam(theta: Singles, gradient: Singles, memory: Singles, clock: Floats, settings: Floats) -> None:
+def nadam(theta: Singles, gradient: Singles, accumulators: Singles, counters: Floats, settings: Floats) -> None:
     """Adam with the momentum of the next step (Dozat 2016; thesis, eqs. 2.20 to 2.27)."""
     rate, b1, b2, eps, decay = settings
-    _moments(gradient, memory, np.float32(b1), np.float32(b2))
-    momentum = b1 * (1.0 - 0.5 * 0.96 ** (clock[0] * decay))
-    next_momentum = b1 * (1.0 - 0.5 * 0.96 ** ((clock[0] + 1.0) * decay))
-    clock[1] *= momentum
-    gradient_rate = np.float32(rate * (1.0 - momentum) / (1.0 - clock[1]))
-    mean_rate = np.float32(rate * next_momentum / (1.0 - clock[1] * next_momentum))
-    unbias, epsilon = np.float32(1.0 / math.sqrt(1.0 - b2 ** clock[0])), np.float32(eps)
-    mean, square = memory[0], memory[1]
+    _moments(gradient, accumulators, np.float32(b1), np.float32(b2))
+    momentum = b1 * (1.0 - 0.5 * 0.96 ** (counters[0] * decay))
+    next_momentum = b1 * (1.0 - 0.5 * 0.96 ** ((counters[0] + 1.0) * decay))
+    counters[1] *= momentum
+    gradient_rate = np.float32(rate * (1.0 - momentum) / (1.0 - counters[1]))
+    mean_rate = np.float32(rate * next_momentum / (1.0 - counters[1] * next_momentum))
+    correction, floor = np.float32(1.0 / math.sqrt(1.0 - b2 ** counters[0])), np.float32(eps)
+    mean, square = accumulators[0], accumulators[1]
     for k in range(len(theta)):
-        theta[k] -= (gradient_rate * gradient[k] + mean_rate * mean[k]) / (math.sqrt(square[k]) * unbias + epsilon)
+        theta[k] -= (gradient_rate * gradient[k] + mean_rate * mean[k]) / (math.sqrt(square[k]) * correction + floor)
 
 
-GRADIENTS: dict[str, Compiled] = {"mlp": mlp_gradient, "lstm": lstm_gradient}
-RULES: dict[str, Compiled] = {
+GRADIENTS: dict[Kind, Compiled] = {"mlp": mlp_gradient, "lstm": lstm_gradient}
+RULES: dict[OptimiserName, Compiled] = {
     "sgd": sgd,
     "adagrad": adagrad,
     "adadelta": adadelta,
@@ -278,33 +280,33 @@ RULES: dict[str, Compiled] = {
     cache=True,
     nogil=True,
 )
-def online_pass(
+def learn(
     gradient_of: Compiled,
     rule: Compiled,
     theta: Singles,
-    memory: Singles,
-    clock: Floats,
+    accumulators: Singles,
+    counters: Floats,
     settings: Floats,
     feature: Singles,
     label: Singles,
     order: NDArray[np.int64],
-    mask: Singles,
+    dropout_mask: Singles,
     penalty: Singles,
 ) -> float:
-    """Update the weights after each ping; return the mean squared error before the updates.
+    """Make one step after each ping; return the mean squared error before each step.
 
     Args:
-        gradient_of: member of `GRADIENTS`.
-        rule: member of `RULES`.
-        theta: weights, changed in place, (size,).
-        memory: state of the rule, changed in place, (2, size).
-        clock: number of steps and product of momenta, changed in place; initially 0 and 1.
-        settings: settings of the rule.
+        gradient_of: one of `GRADIENTS`.
+        rule: one of `RULES`.
+        theta: parameters, changed in place, (size,).
+        accumulators: of the rule, changed in place, (2, size).
+        counters: number of steps and product of momenta, changed in place; initially 0 and 1.
+        settings: of the rule.
         feature: inputs, (n, 4).
         label: rescaled distances, (n,).
-        order: order of the pings.
-        mask: dropout factor of each hidden unit at each step, (len(order), hidden).
-        penalty: weights of |w| and of w^2 in the objective, for each parameter, (2, size).
+        order: rows of the pings in the order of training.
+        dropout_mask: factor of each hidden unit at each step, (len(order), hidden).
+        penalty: coefficients of |w| and of w^2 in the objective for each parameter, (2, size).
     """
     gradient = np.zeros(len(theta), np.float32)
     lasso, decay = penalty
@@ -312,10 +314,10 @@ def online_pass(
     total = 0.0
     for step in range(len(order)):
         row = order[step]
-        total += gradient_of(theta, feature[row], label[row], mask[step], gradient)
+        total += gradient_of(theta, feature[row], label[row], dropout_mask[step], gradient)
         if penalised:
             for k in range(len(theta)):
                 gradient[k] += lasso[k] * np.sign(theta[k]) + TWO * decay[k] * theta[k]
-        clock[0] += 1.0
-        rule(theta, gradient, memory, clock, settings)
+        counters[0] += 1.0
+        rule(theta, gradient, accumulators, counters, settings)
     return total / len(order)

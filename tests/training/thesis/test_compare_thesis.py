@@ -1,4 +1,4 @@
-"""Distances without echo on data with known answers, recovery of a known unit, and the command compare-thesis."""
+"""Silent distances on known answers, tuning to a known unit, and command `compare-thesis`."""
 
 from dataclasses import replace
 
@@ -11,105 +11,101 @@ from acquisition.bench.laboratory.unit import RANGES
 from acquisition.survey.plan import PLANS
 from noise.learned.thesis import ThesisNetwork
 from training.thesis import rig
-from training.thesis.compare_thesis import Args, condition_readings, main
+from training.thesis.compare_thesis import Args, main, printed_condition
 from training.thesis.data import Samples
-from training.thesis.rig import (
-    ANGLES_DEG,
-    COARSE,
-    NetworkErrors,
-    SilentDistances,
-    mean_offset,
-    ping_kinds,
-    published,
-    survey,
-    tuned,
-)
+from training.thesis.rig import COARSE, published, record_survey, tune
+from training.thesis.surfaces import ANGLES_DEG, PredictionErrors, SilentDistances, kinds, mean_offsets
 
-LIMIT_M = np.stack([6.0 - 0.05 * ANGLES_DEG, 4.0 - 0.05 * ANGLES_DEG])  # mirror, rubber
+# maximum range, m, by reflector (mirror, rubber) and angle
+MAX_RANGE_M = np.stack([6.0 - 0.05 * ANGLES_DEG, 4.0 - 0.05 * ANGLES_DEG])
 
 
 def samples_of(reading_of):
-    """Return the thesis's survey, 4 pings per condition; readings are a function of distance, limit and ping number."""
+    """Return samples of the thesis's survey, 4 pings per condition.
+
+    Args:
+        reading_of: readings, m, from distances, maximum ranges and number of the ping in its condition, (n,) each.
+    """
     grid = np.meshgrid(np.arange(0.05, 6.001, 0.05), ANGLES_DEG, [0.9, 0.1], indexing="ij")
     distance, angle, reflectance = (np.repeat(one.ravel(), 4) for one in grid)
     row, column = (reflectance < 0.5).astype(int), np.abs(angle[:, None] - ANGLES_DEG).argmin(axis=1)
-    readings = reading_of(distance, LIMIT_M[row, column], np.arange(len(distance)) % 4)
+    reading = reading_of(distance, MAX_RANGE_M[row, column], np.arange(len(distance)) % 4)
     ping = Ping.of(distance, np.deg2rad(angle), 0.0, reflectance)
-    return Samples.of(Recording.of(ping, Reading.of(readings)))
+    return Samples.of(Recording.of(ping, Reading.of(reading)))
 
 
-def silent_from(silent):
-    """Return the distance from which there is no echo, m: the mean of the distances from there to 6 m is known."""
-    return 2.0 * silent.never_right - 6.0
+def max_range(silence):
+    """Return the distance from which a sonar detects nothing, from the mean of the silent distances up to 6 m."""
+    return np.clip(2.0 * np.nan_to_num(silence.never, nan=6.0) - 6.0, 0.0, 6.0)
 
 
-def test_pings_give_the_distance_from_which_there_is_no_echo():
-    silent = SilentDistances.of_samples(samples_of(lambda d, limit, k: np.where(d > limit + 1e-9, 0.0, d)))
-    shows = LIMIT_M < 6.0
-    assert silent_from(silent)[shows] == pytest.approx(LIMIT_M[shows], abs=0.051)
-    assert np.isnan(silent.never_right[0, 0])
-    assert np.isnan(silent.half_right).all()
+def test_silent_distances_of_pings_give_the_maximum_range():
+    silence = SilentDistances.of_samples(samples_of(lambda d, limit, k: np.where(d > limit + 1e-9, 0.0, d)))
+    limited = MAX_RANGE_M < 6.0
+    assert max_range(silence)[limited] == pytest.approx(MAX_RANGE_M[limited], abs=0.051)
+    assert np.isnan(silence.never[0, 0])
+    assert max_range(silence)[0, 0] == 6.0
+    assert np.isnan(silence.half).all()
 
 
-def test_half_right_conditions_are_those_with_an_echo_in_every_other_ping():
+def test_the_edge_of_detection_is_where_every_other_ping_has_an_echo():
     def fading(d, limit, k):
         return np.where(d > limit + 0.15 + 1e-9, 0.0, np.where((d > limit - 0.151) & (k % 2 == 0), 0.0, d))
 
-    silent = SilentDistances.of_samples(samples_of(fading))
-    assert silent.half_right == pytest.approx(np.minimum(LIMIT_M, 6.0 - 0.075), abs=0.03)
+    silence = SilentDistances.of_samples(samples_of(fading))
+    assert silence.half == pytest.approx(np.minimum(MAX_RANGE_M, 6.0 - 0.075), abs=0.03)
 
 
-def test_a_network_is_evaluated_at_the_thesis_s_angles_with_reading_zero():
-    """The label of this network depends on all four inputs, so a wrong input or scale changes the result."""
-    silent = SilentDistances.of_network(lambda x: 0.9 * x[:, 0] + x[:, 2] - 0.1 * x[:, 3] - 0.01 * x[:, 1])
+def test_a_network_is_evaluated_at_the_thesis_s_angles_with_a_reading_of_zero():
+    """The network is a linear function of its inputs, so a reading other than 0 or a wrong scale changes the result."""
+    silence = SilentDistances.of_network(lambda x: 0.9 * x[:, 0] + x[:, 2] - 0.1 * x[:, 3] - 0.01 * x[:, 1])
     expected = 5.97 * (0.9 * ANGLES_DEG / 45.0 - 0.01 * np.array([[0.9], [0.1]])) + 0.03
-    np.testing.assert_allclose(silent.never_right, expected, atol=1e-6)
-    np.testing.assert_allclose(silent.half_right, expected - 5.97 * 0.05, atol=1e-6)
+    np.testing.assert_allclose(silence.never, expected, atol=1e-6)
+    np.testing.assert_allclose(silence.half, expected - 5.97 * 0.05, atol=1e-6)
 
 
-def test_rms_difference_and_mean():
+def test_difference_and_mean_of_silent_distances():
     low, high = (SilentDistances(np.full((2, 11), x), np.full((2, 11), x)) for x in (4.0, 5.0))
     assert low.rms_difference(high) == pytest.approx(1.0)
     assert SilentDistances.mean([low, high]).rms_difference(low) == pytest.approx(0.5)
-    always = SilentDistances(np.full((2, 11), np.nan), high.half_right)
-    assert always.rms_difference(high) == pytest.approx(1.0)  # counts as 6 m
+    nowhere = SilentDistances(np.full((2, 11), np.nan), high.half)
+    assert nowhere.rms_difference(high) == pytest.approx(1.0)  # nan counts as 6 m
 
 
-def test_errors_and_offsets_of_a_network_with_an_error_of_a_tenth_of_a_metre():
+def test_errors_and_offsets_of_a_network_that_adds_a_tenth_of_a_metre():
     samples = samples_of(lambda d, limit, k: np.where(k == 0, 0.0, np.where(k == 1, 1.5 * d, d)))
-    share = {name: which.mean() for name, which in ping_kinds(samples).items()}
-    assert share == pytest.approx({"silent": 0.25, "right": 0.5, "wrong": 0.25})
+    share = {name: which.mean() for name, which in kinds(samples).items()}
+    assert share == pytest.approx({"silent": 0.25, "correct": 0.5, "wrong": 0.25})
 
     def network(x):
         return (6.0 * x[:, 2] + 0.07) / 5.97
 
-    errors = NetworkErrors.of(network, samples)
-    missing = np.sqrt(np.mean((0.1 - samples.distance) ** 2))
-    assert errors.by_kind["silent"] == pytest.approx(missing, rel=1e-3)
-    assert errors.by_kind["right"] == pytest.approx(0.1, abs=1e-6)
+    errors = PredictionErrors.of(network, samples)
+    silent = np.sqrt(np.mean((0.1 - samples.distance) ** 2))
+    assert errors.by_kind["silent"] == pytest.approx(silent, rel=1e-3)
+    assert errors.by_kind["correct"] == pytest.approx(0.1, abs=1e-6)
     wrong = np.sqrt(np.mean((0.5 * samples.distance + 0.1) ** 2))
     assert errors.by_kind["wrong"] == pytest.approx(wrong, rel=1e-3)
-    assert errors.loss == pytest.approx((0.5 * 0.1**2 + 0.25 * (wrong**2 + missing**2)) / 5.97**2, rel=1e-3)
-    np.testing.assert_allclose(
-        mean_offset(network, samples, np.array([0.0, 2.0, 7.0, 8.0])), [0.1, 0.1, np.nan], atol=1e-6
-    )
+    assert errors.loss == pytest.approx((0.5 * 0.1**2 + 0.25 * (wrong**2 + silent**2)) / 5.97**2, rel=1e-3)
+    offsets = mean_offsets(network, samples, np.array([0.0, 2.0, 7.0, 8.0]))
+    np.testing.assert_allclose(offsets, [0.1, 0.1, np.nan], atol=1e-6)
 
 
-def test_tuning_recovers_a_known_unit():
+def test_tuning_finds_a_known_unit():
     plan = replace(COARSE, angles_deg=(0.0, 30.0), distances_mm=tuple(float(d) for d in range(400, 6001, 400)), pings=2)
-    setup, true_unit = Setup(gain=20), replace(Unit.nominal(), sensitivity_db=9.0)
-    target = SilentDistances.of_samples(Samples.of(survey(Rig(true_unit, setup), plan, seed=1)))
-    nominal = SilentDistances.of_samples(Samples.of(survey(Rig(Unit.nominal(), setup), plan, seed=2)))
-    trials = []
-    found = tuned(setup, target, 15, 2, lambda done, total: trials.append(done), plan)
+    setup, known = Setup(gain=20), replace(Unit.nominal(), sensitivity_db=9.0)
+    target = SilentDistances.of_samples(Samples.of(record_survey(Rig(known, setup), plan, seed=1)))
+    nominal = SilentDistances.of_samples(Samples.of(record_survey(Rig(Unit.nominal(), setup), plan, seed=2)))
+    reports = []
+    found = tune(setup, target, 15, 2, lambda done, total: reports.append(done), plan)
     assert found.misfit < 0.4 * nominal.rms_difference(target)
     assert found.unit.sensitivity_db == pytest.approx(9.0, abs=3.0)
     assert all(low <= getattr(found.unit, name) <= high for name, (low, high) in RANGES.items())
-    assert trials[-1] == found.trials <= 15
+    assert reports[-1] == found.trials <= 15
 
 
 def random_network(kind, rng):
-    """Return a network of the thesis's kind with random weights."""
+    """Return a network of the thesis's shape with random weights."""
     if kind == "mlp":
         shapes = {"dense_1_W": (4, 3), "dense_1_b": (3,), "dense_2_W": (3, 1), "dense_2_b": (1,)}
     else:
@@ -129,9 +125,8 @@ def test_the_command_writes_tables_and_a_figure(tmp_path, monkeypatch, capsys):
     assert text.strip() in capsys.readouterr().out
     assert "nan" not in text
     assert "compare-thesis --networks networks --out out --trials 0 --pings 4 --seeds 1 --epochs 1" in text
-    assert (
-        text.count("| gain 31, nominal") == 9
-    )  # two tables of distances with two rows each, differences, errors, two rows of offsets, printed condition
+    # two silent distances, each also by networks; difference, errors, two rows of offsets, the printed condition
+    assert text.count("| gain 31, nominal") == 9
     assert (tmp_path / "out" / "rig-versus-thesis.png").read_bytes()[1:4] == b"PNG"
 
 
@@ -142,31 +137,29 @@ def test_missing_networks_and_invalid_settings_are_errors(tmp_path):
         main(Args(tmp_path, tmp_path, seeds=0))
 
 
-def test_published_networks_agree_on_the_distances_without_echo(thesis_files):
-    """All four have echoes of the mirror almost to 6 m straight ahead and over shorter distances at larger angles."""
-    answers = [SilentDistances.of_network(network.output) for network in published(thesis_files).values()]
-    assert len(answers) == 4
-    mean = SilentDistances.mean(answers)
-    assert (np.diff(mean.never_right[:, 2:], axis=1) < 0.0).all()
-    assert (silent_from(mean)[0, :3] > 5.0).all()
-    assert max(one.rms_difference(mean) for one in answers) < 0.5
+def test_the_author_s_networks_agree_on_the_silent_distances(thesis_files):
+    """All four published networks: the mirror is detected to about 6 m on the axis, and less far at larger angles."""
+    predictions = [SilentDistances.of_network(network.output) for network in published(thesis_files).values()]
+    assert len(predictions) == 4
+    mean = SilentDistances.mean(predictions)
+    assert (np.diff(mean.never[:, 2:], axis=1) < 0.0).all()
+    assert (max_range(mean)[0, :3] > 5.0).all()
+    assert max(one.rms_difference(mean) for one in predictions) < 0.5
 
 
 @pytest.mark.slow
-def test_published_networks_fit_full_gain_and_reflectors_that_face_the_sensor(thesis_files):
-    """The mean distances without echo differ by more than 0.9 m at the stated gain and less than 0.6 m at full gain.
+def test_the_silent_distances_agree_with_full_gain_and_reflectors_facing_the_sensor(thesis_files):
+    """At the stated gain the silent distances differ by a metre; at full gain they agree to 0.6 m.
 
-    With reflectors parallel to the face of the sensor they differ more, even for the most sensitive unit.
+    With reflectors parallel to the sensor's face they do not agree at any sensitivity.
     """
-    target = SilentDistances.mean(
-        [SilentDistances.of_network(network.output) for network in published(thesis_files).values()]
-    )
+    networks = published(thesis_files).values()
+    target = SilentDistances.mean([SilentDistances.of_network(network.output) for network in networks])
 
     def difference(gain, facing=True, sensitivity_db=3.0):
         rig = Rig(replace(Unit.nominal(), sensitivity_db=sensitivity_db), Setup(gain=gain))
-        return SilentDistances.of_samples(Samples.of(survey(rig, replace(COARSE, facing=facing), 1))).rms_difference(
-            target
-        )
+        samples = Samples.of(record_survey(rig, replace(COARSE, facing=facing), 1))
+        return SilentDistances.of_samples(samples).rms_difference(target)
 
     assert difference(14) > 0.9
     assert difference(31) < 0.6
@@ -174,8 +167,8 @@ def test_published_networks_fit_full_gain_and_reflectors_that_face_the_sensor(th
     assert difference(31, facing=False, sensitivity_db=12.0) > 0.8
 
 
-def test_printed_condition():
+def test_credence_and_readings_of_the_printed_condition():
     samples = samples_of(lambda d, limit, k: np.where(k == 0, 0.0, d + 0.06))
-    credence, readings = condition_readings(samples)
+    credence, limits = printed_condition(samples)
     assert credence == pytest.approx(0.75)
-    assert readings == pytest.approx([3960.0, 3960.0], abs=0.1)
+    assert limits == pytest.approx([3960.0, 3960.0], abs=0.1)

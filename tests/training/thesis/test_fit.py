@@ -1,4 +1,4 @@
-"""Training on data with a known minimum loss."""
+"""Training of the thesis's networks on data with a known noise level."""
 
 from dataclasses import replace
 
@@ -44,15 +44,16 @@ def test_the_loss_converges_to_the_noise_variance(recipe, kind):
 def test_the_best_weights_are_returned(recipe):
     fitted = trained(recipe)
     assert mean_squared_error(FlatNetwork("mlp", 8), fitted.theta, VALIDATION) == fitted.validation.min()
+    assert fitted.validation[fitted.best_epoch - 1] == fitted.validation.min()
 
 
-def test_early_stopping():
+def test_training_stops_when_the_loss_does_not_decrease():
     fitted = trained(replace(ONLINE, epochs=400, patience=3, learning_rate=0.05))
-    assert len(fitted.validation) == np.argmin(fitted.validation) + 4 < 400
+    assert len(fitted.validation) == fitted.best_epoch + 3 < 400
 
 
 @pytest.mark.parametrize("recipe", [ONLINE, BATCHED], ids=["online", "batched"])
-def test_the_seed_determines_the_result(recipe):
+def test_equal_seeds_give_equal_results(recipe):
     recipe = replace(recipe, epochs=3, dropout=0.1)
     one, same, other = trained(recipe), trained(recipe), trained(recipe, seed=4)
     np.testing.assert_array_equal(one.theta, same.theta)
@@ -60,7 +61,7 @@ def test_the_seed_determines_the_result(recipe):
     assert not np.array_equal(one.theta, other.theta)
 
 
-def test_online_training_equals_batches_of_one():
+def test_compiled_online_training_agrees_with_batches_of_one():
     """Without dropout, compiled training and torch differ only by rounding."""
     network, first = FlatNetwork("mlp", 6), np.random.default_rng(0).permutation(300)
     part = TRAIN[first]
@@ -76,7 +77,7 @@ def test_online_training_equals_batches_of_one():
 
 
 class Ordered:
-    """A generator whose order of pings does not depend on other draws."""
+    """Random generator with a separate stream for the order of pings."""
 
     def __init__(self, seed):
         self._rng, self._order = np.random.default_rng(seed), np.random.default_rng(seed + 1)
@@ -89,15 +90,15 @@ class Ordered:
 
 
 @pytest.mark.parametrize("recipe", [ONLINE, BATCHED], ids=["online", "batched"])
-def test_penalties_shrink_weights_and_leave_biases_alone(recipe):
+def test_penalties_shrink_weights(recipe):
     network, recipe = FlatNetwork("mlp", 8), replace(recipe, epochs=min(recipe.epochs, 15))
     free = trained(recipe).theta
     for penalty in ({"l1": 3e-3}, {"l2": 3e-3}, {"l1": 2e-3, "l2": 2e-3}):
-        penalised = trained(replace(recipe, **penalty)).theta
+        shrunk = trained(replace(recipe, **penalty)).theta
         weights = network.penalised
-        assert np.abs(penalised[weights]).sum() < 0.5 * np.abs(free[weights]).sum()
+        assert np.abs(shrunk[weights]).sum() < 0.5 * np.abs(free[weights]).sum()
     lasso = trained(replace(recipe, l1=3e-3)).theta
-    assert np.mean(np.abs(lasso[network.penalised]) < 0.02) > 0.5  # the lasso selects
+    assert np.mean(np.abs(lasso[network.penalised]) < 0.02) > 0.5  # the lasso sets weights to about 0
 
 
 def test_dropout_increases_the_training_loss():
@@ -105,19 +106,19 @@ def test_dropout_increases_the_training_loss():
     assert fitted.train[-1] > 1.2 * fitted.validation[-1]
 
 
-def test_invalid_settings_missing_devices_and_divergence_are_errors():
+def test_settings_out_of_range_and_missing_devices_are_errors():
     with pytest.raises(SettingError, match=r"dropout 1 must lie between 0 and 0\.95"):
         Recipe(dropout=1.0)
     with pytest.raises(SettingError, match="optimiser 'lbfgs' is not one of sgd, adagrad, adadelta"):
         Recipe("lbfgs")  # type: ignore[arg-type]
-    with pytest.raises(SettingError, match="device 'nonsense' is not available"):
-        device_of("nonsense")
-    with pytest.raises(SettingError, match="training diverged in pass 1"):
+    with pytest.raises(SettingError, match="device 'abacus' cannot be used here"):
+        device_of("abacus")
+    with pytest.raises(SettingError, match="training diverged in epoch 1"):
         trained(replace(BATCHED, learning_rate=100.0, optimiser="sgd"), FlatNetwork("lstm", 8))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here")
-def test_training_on_a_gpu():
+def test_training_on_a_gpu_converges():
     for batch in (1, 64):
         fitted = trained(replace(BATCHED, epochs=20 if batch > 1 else 1, batch=batch, device="cuda"))
         assert fitted.validation.min() < 3.0 * 0.05**2

@@ -1,4 +1,6 @@
-"""Output of the networks with the published weights, and distributions of the initial weights."""
+"""The thesis's networks with the published weights, and distributions of initial weights."""
+
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -6,6 +8,14 @@ import pandas as pd
 import pytest
 
 from training.thesis.networks import FlatNetwork
+
+
+@pytest.fixture(scope="module")
+def thesis(real_recordings) -> Path:
+    folder = real_recordings.parent / "thesis"
+    if not folder.is_dir():
+        pytest.skip(f"no published networks at {folder}")
+    return folder
 
 
 def published(path, kind):
@@ -18,20 +28,26 @@ def published(path, kind):
     if kind == "mlp":
         order = [weights[name] for name in ("dense_1_W", "dense_1_b", "dense_2_W", "dense_2_b")]
     else:
-        step, between, bias = ([weights[f"lstm_1_{array}_{gate}"] for gate in "ifoc"] for array in ("W", "U", "b"))
-        order = [np.array(step), np.stack(between, axis=1), np.array(bias), weights["dense_1_W"], weights["dense_1_b"]]
+        step, recurrent, bias = ([weights[f"lstm_1_{array}_{gate}"] for gate in "ifoc"] for array in ("W", "U", "b"))
+        order = [
+            np.array(step),
+            np.stack(recurrent, axis=1),
+            np.array(bias),
+            weights["dense_1_W"],
+            weights["dense_1_b"],
+        ]
     return np.concatenate([array.ravel() for array in order]).astype(np.float32)
 
 
 @pytest.mark.parametrize("kind", ["mlp", "lstm"])
-def test_published_weights_give_the_published_predictions(thesis_files, kind):
-    reference = pd.read_csv(thesis_files / "reference-predictions.csv")
+def test_published_weights_give_the_published_predictions(thesis, kind):
+    reference = pd.read_csv(thesis / "reference-predictions.csv")
     feature = reference[["angle", "reflectance", "reading", "credence"]].to_numpy(np.float32)
-    theta = published(thesis_files / f"{kind}_nadam_25_15_1_weights.hdf5", kind)
+    theta = published(thesis / f"{kind}_nadam_25_15_1_weights.hdf5", kind)
     np.testing.assert_allclose(FlatNetwork(kind, 25).predict(theta, feature), reference[kind], atol=1e-5)
 
 
-def test_initial_weights_follow_their_distributions():
+def test_initial_weights_have_their_distributions():
     rng = np.random.default_rng(0)
     lstm = FlatNetwork("lstm", 25)
     theta = lstm.initial(rng)
@@ -50,7 +66,7 @@ def test_initial_weights_follow_their_distributions():
 
 
 @pytest.mark.parametrize("network", [FlatNetwork("mlp", 20), FlatNetwork("lstm", 3), FlatNetwork("lstm", 1)], ids=str)
-def test_size_of_the_vector_and_penalised_weights(network):
+def test_biases_are_not_penalised_and_shapes_are_consistent(network):
     theta = network.initial(np.random.default_rng(1))
     assert theta.shape == network.penalised.shape == (network.size,)
     biases = sum(np.prod(s) for name, s in network.shapes.items() if name.endswith("bias"))
