@@ -82,6 +82,6 @@ def render(result: DemoResult, path: Path) -> Path:
         envelope=result.envelope,
         drives=result.drives,
         film=film,
-        street_seed=result.seed,
+        street=result.seed,
     )
     return write_text(path, text)
