@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from acquisition import ModelError, Ping, Reading, SettingError
+from acquisition import Ping, Reading, SettingError
 from noise.law import EchoLaw, Floats
-from noise.model import MAX_RANGE, numbers_of, plain_numbers
+from noise.model import MAX_RANGE, from_numbers, plain_numbers
 
 MIN_SIGMA = 1e-3  # m; keeps the likelihood of a hit bounded
 TINY = 1e-300
@@ -109,10 +109,7 @@ class BeamModel:
         Raises:
             ModelError: a parameter is missing or not a number.
         """
-        try:
-            return cls(**numbers_of("beam", cls(), data))
-        except SettingError as error:
-            raise ModelError(f"beam model: cannot be built from its parameters ({error}); it may be damaged") from None
+        return from_numbers("beam", cls, data)
 
 
 def fit_beam(

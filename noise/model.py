@@ -148,7 +148,7 @@ class IdealModel:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> IdealModel:
         """Build a model from the output of `to_dict`."""
-        return cls(**numbers_of("ideal", cls(), data))
+        return from_numbers("ideal", cls, data)
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class GaussianModel:
         Raises:
             ModelError: a parameter is missing or not a number.
         """
-        return cls(**numbers_of("gaussian", cls(), data))
+        return from_numbers("gaussian", cls, data)
 
 
 def plain_numbers(kind: str, model: Any) -> dict[str, Any]:
@@ -202,14 +202,14 @@ def plain_numbers(kind: str, model: Any) -> dict[str, Any]:
     return {"kind": kind, **{name: value for name, value in asdict(model).items() if name != "remembers"}}
 
 
-def numbers_of(kind: str, default: Any, data: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers of a model from the output of `plain_numbers`.
+def from_numbers(kind: str, cls: Any, data: dict[str, Any]) -> Any:
+    """Build a model from the output of `plain_numbers`.
 
     Raises:
-        ModelError: a value is missing or not a number.
+        ModelError: a value is missing, not a number, or outside its limits.
     """
     try:
-        return {name: float(data[name]) for name in asdict(default) if name != "remembers"}
+        return cls(**{name: float(data[name]) for name in asdict(cls()) if name != "remembers"})
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{kind} model: cannot be built from its parameters ({error}); it may be damaged") from None
 

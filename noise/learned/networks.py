@@ -42,12 +42,7 @@ class MlpModel:
     remembers = False
 
     def __init__(
-        self,
-        inputs: Inputs,
-        head: Head,
-        layers: Layers,
-        about: dict[str, Any] | None = None,
-        card: str = "",
+        self, inputs: Inputs, head: Head, layers: Layers, about: dict[str, Any] | None = None, card: str = ""
     ) -> None:
         self.inputs, self.head, self.about, self.card = inputs, head, about or {}, card
         self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]

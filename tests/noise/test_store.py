@@ -52,6 +52,7 @@ def test_the_error_for_an_unknown_name_lists_the_known_names():
         (json.dumps({"format": 1, "kind": "physical", "effects": {"magic": {}}}), "'magic' is not in the catalogue"),
         (json.dumps({"format": 1, "kind": "physical", "effects": []}), "must map effect ids to parameters"),
         (json.dumps({"format": 1, "kind": "physical"}), "cannot be built from its parameters"),
+        (json.dumps({"format": 1, **GaussianModel().to_dict(), "miss": 2.0}), "gaussian model: cannot be built"),
         (json.dumps({"format": 1, "kind": "physical", "effects": {"spike": {"loud": 1}}}), "no parameter 'loud'"),
     ],
 )
