@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition import ModelError, UnknownModelError
 from acquisition.arrays import Ints, Singles
 from acquisition.io.files import whole_folder
 from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
-from sonar_gym.control.memory import MemorySettings, ObservationMemory
+from sonar_gym.control.memory import MemorySettings, Observation, ObservationMemory
 
 Layer = tuple[Singles, Singles]
-Observation = Mapping[str, NDArray[Any]]
 FORMAT = 1
 KIND = "parking-agent"
 WEIGHTS = Path(__file__).parent / "weights"

@@ -10,25 +10,25 @@ import numpy as np
 
 from acquisition import Ping, Reading, Recording, SettingError
 from acquisition.arrays import Floats
-from noise.discrepancy.emulate import Baseline, Simulator, baseline_of
-from noise.discrepancy.explanation import Z90, Explained, conclude, intervals
-from noise.discrepancy.gained import gained, with_gained
-from noise.discrepancy.judge import SURE_SCAN, at_the_edge, beyond_any_law, judge, may_be_the_laws, of_the_day
-from noise.discrepancy.locate import ALARM, Finding, findings
-from noise.discrepancy.matched import Matched, compare
-from noise.discrepancy.next_measurement import Measurement, next_measurement
-from noise.discrepancy.pairs import with_pairs
-from noise.discrepancy.residuals import Residuals, residuals
-from noise.discrepancy.rest import check_rest, located, with_more
-from noise.discrepancy.rivals import Rival, in_disguise, posterior, rivals
-from noise.discrepancy.rules import spread_over_blocks
-from noise.discrepancy.scan import Blocks, scan
-from noise.discrepancy.scatter import SCATTER, changed_scatter
-from noise.discrepancy.search import Progress, Search
-from noise.discrepancy.splits import Split
-from noise.discrepancy.steps import coarser_steps, cut_instead, steps_left
-from noise.discrepancy.verdict import HeldOut, Named, Rest, Score, Verdict
-from noise.discrepancy.workers import ALONE, Workers
+from noise.discrepancy.baseline.emulate import Baseline, Simulator, baseline_of
+from noise.discrepancy.common.rules import spread_over_blocks
+from noise.discrepancy.common.splits import Split
+from noise.discrepancy.common.workers import ALONE, Workers
+from noise.discrepancy.judge.judge import SURE_SCAN, at_the_edge, beyond_any_law, judge, may_be_the_laws, of_the_day
+from noise.discrepancy.judge.next_measurement import Measurement, next_measurement
+from noise.discrepancy.judge.rest import check_rest, located, with_more
+from noise.discrepancy.judge.scatter import SCATTER, changed_scatter
+from noise.discrepancy.judge.steps import coarser_steps, cut_instead, steps_left
+from noise.discrepancy.judge.verdict import HeldOut, Named, Rest, Score, Verdict
+from noise.discrepancy.locate.gained import gained, with_gained
+from noise.discrepancy.locate.locate import ALARM, Finding, findings
+from noise.discrepancy.locate.matched import Matched, compare
+from noise.discrepancy.locate.residuals import Residuals, residuals
+from noise.discrepancy.locate.scan import Blocks, scan
+from noise.discrepancy.name.explanation import Z90, Explained, conclude, intervals
+from noise.discrepancy.name.pairs import with_pairs
+from noise.discrepancy.name.rivals import Rival, in_disguise, posterior, rivals
+from noise.discrepancy.name.search import Progress, Search
 from noise.effects import CATALOGUE
 from noise.effects.medium import CELSIUS
 from noise.fitting.batch import Batch

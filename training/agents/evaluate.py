@@ -22,14 +22,13 @@ from acquisition.io.files import write_text
 from noise.credence import wilson
 from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
 from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
-from sonar_gym.parking.fleet import MAX_STEPS
+from sonar_gym.parking.fleet import MAX_STEPS, Observation
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from training.agents.sonars import mismatched
 from training.common.progress import bars
 from training.common.statistics import PairedComparison
 
-Observation = dict[str, Singles]
 OnProgress = Callable[[str, int, int], None]  # name of the task, steps done, steps in total
 STREETS_AT_ONCE = 250
 SCRIPTED = "scripted"  # name of the scripted driver

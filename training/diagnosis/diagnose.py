@@ -16,9 +16,9 @@ import tyro
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_text
 from noise.discrepancy import Diagnosis, diagnose
-from noise.discrepancy.emulate import Simulator
-from noise.discrepancy.search import Progress
-from noise.discrepancy.workers import usable
+from noise.discrepancy.baseline.emulate import Simulator
+from noise.discrepancy.common.workers import usable
+from noise.discrepancy.name.search import Progress
 from noise.fitting.threads import one_thread
 from noise.store import load_model, save_model
 from training.common.progress import bars

@@ -10,7 +10,7 @@ import numpy as np
 
 from acquisition.arrays import Floats, Ints
 from noise.discrepancy import Diagnosis
-from noise.discrepancy.residuals import pit
+from noise.discrepancy.locate.residuals import pit
 from noise.fitting.batch import Batch
 from noise.law import CREDENCE_TOLERANCE, EchoLaw
 from noise.model import SonarModel

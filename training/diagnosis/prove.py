@@ -14,13 +14,13 @@ from typing import Any, Literal
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes, write_text
-from noise.discrepancy.verdict import CLAIMS
+from noise.discrepancy.judge.verdict import CLAIMS
 from training.common.commit import commit
 from training.common.progress import bar
 from training.proof.crew import ENGINES, Bench, Crew
-from training.proof.figure import accuracy
-from training.proof.page import FAMILY, PICTURE, page
-from training.proof.score import TELLABLE, trials_of
+from training.proof.scoring.figure import accuracy
+from training.proof.scoring.page import FAMILY, PICTURE, page
+from training.proof.scoring.score import TELLABLE, trials_of
 from training.proof.seal import OPENED, PROTOCOL, SEALED, VERDICT, Ledger, LedgerError, check, hash_of, salt_of, seed_of
 
 

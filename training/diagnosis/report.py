@@ -11,9 +11,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoes
 from markupsafe import Markup
 
 from noise.discrepancy import Diagnosis
-from noise.discrepancy.explanation import Interval
-from noise.discrepancy.rest import in_words
-from noise.discrepancy.verdict import Named, Verdict
+from noise.discrepancy.judge.rest import in_words
+from noise.discrepancy.judge.verdict import Named, Verdict
+from noise.discrepancy.name.explanation import Interval
 from noise.effects import CATALOGUE
 from training.diagnosis.figures import all_figures
 

@@ -12,19 +12,19 @@ import numpy as np
 
 from acquisition import Recording
 from noise import IdealModel
+from noise.discrepancy.baseline.emulate import Baseline, baseline_of
+from noise.discrepancy.baseline.emulator import free_of
+from noise.discrepancy.common.splits import Split
 from noise.discrepancy.diagnosis import prepared
-from noise.discrepancy.emulate import Baseline, baseline_of
-from noise.discrepancy.emulator import free_of
-from noise.discrepancy.explanation import conclude, intervals
-from noise.discrepancy.search import Search
-from noise.discrepancy.splits import Split
-from noise.discrepancy.steps import coarser_steps
+from noise.discrepancy.judge.steps import coarser_steps
+from noise.discrepancy.name.explanation import conclude, intervals
+from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, log_likelihood, maximise
 from noise.fitting.stack import NUISANCES, Stack
-from training.proof.baselines import beam_nats, independent_name, process_nats, two_samples
 from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED
+from training.proof.scoring.baselines import beam_nats, independent_name, process_nats, two_samples
 
 STEPS = {"quantisation", "truncation"}
 COMPARED = ("null", "effect", "matched", "confounded")  # kinds of trials that others are tried on as well

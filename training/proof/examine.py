@@ -23,7 +23,7 @@ from training.proof.told import told
 
 SIMULATED, RECORDED = "simulated.csv", "recorded.csv"
 FOLLOWING = ("measured-", "anywhere-")  # beginnings of the names of what is measured next
-MAKERS = ("generate", "mix", "causes", "strangers", "family", "world", "surveys", "follow", "assess")
+MAKERS = ("generate", "trials", "assess")
 FORBIDDEN_MODULES = ("acquisition.bench", *(f"training.proof.{name}" for name in MAKERS))
 FORBIDDEN_EVENTS = (
     "subprocess.Popen",
@@ -77,8 +77,9 @@ class Guard:
 
 def is_maker(path: Path) -> bool:
     """Tell whether a file is source or byte code of what makes trials; not every import announces itself."""
-    name, proof = path.name.split(".")[0], ROOT / "training" / "proof"
-    return path.is_relative_to(ROOT / "acquisition" / "bench") or (path.is_relative_to(proof) and name in MAKERS)
+    proof = ROOT / "training" / "proof"
+    parts = {part.split(".")[0] for part in path.parts[len(proof.parts) :]} if path.is_relative_to(proof) else set()
+    return path.is_relative_to(ROOT / "acquisition" / "bench") or not parts.isdisjoint(MAKERS)
 
 
 def examined(folder: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:

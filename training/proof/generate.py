@@ -10,9 +10,9 @@ import numpy as np
 
 from training.proof.desk import serve
 from training.proof.examine import RECORDED, SIMULATED
-from training.proof.follow import measure
-from training.proof.mix import card_of, make
 from training.proof.seal import hash_of_file
+from training.proof.trials.follow import measure
+from training.proof.trials.mix import card_of, make
 
 
 def generator(secret: str, purpose: str) -> np.random.Generator:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from acquisition import Recording
 from acquisition.arrays import Floats
-from noise.discrepancy.course import temperature_course
+from noise.discrepancy.checks.course import temperature_course
 
 UNCOMPENSATED = 0.5 * 343.0e-6 * 1000.0  # mm a microsecond of echo, of a sound that knows no temperature
 SNOW_WINDOW_S = 3600.0

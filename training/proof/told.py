@@ -7,9 +7,9 @@ from typing import Any
 
 from acquisition import Recording
 from noise.discrepancy import Diagnosis
-from noise.discrepancy.next_measurement import Measurement
-from noise.discrepancy.proposal import USUAL, Setting, floored, law
-from noise.discrepancy.rivals import Rival
+from noise.discrepancy.judge.next_measurement import Measurement
+from noise.discrepancy.judge.proposal import USUAL, Setting, floored, law
+from noise.discrepancy.name.rivals import Rival
 from noise.fitting.stack import Stack
 
 

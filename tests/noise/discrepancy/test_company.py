@@ -6,7 +6,7 @@ import torch
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.company import USUAL, company
+from noise.discrepancy.checks.company import USUAL, company
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

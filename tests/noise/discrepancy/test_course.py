@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording, SettingError
-from noise.discrepancy.course import temperature_course
+from noise.discrepancy.checks.course import temperature_course
 from noise.effects.medium import ASSUMED_TEMPERATURE_C, CELSIUS
 
 HOUR = 3600.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.describe import formula
+from noise.discrepancy.locate.describe import formula
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 

@@ -10,9 +10,9 @@ import torch
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
 from noise.discrepancy import VERDICTS, diagnose
+from noise.discrepancy.baseline.emulate import baseline_of
+from noise.discrepancy.common.splits import Split
 from noise.discrepancy.diagnosis import prepared
-from noise.discrepancy.emulate import baseline_of
-from noise.discrepancy.splits import Split
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.model import GaussianModel, IdealModel, simulate

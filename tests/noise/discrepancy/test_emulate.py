@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.discrepancy.emulate import Baseline, checked, emulated
-from noise.discrepancy.emulator import in_company
-from noise.discrepancy.rules import SURE_OF_AIR, Rules
-from noise.discrepancy.splits import Split
-from noise.discrepancy.verdict import BaselineCheck
+from noise.discrepancy.baseline.emulate import Baseline, checked, emulated
+from noise.discrepancy.baseline.emulator import in_company
+from noise.discrepancy.common.rules import SURE_OF_AIR, Rules
+from noise.discrepancy.common.splits import Split
+from noise.discrepancy.judge.verdict import BaselineCheck
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood

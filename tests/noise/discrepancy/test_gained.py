@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.discrepancy.explanation import Final, intervals
-from noise.discrepancy.gained import by_aspect, gained, with_gained
-from noise.discrepancy.locate import Finding
-from noise.discrepancy.residuals import residuals
+from noise.discrepancy.locate.gained import by_aspect, gained, with_gained
+from noise.discrepancy.locate.locate import Finding
+from noise.discrepancy.locate.residuals import residuals
+from noise.discrepancy.name.explanation import Final, intervals
 from noise.effects import CATALOGUE
 from noise.effects.medium import ASSUMED_TEMPERATURE_C
 from noise.fitting.batch import Batch

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from noise.discrepancy import diagnose
-from noise.discrepancy.grip import grip
-from noise.discrepancy.rest import in_words
-from noise.discrepancy.transient import SURE_P
+from noise.discrepancy.checks.grip import grip
+from noise.discrepancy.checks.transient import SURE_P
+from noise.discrepancy.judge.rest import in_words
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

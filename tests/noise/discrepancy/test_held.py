@@ -8,15 +8,15 @@ import torch
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.held import Still, held, still
-from noise.discrepancy.rest import in_words
-from noise.discrepancy.transient import SURE_P
+from noise.discrepancy.checks.held import Still, held, still
+from noise.discrepancy.checks.transient import SURE_P
+from noise.discrepancy.judge.rest import in_words
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.model import simulate
 from noise.physical import PhysicalModel
-from training.proof.strangers import dead_band
+from training.proof.trials.strangers import dead_band
 
 torch.set_num_threads(1)
 SONAR = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.003), CATALOGUE["sensitivity"](loss_db=36.0)])

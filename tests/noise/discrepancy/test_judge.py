@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Recording
-from noise.discrepancy import judge as judge_module
-from noise.discrepancy.explanation import Explained, Final
-from noise.discrepancy.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
-from noise.discrepancy.locate import Finding
-from noise.discrepancy.matched import Matched
-from noise.discrepancy.rest import in_words
-from noise.discrepancy.rules import SURE, SURE_OF_AIR
-from noise.discrepancy.search import Crossed, Search
-from noise.discrepancy.transient import SURE_P
-from noise.discrepancy.verdict import Named, Rest
+from noise.discrepancy.checks.transient import SURE_P
+from noise.discrepancy.common.rules import SURE, SURE_OF_AIR
+from noise.discrepancy.judge.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
+from noise.discrepancy.judge.judge import judge as judge_module
+from noise.discrepancy.judge.rest import in_words
+from noise.discrepancy.judge.verdict import Named, Rest
+from noise.discrepancy.locate.locate import Finding
+from noise.discrepancy.locate.matched import Matched
+from noise.discrepancy.name.explanation import Explained, Final
+from noise.discrepancy.name.search import Crossed, Search
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise

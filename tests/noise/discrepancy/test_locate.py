@@ -6,10 +6,10 @@ import torch
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.locate import locate
-from noise.discrepancy.residuals import residuals
-from noise.discrepancy.scan import Blocks, features, scan
-from noise.discrepancy.splits import Split
+from noise.discrepancy.common.splits import Split
+from noise.discrepancy.locate.locate import locate
+from noise.discrepancy.locate.residuals import residuals
+from noise.discrepancy.locate.scan import Blocks, features, scan
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.matched import compare
+from noise.discrepancy.locate.matched import compare
 from noise.fitting.batch import Batch
 
 

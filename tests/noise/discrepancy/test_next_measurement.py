@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from acquisition import Ping
-from noise.discrepancy.next_measurement import Measurement, merged, next_measurement
-from noise.discrepancy.proposal import DRAWS, LATER, USUAL, floored, law, propose, ratios
+from noise.discrepancy.judge.next_measurement import Measurement, merged, next_measurement
+from noise.discrepancy.judge.proposal import DRAWS, LATER, USUAL, floored, law, propose, ratios
 from noise.fitting.stack import Stack
 
 

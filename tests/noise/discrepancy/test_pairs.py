@@ -8,9 +8,9 @@ import torch
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.pairs import best_pair, promising, shifts, with_pairs
-from noise.discrepancy.search import Search
-from noise.discrepancy.splits import Split
+from noise.discrepancy.common.splits import Split
+from noise.discrepancy.name.pairs import best_pair, promising, shifts, with_pairs
+from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import VISITS, Stack

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.remainder import Remainder, remainder
-from noise.discrepancy.rest import beyond
+from noise.discrepancy.checks.remainder import Remainder, remainder
+from noise.discrepancy.judge.rest import beyond
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise

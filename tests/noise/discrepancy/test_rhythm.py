@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.rhythm import Beat, rhythm
+from noise.discrepancy.checks.rhythm import Beat, rhythm
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 

@@ -8,10 +8,10 @@ import torch
 from scipy.signal import lfilter
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.explanation import Explained, Final
-from noise.discrepancy.rivals import SAME, Contest, Rival
-from noise.discrepancy.rules import TIE
-from noise.discrepancy.search import Crossed, Search
+from noise.discrepancy.common.rules import TIE
+from noise.discrepancy.name.explanation import Explained, Final
+from noise.discrepancy.name.rivals import SAME, Contest, Rival
+from noise.discrepancy.name.search import Crossed, Search
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.stack import JITTER, NUISANCES, VISITS, Stack

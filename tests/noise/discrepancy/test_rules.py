@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise.discrepancy.rules import Rules, spread_over_blocks
+from noise.discrepancy.common.rules import Rules, spread_over_blocks
 
 VISITS = 70
 AGAINST_A_SIMULATION = replace(Rules(), least_nats=12.0, least_t=2.0 * np.sqrt(2.0))  # with as many positions

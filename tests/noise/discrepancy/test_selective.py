@@ -6,9 +6,9 @@ import torch
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.rest import in_words
-from noise.discrepancy.selective import selective
-from noise.discrepancy.transient import SURE_P
+from noise.discrepancy.checks.selective import selective
+from noise.discrepancy.checks.transient import SURE_P
+from noise.discrepancy.judge.rest import in_words
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

@@ -10,8 +10,8 @@ from scipy import stats
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.rest import in_words
-from noise.discrepancy.smooth import smooth, wrong_form
+from noise.discrepancy.checks.smooth import smooth, wrong_form
+from noise.discrepancy.judge.rest import in_words
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

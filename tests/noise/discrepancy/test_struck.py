@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.emulate import Baseline
-from noise.discrepancy.rules import Rules
-from noise.discrepancy.splits import Split
-from noise.discrepancy.struck import more_struck, struck
-from noise.discrepancy.verdict import BaselineCheck
+from noise.discrepancy.baseline.emulate import Baseline
+from noise.discrepancy.common.rules import Rules
+from noise.discrepancy.common.splits import Split
+from noise.discrepancy.common.struck import more_struck, struck
+from noise.discrepancy.judge.verdict import BaselineCheck
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.physical import PhysicalModel

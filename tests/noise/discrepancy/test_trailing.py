@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from acquisition import Ping, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.trailing import trailing
-from noise.discrepancy.transient import transient
+from noise.discrepancy.checks.trailing import trailing
+from noise.discrepancy.checks.transient import transient
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

@@ -6,7 +6,7 @@ import torch
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy import diagnose
-from noise.discrepancy.transient import SURE_P, transient, windowed
+from noise.discrepancy.checks.transient import SURE_P, transient, windowed
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.model import simulate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.unseen import HEARING, SURPRISE, unseen
+from noise.discrepancy.common.unseen import HEARING, SURPRISE, unseen
 from noise.fitting.batch import Batch
 from noise.fitting.fit import log_likelihood, maximise
 from noise.fitting.stack import Stack

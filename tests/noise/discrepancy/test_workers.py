@@ -9,7 +9,7 @@ import torch
 from acquisition import Ping, Recording, SettingError
 from noise import IdealModel, PhysicalModel
 from noise.discrepancy import diagnose
-from noise.discrepancy.workers import MOST, Workers, usable
+from noise.discrepancy.common.workers import MOST, Workers, usable
 from noise.effects import CATALOGUE
 from noise.model import simulate
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from acquisition import Ping
 from noise import load_model, save_model
-from noise.discrepancy.emulator import folded
+from noise.discrepancy.baseline.emulator import folded
 from noise.effects import CATALOGUE
 from noise.effects.medium import ASSUMED_TEMPERATURE_C, CELSIUS
 from noise.fitting.empirical import DISTANCE_KNOTS, EmpiricalModel, Flexible, interpolate

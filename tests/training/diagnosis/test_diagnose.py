@@ -13,7 +13,7 @@ import pytest
 import sonar_gym  # noqa: F401  (registers the environment)
 from acquisition import Ping, Reading, Recording, SettingError
 from noise import load_model
-from noise.discrepancy.explanation import Interval
+from noise.discrepancy.name.explanation import Interval
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
 from training.cli import main

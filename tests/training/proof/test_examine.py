@@ -29,7 +29,7 @@ REACHES = {
     "a copy of itself": "os.fork()",
     "the network": "socket.create_connection(('127.0.0.1', 9))",
     "the generator": "importlib.import_module('training.proof.generate')",
-    "the list of causes": "importlib.import_module('training.proof.causes')",
+    "the list of causes": "importlib.import_module('training.proof.trials.causes')",
     "the rig": "importlib.import_module('acquisition.bench')",
     "a library of C": "ctypes.CDLL('libc.so.6')",
 }

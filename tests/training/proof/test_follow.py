@@ -9,9 +9,9 @@ import pytest
 
 from acquisition import Ping, Recording
 from acquisition.bench.acoustics.receiver import GAINS
-from training.proof.follow import changed, measure
-from training.proof.mix import make
-from training.proof.world import with_setup
+from training.proof.trials.follow import changed, measure
+from training.proof.trials.mix import make
+from training.proof.trials.world import with_setup
 
 
 def test_what_is_asked_for_is_recorded_with_a_new_visit_for_every_ping(tmp_path):
@@ -54,9 +54,9 @@ def test_settings_are_changed_as_asked():
 
 def test_fresh_readings_speak_for_the_law_that_drew_them(tmp_path):
     pytest.importorskip("torch")
-    from noise.discrepancy.next_measurement import next_measurement
-    from noise.discrepancy.proposal import law
-    from noise.discrepancy.rivals import Rival
+    from noise.discrepancy.judge.next_measurement import next_measurement
+    from noise.discrepancy.judge.proposal import law
+    from noise.discrepancy.name.rivals import Rival
     from noise.fitting.stack import Stack
     from training.proof.told import told
 

@@ -9,9 +9,10 @@ import pytest
 
 from acquisition import Recording
 from noise.effects import CATALOGUE
-from training.proof import causes, strangers
 from training.proof.generate import generated, generator
-from training.proof.mix import (
+from training.proof.seal import hash_of_file
+from training.proof.trials import causes, strangers
+from training.proof.trials.mix import (
     DECK,
     FAMILY,
     HIDEABLE,
@@ -24,8 +25,7 @@ from training.proof.mix import (
     make,
     stranger_trial,
 )
-from training.proof.seal import hash_of_file
-from training.proof.surveys import Design
+from training.proof.trials.surveys import Design
 
 
 def block(number: int) -> np.random.Generator:

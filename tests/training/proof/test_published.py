@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from training.proof.score import trials_of
+from training.proof.scoring.score import trials_of
 from training.proof.seal import LedgerError, check
 
 RECORDS = Path(__file__).parents[3] / "benchmarks" / "records" / "proof"

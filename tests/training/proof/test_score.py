@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from training.proof.figure import accuracy
-from training.proof.page import page
-from training.proof.score import Scored, by_separation, confusion, covered, overlap, table, trials_of
-from training.proof.settled import against_anywhere, is_settled, lines
+from training.proof.scoring.figure import accuracy
+from training.proof.scoring.page import page
+from training.proof.scoring.score import Scored, by_separation, confusion, covered, overlap, table, trials_of
+from training.proof.scoring.settled import against_anywhere, is_settled, lines
 
 TARGETS = 18
 

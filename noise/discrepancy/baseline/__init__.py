@@ -1,0 +1,1 @@
+"""The emulator: a law that describes the simulation."""

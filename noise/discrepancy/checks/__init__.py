@@ -1,0 +1,1 @@
+"""Checks for structure that no per-reading model can represent: memory, drift, periods, coincident outliers."""

@@ -1,0 +1,1 @@
+"""The verdict, what remains unexplained, and the next measurement."""

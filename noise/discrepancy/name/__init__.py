@@ -1,0 +1,1 @@
+"""Which effects explain the difference: cross-fitted selection, pairs, alternatives, intervals."""

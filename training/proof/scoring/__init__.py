@@ -1,0 +1,1 @@
+"""Scores of trials, baselines, and the published page."""
