@@ -200,19 +200,26 @@ def enable_interrupts():
 
 @posix
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
-def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, number, code):
+def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, retry, number, code):
     path, whole = tmp_path / "r.csv", tmp_path / "whole.csv"
     command = [sys.executable, "-m", "training.cli", "record", "--pings", "20", "--interval-s", "1", "--out"]
     root = Path(__file__).parents[3]
-    process = subprocess.Popen(
-        [*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root, preexec_fn=enable_interrupts
-    )
-    while not (path.exists() and path.stat().st_size > 10_000):
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.send_signal(number)
-    error = process.communicate()[1]
-    assert process.returncode == code
+
+    def stopped() -> str:  # a recording may be complete before a busy machine sends the signal
+        for file in tmp_path.iterdir():
+            file.unlink()
+        process = subprocess.Popen(
+            [*command, str(path)], stderr=subprocess.PIPE, text=True, cwd=root, preexec_fn=enable_interrupts
+        )
+        while not (path.exists() and path.stat().st_size > 10_000):
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(number)
+        error = process.communicate()[1]
+        assert process.returncode == code
+        return error
+
+    error = retry(stopped)
     if number == signal.SIGINT:
         assert "of 120 conditions are on disk; continue with --resume" in error
         assert "Traceback" not in error

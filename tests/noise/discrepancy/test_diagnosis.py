@@ -83,12 +83,14 @@ def at_one_distance():
     return files
 
 
+@pytest.mark.slow
 def test_at_one_distance_speed_of_sound_clock_and_zero_are_one_class(at_one_distance):
     simulated, recorded = at_one_distance
     (effect,) = diagnose(IdealModel(), recorded, simulated=simulated, seed=1).to_verdict()["effects"]
     assert {effect["effect"], *effect["indistinguishable_from"]} >= {"sound_speed", "clock_scale", "zero_offset"}
 
 
+@pytest.mark.slow
 def test_what_one_effect_adds_is_what_all_add_where_it_is_alone(at_one_distance):
     simulated, recorded = at_one_distance
     base = baseline_of(IdealModel(), recorded, simulated, 0)
@@ -267,6 +269,7 @@ def test_coarser_steps_are_named():
     assert step["parameters"]["step_m"]["value"] == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_readings_cut_down_to_coarser_steps_need_no_offset_besides():
     """Half a step short on the mean is what cutting down does, and no zero of its own."""
     fine, coarse = heard(23), heard(24)
@@ -289,6 +292,7 @@ def test_what_is_ruled_out_is_never_named_however_it_is_found():
     assert "steps of 10 mm" in verdict["unknown"]["description"]
 
 
+@pytest.mark.slow
 def test_bursts_show_where_the_other_readings_of_a_position_are_alike():
     """On a register in centimetres all but the bursts repeat themselves, as if the position did."""
     quiet = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.001)], 0.01)

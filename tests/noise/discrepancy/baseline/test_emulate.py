@@ -47,6 +47,7 @@ def bare(batch):
     return nuisance_start(Stack.of(PhysicalModel((), batch.resolution)), batch)
 
 
+@pytest.mark.slow
 def test_a_wall_that_answers_where_the_target_is_too_faint_is_part_of_the_simulation():
     recording, fresh = heard(3, **WALL), Batch.of(heard(13, **WALL))
     assert 0.1 < np.mean(fresh.is_outlier(fresh.error)) < 0.6, "the wall answers for a good part of the targets"

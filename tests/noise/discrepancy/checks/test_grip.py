@@ -61,6 +61,7 @@ def test_readings_without_memory_are_not_asked(robot):
     assert look(driven(robot, 2, lambda reading, rng: reading)) is None
 
 
+@pytest.mark.slow
 def test_hysteresis_is_no_repeat(robot):
     found = diagnose(SONAR, driven(robot, 3, lambda reading, rng: holding(reading)), seed=1).verdict
     assert found.verdict == "unknown"

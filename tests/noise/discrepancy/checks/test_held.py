@@ -104,6 +104,7 @@ def test_the_latest_echo_before_is_looked_for_through_silence_and_never_in_anoth
     np.testing.assert_array_equal(batch.last[order], expected)
 
 
+@pytest.mark.slow
 def test_a_dead_band_is_unknown_physics():
     verdict = diagnose(SONAR, heard(9, with_dead_band(0.3)), simulated=heard(10), seed=1).to_verdict()
     assert verdict["verdict"] == "unknown"

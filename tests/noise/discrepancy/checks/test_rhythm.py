@@ -35,6 +35,7 @@ def test_a_wave_is_found_with_its_period_and_size(hertz):
     assert found.amplitude_m == pytest.approx(0.006, rel=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carry", [0.0, 0.9])
 def test_no_wave_no_beat_however_readings_drag_on(carry):
     p = [rhythm(STACK, recording(100 + k, carry=carry)).p_value for k in range(60)]

@@ -61,6 +61,7 @@ def test_nothing_is_asked_where_no_fault_is_named_or_nothing_strays():
     assert look(heard(4), SONAR) is None
 
 
+@pytest.mark.slow
 def test_a_least_reading_is_unknown_physics_and_a_stuck_register_is_not():
     assert diagnose(SONAR, heard(5, least=0.9), seed=1).to_verdict()["verdict"] == "unknown"
     verdict = diagnose(SONAR, heard(6, [stuck()]), seed=1).to_verdict()

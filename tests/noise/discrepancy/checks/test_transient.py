@@ -99,6 +99,7 @@ def test_a_mean_of_readings_is_no_repeat():
     assert verdict["verdict"] == "unknown"
 
 
+@pytest.mark.slow
 def test_a_filter_is_no_scatter():
     verdict = diagnose(SONAR, heard(4, smoothed), seed=1).to_verdict()
     assert verdict["verdict"] == "unknown"

@@ -22,6 +22,7 @@ def heard(seed, sigma_m):
     return Recording.of(Ping.of(distance=distance), simulate(model, Ping.of(distance=placed), rng))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma_m", [0.002, 0.006])
 def test_scatter_is_named_where_it_differs_and_only_there(sigma_m):
     found = diagnose(IdealModel(), heard(1, sigma_m), simulated=heard(2, 0.002), seed=3)
@@ -48,6 +49,7 @@ def stays(seed, flutter_s, bursts=0.0):
     return Recording.of(Ping.of(distance=distance, time=time), Reading.of(np.round(distance + offset, 4)))
 
 
+@pytest.mark.slow
 def test_bursts_are_not_taken_for_scatter():
     verdict = diagnose(IdealModel(), stays(1, 2.0, 0.12), simulated=stays(2, 2.0), seed=1).to_verdict()
     assert [effect["effect"] for effect in verdict["effects"]] == ["noise_burst"]

@@ -119,6 +119,7 @@ def test_what_a_law_finds_in_the_readings_it_stands_for_counts_as_nothing():
     assert (against.high - against.low) / (alone.high - alone.low) == pytest.approx(np.sqrt(2.0), rel=0.25)
 
 
+@pytest.mark.slow
 def test_intervals_of_an_offset_cover_as_often_as_they_say():
     covered = []
     for seed in range(20):
@@ -138,6 +139,7 @@ def test_air_that_nobody_measured_adds_what_half_a_kelvin_of_it_would_have_made(
     assert np.sqrt(sd[1] ** 2 - sd[0] ** 2) == pytest.approx(0.5 * a_kelvin, rel=0.15)
 
 
+@pytest.mark.slow
 def test_intervals_cover_on_days_on_which_the_air_was_another():
     covered = []
     for seed in range(20):

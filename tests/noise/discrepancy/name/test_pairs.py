@@ -94,6 +94,7 @@ def test_too_few_stays_tell_no_pair():
     assert best_pair(search, [], search.cross(search.base, [])) is None
 
 
+@pytest.mark.slow
 def test_a_pair_takes_the_place_of_what_was_added_alone_and_is_written_down():
     search = searched(cancelling(0.008, 5))
     base = search.cross(search.base, [])
