@@ -6,8 +6,8 @@ import pytest
 from acquisition import Ping, Recording
 from noise.discrepancy.checks.transient import SURE_P
 from noise.discrepancy.common.rules import SURE, SURE_OF_AIR
+from noise.discrepancy.judge import judge as judge_module
 from noise.discrepancy.judge.judge import SEEN, SURE_SCAN, at_the_edge, judge, may_be_the_laws, of_the_day
-from noise.discrepancy.judge.judge import judge as judge_module
 from noise.discrepancy.judge.rest import in_words
 from noise.discrepancy.judge.verdict import Named, Rest
 from noise.discrepancy.locate.locate import Finding
