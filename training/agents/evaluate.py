@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,10 +25,9 @@ from sonar_gym.parking.fleet import MAX_STEPS, Observation
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from training.agents.sonars import mismatched
-from training.common.progress import bars
+from training.common.progress import OnProgress, progress_bars
 from training.common.statistics import PairedComparison
 
-OnProgress = Callable[[str, int, int], None]  # name of the task, steps done, steps in total
 STREETS_AT_ONCE = 250
 SCRIPTED = "scripted"  # name of the scripted driver
 FRAME_STEPS = 3  # steps from frame to frame of a film
@@ -189,20 +187,6 @@ def _drive(
     envs.close()
     ended, steps = fleet.worlds.ended, fleet.worlds.steps
     return Outcomes(np.asarray(seeds), ended[:, PARKED].copy(), ended[:, COLLISION].copy(), steps.copy(), score)
-
-
-@contextmanager
-def progress_bars() -> Iterator[OnProgress]:
-    """Show one progress bar per task name; yields the function that updates them."""
-    with bars() as progress:
-        tasks: dict[str, Any] = {}
-
-        def on_progress(name: str, done: int, total: int) -> None:
-            if name not in tasks:
-                tasks[name] = progress.add_task(name, total=total)
-            progress.update(tasks[name], completed=done, total=total)
-
-        yield on_progress
 
 
 # ---- the command -----------------------------------------------------------------------------------------------------

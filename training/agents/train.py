@@ -28,11 +28,11 @@ from noise.credence import wilson
 from noise.fitting.threads import one_thread
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.control.memory import MemorySettings
-from training.agents.evaluate import OnProgress, progress_bars
 from training.agents.imitation import ImitationSettings, imitate
 from training.agents.vec_env import AgentVecEnv, EnvSettings, EpisodeResult, settings_of
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.common.checkpoint import check_same, load_checkpoint, read_state, save_checkpoint
+from training.common.progress import OnProgress, progress_bars
 
 CHECKPOINT, AGENT, BOARD, CURVE = "checkpoint.safetensors", "agent", "tensorboard", "learning.png"
 FIRST_TRAINING_SEED = 2**31  # streets of training have this seed or a higher one; lower seeds are for evaluation

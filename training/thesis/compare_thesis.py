@@ -7,19 +7,17 @@ by a network are not attributed to the sonar.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from rich.progress import TaskID
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes, write_text
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, panels
-from training.common.progress import bars
+from training.common.progress import progress_bars
 from training.common.tables import markdown_table
 from training.thesis.data import A1_VALIDATION, TABLES, Floats, Samples
 from training.thesis.experiment import provenance
@@ -27,7 +25,6 @@ from training.thesis.rig import (
     BANDS_M,
     FREE_PARAMETERS,
     FULL_GAIN,
-    Report,
     RigStudy,
     RigVariant,
     Settings,
@@ -92,27 +89,13 @@ def main(args: Args) -> None:
     """Evaluate the author's networks, tune, record, train, and write tables and a figure."""
     settings, author = args.settings, published(args.networks)
     made = provenance(["compare-thesis", "--networks", args.networks.name, "--out", args.out.name], args)
-    with _progress_bars() as report:
+    with progress_bars() as report:
         study = compare(author, settings, report)
     folder = args.page or args.out
     write_bytes(folder / FIGURE, figure(study))
     text = page(study, f"{made}.")
     write_text(folder / "tables.md", text)
     print(text)
-
-
-@contextmanager
-def _progress_bars() -> Iterator[Report]:
-    """Show one progress bar per task."""
-    with bars() as progress:
-        tasks: dict[str, TaskID] = {}
-
-        def report(task: str, done: int, total: int) -> None:
-            if task not in tasks:
-                tasks[task] = progress.add_task(task, total=total)
-            progress.update(tasks[task], completed=done)
-
-        yield report
 
 
 def page(study: RigStudy, about: str) -> str:

@@ -21,6 +21,7 @@ from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.unit import RANGES
 from acquisition.survey.plan import PLANS, SurveyPlan
 from noise.learned.thesis import ThesisNetwork, load_thesis_network
+from training.common.progress import OnProgress
 from training.thesis.data import Floats, Samples
 from training.thesis.experiment import TrainingJob, train_all
 from training.thesis.fit import Fitted, Recipe
@@ -34,7 +35,6 @@ FREE_PARAMETERS = ("sensitivity_db", "radius", "yaw")  # of a unit: sensitivity,
 INITIAL_STEP = 0.35  # share of each range
 COARSE = replace(PLANS["thesis"], distances_mm=tuple(float(d) for d in range(200, 6001, 200)), pings=4)
 Progress = Callable[[int, int], None]
-Report = Callable[[str, int, int], None]
 Source = Literal["author", "own"]
 """Networks of the thesis's author, or those trained on a recording of the rig."""
 
@@ -160,7 +160,7 @@ def _name(path: Path, network: ThesisNetwork) -> str:
     return f"{network.kind.upper()}, {version}"
 
 
-def compare(author: dict[str, ThesisNetwork], settings: Settings, report: Report) -> RigStudy:
+def compare(author: dict[str, ThesisNetwork], settings: Settings, report: OnProgress) -> RigStudy:
     """Tune the rig at both gains, record the survey and train networks.
 
     Args:
@@ -184,11 +184,11 @@ def compare(author: dict[str, ThesisNetwork], settings: Settings, report: Report
     return study
 
 
-def _progress(report: Report, task: str) -> Progress:
+def _progress(report: OnProgress, task: str) -> Progress:
     return lambda done, total: report(task, done, total)
 
 
-def record_variant(name: str, rig: Rig, author: list[Predictor], settings: Settings, report: Report) -> RigVariant:
+def record_variant(name: str, rig: Rig, author: list[Predictor], settings: Settings, report: OnProgress) -> RigVariant:
     """Record the thesis's survey with a rig and train networks of the author's architectures on it."""
     plan = replace(PLANS["thesis"], pings=settings.pings)
     samples = Samples.of(record_survey(rig, plan, settings.seed, _progress(report, name)))
