@@ -5,7 +5,7 @@ mounting, medium, target, ringing, receiver, interping, link: the effects, by pl
 """
 
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
-from noise.effects.interping import AsynchronousCrosstalk, PreviousPing, SynchronousCrosstalk
+from noise.effects.interping import AsynchronousCrosstalk, Latency, PreviousPing, SynchronousCrosstalk
 from noise.effects.link import CorruptedByte, DroppedReading, NoiseBurst, Spike, StaleRepeat, Stuck
 from noise.effects.medium import AirAbsorption, Scintillation, SoundSpeed, ThermalDrift
 from noise.effects.mounting import BaselineParallax, BeamWidth, Boresight, PivotOffset
@@ -66,6 +66,7 @@ CATALOGUE: dict[str, type[Effect]] = {
     "range_gate": RangeGate,
     "clock_scale": ClockScale,
     "warm_up": WarmUp,
+    "latency": Latency,
     "previous_ping": PreviousPing,
     "synchronous_crosstalk": SynchronousCrosstalk,
     "asynchronous_crosstalk": AsynchronousCrosstalk,

@@ -48,6 +48,8 @@ class Parameter:
         starts: initial values of a fit.
         covariate: logged condition that the parameter requires; "" for none.
         span: smallest range of the covariate at which the parameter is identifiable, in the covariate's unit.
+        typical: scale of the Cauchy prior of the difference from the null value, in `unit`; 0 for a flat prior.
+        cycle: whether it is a period, s, of a change with time, which sampled readings resolve only within limits.
     """
 
     name: str
@@ -59,6 +61,8 @@ class Parameter:
     starts: tuple[float, ...] = ()
     covariate: str = ""
     span: float = 0.0
+    typical: float = 0.0
+    cycle: bool = False
 
     def identifiable(self, covariates: Mapping[str, NDArray[np.float64]]) -> bool:
         """Return whether readings under these covariates, (n,) each, can identify the parameter."""
@@ -102,6 +106,7 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     summary: ClassVar[str]  # one line without a full stop
     remembers: ClassVar[bool] = False  # whether it depends on the previous reading
+    needs_time: ClassVar[bool] = False  # whether it can be told only from logged times
     localised: ClassVar[bool] = False  # whether it changes some visits or pings clearly and leaves the others unchanged
     by_ping: ClassVar[bool] = False  # whether it affects single pings independently of their condition
     coarsest_step_m: ClassVar[float] = math.inf  # not observable with a register of coarser steps

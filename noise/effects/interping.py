@@ -9,6 +9,7 @@ import torch
 from scipy.fft import next_fast_len, rfft
 from torch import Tensor
 
+from acquisition import EchoStatus
 from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.medium import ASSUMED_SPEED
@@ -16,44 +17,109 @@ from noise.effects.state import State, new_path, wall_level_db
 from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
+RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
+BURST_WAITS_M = (0.01, 0.1, 0.34, 0.86, 1.72)  # waits of about 0, 0.6, 2, 5 and 10 ms as range; chosen here
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
 
 
 class PreviousPing(Effect):
-    """The previous ping's echo from a reflector at `far_m` arrives during this ping: range far - c interval / 2.
+    """The echo of the previous ping from farther away arrives during this ping: range far - c interval / 2.
 
-    The resulting mode shifts with the interval between pings and does not depend on the distance.
+    `far_m` is the range of a far reflector; with `doubled` = 1 it is the second round trip to the target itself, at
+    twice its distance. Within a burst, each ping is fired a fixed wait after the last echo, so that the reading is
+    far - last reading - `wait_m`: each reading depends on the last. With `wait_m` = 0 the logged interval is used.
     """
 
     name = "previous_ping"
     stage = Stage.PATHS
     localised = True
+    remembers = True
     summary = "A far echo of the previous ping is read as a near echo of the current ping"
     parameters = (
         presence(0.3),
         Parameter(
             "far_m", "m", 12.0, 3.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
         ),
+        Parameter("doubled", "1", 0.0, 0.0, 1.0, "1 = second round trip to the target; chosen here", (0.0,)),
+        Parameter("wait_m", "m", 0.0, 0.0, 3.5, "bursts with waits of 2 to 20 ms as range; chosen here", (0.0,)),
     )
     presence: Tensor
     far_m: Tensor
+    doubled: Tensor
+    wait_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the late echo; the interval is a lag and not a length, so that it does not depend on the temperature."""
-        interval = state.conditions.covariates.get(INTERVAL)
-        if interval is None:
-            interval = torch.full_like(state.conditions.distance, DEFAULT_INTERVAL_S)
-        length = self.far_m + torch.zeros_like(interval)
-        early = ASSUMED_SPEED * interval / 2.0
-        possible = ((interval > 0) & (early < length)).to(torch.float64)
-        path = new_path("previous", length, wall_level_db(length), self.presence * possible)
+        """Add the late echo; the time since the last ping is a lag, so that it does not depend on the temperature."""
+        c = state.conditions
+        length = self.far_m + self.doubled * (2.0 * c.distance - self.far_m)
+        early, possible = self._since_last(state)
+        possible = possible & (early < length)
+        path = new_path("previous", length, wall_level_db(length), self.presence * possible.to(torch.float64))
         return state.with_path(replace(path, lag=-early))
+
+    def _since_last(self, state: State) -> tuple[Tensor, Tensor]:
+        """Return the time since the last ping as range, m, and whether there was one, (n,) each."""
+        c = state.conditions
+        if float(self.wait_m.detach()) > 0.0:
+            return c.past_range + self.wait_m, c.past_status == EchoStatus.ECHO
+        interval = c.covariates.get(INTERVAL)
+        if interval is None:
+            interval = torch.full_like(c.distance, DEFAULT_INTERVAL_S)
+        return ASSUMED_SPEED * interval / 2.0, interval > 0
+
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return second round trips within bursts of several waits."""
+        return [{"presence": 0.9, "far_m": 12.0, "doubled": 1.0, "wait_m": wait} for wait in BURST_WAITS_M]
 
     def statement(self) -> str:
         """Return a sentence with the distance of the far reflector."""
         v = self.values
-        echo = f"A far echo of the previous ping, from {v['far_m']:.2f} m"
-        return f"{echo}, is read as a near echo of the current ping, in {100 * v['presence']:.3g} % of pings."
+        source = "the target's second echo" if v["doubled"] > 0.5 else f"a reflector at {v['far_m']:.2f} m"
+        read = f"is read as a near echo of the current ping, in {100 * v['presence']:.3g} % of pings"
+        return f"A far echo of the previous ping, from {source}, {read}."
+
+
+class Latency(Effect):
+    """The reading is older than its logged pose: distance -> distance - delay * range rate.
+
+    The range rate, m/s, is the change of the logged distance with time within a run; without it there is no effect.
+    """
+
+    name = "latency"
+    stage = Stage.CONDITION
+    needs_time = True
+    summary = "Readings lag behind the logged position of a moving sensor"
+    parameters = (
+        Parameter(
+            "delay_s",
+            "s",
+            0.0,
+            -1.0,
+            1.0,
+            "ranging 65 ms plus host loops; pose filters: chosen here",
+            (0.1, 0.3),
+            RANGE_RATE,
+            0.05,
+            typical=0.2,
+        ),
+    )
+    delay_s: Tensor
+
+    def apply(self, state: State) -> State:
+        """Move the reflector to where it was when the ping was fired."""
+        rate = state.conditions.covariates.get(RANGE_RATE)
+        if rate is None:
+            return state
+        moved = torch.clamp(state.conditions.distance - self.delay_s * rate, min=0.0)
+        return state.facing(replace(state.conditions, distance=moved))
+
+    def statement(self) -> str:
+        """Return a sentence with the delay and the error at 0.5 m/s."""
+        delay = self.values["delay_s"]
+        sense = "lag behind" if delay >= 0 else "run ahead of"
+        error = f"{500 * abs(delay):.0f} mm of error at 0.5 m/s"
+        return f"Readings {sense} the logged position by {abs(delay):.2g} s: {error}."
 
 
 class SynchronousCrosstalk(Effect):
@@ -102,6 +168,7 @@ class AsynchronousCrosstalk(Effect):
 
     name = "asynchronous_crosstalk"
     stage = Stage.PATHS
+    needs_time = True
     localised = True
     by_ping = True
     confused_with = ("false_alarm", "spike")

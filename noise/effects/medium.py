@@ -55,6 +55,7 @@ class SoundSpeed(Effect):
             60.0,
             "c = 331.3 sqrt(1+T/273.15)",
             (ASSUMED_TEMPERATURE_C,),
+            typical=8.0,
         ),
         Parameter(
             "logged_share",
@@ -146,6 +147,12 @@ def _growth(length: Tensor) -> Tensor:
     return (torch.clamp(length, min=0.01) / 6.0) ** (11.0 / 12.0)
 
 
+def _swing(name: str, start: float) -> Parameter:
+    """Return the parameter of one phase of an oscillation of the air temperature."""
+    source = "heating 0.3 to 1.5 K; days outdoors: chosen here"
+    return Parameter(name, "K", 0.0, -15.0, 15.0, source, (start,), typical=1.0)
+
+
 class ThermalDrift(Effect):
     """The air temperature changes during the recording: T + rate t + a sin(2 pi t / period) + b cos(2 pi t / period).
 
@@ -154,14 +161,22 @@ class ThermalDrift(Effect):
 
     name = "thermal_drift"
     stage = Stage.MEDIUM
+    needs_time = True
     summary = "The air warms or cools during the recording: the scale of ranges changes with time"
     parameters = (
         Parameter(
-            "rate_k_per_h", "K/h", 0.0, -20.0, 20.0, "rooms 0.3 to 1.5 K in hours; wider: chosen here", (0.5, -0.5)
+            "rate_k_per_h",
+            "K/h",
+            0.0,
+            -20.0,
+            20.0,
+            "rooms 0.3 to 1.5 K in hours; wider: chosen here",
+            (0.5, -0.5),
+            typical=1.0,
         ),
-        Parameter("sine_k", "K", 0.0, -15.0, 15.0, "heating 0.3 to 1.5 K; days outdoors: chosen here", (0.3,)),
-        Parameter("cosine_k", "K", 0.0, -15.0, 15.0, "heating 0.3 to 1.5 K; days outdoors: chosen here", (0.0,)),
-        Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating cycles to a day: chosen here", (600.0, 3600.0)),
+        _swing("sine_k", 0.3),
+        _swing("cosine_k", 0.0),
+        Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating to a day: chosen here", (600.0, 3600.0), cycle=True),
     )
     rate_k_per_h: Tensor
     sine_k: Tensor

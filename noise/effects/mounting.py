@@ -61,7 +61,9 @@ class Boresight(Effect):
     name = "boresight"
     stage = Stage.CONDITION
     summary = "The beam axis deviates from the reference axis of angles"
-    parameters = (Parameter("yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: chosen here", (-3.0, 3.0)),)
+    parameters = (
+        Parameter("yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: chosen here", (-3.0, 3.0), typical=3.0),
+    )
     yaw_deg: Tensor
 
     def apply(self, state: State) -> State:
@@ -81,8 +83,10 @@ class PivotOffset(Effect):
     stage = Stage.CONDITION
     summary = "The rotation axis is off the reflector's face: the distance changes with the rotation"
     parameters = (
-        Parameter("axial_m", "m", 0.0, -0.35, 0.35, "thesis stand 0 to 320 mm behind the face", (0.1, -0.1)),
-        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; chosen here", (0.0,)),
+        Parameter(
+            "axial_m", "m", 0.0, -0.35, 0.35, "thesis stand 0 to 320 mm behind the face", (0.1, -0.1), typical=0.1
+        ),
+        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; chosen here", (0.0,), typical=0.05),
     )
     axial_m: Tensor
     lateral_m: Tensor
@@ -107,7 +111,9 @@ class BaselineParallax(Effect):
     name = "baseline_parallax"
     stage = Stage.PATHS
     summary = "Transmitter and receiver are separate: near readings are too long"
-    parameters = (Parameter("spacing_m", "m", 0.0, 0.0, 0.2, "SRF08: 25 mm; wider: chosen here", (0.03, 0.1)),)
+    parameters = (
+        Parameter("spacing_m", "m", 0.0, 0.0, 0.2, "SRF08: 25 mm; wider: chosen here", (0.03, 0.1), typical=0.03),
+    )
     spacing_m: Tensor
 
     def apply(self, state: State) -> State:

@@ -61,7 +61,9 @@ class ClockScale(Effect):
     stage = Stage.REGISTER
     summary = "The sensor's clock, or its constant from time to range, has an error: all ranges are scaled"
     parameters = (
-        Parameter("error", "1", 0.0, -0.05, 0.05, "ceramic resonators +-0.5 %; unit constants: chosen here", (0.0,)),
+        Parameter(
+            "error", "1", 0.0, -0.05, 0.05, "resonators +-0.5 %; unit constants: chosen here", (0.0,), typical=0.01
+        ),
     )
     error: Tensor
 
@@ -84,7 +86,9 @@ class ZeroOffset(Effect):
     stage = Stage.REGISTER
     summary = "The reference plane of ranges differs from that of distances: all ranges have the same offset"
     parameters = (
-        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "firmware and mounting +-30 mm; wider: chosen here", (0.0,)),
+        Parameter(
+            "offset_m", "m", 0.0, -0.1, 0.1, "firmware, mounting +-30 mm; wider: chosen here", (0.0,), typical=0.015
+        ),
     )
     offset_m: Tensor
 
@@ -329,9 +333,10 @@ class WarmUp(Effect):
 
     name = "warm_up"
     stage = Stage.REGISTER
+    needs_time = True
     summary = "The zero drifts while the sensor warms up"
     parameters = (
-        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01)),
+        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01), typical=0.01),
         Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: chosen here", (60.0, 600.0)),
     )
     offset_m: Tensor

@@ -48,7 +48,7 @@ class RingDown(Effect):
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 1.0, "chosen here", (0.2,)),
         Parameter("range_m", "m", 0.1, 0.005, 0.8, "end of blanking to 0.8 m", (0.05, 0.25)),
-        Parameter("decay_m", "m", 0.047, 0.0005, 0.2, "c tau / 2, tau 220 to 460 us; wider: chosen here", (0.04,)),
+        Parameter("decay_m", "m", 0.047, 0.01, 0.2, "c tau / 2, tau 220 to 460 us; wider: chosen here", (0.04,)),
     )
     probability: Tensor
     range_m: Tensor

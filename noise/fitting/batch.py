@@ -13,7 +13,7 @@ from torch import Tensor
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
 from noise.effects.base import target_tolerance
-from noise.fitting.visits import last_echo, visits_of
+from noise.fitting.visits import last_echo, visits_of, with_range_rate
 
 MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
 MAX_STATIONARY_M = 0.01  # change of the logged distance of a stationary target; chosen here
@@ -59,7 +59,7 @@ class Batch:
         order = np.lexsort((np.arange(len(recording)), visit))
         order = order[answered[order]]
         past = previous(recording.reading, recording.run)
-        ping, reading = recording.ping[order], recording.reading[order]
+        ping, reading = with_range_rate(recording)[order], recording.reading[order]
         label = np.unique(visit[order], return_inverse=True)[1]
         last, timed = last_echo(recording)[order], recording.has("time_s")
         return cls(ping, past[order], reading, label, condition[order], recording.resolution, last, timed)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from acquisition import Recording
+from acquisition import Ping, Recording
+from noise.effects.interping import RANGE_RATE
 
 VISIT_PINGS = 25  # length of a visit where conditions never repeat (a moving robot); chosen here
 MIN_VISITS = 12  # a recording with fewer is cut into visits of `VISIT_PINGS`; chosen here
@@ -28,7 +31,7 @@ def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64
     n = len(recording)
     pair = np.unique(np.stack([recording.condition, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
     pings_each = np.bincount(recording.condition)
-    if pings_each.mean() < 2.0 and n > 2 * MIN_VISITS:
+    if is_moving(recording):
         visit = _consecutive(recording.run)
         return visit, visit
     visit = pair
@@ -36,6 +39,26 @@ def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64
         visit = np.unique(pair * (n + 1) + _consecutive(pair), return_inverse=True)[1]
     condition = recording.condition if len(pings_each) >= MIN_VISITS else visit
     return condition, visit
+
+
+def is_moving(recording: Recording) -> bool:
+    """Return whether conditions hardly ever repeat, as for a sensor on a moving robot."""
+    n = len(recording)
+    return bool(n > 2 * MIN_VISITS and n < 2.0 * (recording.condition.max() + 1))
+
+
+def with_range_rate(recording: Recording) -> Ping:
+    """Return the pings of a recording; those of a moving sensor with the rate of the logged distance, m/s."""
+    ping = recording.ping
+    if not (is_moving(recording) and recording.has("time_s")):
+        return ping
+    rate = np.zeros(len(ping))
+    for run in np.unique(ping.run):
+        rows = np.flatnonzero(ping.run == run)
+        rows = rows[np.r_[True, np.diff(ping.time[rows]) > 0]]
+        if len(rows) > 1:
+            rate[rows] = np.gradient(ping.distance[rows], ping.time[rows])
+    return replace(ping, covariates={**ping.covariates, RANGE_RATE: rate})
 
 
 def _consecutive(group: NDArray[np.int64]) -> NDArray[np.int64]:

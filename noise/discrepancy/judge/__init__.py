@@ -1,1 +1,1 @@
-"""The verdict, what remains unexplained, and the next measurement."""
+"""Judgement: shares of the misfit, probabilities of causes, and the verdict."""

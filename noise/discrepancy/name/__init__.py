@@ -1,1 +1,1 @@
-"""Which effects explain the difference: cross-fitted selection, pairs, alternatives, intervals."""
+"""Naming: the effects in which a recording differs from its simulation, their alternatives and their sizes."""

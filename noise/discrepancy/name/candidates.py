@@ -1,0 +1,123 @@
+"""Candidate effects of a recording: those that its sampling can show, and where a fit of each starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from noise.effects import CATALOGUE, Effect
+from noise.fitting.batch import Batch
+from noise.fitting.stack import JITTER, SPREAD, Key, Stack
+from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
+
+AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
+DESIGN = 4  # quasi-random starting points of an effect, a power of two
+# discrete values without a derivative, whose bounds are those of the list of starts
+STEPWISE = ("step_m", "unit_m")
+
+
+def sampled_effect(effect: type[Effect], batch: Batch) -> type[Effect] | None:
+    """Return an effect with the bounds that the sampling of a recording resolves; None if it shows none of it.
+
+    A period below twice the sampling interval cannot be told from a longer one (Nyquist), and one above half the
+    recording cannot be told from a trend.
+    """
+    if effect.needs_time and not batch.timed:
+        return None
+    if batch.resolution > effect.coarsest_step_m:
+        return None
+    if not any(p.cycle for p in effect.parameters):
+        return effect
+    low, high = resolved_periods(batch)
+    changed = []
+    for p in effect.parameters:
+        if p.cycle:
+            p_low, p_high = max(p.low, low), min(p.high, high)
+            if p_low >= p_high:
+                return None
+            starts = tuple(s for s in p.starts if p_low < s < p_high) or (float(np.sqrt(p_low * p_high)),)
+            p = replace(p, low=p_low, high=p_high, null=float(np.clip(p.null, p_low, p_high)), starts=starts)
+        changed.append(p)
+    return type(effect.__name__, (effect,), {"parameters": tuple(changed)})
+
+
+def resolved_periods(batch: Batch) -> tuple[float, float]:
+    """Return the shortest and longest period, s, that the times of a batch resolve."""
+    step = np.diff(np.sort(batch.ping.time))
+    step = step[step > 0]
+    if not len(step):
+        return np.inf, 0.0
+    return 2.0 * float(np.median(step)), 0.5 * float(np.ptp(batch.ping.time))
+
+
+def candidate_names(base: Stack, batch: Batch, without: Sequence[str]) -> tuple[str, ...]:
+    """Return the effects that may differ; the scatter of single pings is judged apart, since every fit frees it."""
+    names = (*CATALOGUE, *(name for name in base.values if name in CATALOGUE))
+    shown = (name for name in dict.fromkeys(names) if name != JITTER and name not in without)
+    return tuple(name for name in shown if sampled_effect(CATALOGUE[name], batch) and keys_of(base, name, batch))
+
+
+def with_sampled_bounds(base: Stack, batch: Batch) -> Stack:
+    """Return the stack in which periods have the bounds that a batch resolves."""
+    effects = {name: sampled_effect(effect, batch) for name, effect in CATALOGUE.items()}
+    changed = {name: e for name, e in effects.items() if e is not None and e is not CATALOGUE[name]}
+    return replace(base, extra={**base.extra, **changed})
+
+
+def keys_of(base: Stack, name: str, batch: Batch) -> tuple[Key, ...]:
+    """Return the parameters of an effect that the recording can identify."""
+    return tuple(
+        (name, p.name)
+        for p in base.known[name].parameters
+        if p.identifiable(batch.ping.covariates) and not (name == "thermal_drift" and p.covariate)
+    )
+
+
+def starts_of(stack: Stack, name: str, grid: Batch, whole: Batch, rng: np.random.Generator) -> list[Stack]:
+    """Return starting points of an effect: with the present scatter, and for outliers with that of most readings.
+
+    Outliers stretch the scatter of a law without them, and no local fit leads back from there.
+    """
+    points = starting_points(stack, name, grid, rng, DESIGN, whole)
+    if not stack.known[name].localised:
+        return points
+    narrow = narrowed(stack, whole)
+    if narrow.get(SPREAD[0]) > 0.7 * stack.get(SPREAD[0]) and narrow.get(SPREAD[2]) > 0.5 * stack.get(SPREAD[2]):
+        return points
+    values = [{key: point.get(key) for key in keys_of(stack, name, whole)} for point in points]
+    return [*points, *(narrow.at(value) for value in values)]
+
+
+def narrowed(stack: Stack, batch: Batch) -> Stack:
+    """Return the stack with the scatter of most readings about the median of their visit."""
+    return nuisance_start(stack, batch).put([(JITTER, "sigma_m")], [robust_scatter(batch)])
+
+
+def log_prior(stack: Stack, base: Stack, names: Sequence[str]) -> float:
+    """Return the log prior of the sizes of effects relative to a base: Cauchy, with the `typical` size as scale."""
+    total = 0.0
+    for name in names:
+        for p in stack.known[name].parameters:
+            if p.typical > 0:
+                difference = stack.get((name, p.name)) - base.get((name, p.name))
+                total -= float(np.log1p((difference / p.typical) ** 2))
+    return total
+
+
+def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
+    """Return whether an effect needs a bound that is neither its null nor the base's value: then it explains nothing.
+
+    The ends of a share, 0 and 1, are no bounds in this sense. Stepwise parameters have no derivative and stay at their
+    starts.
+    """
+    for key in keys_of(stack, name, batch):
+        p, value = stack.parameter(key), stack.get(key)
+        if p.name in STEPWISE or (p.low, p.high) == (0.0, 1.0):
+            continue
+        slack = AT_BOUND * (p.high - p.low)
+        moved = abs(value - p.null) > slack and abs(value - base.get(key)) > slack
+        if moved and (value <= p.low + slack or value >= p.high - slack):
+            return True
+    return False

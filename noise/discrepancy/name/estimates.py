@@ -1,0 +1,84 @@
+"""Estimates: the parameters of the selected effects, fitted to both folds, with intervals that cover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from noise.discrepancy.name.search import FINE, FOLD_PINGS, Hypothesis, Search
+from noise.discrepancy.result import LEVEL, Interval
+from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
+from noise.fitting.stack import NUISANCES, Key, Stack
+
+Z = float(norm.ppf(0.5 + LEVEL / 2.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Final:
+    """The selected hypothesis on both folds.
+
+    Attributes:
+        effects: effect ids.
+        joint: fit of effects and nuisances, which predicts a reading from those before it in its visit.
+        single: the same for single readings, each of which counts once: what a simulator samples.
+        batch: readings of the fits.
+    """
+
+    effects: tuple[str, ...]
+    joint: Fit
+    single: Fit
+    batch: Batch
+
+    @property
+    def stack(self) -> Stack:
+        """The joint fit's stack."""
+        return self.joint.stack
+
+
+def conclude(search: Search, found: Hypothesis) -> Final:
+    """Return a hypothesis fitted to both folds."""
+    batch = search.folds.both.thin(2 * FOLD_PINGS)
+    keys = search.keys(found.effects)
+    joint = maximise(found.stacks[0], (*keys, *NUISANCES), batch, 60, FINE)
+    single = refit_without_urn(joint, keys, batch) if found.effects else joint
+    return Final(found.effects, joint, single, batch)
+
+
+def intervals(search: Search, final: Final) -> dict[Key, Interval]:
+    """Return the interval of every parameter of the effects.
+
+    The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
+    the simulation is known no better than its readings allow. What a two-sided parameter would be in the simulation's
+    own readings is subtracted, because only the difference is the recording's.
+    """
+    known = np.sqrt(np.diag(covariance(final.single, final.batch)))
+    out = {}
+    for key, error in zip(final.single.free, known, strict=True):
+        if key in NUISANCES:
+            continue
+        p, value = final.single.stack.parameter(key), final.single.stack.get(key)
+        shift, own_error = _in_simulation(search, key)
+        value = float(np.clip(value - shift, p.low, p.high))
+        spread = Z * float(np.hypot(error, own_error))
+        low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
+        out[key] = Interval(value, low, high, p.unit)
+    return out
+
+
+def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
+    """Return by how much the simulation's readings move a parameter from the common law, and the standard error."""
+    p = search.common.parameter(key)
+    if search.simulated is None or not p.low < p.null < p.high:
+        return 0.0, 0.0
+    fitted = maximise(search.common, (key, *NUISANCES), search.simulated, 40, FINE)
+    return fitted.stack.get(key) - search.common.get(key), float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
+
+
+def statement(search: Search, name: str, values: Sequence[tuple[Key, Interval]]) -> str:
+    """Return the sentence of an effect at its estimated values."""
+    stack = search.common.put([key for key, _ in values], [interval.value for _, interval in values])
+    return stack.known[name](**stack.values[name]).statement()
