@@ -206,6 +206,10 @@ class PhysicalModel:
             offset=number(0.0),
             gate=number(self.max_range),
         )
+        return self.applied(state)
+
+    def applied(self, state: State) -> State:
+        """Return a state after all effects are applied to it."""
         for effect in self.effects:
             state = effect.apply(state)
         return state

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from noise.discrepancy.presented import Presented
 from noise.fitting.batch import Batch
 from noise.model import SonarModel
 
@@ -274,8 +275,8 @@ class Verdict:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Presented):
     """A verdict, the models, and the readings that figures are drawn from.
 
     Attributes:

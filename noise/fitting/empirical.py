@@ -1,92 +1,43 @@
-"""Physical law with a smooth correction without a cause: the emulator of a simulator known only by its readings."""
+"""EmpiricalModel: a physical law with smooth corrections and the scatter of placements, as a model of single pings."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from acquisition import ModelError
-from noise.effects import CATALOGUE, Atom, Effect, Parameter, Stage, State
-from noise.effects.state import number
+from noise.effects import CATALOGUE, Effect, Parameter, Stage, State
+from noise.fitting.smooth import Smooth, term_of
 from noise.physical import PhysicalModel
 
-DISTANCE_KNOTS = (0.1, 0.3, 0.7, 1.2, 2.0, 3.0, 4.5, 6.0)  # m, chosen here: denser where sonars change fastest
-ANGLE_KNOTS = (0.0, 0.1, 0.25, 0.45, 0.8)  # rad
-TILT_KNOTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)  # rad, chosen here: a ray cone of +-30 deg errs by 6 mm at 3 m
-SOURCE = "smooth correction: chosen here"
 
+class PlacementScatter(Effect):
+    """The target is not exactly at its logged distance: spread^2 -> spread^2 + sigma^2 of the direct path."""
 
-def _knots(kind: str, unit: str, null: float, low: float, high: float) -> tuple[Parameter, ...]:
-    near = [Parameter(f"{kind}_d{k}", unit, null, low, high, SOURCE) for k in range(len(DISTANCE_KNOTS))]
-    return (*near, *_angles(kind, ANGLE_KNOTS, unit, null, low, high))
-
-
-def _angles(
-    kind: str, knots: tuple[float, ...], unit: str, null: float, low: float, high: float
-) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{kind}_a{k}", unit, null, low, high, SOURCE) for k in range(1, len(knots)))
-
-
-def interpolate(x: Tensor, knots: tuple[float, ...], values: list[Tensor]) -> Tensor:
-    """Return the linear interpolation of (knots, values) at x, constant beyond the ends, (n,)."""
-    place, height = number(list(knots)), torch.stack(values)
-    x = torch.clamp(x, knots[0], knots[-1])
-    left = torch.clamp(torch.searchsorted(place, x.contiguous(), right=True) - 1, 0, len(knots) - 2)
-    share = (x - place[left]) / (place[left + 1] - place[left])
-    return height[left] * (1.0 - share) + height[left + 1] * share
-
-
-class Flexible(Effect):
-    """Smooth corrections of bias, spread and P(no echo) over distance and angle: a description, never a cause.
-
-    `tilt` is a share of the distance, piecewise linear in 1 - cos(incidence), like the nearest point of a tilted wall,
-    which robot simulators find with a cone of rays.
-    """
-
-    name = "flexible"
+    name = "placement_scatter"
     stage = Stage.SEQUENCE
-    summary = "A smooth correction without a cause"
-    parameters = (
-        *_knots("bias", "m", 0.0, -0.4, 0.4),
-        *_knots("spread", "m", 0.0, 0.0, 0.2),
-        *_knots("silence", "1", 0.0, 0.0, 0.98),
-        *_angles("tilt", TILT_KNOTS, "1", 0.0, -0.5, 0.5),
-    )
-
-    def _line(self, kind: str, state: State) -> Tensor:
-        distance, angle = state.conditions.distance, torch.abs(state.conditions.angle)
-        near = [getattr(self, f"{kind}_d{k}") for k in range(len(DISTANCE_KNOTS))]
-        wide = self._wide(kind, ANGLE_KNOTS)
-        return interpolate(distance, DISTANCE_KNOTS, near) + interpolate(angle, ANGLE_KNOTS, wide)
-
-    def _wide(self, kind: str, knots: tuple[float, ...]) -> list[Tensor]:
-        return [number(0.0), *(getattr(self, f"{kind}_a{k}") for k in range(1, len(knots)))]
-
-    def _bias(self, state: State) -> Tensor:
-        short = 1.0 - torch.cos(state.conditions.incidence)
-        knots = tuple(1.0 - math.cos(angle) for angle in TILT_KNOTS)
-        tilt = interpolate(short, knots, self._wide("tilt", TILT_KNOTS))
-        return self._line("bias", state) + state.conditions.distance * tilt
+    summary = "Targets are placed with an error"
+    parameters = (Parameter("sigma_m", "m", 0.0, 0.0, 0.3, "ruler and mount, 1 to 5 mm; wider: chosen here"),)
+    sigma_m: Tensor
 
     def apply(self, state: State) -> State:
-        """Shift, widen and attenuate the direct path; the shift scales with the speed of sound."""
+        """Widen the direct path."""
         path = state.direct
-        stretched = path.length / torch.clamp(state.conditions.distance, min=1e-3)
-        spread = torch.sqrt(path.spread**2 + self._line("spread", state) ** 2 + 1e-18) - 1e-9
-        state = state.with_direct(replace(path, length=path.length + stretched * self._bias(state), spread=spread))
-        weight = torch.clamp(self._line("silence", state), 0.0, 0.999)
-        return state.with_atom(Atom(weight, torch.zeros_like, number(1.0), number(0.0)))
+        spread = torch.sqrt(path.spread**2 + self.sigma_m**2 + 1e-18) - 1e-9  # finite gradient at zero
+        return state.with_direct(replace(path, spread=spread))
 
 
 class EmpiricalModel(PhysicalModel):
-    """A `PhysicalModel` with an optional `Flexible` part, saved as kind "empirical"."""
+    """A `PhysicalModel` with `Smooth` corrections and the scatter of placements, saved as kind "empirical"."""
 
     def to_dict(self) -> dict[str, object]:
         """Return the model as plain data."""
-        return {**super().to_dict(), "kind": "empirical"}
+        terms = [effect for effect in self.effects if isinstance(effect, Smooth)]
+        effects = {effect.name: effect.values for effect in self.effects if not isinstance(effect, Smooth)}
+        base = {"kind": "empirical", "resolution": self.resolution, "max_range": self.max_range}
+        return {**base, "effects": effects, "terms": [term.to_dict() for term in terms]}
 
     @classmethod
     def from_dict(cls, data: dict[str, object]) -> EmpiricalModel:
@@ -95,9 +46,15 @@ class EmpiricalModel(PhysicalModel):
         Raises:
             ModelError: an effect is unknown or a value is invalid.
         """
-        effects = data.get("effects", {})
-        known: dict[str, type[Effect]] = {**CATALOGUE, Flexible.name: Flexible}
+        effects, terms = data.get("effects", {}), data.get("terms", [])
+        known: dict[str, type[Effect]] = {**CATALOGUE, PlacementScatter.name: PlacementScatter}
         if not isinstance(effects, dict) or any(name not in known for name in effects):
             raise ModelError(f"model: `effects` must map effect ids to parameters; known ids: {', '.join(known)}")
+        if not isinstance(terms, list) or not all(isinstance(term, dict) for term in terms):
+            raise ModelError("model: `terms` must be a list of smooth terms")
         stack = [known[name](**values) for name, values in effects.items()]
-        return cls(stack, float(str(data["resolution"])), float(str(data["max_range"])))
+        try:
+            limits = float(str(data["resolution"])), float(str(data["max_range"]))
+        except (KeyError, ValueError) as error:
+            raise ModelError(f"model: cannot be built from its parameters ({error}); it may be damaged") from None
+        return cls([*stack, *map(term_of, terms)], *limits)

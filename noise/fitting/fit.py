@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from torch import Tensor
 
 from acquisition import Recording
 from acquisition.arrays import Floats
@@ -36,7 +35,6 @@ COARSE_GAIN = 1.0  # nats; with a larger `min_gain`, fits only rank candidates a
 CURVATURE_CHANGE = (1e-4, 1e4)  # limits of the change of curvature during one local fit
 PROBABILITY_FACTORS = (1.0, 0.3, 0.1, 0.03)  # from a share of the new readings of a visit to a share of all pings
 MIN_URN_WEIGHT = 0.2  # above this, the readings of a visit repeat each other
-PRIOR_SHARE = 0.125  # prior standard deviation of corrections without a cause, as a share of their bounds
 
 Scales = dict[Key, float]
 
@@ -80,21 +78,12 @@ class Objective:
     def _evaluate(self, x: Floats) -> tuple[float, Floats]:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         model, visits = self.stack.build(self.free, numbers)
-        total = -log_prob(law_of(model, self.batch), visits, self.batch).sum() + self._prior(numbers)
+        total = -log_prob(law_of(model, self.batch), visits, self.batch).sum()
         if not total.requires_grad:  # a stack of stepwise effects, such as rounding, has no gradient
             return float(total), np.zeros(len(x))
         (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
         gradient = torch.zeros_like(numbers) if gradient is None else gradient
         return float(total.detach()), np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0)
-
-    def _prior(self, numbers: Tensor) -> Tensor:
-        """Return the negative log prior: normal around the null value for corrections without a cause, else flat."""
-        total = numbers.new_zeros(())
-        for number, key in zip(numbers, self.free, strict=True):
-            if key[0] in self.stack.extra:
-                p = self.stack.parameter(key)
-                total = total + 0.5 * ((number - p.null) / (PRIOR_SHARE * (p.high - p.low))) ** 2
-        return total
 
     def is_flat(self, x: Floats) -> bool:
         """Return whether no parameter has a descent direction within its bounds."""

@@ -13,7 +13,9 @@ from torch import Tensor
 from acquisition.arrays import Floats
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
-from noise.fitting.visit_effects import VisitEffects, direct_median, law_of
+from noise.fitting.empirical import EmpiricalModel, PlacementScatter
+from noise.fitting.smooth import Smooth
+from noise.fitting.visit_effects import VisitEffects, direct_median, law_of, placement_scatter
 from noise.physical import PhysicalModel
 
 Values = dict[str, dict[str, float]]
@@ -39,25 +41,27 @@ class Stack:
     Attributes:
         values: effect id -> parameter -> value; "visits" holds those of `VisitEffects`.
         resolution, max_range: of the register, m.
-        extra: effects beyond the catalogue (the flexible part of an emulator), by id.
+        terms: smooth corrections without parameters, at most one of each id.
+        bounded: effects with other bounds than the catalogue's, by id.
     """
 
     values: Values
     resolution: float = 0.001
     max_range: float = 11.008
-    extra: Mapping[str, type[Effect]] = field(default_factory=dict)
+    terms: tuple[Smooth, ...] = ()
+    bounded: Mapping[str, type[Effect]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: PhysicalModel) -> Stack:
         """Return the stack of a model."""
-        extra = {effect.name: type(effect) for effect in model.effects if effect.name not in CATALOGUE}
-        values = {effect.name: effect.values for effect in model.effects}
-        return cls(values, model.resolution, model.max_range, extra)
+        terms = tuple(effect for effect in model.effects if isinstance(effect, Smooth))
+        values = {effect.name: effect.values for effect in model.effects if not isinstance(effect, Smooth)}
+        return cls(values, model.resolution, model.max_range, terms)
 
     @cached_property
     def known(self) -> dict[str, type[Effect]]:
         """All effects that a stack can contain, by id."""
-        return {**CATALOGUE, **self.extra, VISITS: VisitEffects}
+        return {**CATALOGUE, **self.bounded, VISITS: VisitEffects, PlacementScatter.name: PlacementScatter}
 
     def parameter(self, key: Key) -> Parameter:
         """Return the description of a parameter."""
@@ -83,6 +87,14 @@ class Stack:
         """Return the stack without an effect."""
         return replace(self, values={k: v for k, v in self.values.items() if k != name})
 
+    def with_term(self, term: Smooth) -> Stack:
+        """Return the stack with a smooth correction, which replaces an older one of the same id."""
+        return replace(self, terms=(*(old for old in self.terms if old.name != term.name), term))
+
+    def without_term(self, name: str) -> Stack:
+        """Return the stack without a smooth correction."""
+        return replace(self, terms=tuple(term for term in self.terms if term.name != name))
+
     def build(self, keys: Sequence[Key] = (), numbers: Tensor | None = None) -> tuple[PhysicalModel, VisitEffects]:
         """Return model and visit effects; the parameters at `keys` come from a tensor, for gradients."""
         values: dict[str, dict[str, float | Tensor]] = {name: dict(v) for name, v in self.values.items()}
@@ -91,7 +103,8 @@ class Stack:
             values.setdefault(key[0], {})[key[1]] = numbers[k]
         visits = VisitEffects(**values.pop(VISITS, {}))
         effects = [self.known[name](**inner) for name, inner in values.items()]
-        return PhysicalModel(effects, self.resolution, self.max_range), visits
+        kind = EmpiricalModel if self.terms else PhysicalModel
+        return kind([*effects, *self.terms], self.resolution, self.max_range), visits
 
     def expected(self, batch: Batch) -> Floats:
         """Return the median of the law of each ping, m, (n,)."""
@@ -105,6 +118,13 @@ class Stack:
         with torch.no_grad():
             middle, variance = direct_median(law_of(self.model, batch))
         return middle.numpy(), variance.numpy()
+
+    @property
+    def single_ping_model(self) -> EmpiricalModel:
+        """The model of a ping whose visit has no other readings: the scatter of placements is included."""
+        model, visits = self.build()
+        placement = PlacementScatter(sigma_m=placement_scatter(float(visits.placement_m)))
+        return EmpiricalModel([*model.effects, placement], self.resolution, self.max_range)
 
     @property
     def model(self) -> PhysicalModel:

@@ -1,1 +1,5 @@
-"""The emulator: a law that describes the simulation."""
+"""The law that describes the simulation.
+
+emulator: a physical law with a smooth correction, fitted to readings; the empirical term of a recording.
+sources: the simulation as a model, a file, or a function that is asked. nearest: readings of the nearest visits.
+"""

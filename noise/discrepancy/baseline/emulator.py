@@ -1,165 +1,164 @@
-"""The law that stands for a simulation known by its readings: what sonars usually have, and a smooth part, fitted.
+"""Laws that describe readings: the emulator of a simulation, and the empirical term of a recording.
 
-It is fitted twice, with a threshold below which echoes are missed and without one, and each is led to its end: faults
-and silent cells pass for a threshold until the smooth part is there.
+The emulator is physics first: what every sonar has (an axis, a beam, a threshold, losses), then effects of the
+catalogue by forward selection, each kept only if it improves visits that it was not fitted to, then a smooth
+correction in the law's own coordinates. Physics extrapolates to other conditions, and the correction describes the
+rest where there are readings.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from noise.discrepancy.checks.company import company
-from noise.discrepancy.common.workers import ALONE, Workers
+from acquisition.arrays import Floats
+from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.empirical import DISTANCE_KNOTS, Flexible
-from noise.fitting.fit import Fit, highest, log_likelihood, maximise
-from noise.fitting.stack import JITTER, NUISANCES, SPREAD, VISITS, Key, Stack
-from noise.fitting.starts import extra_modes, nuisance_starts, robust_scatter, starting_points
+from noise.fitting.fit import highest, log_likelihood, maximise
+from noise.fitting.learn_smooth import learn_smooth, single_log_prob
+from noise.fitting.smooth import MEMORY, Empirical, Smooth
+from noise.fitting.stack import JITTER, NUISANCES, SHARED, SPREAD, VISITS, Key, Stack
+from noise.fitting.starts import nuisance_starts, starting_points
+from noise.fitting.visit_effects import log_prob
 from noise.physical import PhysicalModel
 
-# what a simulated sonar usually has, to begin from: an axis, a beam, a threshold; the smooth part does the rest
-PLAIN: dict[Key, float] = {
+# where the fit of what every sonar has begins: a level at which reflectors 1 to 4 m away are near the threshold
+START: dict[Key, float] = {
     ("clock_scale", "error"): 0.0,
     ("zero_offset", "offset_m"): 0.0,
-    ("dropped_reading", "probability"): 0.002,
-    ("spike", "probability"): 0.002,
-    ("cycle_slip", "probability"): 0.2,
-}
-LOSS: Key = ("sensitivity", "loss_db")
-WEAKENED: dict[Key, float] = {
-    LOSS: 38.0,
+    ("sensitivity", "loss_db"): 38.0,
     ("specular_loss", "strength"): 0.8,
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
     ("reflectance_loss", "strength"): 0.5,
+    ("dropped_reading", "probability"): 0.002,
+    ("spike", "probability"): 0.002,
+    ("cycle_slip", "probability"): 0.2,
 }
-FAULTS = ("spike", "dropped_reading", "cycle_slip")  # of the emulator, that anything unexplained passes for
-LOSSES_DB = (30.0, 38.0, 42.0, 46.0, 50.0)  # to begin from where other things answer: no slope tells them apart; ours
-LOOSE: dict[Key, float] = {(VISITS, "placement_m"): 0.004, (VISITS, "urn_weight"): 0.3}  # to begin from; ours
-FEW_MISSED = 0.002  # share of pings that miss the target, below which nothing is known of a threshold; ours
-THINGS = ("background_reflector", "fixed_clutter")  # that may answer in place of the target
-FEWEST_AGREE = 3  # stays whose strays agree, below which nothing else is asked for; ours
-LEAST_GAIN = 10.0  # nats of a fit with such a thing, for its four parameters; ours
-TILT_GAIN = 2.0  # nats, for each number of the tilt; ours
-LEAST_LOSS = 0.5  # nats; a part of the emulator that is missed less than this is left out; ours
+PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1500, 600, 2500  # readings of each step, which bound the time
+DESIGN = 4  # starting points of a quasi-random design for each candidate effect
+CANDIDATES, ROUNDS = 3, 3  # effects that are fitted in a round, and rounds
+MIN_GAIN_NATS = 3.0  # on unseen visits: odds of 20 to 1
+MIN_T = 2.0  # the same gain in standard errors over visits
+ITERATIONS = 40
+CONDITION_INPUTS = ("log_distance", "angle", "incidence", "reflectance")
+INTERVAL = "interval_s"  # logged with every recording; it describes the past, not the condition
 
 
-def emulator(both: Batch, seed: int, workers: Workers = ALONE) -> Stack:
-    """Return the law and nuisances that describe a simulation's readings.
-
-    Args:
-        both: the readings.
-        seed: of starting points.
-        workers: processes that share the climbs.
-    """
-    bare = nuisance_starts(Stack.of(PhysicalModel((), both.resolution)), both)
-    climb = partial(_climbed, both)
-    tops = [highest(workers.map(climb, [stack.at(PLAIN) for stack in bare]))]
-    if levels_tell(both):
-        # from where echoes are, and how far cells repeat themselves, a threshold is found that is not from elsewhere
-        faint = [tops[0].stack.at(WEAKENED), *(stack.at({**PLAIN, **WEAKENED}) for stack in bare)]
-        tops.append(highest(workers.map(climb, [*faint, *in_company(bare[0], both)])))
-    ends = workers.map(lambda top: smoothed(with_other_things(top, both, seed).stack, both), tops)
-    return folded(_pruned(highest(ends).stack, both))
-
-
-def _climbed(batch: Batch, stack: Stack) -> Fit:
-    return maximise(stack, (*free_of(stack), *NUISANCES), batch, 40, LEAST_LOSS)
-
-
-def smoothed(stack: Stack, batch: Batch) -> Fit:
-    """Return the fit of a stack with a smooth part; with its tilt only where readings ask for it."""
-    smooth = replace(stack, extra={Flexible.name: Flexible})
-    fine: tuple[Key, ...] = tuple((Flexible.name, p.name) for p in Flexible.parameters)
-    smooth = smooth.put(fine, [0.0] * len(fine))
-    tilt = [key for key in fine if key[1].startswith("tilt")]
-    free = tuple(key for key in (*free_of(smooth), *NUISANCES) if key not in tilt)
-    plain = maximise(smooth, free, batch, 80)
-    tilted = maximise(smooth, (*free, *tilt), batch, 80)
-    return tilted if tilted.nats > plain.nats + TILT_GAIN * len(tilt) else plain
-
-
-def levels_tell(batch: Batch) -> bool:
-    """Tell whether a simulation's readings depend on how loud an echo is: some are missed, or reflectors differ.
-
-    Where none is missed a threshold could stand anywhere below, and what it does to the moment of reading would hold it
-    where no recording can move it. A target is missed, too, where something behind it answers in its place.
-    """
-    missed = ~batch.reading.echo | (batch.error > batch.reach)
-    return float(np.mean(missed)) > FEW_MISSED or bool(np.ptp(batch.ping.reflectance) > 0.0)
-
-
-def in_company(bare: Stack, batch: Batch) -> list[Stack]:
-    """Return where to begin if something else answers wherever the target is too faint; nothing if nothing stands out.
-
-    Such echoes pass for spikes, losses and cells that repeat themselves, and no climb leads back from there: its own
-    parameters and the levels are climbed first, with faults as rare and cells as loose as they usually are.
+def emulate(readings: Batch, rng: np.random.Generator) -> Stack:
+    """Return the law and nuisance parameters that describe a simulation's readings.
 
     Args:
-        bare: a law with nuisances and nothing else.
-        batch: the simulation's readings.
+        readings: of the simulation.
+        rng: chooses visits, starting points and centres.
     """
-    modes = [mode for mode in dict.fromkeys(extra_modes(batch)) if mode > 0.0]
-    if not modes:
-        return []
-    usual = {**PLAIN, **WEAKENED, (JITTER, "sigma_m"): robust_scatter(batch), **LOOSE}
-    things = [thing for mode in modes for thing in _answering(mode)]
-    starts = [{**usual, LOSS: loss, **thing} for loss in LOSSES_DB for thing in things]
-    put = [bare.at(start) for start in starts]
-    best = max(put, key=lambda stack: log_likelihood(stack, batch).sum())
-    free = tuple(key for key in free_of(best) if key[0] not in FAULTS)
-    return [maximise(best, (*free, *SPREAD), batch, 40, LEAST_LOSS).stack]
+    physics = with_catalogue(base_physics(readings.thin(PHYSICS_PINGS)), readings, rng)
+    return with_smooth(physics, readings, rng)
 
 
-def _answering(mode: float) -> tuple[dict[Key, float], dict[Key, float]]:
-    """Return things that nearly always answer at a length, m: behind the target, or in the room."""
-    behind, fixed = THINGS
-    backdrop = {(behind, "presence"): 0.9, (behind, "behind_m"): mode, (behind, "loss_db"): 5.0}
-    return backdrop, {(fixed, "presence"): 0.9, (fixed, "range_m"): mode, (fixed, "spread_m"): 0.02}
+def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
+    """Return a law with its smooth correction by condition, and the dependence within visits fitted beside it."""
+    batch = readings.thin(SMOOTH_PINGS)
+    names = (*CONDITION_INPUTS, *_logged(batch))
+    stack = learn_smooth(stack, batch, Smooth, names, single_log_prob, rng)
+    return maximise(stack, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
 
 
-def with_other_things(fit: Fit, batch: Batch, seed: int) -> Fit:
-    """Return a fit with what else answers in the simulation: not asked for it, the recording would seem to add it.
+def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stack:
+    """Return a law with what a recording shows beyond it, as a smooth function of conditions, time and memory.
 
     Args:
-        fit: of what simulated sonars usually have.
-        batch: the simulation's readings.
-        seed: of starting points.
+        stack: a law of the recording, corrected by the effects that were found.
+        batch: readings of the recording.
+        rng: chooses centres and folds.
+
+    Returns:
+        The stack with an `Empirical` term, or unchanged where no term improves visits that it was not fitted to.
     """
-    rng = np.random.default_rng([seed, 12])
-    if company(fit.stack, batch).agree < FEWEST_AGREE:
-        return fit
-    for name in THINGS:
-        start = max(starting_points(fit.stack, name, batch, rng), key=lambda s: log_likelihood(s, batch).sum())
-        found = _climbed(batch, start)
-        fit = found if found.nats > fit.nats + LEAST_GAIN else fit
-    return fit
+    timed = ("time",) if batch.timed else ()
+    names = (*CONDITION_INPUTS, *_logged(batch), *timed, INTERVAL, *MEMORY)
+    known = [name for name in names if name != INTERVAL or INTERVAL in batch.ping.covariates]
+    return learn_smooth(stack, batch.thin(SMOOTH_PINGS), Empirical, known, log_prob, rng)
 
 
-def _pruned(stack: Stack, batch: Batch) -> Stack:
-    """Drop what the readings do not speak for: under other conditions it would do harm that nobody asked for."""
-    for name in dict.fromkeys(key[0] for key in (*PLAIN, *WEAKENED) if key[0] in stack.values):
-        without = stack.without(name)
-        if log_likelihood(stack, batch).sum() - log_likelihood(without, batch).sum() < LEAST_LOSS:
-            stack = without
+def _logged(batch: Batch) -> list[str]:
+    return [name for name in batch.ping.covariates if name != INTERVAL]
+
+
+def base_physics(batch: Batch) -> Stack:
+    """Return the law with what every sonar has, from weak and strong dependence within visits."""
+    bare = nuisance_starts(Stack.of(PhysicalModel((), batch.resolution)), batch)
+    fits = [maximise(s.at(START), (*START, *NUISANCES), batch, ITERATIONS, 0.5) for s in bare]
+    return highest(fits).stack
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect with starting values, and its gain on readings.
+
+    Attributes:
+        name: effect id.
+        stack: the law with it.
+        gain: nats.
+    """
+
+    name: str
+    stack: Stack
+    gain: float
+
+
+def with_catalogue(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
+    """Return the law with every effect of the catalogue that improves unseen visits, by forward selection."""
+    batch, rejected = readings.thin(PHYSICS_PINGS), set[str]()
+    for _ in range(ROUNDS):
+        ranked = screened(stack, batch.thin(SCREEN_PINGS), rng, rejected)[:CANDIDATES]
+        passed = [(c, gain) for c in ranked if (gain := cross_validated(stack, c, batch, rng)) is not None]
+        rejected |= {c.name for c in ranked} - {c.name for c, _ in passed}
+        if not passed:
+            break
+        best = max(passed, key=lambda each: each[1])[0]
+        stack = maximise(best.stack, (*_free(best.stack), *NUISANCES), batch, ITERATIONS, 0.5).stack
     return stack
 
 
-def folded(stack: Stack) -> Stack:
-    """Return the stack with its scale and offset moved into the smooth part, which holds any line exactly.
+def screened(stack: Stack, batch: Batch, rng: np.random.Generator, rejected: set[str]) -> list[Candidate]:
+    """Return candidate effects by the likelihood at their best starting point, best first."""
+    now = float(log_likelihood(stack, batch).sum())
+    out = []
+    for name, effect in CATALOGUE.items():
+        absent = [p for p in effect.parameters if (name, p.name) not in stack.values.get(name, {})]
+        covariates = [p for p in effect.parameters if p.covariate and p.identifiable(batch.ping.covariates)]
+        if name in rejected or name == JITTER or not absent or (name in stack.values and not covariates):
+            continue
+        starts = starting_points(stack, name, batch, rng, DESIGN)
+        best = max(starts, key=lambda s: float(log_likelihood(s, batch).sum()))
+        out.append(Candidate(name, best, float(log_likelihood(best, batch).sum()) - now))
+    return sorted(out, key=lambda each: -each.gain)
 
-    A scale or offset that is named later then says by how much the recording differs from the simulation.
-    """
-    scale, offset = 1.0 + stack.get(("clock_scale", "error")), stack.get(("zero_offset", "offset_m"))
-    keys = [(Flexible.name, f"bias_d{k}") for k in range(len(DISTANCE_KNOTS))]
-    line = [scale * (d + stack.get(key)) + offset - d for d, key in zip(DISTANCE_KNOTS, keys, strict=True)]
-    return stack.put(keys, line).without("clock_scale").without("zero_offset")
+
+def cross_validated(stack: Stack, candidate: Candidate, batch: Batch, rng: np.random.Generator) -> float | None:
+    """Return the gain of an effect on visits it was not fitted to, nats; None where it is not clearly positive."""
+    half = rng.permutation(np.arange(batch.n_visits) % 2)[batch.visit]
+    gains = [_gain(stack, candidate, batch.select(half == k), batch.select(half != k)) for k in (0, 1)]
+    gain = np.concatenate(gains)
+    total, error = float(gain.sum()), float(np.sqrt(len(gain)) * gain.std())
+    return total if total > max(MIN_GAIN_NATS, MIN_T * error) else None
 
 
-def free_of(stack: Stack) -> tuple[Key, ...]:
-    """Return every parameter of a stack but the nuisances': what an emulator is fitted in."""
-    keys = ((name, p.name) for name in stack.values for p in stack.known[name].parameters)
-    return tuple(key for key in keys if key not in NUISANCES)
+def _gain(stack: Stack, candidate: Candidate, train: Batch, test: Batch) -> Floats:
+    """Return the gain of an effect fitted to some visits on others, nats, (n_visits,); both laws fit their spread."""
+    keys = [(candidate.name, p.name) for p in CATALOGUE[candidate.name].parameters]
+    laws = (_fitted(stack, SPREAD, train), _fitted(candidate.stack, (*keys, *SPREAD), train))
+    without, with_it = (test.visit_sums(log_likelihood(law, test)) for law in laws)
+    return with_it - without
+
+
+def _fitted(stack: Stack, free: Sequence[Key], batch: Batch) -> Stack:
+    return maximise(stack, free, batch, ITERATIONS // 2, MIN_GAIN_NATS).stack
+
+
+def _free(stack: Stack) -> list[Key]:
+    """Return every parameter of the effects of a stack."""
+    return [(name, p) for name, inner in stack.values.items() if name != VISITS for p in inner if name != JITTER]

@@ -1,1 +1,1 @@
-"""Where simulation and recording differ: residuals, the scan over regions, and comparison of shared conditions."""
+"""Where simulation and recording differ: scores, the orthogonal test, regions, and its power."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise.discrepancy.judge.thresholds import LISTED
+from noise.discrepancy.thresholds import LISTED
 from noise.discrepancy.name.candidates import at_bound, log_prior, starts_of
 from noise.discrepancy.name.estimates import Final
 from noise.discrepancy.name.search import ROUGH, Search

@@ -63,7 +63,7 @@ def with_sampled_bounds(base: Stack, batch: Batch) -> Stack:
     """Return the stack in which periods have the bounds that a batch resolves."""
     effects = {name: sampled_effect(effect, batch) for name, effect in CATALOGUE.items()}
     changed = {name: e for name, e in effects.items() if e is not None and e is not CATALOGUE[name]}
-    return replace(base, extra={**base.extra, **changed})
+    return replace(base, bounded={**base.bounded, **changed})
 
 
 def keys_of(base: Stack, name: str, batch: Batch) -> tuple[Key, ...]:

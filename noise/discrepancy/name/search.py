@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.judge.thresholds import FALSE_ALARM, MAX_CAUSES
+from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
 from noise.discrepancy.name.candidates import (
     at_bound,
     candidate_names,

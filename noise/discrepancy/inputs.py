@@ -1,0 +1,139 @@
+"""What a diagnosis accepts as model and recording, and warnings about data that are valid but doubtful."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from acquisition import Ping, Reading, Recording, SettingError
+from acquisition.arrays import Floats
+from noise.model import SonarModel
+from noise.store import load_model
+
+Simulator = Callable[[Ping, np.random.Generator], Reading | ArrayLike]
+Progress = Callable[[str, float], None]
+MIN_RANGE_MM = 20.0  # least range of an HC-SR04 by its data sheet; no ultrasonic ranger here measures less
+MAX_RATIO_ERROR = 0.15  # relative deviation of reading / distance from a power of ten; more than any scale error
+MIN_OVERLAP = 0.5  # share of recorded pings within the simulated conditions, below which a warning is due
+
+
+def as_recording(given: Recording | pd.DataFrame | str | os.PathLike[str], name: str = "recording") -> Recording:
+    """Return a recording given as such, as a table, or by the path of a CSV file.
+
+    Args:
+        given: recording, table with the columns of the recording format, or path.
+        name: name of a table, for messages.
+
+    Raises:
+        RecordingError: a column is missing or a value violates the format.
+        SettingError: of another type.
+    """
+    if isinstance(given, Recording):
+        return given
+    if isinstance(given, pd.DataFrame):
+        text = given.reset_index(drop=True).astype(object)
+        return Recording.from_text(text.where(given.notna().to_numpy(), "").astype(str), name)
+    if isinstance(given, str | os.PathLike):
+        return Recording.load(given)
+    raise SettingError(f"{name}: is a {type(given).__name__}, expected a Recording, a DataFrame or the path of a CSV file")
+
+
+def as_model(given: Any) -> SonarModel | Simulator:
+    """Return a model given as such, by name or folder, or as a function (pings, rng) -> readings.
+
+    Raises:
+        UnknownModelError: neither a known name nor a folder.
+        SettingError: of another type.
+    """
+    if isinstance(given, str | os.PathLike):
+        return load_model(given)
+    if callable(getattr(given, "law", None)) or callable(given):
+        checked: SonarModel | Simulator = given
+        return checked
+    raise SettingError(
+        f"model: is a {type(given).__name__}, expected a name, a folder, a SonarModel or a function (pings, rng)"
+    )
+
+
+def warnings_of(recorded: Recording, simulated: Recording | None = None) -> tuple[str, ...]:
+    """Return one sentence for each doubtful property of the data; none for data without one."""
+    found = [*_units(recorded), *_times(recorded), *_answers(recorded)]
+    if simulated is not None:
+        found += [*_units(simulated), *_times(simulated), *_overlap(recorded, simulated)]
+    return tuple(found)
+
+
+def _units(recording: Recording) -> Iterator[str]:
+    distance_mm = 1000.0 * recording.ping.distance
+    reading_mm = 1000.0 * recording.reading.range[recording.reading.echo]
+    small = [
+        name
+        for name, value in (("distance_mm", distance_mm), ("reading_mm", reading_mm))
+        if len(value) and 0.0 < value.max() < MIN_RANGE_MM
+    ]
+    for name in small:
+        yield (
+            f"{recording.name}: no value of {name} exceeds {MIN_RANGE_MM:.0f} mm, so the column may be in metres; "
+            "multiply it by 1000."
+        )
+    echo = recording.reading.echo & (recording.ping.distance > 0)
+    if len(small) == 2 or not echo.any():
+        return
+    ratio = float(np.median(recording.reading.range[echo] / recording.ping.distance[echo]))
+    power = round(np.log10(ratio))
+    if power and abs(ratio / 10.0**power - 1.0) < MAX_RATIO_ERROR:
+        yield (
+            f"{recording.name}: reading_mm is {10.0**power:g} times distance_mm in the median, so the columns may have "
+            "different units; both must be in mm."
+        )
+
+
+def _times(recording: Recording) -> Iterator[str]:
+    if not recording.has("time_s"):
+        return
+    order = np.argsort(recording.run, kind="stable")
+    step = np.diff(recording.ping.time[order])[np.diff(recording.run[order]) == 0]
+    duplicated, backward = int(np.sum(step == 0)), int(np.sum(step < 0))
+    if duplicated:
+        yield (
+            f"{recording.name}: {duplicated:,} of {len(recording):,} pings have the time stamp of the ping before; "
+            "differences in time and memory may be missed."
+        )
+    if backward:
+        yield (
+            f"{recording.name}: time_s decreases {backward:,} times within a session; give each session its own name "
+            "in the column `session`, and sort its rows by time."
+        )
+
+
+def _answers(recording: Recording) -> Iterator[str]:
+    lost = int(np.sum(~recording.reading.answered))
+    if lost:
+        yield (
+            f"{recording.name}: {lost:,} of {len(recording):,} pings had no answer and were left out; "
+            "check the wires and the bus."
+        )
+
+
+def _overlap(recorded: Recording, simulated: Recording) -> Iterator[str]:
+    columns = {"distance": ("m", 1.0), "angle": ("deg", 180.0 / np.pi), "reflectance": ("", 1.0)}
+    for name, (unit, factor) in columns.items():
+        real, virtual = (factor * getattr(each.ping, name) for each in (recorded, simulated))
+        inside = float(np.mean((real >= virtual.min() - 1e-6) & (real <= virtual.max() + 1e-6)))
+        if inside >= MIN_OVERLAP:
+            continue
+        how_many = "No recorded ping lies" if inside == 0 else f"Only {100 * inside:.0f} % of recorded pings lie"
+        consequence = "nothing can be compared there" if inside == 0 else "the others cannot be compared"
+        yield (
+            f"{how_many} within the simulated {name} ({_span(virtual, unit)}; recorded: {_span(real, unit)}): "
+            f"{consequence}. Simulate the recorded conditions."
+        )
+
+
+def _span(value: Floats, unit: str) -> str:
+    return f"{value.min():.3g} to {value.max():.3g} {unit}".rstrip()

@@ -1,0 +1,338 @@
+"""The orthogonal test: does a recording differ from its law in a way that the simulation does not?
+
+For ping i of the simulation (D = 0) or the recording (D = 1), with scores s that have mean zero under the law,
+
+    s_i = g(x_i) + D_i delta(x_i, t_i, past_i) + noise,
+
+where g, the error of the law that both files share, is a nuisance. With m(x) = P(D = 1 | x), the statistic of a
+regressor phi is sum_i w_i (s_i - g(x_i)), where w = phi (D - m) - E[phi (D - m) | x] if both files have phi, and
+w = phi D - E[phi D | x] if only the recording has it. It is Neyman-orthogonal: errors of g and of m enter as a product
+(Chernozhukov et al. 2018, double/debiased machine learning). Statistics are divided by the root of the sum of squares
+over clusters, and the maximum over regressors and aspects is compared with its distribution under random signs of
+clusters (wild cluster bootstrap; Cameron, Gelbach and Miller 2008).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
+from noise.discrepancy.locate.regressors import Column, Form, Regressor, columns_of
+from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.scores import ASPECTS, Scores, scores
+from noise.discrepancy.result import Aspect, PValue
+from noise.effects.state import DETECTION_WIDTH_DB
+from noise.fitting.stack import Stack
+
+DRAWS = 2000
+OVERLAP = (0.05, 0.95)  # of m(x): beyond, one file has hardly any readings, so that there is nothing to compare
+MIN_EFFECTIVE = 8.0  # effective clusters of a statistic: 2^7 distinct sign patterns allow p < 0.01
+MIN_VARIANCE = 0.02  # of an indicator, when statistics are weighted by the inverse variance
+RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
+
+Only = Callable[[Regressor, Aspect], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Aspects whose scores exist for the same pings, with what their statistics are made of.
+
+    Attributes:
+        aspects: indices into `ASPECTS`.
+        valid: whether a ping has these scores, (n,).
+        contrast: D - m(x), 0 where the files do not overlap, of each unit, (units,).
+        recorded: D of each unit, (units,).
+        expected: conditional mean of the weight of each bin, of each column; None where it is zero, (units, bins).
+        residual: weighted score minus g(x), 0 where not valid, (n, aspects).
+        natural: the same of the natural values, without weights, (n, aspects).
+        weight: factor of the score in `residual`, (n, aspects).
+    """
+
+    aspects: Ints
+    valid: Bits
+    contrast: Floats
+    recorded: Floats
+    expected: tuple[Floats | None, ...]
+    residual: Floats
+    natural: Floats
+    weight: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """Result of the test; K regressors, A aspects, C clusters.
+
+    Attributes:
+        p_value: of the greatest |z|.
+        z: studentised statistics, nan where too few clusters contribute, (A, K).
+        best: aspect and index of the regressor with the greatest |z|; None where nothing can be tested.
+        by_aspect: p-value of each aspect's own maximum.
+        regressors: descriptions, K.
+        overlap: share of the recording's pings with m(x) in `OVERLAP`.
+        critical: quantile function of the greatest |z| under the null: sorted draws of the bootstrap, (draws,).
+        groups, columns, units, cluster: intermediate results for `locate`.
+    """
+
+    p_value: PValue
+    z: Floats
+    best: tuple[Aspect, int] | None
+    by_aspect: dict[Aspect, PValue]
+    regressors: tuple[Regressor, ...]
+    overlap: float
+    critical: Floats
+    groups: tuple[Group, ...]
+    columns: tuple[Column, ...]
+    units: Ints
+    cluster: Ints
+
+    def p_of(self, z: float) -> PValue:
+        """Return the p-value of a statistic, adjusted for the choice of regressor and aspect."""
+        draws = len(self.critical)
+        value = (1 + int(np.sum(self.critical >= abs(z) * (1 - 1e-6)))) / (draws + 1)
+        return PValue(value, draws, len(self.regressors), int(np.sum(np.isfinite(self.z).any(axis=1))))
+
+
+def orthogonal_test(
+    law_recorded: Stack,
+    law_simulated: Stack,
+    sample: Sample,
+    rng: np.random.Generator,
+    *,
+    draws: int = DRAWS,
+    only: Only | None = None,
+) -> Tested:
+    """Test whether the recording differs from its law in a way that the simulation does not.
+
+    Args:
+        law_recorded: law of the recording: the emulator or, to ask what is left, the corrected law.
+        law_simulated: law that describes the simulation.
+        sample: readings.
+        rng: divides clusters into folds and draws signs.
+        draws: number of bootstrap draws.
+        only: which (regressor, aspect) pairs are tested; all by default.
+    """
+    scored = _both(law_recorded, law_simulated, sample)
+    columns = columns_of(sample)
+    x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
+    level = np.clip(scored.level_db, -20.0, 20.0)  # beyond, detection is certain or impossible
+    own = np.stack([level, np.exp(-0.5 * (level / DETECTION_WIDTH_DB) ** 2)], axis=1)
+    units = units_of(sample.visit, np.concatenate([x, np.round(own, 3)], axis=1))
+    first = np.unique(units, return_index=True)[1]
+    frame = _Frame(sample, scored, columns, units, first)
+    if sample.simulated is None:
+        groups = [_known(frame, rows) for rows in _same_rows(scored.valid)]
+        overlap = 1.0
+    else:
+        basis = basis_of(x[first], own[first], sample.cluster[first], rng)
+        folds = folds_of(sample.cluster[first], rng)
+        fitted = [_fitted(frame, rows, basis, folds) for rows in _same_rows(scored.valid)]
+        groups = [group for group, _ in fitted]
+        overlap = next(share for group, share in fitted if ASPECTS.index(Aspect.DETECTION) in group.aspects)
+    return _tested(groups, frame, overlap, rng, draws, only)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """What all groups share: the scores of both files, columns, the unit of each ping, the first ping of each unit."""
+
+    sample: Sample
+    scored: Scores
+    columns: list[Column]
+    units: Ints
+    first: Ints
+
+    def sums(self, value: Floats) -> Floats:
+        """Return sums over units, (units, ...)."""
+        return np.asarray(np.add.reduceat(value, self.first, axis=0))
+
+
+def _both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
+    """Return the scores of both files, in units of the spread under the law of the simulation."""
+    own = scores(law_recorded, sample.recorded)
+    common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded)
+    rescaled = own.value.copy()
+    rescaled[:, 0] *= own.sigma / common.sigma
+    parts = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
+    if sample.simulated is not None:
+        parts.append(scores(law_simulated, sample.simulated))
+    names = ("value", "valid", "natural", "level_db", "sigma", "probability")
+    return Scores(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _same_rows(valid: Bits) -> list[Ints]:
+    """Return the indices of aspects that are valid for the same pings."""
+    which = np.unique(valid, axis=1, return_inverse=True)[1].ravel()
+    return [np.flatnonzero(which == k) for k in range(which.max() + 1)]
+
+
+def _known(frame: _Frame, aspects: Ints) -> Group:
+    """Return the group of aspects where the law is known: g = 0 and every ping is the recording's."""
+    ones = np.ones(len(frame.first))
+    valid = frame.scored.valid[:, aspects[0]]
+    weight = _weights(frame, aspects, np.zeros((len(frame.first), len(aspects))))
+    residual = frame.scored.value[:, aspects] * weight
+    expected = (None,) * len(frame.columns)
+    return Group(aspects, valid, ones, ones, expected, residual, frame.scored.natural[:, aspects], weight)
+
+
+def _fitted(frame: _Frame, aspects: Ints, basis: Basis, folds: list[Ints]) -> tuple[Group, float]:
+    """Return the group of aspects, with nuisance functions estimated on both files, and the overlap."""
+    valid = frame.scored.valid[:, aspects[0]]
+    count = frame.sums(valid.astype(np.float64))
+    recorded = frame.sample.is_recorded[frame.first].astype(np.float64)
+    on_conditions = CrossFit(basis.features[:, : basis.n_condition], count, folds)
+    m = np.clip(on_conditions.predict((count * recorded)[:, None])[:, 0], 0.0, 1.0)
+    inside = (m >= OVERLAP[0]) & (m <= OVERLAP[1])
+    contrast = (recorded - m) * inside
+    values = np.concatenate([frame.scored.value[:, aspects], frame.scored.natural[:, aspects]], axis=1)
+    g = CrossFit(basis.features, count, folds).predict(frame.sums(values * valid[:, None]))
+    k = len(aspects)
+    weight = _weights(frame, aspects, g[:, :k])
+    residual = (values - g[frame.units]) * valid[:, None]
+    expected = _expected_weights(frame, valid, contrast, recorded * inside, on_conditions)
+    own = count * recorded
+    overlap = float((own * inside).sum() / max(own.sum(), 1.0))
+    group = Group(aspects, valid, contrast, recorded, expected, residual[:, :k] * weight, residual[:, k:], weight)
+    return group, overlap
+
+
+def _weights(frame: _Frame, aspects: Ints, g: Floats) -> Floats:
+    """Return the inverse variance of indicators given the conditions, 1 for other scores, (n, aspects)."""
+    out = np.ones((len(frame.units), len(aspects)))
+    for j, a in enumerate(aspects):
+        if ASPECTS[a] in RATES:
+            rate = frame.scored.probability[frame.first, RATES.index(ASPECTS[a])] + g[:, j]
+            out[:, j] = (1.0 / np.maximum(rate * (1.0 - rate), MIN_VARIANCE))[frame.units]
+    return out
+
+
+def _expected_weights(
+    frame: _Frame, valid: Bits, contrast: Floats, recorded: Floats, fit: CrossFit
+) -> tuple[Floats | None, ...]:
+    """Return the cross-fitted conditional mean of the weight of each bin, None for functions of the conditions."""
+    out: list[Floats | None] = []
+    sums = []
+    for column in frame.columns:
+        if column.form is not Form.CONDITION:
+            own = contrast if column.form is Form.SHARED else recorded
+            sums.append(_bin_sums(column, frame.units, valid * own[frame.units], len(frame.first)))
+    predicted = fit.predict(np.concatenate(sums, axis=1)) if sums else np.empty((len(frame.first), 0))
+    at = 0
+    for column in frame.columns:
+        if column.form is Form.CONDITION:
+            out.append(None)
+        else:
+            out.append(predicted[:, at : at + column.n_bins])
+            at += column.n_bins
+    return tuple(out)
+
+
+def _bin_sums(column: Column, label: Ints, value: Floats, n: int) -> Floats:
+    """Return sums of values over (label, bin), (n, bins)."""
+    known = column.base >= 0
+    factor = value if column.factor is None else value * column.factor
+    flat = label[known] * column.n_bins + column.base[known]
+    return np.bincount(flat, factor[known], n * column.n_bins).reshape(n, column.n_bins)
+
+
+def moments(group: Group, column: int, columns: tuple[Column, ...], units: Ints, cluster: Ints, value: Floats) -> Floats:
+    """Return sums over clusters of a regressor's weight times values.
+
+    Args:
+        group: aspects and their nuisance functions.
+        column: index of the column.
+        columns: all columns.
+        units: unit of each ping, (n,).
+        cluster: cluster of each ping, (n,).
+        value: values, 0 where not valid, (n, k).
+
+    Returns:
+        sums, (clusters, regressors, k).
+    """
+    own, n = columns[column], int(cluster.max()) + 1
+    weight = group.recorded * (group.contrast != 0) if own.form is Form.RECORDED else group.contrast
+    parts = [_bin_sums(own, cluster, weight[units] * part, n) for part in value.T]
+    expected = group.expected[column]
+    if expected is not None:
+        first = np.unique(units, return_index=True)[1]
+        by_unit = np.add.reduceat(value, first, axis=0)
+        for j in range(len(parts)):
+            product = expected * by_unit[:, j : j + 1]
+            at = cluster[first]
+            parts[j] = parts[j] - np.stack([np.bincount(at, p, n) for p in product.T], axis=1)
+    return np.stack([part @ own.combine for part in parts], axis=2)
+
+
+def _tested(
+    groups: list[Group], frame: _Frame, overlap: float, rng: np.random.Generator, draws: int, only: Only | None
+) -> Tested:
+    columns, cluster = tuple(frame.columns), frame.sample.cluster
+    regressors = tuple(r for column in columns for r in column.regressors)
+    n = int(cluster.max()) + 1
+    z = np.full((len(ASPECTS), len(regressors)), np.nan)
+    signs = (2.0 * rng.integers(0, 2, (draws, n)) - 1.0).astype(np.float32)
+    greatest = np.zeros((len(ASPECTS), draws))
+    for group in groups:
+        psi = np.concatenate(
+            [moments(group, k, columns, frame.units, cluster, group.residual) for k in range(len(columns))], axis=1
+        )
+        for j, a in enumerate(group.aspects):
+            allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
+            z[a], scaled = _studentised(psi[:, :, j], allowed)
+            if scaled.shape[1]:
+                greatest[a] = np.abs(signs @ scaled).max(axis=1)
+    return _result(z, greatest, groups, frame, overlap, regressors)
+
+
+def _studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats]:
+    """Return z of each regressor, nan where too few clusters contribute, and the scaled sums of those that count."""
+    square = psi**2
+    total = square.sum(axis=0)
+    effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300)
+    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > 1e-18)
+    scaled = psi[:, enough] / np.sqrt(total[enough])
+    z = np.full(psi.shape[1], np.nan)
+    z[enough] = scaled.sum(axis=0)
+    return z, scaled.astype(np.float32)
+
+
+def _result(
+    z: Floats, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float, regressors: tuple[Regressor, ...]
+) -> Tested:
+    draws = greatest.shape[1]
+    critical = np.sort(greatest.max(axis=0))
+    own = {ASPECTS[a]: _p_value(z[a], greatest[a], len(regressors)) for a in range(len(ASPECTS))}
+    best = None
+    p_value = PValue(1.0, draws, len(regressors), len(ASPECTS))
+    if np.isfinite(z).any():
+        a, k = np.unravel_index(np.nanargmax(np.abs(z)), z.shape)
+        best = (ASPECTS[a], int(k))
+        top = float(np.abs(z[a, k]))
+        value = (1 + int(np.sum(critical >= top * (1 - 1e-6)))) / (draws + 1)
+        p_value = PValue(value, draws, len(regressors), int(np.isfinite(z).any(axis=1).sum()))
+    return Tested(
+        p_value,
+        z,
+        best,
+        own,
+        regressors,
+        overlap,
+        critical,
+        tuple(groups),
+        tuple(frame.columns),
+        frame.units,
+        frame.sample.cluster,
+    )
+
+
+def _p_value(z: Floats, greatest: Floats, n_regressors: int) -> PValue:
+    """Return the p-value of one aspect's maximum."""
+    draws = len(greatest)
+    if not np.isfinite(z).any():
+        return PValue(1.0, draws, n_regressors, 1)
+    top = float(np.nanmax(np.abs(z))) * (1 - 1e-6)
+    return PValue((1 + int(np.sum(greatest >= top))) / (draws + 1), draws, n_regressors, 1)

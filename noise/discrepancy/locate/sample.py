@@ -1,0 +1,91 @@
+"""A recording and a simulation side by side: their shared conditions, and clusters of dependent pings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from acquisition.arrays import Bits, Floats, Ints
+from noise.fitting.batch import Batch
+
+MAX_CLUSTERS = 1500  # more do not improve the variance estimates; neighbours in time are merged
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Readings of both files; rows of all results are those of the recording followed by those of the simulation.
+
+    Attributes:
+        recorded: readings of the recording.
+        simulated: readings of the simulation; None where the law of the simulation is known exactly.
+    """
+
+    recorded: Batch
+    simulated: Batch | None
+
+    @property
+    def batches(self) -> tuple[Batch, ...]:
+        """The files that there are, the recording first."""
+        return (self.recorded,) if self.simulated is None else (self.recorded, self.simulated)
+
+    @cached_property
+    def is_recorded(self) -> Bits:
+        """Whether each ping is the recording's, (n,)."""
+        return np.arange(sum(len(batch) for batch in self.batches)) < len(self.recorded)
+
+    @cached_property
+    def conditions(self) -> dict[str, Floats]:
+        """Conditions that both files log and that vary, by name, (n,) each."""
+        tables = [condition_columns(batch) for batch in self.batches]
+        shared = [name for name in tables[0] if all(name in table for table in tables)]
+        both = {name: np.concatenate([table[name] for table in tables]) for name in shared}
+        both = {name: value for name, value in both.items() if np.isfinite(value).all() and np.ptp(value) > 0}
+        if "angle" in both and "incidence" in both and np.array_equal(np.abs(both["angle"]), np.abs(both["incidence"])):
+            del both["incidence"]
+        return both
+
+    @cached_property
+    def cluster(self) -> Ints:
+        """Cluster of each ping, (n,).
+
+        A cluster is the k-th visit of a condition in the recording with the k-th visit of the same condition in the
+        simulation, so that an error of the nuisance functions at that condition cancels within the cluster.
+        """
+        keys, offset = [], 0
+        for batch in self.batches:
+            at = np.stack([batch.ping.distance, batch.ping.angle, batch.ping.incidence, batch.ping.reflectance], axis=1)
+            at = np.round(at[batch.starts], 6)
+            table = pd.DataFrame(at)
+            keys.append(np.c_[at, table.groupby(list(table.columns)).cumcount(), batch.ping.time[batch.starts]])
+            offset += batch.n_visits
+        every = pd.DataFrame(np.concatenate(keys))
+        by_visit = every.groupby([0, 1, 2, 3, 4], sort=False).ngroup().to_numpy()
+        merged = _merged(by_visit, every[5].to_numpy())
+        return np.concatenate([part[b.visit] for part, b in zip(self._split(merged), self.batches, strict=True)])
+
+    def _split(self, by_visit: Ints) -> list[Ints]:
+        return np.split(by_visit, np.cumsum([batch.n_visits for batch in self.batches])[:-1])
+
+    @cached_property
+    def visit(self) -> Ints:
+        """Visit of each ping, numbered through both files, (n,)."""
+        start = np.cumsum([0, *(batch.n_visits for batch in self.batches)])
+        return np.concatenate([batch.visit + k for batch, k in zip(self.batches, start[:-1], strict=True)])
+
+
+def condition_columns(batch: Batch) -> dict[str, Floats]:
+    """Return the logged conditions of a batch by name, SI units and rad, (n,) each."""
+    ping = batch.ping
+    own = {"distance": ping.distance, "angle": ping.angle, "incidence": ping.incidence, "reflectance": ping.reflectance}
+    return {**own, **{name: value for name, value in ping.covariates.items() if name != "interval_s"}}
+
+
+def _merged(cluster: Ints, time: Floats) -> Ints:
+    """Return clusters numbered by the time of their first visit, neighbours merged beyond `MAX_CLUSTERS`."""
+    first = pd.Series(time).groupby(cluster).min().to_numpy()
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first, kind="stable")] = np.arange(len(first))
+    return rank[cluster] * min(MAX_CLUSTERS, len(first)) // len(first)

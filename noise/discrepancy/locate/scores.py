@@ -1,0 +1,194 @@
+"""Scores of readings under a law, one for each aspect, with mean zero where the law is right.
+
+For an echo of the target, let U be its probability integral transform within the window of the target, and
+x = Phi^-1(U) its normal score. A register step covers an interval (a, b] of U, so the score is the conditional mean
+E[h(x) | a < U <= b] with h = x (bias), x^2 - 1 (spread) and x^3 - 3x (skew), winsorised at |x| = `LIMIT`. It needs no
+random numbers, unlike the randomised transform (Czado, Gneiting and Held 2009). Detection, early and late are
+indicators minus their probabilities. Repeat and memory compare lag one with lag two of a visit, so that an offset or a
+register step that all pings of a visit share cancels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.special import ndtr, ndtri
+
+from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.result import Aspect
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
+from noise.fitting.visit_effects import direct_median, law_of, single_ping_law
+from noise.physical import PhysicalLaw
+
+ASPECTS = tuple(Aspect)
+LIMIT = 3.0  # normal scores are winsorised here: 0.3 % of a normal sample lie beyond
+MIN_PROBABILITY = 1e-9  # smallest divisor: a window or step that the law all but excludes
+AGREEMENT_M = 0.05  # outliers of one reflector agree within the absolute part of the tolerance about a target
+NORMAL = (Aspect.BIAS, Aspect.SPREAD, Aspect.SKEW)
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Scores of n pings; columns in the order of `ASPECTS`.
+
+    Attributes:
+        value: scores, (n, aspects); 0 where not valid.
+        valid: whether a ping has a score, (n, aspects).
+        natural: what a size is the mean of: m for bias, relative standard deviation for spread, else the score.
+        level_db: level of the direct path above the threshold, dB, (n,).
+        sigma: standard deviation of the target's echo under the law, m, (n,).
+        probability: of detection, early and late under the law, (n, 3).
+    """
+
+    value: Floats
+    valid: Bits
+    natural: Floats
+    level_db: Floats
+    sigma: Floats
+    probability: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Probabilities under the law that the scores are made of, (n,) each; those of ranges given an echo."""
+
+    middle: Floats
+    sigma: Floats
+    level_db: Floats
+    echo: Floats
+    step: tuple[Floats, Floats]
+    window: tuple[Floats, Floats]
+    again: Floats
+    agree: Floats
+
+
+def ping_law(stack: Stack, batch: Batch) -> PhysicalLaw:
+    """Return the law of single pings of a batch, the scatter of visits included."""
+    with torch.no_grad():
+        model, visits = stack.build()
+        return single_ping_law(law_of(model, batch), visits)
+
+
+def scores(stack: Stack, batch: Batch) -> Scores:
+    """Return the scores of the readings of a batch under a stack."""
+    other = _earlier_outlier(stack, batch)
+    return _of_terms(_terms(ping_law(stack, batch), batch, other), batch, other)
+
+
+def _terms(law: PhysicalLaw, batch: Batch, other: Floats) -> _Terms:
+    with torch.no_grad():
+        middle, variance = (np.broadcast_to(part.numpy(), len(batch)) for part in direct_median(law))
+        level = torch.broadcast_to(law.state.direct.level_db, (len(law.state.log_weight), len(batch)))
+        weight = torch.softmax(law.state.log_weight, dim=0)
+        level_db = (weight * level).sum(0).numpy()
+    step, past = law.step(batch.reading.range), law.step(batch.past.range)
+    edges = [law.edge(step - 1), law.edge(step), middle - batch.reach, middle + batch.reach]
+    edges += [law.edge(past - 1), law.edge(past), other - AGREEMENT_M, other + AGREEMENT_M]
+    arrival = law.arrival(np.stack([np.full(len(batch), np.inf), *np.nan_to_num(edges, neginf=-1e4, posinf=1e4)]))
+    echo = arrival[0]
+    given = np.clip(arrival[1:] / np.maximum(echo, MIN_PROBABILITY), 0.0, 1.0)
+    outside = np.maximum(1.0 - (given[3] - given[2]), MIN_PROBABILITY)
+    again, agree = given[5] - given[4], np.clip((given[7] - given[6]) / outside, 0.0, 1.0)
+    return _Terms(
+        middle, np.sqrt(variance), level_db, echo, (given[0], given[1]), (given[2], given[3]), again, agree
+    )
+
+
+def _of_terms(terms: _Terms, batch: Batch, other: Floats) -> Scores:
+    n, echo = len(batch), batch.reading.echo
+    error = np.where(echo, batch.reading.range - terms.middle, 0.0)
+    target, outlier = batch.is_target(error), batch.is_outlier(error)
+    early, late = terms.window[0], 1.0 - terms.window[1]
+    normal = normal_scores(*_within(terms.step, terms.window))
+    memory, ordered = _memory(np.where(target, normal[0], 0.0), target, batch)
+    repeat, comparable = _repeat(terms.again, batch)
+    agree = np.abs(batch.reading.range - other) <= AGREEMENT_M
+    table = {
+        Aspect.BIAS: (normal[0], target),
+        Aspect.SPREAD: (normal[1], target),
+        Aspect.SKEW: (normal[2], target),
+        Aspect.DETECTION: (echo - terms.echo, np.ones(n, dtype=bool)),
+        Aspect.EARLY: ((outlier & (error < 0)) - early, echo),
+        Aspect.LATE: ((outlier & (error > 0)) - late, echo),
+        Aspect.REPEAT: (repeat, comparable),
+        Aspect.MEMORY: (memory, ordered),
+        Aspect.COINCIDENCE: (agree - terms.agree, outlier & np.isfinite(other)),
+    }
+    value = np.stack([np.where(table[a][1], table[a][0], 0.0) for a in ASPECTS], axis=1).astype(np.float64)
+    natural = value.copy()
+    natural[:, ASPECTS.index(Aspect.BIAS)] = np.where(target, error, 0.0)
+    natural[:, ASPECTS.index(Aspect.SPREAD)] /= 2.0  # d(sd) / sd = d(variance) / (2 variance)
+    valid = np.stack([table[a][1] for a in ASPECTS], axis=1)
+    probability = np.stack([terms.echo, early, late], axis=1)
+    return Scores(value, valid, natural, terms.level_db, terms.sigma, probability)
+
+
+def _within(step: tuple[Floats, Floats], window: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+    """Return the interval of a step under the law given the window, 0 to 1."""
+    mass = np.maximum(window[1] - window[0], MIN_PROBABILITY)
+    low, high = (np.clip((edge - window[0]) / mass, 0.0, 1.0) for edge in step)
+    return low, np.maximum(low, high)
+
+
+def normal_scores(low: Floats, high: Floats) -> Floats:
+    """Return E[h(Phi^-1(U)) | low < U <= high] - E[h], for the winsorised h of `NORMAL`, (3, n)."""
+    below, above = ndtri(low), ndtri(high)
+    width = high - low
+    at = np.clip(np.where(np.isfinite(below + above), (below + above) / 2.0, np.where(low > 0.5, below, above)), -9, 9)
+    narrow = width < 1e-7  # the difference of integrals has lost its digits
+    mean = (_integrals(above) - _integrals(below)) / np.where(narrow, 1.0, width)
+    return np.where(narrow, _hermite(np.clip(at, -LIMIT, LIMIT)), mean) - _integrals(np.array([np.inf]))
+
+
+def _hermite(x: Floats) -> Floats:
+    return np.stack([x, x**2 - 1.0, x**3 - 3.0 * x])
+
+
+def _integrals(z: Floats) -> Floats:
+    """Return the integral of h(clip(x)) times the normal density up to z, for each h, (3, n)."""
+    inside = np.clip(z, -LIMIT, LIMIT)
+    ends = _hermite(np.array([-LIMIT, LIMIT]))
+    tails = ends[:, :1] * ndtr(np.minimum(z, -LIMIT)) + ends[:, 1:] * (ndtr(np.maximum(z, LIMIT)) - ndtr(LIMIT))
+    return tails + _middle(inside) - _middle(np.array([-LIMIT]))
+
+
+def _middle(z: Floats) -> Floats:
+    """Return antiderivatives of the Hermite polynomials 1 to 3 times the normal density."""
+    density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+    return -np.stack([np.ones_like(z), z, z**2 - 1.0]) * density
+
+
+def _memory(score: Floats, target: Bits, batch: Batch) -> tuple[Floats, Bits]:
+    """Return the product with the score before minus that with the score two before, and where they exist."""
+    one, two = _back(batch, 1), _back(batch, 2)
+    valid = (batch.count >= 2) & target & target[one] & target[two]
+    return score * (score[one] - score[two]), valid
+
+
+def _repeat(again: Floats, batch: Batch) -> tuple[Floats, Bits]:
+    """Return whether an echo equals the one before, minus the same at lag two or, in a new visit, its probability."""
+    echo, first = batch.reading.echo, batch.count == 0
+    two = _back(batch, 2)
+    same = echo & echo[two] & (np.abs(batch.reading.range - batch.reading.range[two]) < 0.5 * batch.resolution)
+    expected = np.where(first, again, same)
+    other_place = np.abs(batch.last[:, 1] - batch.ping.distance) > batch.reach
+    valid = echo & batch.past.echo & ((batch.count >= 2) & echo[two] | first & other_place)
+    return batch.repeats - expected, valid
+
+
+def _back(batch: Batch, lag: int) -> Ints:
+    """Return the row `lag` pings before, (n,); not meaningful where the visit has no such ping."""
+    return np.maximum(np.arange(len(batch)) - lag, 0)
+
+
+def _earlier_outlier(stack: Stack, batch: Batch) -> Floats:
+    """Return the range of the outlier before each ping in its visit, m, (n,); nan where there is none."""
+    with torch.no_grad():
+        middle = np.broadcast_to(direct_median(ping_law(stack, batch))[0].numpy(), len(batch))
+    outlier = batch.is_outlier(np.where(batch.reading.echo, batch.reading.range - middle, 0.0))
+    row = np.maximum.accumulate(np.where(outlier, np.arange(len(batch)), -1))
+    row = np.r_[-1, row[:-1]]
+    return np.where(row >= batch.first, batch.reading.range[np.maximum(row, 0)], np.nan)

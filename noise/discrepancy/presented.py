@@ -1,0 +1,78 @@
+"""Text, tables, figures and files of a diagnosis, as methods of `Diagnosis`.
+
+Modules are imported on first use and by name: words need the classes of the result, and figures need matplotlib, which
+this package does not require.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from acquisition import MissingExtraError
+from acquisition.io.files import write_text
+from noise.store import save_model
+
+REPORT = "noise.discrepancy.report."
+FIGURES = "training.diagnosis."
+
+
+def _load(module: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(f"figures and pages need {error.name}: pip install 'sonar-gym[training]'") from None
+
+
+class Presented:
+    """Presentation of a `Diagnosis`; notebooks show `_repr_html_`."""
+
+    verdict: Any
+    corrected: Any
+
+    def __repr__(self) -> str:
+        return str(_load(REPORT + "words").one_line(self))
+
+    def _repr_html_(self) -> str:
+        return str(_load(REPORT + "markup").compact(self))
+
+    def summary(self) -> str:
+        """Return the verdict as about ten lines of text."""
+        return "\n".join(_load(REPORT + "words").summary_lines(self))
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: mismatch where it was located, histogram of errors, and scores.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
+        """
+        return _load(FIGURES + "figures").overview(self)
+
+    def report(self, path: str | os.PathLike[str], seed: int = 0) -> Path:
+        """Write the HTML report and return its path.
+
+        Args:
+            path: file to write.
+            seed: seed of randomised figures.
+
+        Raises:
+            MissingExtraError: matplotlib or jinja2 is not installed.
+        """
+        path = Path(path)
+        return write_text(path, _load(FIGURES + "report").render(self, str(path.parent / "corrected"), seed))
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write verdict.json and, if a correction is offered, the model in corrected/; return the folder."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "verdict.json", json.dumps(self.verdict.to_dict(), indent=1, allow_nan=False) + "\n")
+        corrected = folder / "corrected"
+        if self.corrected is not None:
+            save_model(self.corrected, corrected)
+        elif (corrected / "model.json").is_file():  # of an earlier diagnosis, which must not be taken for this one's
+            shutil.rmtree(corrected)
+        return folder

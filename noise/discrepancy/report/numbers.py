@@ -1,0 +1,105 @@
+"""Numbers with units as text: lengths below 1 m in mm, probabilities in %, never an exponent or a signed zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from noise.discrepancy.result import Interval, Range
+
+PERCENT = ("probability", "presence", "share", "error", "logged_share")  # dimensionless parameters that are shares
+UNITS = {"degC": "°C", "1": "", "deg": "°"}
+DEG = 180.0 / math.pi
+# column -> words before the bounds, factor to the printed unit, printed unit
+COLUMNS = {
+    "distance": ("at", 1.0, "m"),
+    "angle": ("at angles of", DEG, "°"),
+    "incidence": ("at incidence angles of", DEG, "°"),
+    "reflectance": ("at reflectances of", 1.0, ""),
+    "time": ("at times of", 1.0 / 60.0, "min"),
+    "interval_s": ("at intervals of", 1000.0, "ms"),
+    "temperature_c": ("at temperatures of", 1.0, "°C"),
+    "humidity_pct": ("at a humidity of", 1.0, "%"),
+}
+
+
+def plain(value: float, digits: int = 2) -> str:
+    """Return a number with the given significant digits, without exponent and without the sign of a zero.
+
+    >>> plain(-0.00001234), plain(1234.6), plain(-0.0)
+    ('-0.000012', '1,235', '0')
+    """
+    if not math.isfinite(value):
+        return "unknown"
+    if value == 0:
+        return "0"
+    places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    text = f"{value:,.{places}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text.strip("-0.,") == "" else text
+
+
+def _scale(size: float, unit: str, percent: bool) -> tuple[float, str]:
+    """Return the factor and the unit in which a value is printed, by the size of the value."""
+    if unit == "m" and size < 1.0:
+        return 1000.0, " mm"
+    if unit == "1" and percent:
+        return 100.0, " %"
+    printed = UNITS.get(unit, unit)
+    return 1.0, printed if printed in ("", "°") else f" {printed}"
+
+
+def quantity(value: float, unit: str, percent: bool = True) -> str:
+    """Return a value with its unit; a dimensionless value in % unless `percent` is False.
+
+    >>> quantity(0.0152, "m"), quantity(0.083, "1"), quantity(24.1, "degC")
+    ('15 mm', '8.3 %', '24 °C')
+    """
+    factor, printed = _scale(abs(value), unit, percent)
+    return plain(factor * value) + printed
+
+
+def with_interval(found: Interval, percent: bool = True) -> str:
+    """Return a value with its interval.
+
+    >>> with_interval(Interval(0.015, 0.014, 0.016, "m"))
+    '15 mm (14 to 16 mm)'
+    """
+    return f"{quantity(found.value, found.unit, percent)} ({bounds(found, percent)})"
+
+
+def bounds(found: Interval, percent: bool = True) -> str:
+    """Return the interval of a value, with enough digits to show its width."""
+    size = max(abs(found.low), abs(found.high))
+    factor, printed = _scale(abs(found.value), found.unit, percent)
+    width = found.high - found.low
+    digits = 2 if not (0 < width < size and math.isfinite(size)) else min(6, 1 + math.ceil(math.log10(size / width)))
+    return f"{plain(factor * found.low, max(2, digits))} to {plain(factor * found.high, max(2, digits))}{printed}"
+
+
+def parameter(name: str, found: Interval) -> str:
+    """Return a parameter's value with its interval; shares in %."""
+    return with_interval(found, name in PERCENT)
+
+
+def span(column: str, between: Range) -> str:
+    """Return a range of one column as words.
+
+    >>> span("distance", (0.7, 2.0)), span("angle", (0.35, float("inf")))
+    ('at 0.7 to 2 m', 'at angles of more than 20°')
+    """
+    words, factor, unit = COLUMNS.get(column, (f"at {column.replace('_', ' ')} of", 1.0, ""))
+    low, high = (factor * bound for bound in between)
+    unit = unit if unit in ("", "°") else f" {unit}"
+    if not math.isfinite(low):
+        return f"{words} less than {plain(high)}{unit}" if math.isfinite(high) else ""
+    if not math.isfinite(high):
+        return f"{words} more than {plain(low)}{unit}"
+    digits = 2 if high - low > 0.05 * max(abs(low), abs(high)) else 4
+    return f"{words} {plain(low, digits)} to {plain(high, digits)}{unit}"
+
+
+def place(region: Mapping[str, Range]) -> str:
+    """Return a region as words; "everywhere" where nothing is restricted."""
+    parts = [text for text in (span(column, between) for column, between in region.items()) if text]
+    return " and ".join(parts) or "everywhere"

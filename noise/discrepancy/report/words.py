@@ -1,0 +1,243 @@
+"""Sentences for aspects, locations, causes and verdicts, in plain English."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from noise.discrepancy.report.numbers import bounds, place, plain, quantity, with_interval
+from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Unexplained, Verdict, Visible
+
+# effects whose id is not already their plain name
+NAMES = {
+    "sound_speed": "speed of sound",
+    "clock_scale": "clock",
+    "dropped_reading": "lost readings",
+    "stale_repeat": "repeated readings",
+    "stuck": "stuck readings",
+    "spike": "random readings",
+    "noise_burst": "bursts of noise",
+    "corrupted_byte": "transmission errors",
+    "fixed_clutter": "an object at a fixed range",
+    "background_reflector": "an object behind the target",
+    "multipath": "reflections from the floor",
+    "repeated_bounce": "a second round trip",
+    "previous_ping": "echoes of the previous ping",
+    "synchronous_crosstalk": "another sonar firing at the same time",
+    "asynchronous_crosstalk": "another sonar with its own clock",
+    "false_alarm": "false alarms",
+    "rearm_dead_time": "a receiver that starts to listen late",
+    "time_walk": "late detection of weak echoes",
+    "travel_time_jitter": "scatter from ping to ping",
+    "specular_loss": "loss at tilted smooth targets",
+    "scintillation": "turbulence",
+    "latency": "late time stamps or poses",
+}
+BADGES = {
+    Kind.NONE: "No difference found",
+    Kind.EXPLAINED: "Difference explained",
+    Kind.PARTLY_EXPLAINED: "Difference partly explained",
+    Kind.UNEXPLAINED: "Difference without a known cause",
+    Kind.TOO_LITTLE_DATA: "Too little data",
+}
+MORE_LESS = {  # sentence for a positive and for a negative size
+    Aspect.BIAS: ("Echoes read {size} long", "Echoes read {size} short"),
+    Aspect.SPREAD: ("Echoes scatter more: the variance is {size} larger", "Echoes scatter less: the variance is {size} smaller"),
+    Aspect.SKEW: ("Errors have a longer tail towards long readings", "Errors have a longer tail towards short readings"),
+    Aspect.DETECTION: ("Echoes are heard in {size} more of the pings", "Echoes are lost in {size} of the pings"),
+    Aspect.EARLY: ("{size} more of the readings lie far before the target", "{size} fewer of the readings lie far before the target"),
+    Aspect.LATE: ("{size} more of the readings lie far behind the target", "{size} fewer of the readings lie far behind the target"),
+    Aspect.REPEAT: ("{size} more of the readings repeat the one before", "{size} fewer of the readings repeat the one before"),
+    Aspect.MEMORY: ("Each error is closer to the error before it", "Each error is less close to the error before it"),
+    Aspect.COINCIDENCE: ("Far readings of one position agree with each other", "Far readings of one position agree less with each other"),
+}  # fmt: skip
+FIRST = ("zero_offset", "dropped_reading", "clock_scale", "spike")  # of what could have been seen, in a headline
+MIN_RIVAL = 0.05  # probability from which an alternative is part of the headline; less is listed below it
+SILENT = "No ping had an echo: check the sensor's power, gain, range setting and direction."
+
+
+def name(effect: str) -> str:
+    """Return the plain name of an effect."""
+    return NAMES.get(effect, effect.replace("_", " "))
+
+
+def either(effects: Sequence[str], last: str = "or") -> str:
+    """Return effects as a list in words.
+
+    >>> either(["sound_speed", "clock_scale", "thermal_drift"])
+    'speed of sound, clock or thermal drift'
+    """
+    names = [name(effect) for effect in effects]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def location(found: Location) -> str:
+    """Return a located mismatch as a sentence without a full stop."""
+    sentence = MORE_LESS[found.aspect][found.size.value < 0]
+    low, high = sorted((abs(found.size.low), abs(found.size.high)))
+    size = type(found.size)(abs(found.size.value), low, high, found.size.unit)
+    shown = sentence.format(size=quantity(size.value, size.unit))
+    between = "" if found.size.low * found.size.high <= 0 or "{size}" not in sentence else f" ({bounds(size)})"
+    return f"{shown}{between} {place(found.region)}"
+
+
+def statement(cause: Cause) -> str:
+    """Return the statement of a cause with printed units and without its full stop."""
+    return cause.statement.replace("degC", "°C").rstrip(". ")
+
+
+def symptom(cause: Cause) -> str:
+    """Return what a cause does to readings, with a number; relative errors also in mm at 1 m."""
+    clause = statement(cause).split(":")[0]
+    clause = clause if any(letter.isdigit() for letter in clause) else statement(cause)
+    return re.sub(
+        r"([\d.]+) % of distance", lambda found: f"{found[1]} % ({plain(10 * float(found[1]))} mm at 1 m)", clause
+    )
+
+
+def ambiguous(cause: Cause) -> str:
+    """Return a cause as a headline; a question if the data do not exclude alternatives."""
+    rivals = [each.effect for each in cause.alternatives if each.probability >= MIN_RIVAL]
+    if not rivals:
+        return statement(cause)
+    return f"{symptom(cause)}: {either([cause.effect, *rivals])}?"
+
+
+def explains(cause: Cause) -> str:
+    """Return share and probability of a cause as a phrase."""
+    share = f"explains {quantity(cause.share.value, '1')} of the difference ({bounds(cause.share)})"
+    others = ", ".join(f"{name(each.effect)} {quantity(each.probability, '1')}" for each in cause.alternatives)
+    rival = f"; or {others}" if others else ""
+    return f"{name(cause.effect)}: {share}; probability {quantity(cause.probability, '1')}{rival}"
+
+
+def visible(each: Visible) -> str:
+    """Return the least size that would have shown, as a phrase."""
+    size = quantity(each.least, each.unit)
+    return f"{visible_name(each)} by {size}" if each.effect in list(Aspect) else f"{visible_name(each)} of {size}"
+
+
+def visible_name(each: Visible) -> str:
+    """Return an effect or an aspect as words."""
+    return Aspect(each.effect).words if each.effect in list(Aspect) else name(each.effect)
+
+
+def summary_of(
+    kind: Kind,
+    causes: Sequence[Cause],
+    where: Sequence[Location],
+    unexplained: Unexplained,
+    could_have_seen: Sequence[Visible],
+    n_pings: int,
+) -> str:
+    """Return a verdict as one plain sentence with a number and a unit.
+
+    Args:
+        kind: verdict in one word.
+        causes: believed causes, the greatest share first.
+        where: located mismatches, the most certain first.
+        unexplained: the rest.
+        could_have_seen: least visible sizes.
+        n_pings: number of answered pings.
+    """
+    if kind is Kind.NONE:
+        return f"No difference found in {n_pings:,} pings{_would_show(could_have_seen)}."
+    if kind is Kind.TOO_LITTLE_DATA:
+        return f"Too little data: {n_pings:,} pings cannot decide{_needs(could_have_seen)}."
+    if kind is Kind.UNEXPLAINED or not causes:
+        found = location((*where, *unexplained.where)[0]) if where or unexplained.where else "The readings differ"
+        return f"{found}: no known effect explains it."
+    told = _causes(causes)
+    if kind is Kind.EXPLAINED:
+        return told if told.endswith("?") else f"{told}."
+    rest = quantity(unexplained.share.value, "1")
+    return f"{told}{'' if told.endswith('?') else '.'} {rest} of the difference remains unexplained."
+
+
+def _causes(causes: Sequence[Cause]) -> str:
+    if len(causes) == 1:
+        return ambiguous(causes[0])
+    told = ". ".join(symptom(cause) for cause in causes[:2])
+    more = len(causes) - 2
+    return told + (f". {more} smaller cause{'s' if more > 1 else ''} beside" if more > 0 else "")
+
+
+def _would_show(could_have_seen: Sequence[Visible]) -> str:
+    chosen = _first(could_have_seen)
+    return f": {' or '.join(visible(each) for each in chosen)} would have shown" if chosen else ""
+
+
+def _needs(could_have_seen: Sequence[Visible]) -> str:
+    chosen = _first(could_have_seen)
+    return f"; the smallest visible change is {' or '.join(visible(each) for each in chosen)}" if chosen else ""
+
+
+def _first(could_have_seen: Sequence[Visible]) -> list[Visible]:
+    by_name = {each.effect: each for each in could_have_seen}
+    chosen = [by_name[effect] for effect in FIRST if effect in by_name]
+    return (chosen or list(could_have_seen))[:2]
+
+
+def silent(diagnosis: Diagnosis) -> bool:
+    """Return whether no ping of the recording had an echo."""
+    return not bool(diagnosis.recorded.reading.echo.any())
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict as one sentence."""
+    return SILENT if silent(diagnosis) else diagnosis.verdict.summary
+
+
+def formula_text(left: str, terms: Sequence[tuple[float, str, str]]) -> str:
+    """Return a fitted linear formula, such as that of an unnamed remainder.
+
+    Args:
+        left: quantity on the left side.
+        terms: coefficient, its unit and the variable ("" for a constant) of each term.
+
+    >>> formula_text("reading - prediction", [(3.1, "mm", ""), (-0.2, "mm/deg", "angle")])
+    'reading - prediction = 3.1 mm - 0.2 mm/deg × angle'
+    """
+    parts = []
+    for coefficient, unit, variable in terms:
+        sign = ("- " if coefficient < 0 else "+ ") if parts else ("-" if coefficient < 0 else "")
+        times = f" × {variable}" if variable else ""
+        parts.append(f"{sign}{plain(abs(coefficient))}{' ' + unit if unit else ''}{times}")
+    return f"{left} = {' '.join(parts) or '0'}"
+
+
+def fit_line(verdict: Verdict) -> str:
+    """Return the errors of simulation and corrected model on unseen visits as a sentence."""
+    test = verdict.held_out
+    before, after = (quantity(score.crps_m, "m") for score in (test.before, test.after))
+    corrected = f", corrected model {after}" if test.after != test.before else ""
+    limit = quantity(test.repeatability_m, "m")
+    pings = f"{test.n_pings:,} unseen pings"
+    return f"Mean prediction error on {pings}: simulation {before}{corrected}; the recording repeats itself to {limit}."
+
+
+def one_line(diagnosis: Diagnosis) -> str:
+    """Return a diagnosis in one line."""
+    verdict = diagnosis.verdict
+    causes = ", ".join(f"{cause.effect} {quantity(cause.probability, '1')}" for cause in verdict.causes)
+    found = f" ({causes})" if causes else ""
+    return f"<Diagnosis of {diagnosis.recording}: {verdict.verdict}{found}, {len(diagnosis.recorded):,} pings>"
+
+
+def summary_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a diagnosis as at most eleven lines of text, warnings first."""
+    verdict = diagnosis.verdict
+    lines = [f"warning: {warning}" for warning in verdict.warnings[:3]]
+    if len(verdict.warnings) > 3:
+        lines[2:] = [f"warning: {len(verdict.warnings) - 2} more; see the report"]
+    lines.append(headline(diagnosis))
+    if silent(diagnosis):
+        return lines
+    lines += [f"  {explains(cause)}" for cause in verdict.causes[:3]]
+    if verdict.verdict in (Kind.PARTLY_EXPLAINED, Kind.UNEXPLAINED):
+        where = f": {location(verdict.unexplained.where[0])}" if verdict.unexplained.where else ""
+        lines.append(f"  unexplained: {with_interval(verdict.unexplained.share)} of the difference{where}")
+    if verdict.verdict is not Kind.TOO_LITTLE_DATA:
+        lines.append(fit_line(verdict))
+    lines += [f"next: {each.do} ({each.pings:,} pings)" for each in verdict.next_measurement[:2]]
+    return lines
