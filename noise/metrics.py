@@ -5,6 +5,7 @@ Pings of one visit or session are correlated, so all standard errors are over cl
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,12 +69,37 @@ def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
         reading: readings, (n,).
         levels: number K of quantiles.
     """
+    score = _quantile_score(law.quantile, reading.range, levels)
+    return np.where(reading.echo, score, np.nan)
+
+
+def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = None, levels: int = LEVELS) -> Floats:
+    """Return the continuous ranked probability score of each reading, m, (n,), in which no echo counts as a range.
+
+    Args:
+        law: law of n pings.
+        reading: readings, (n,).
+        silence: range that stands for no echo and no answer, in the law and in the reading, m; `law.max_range` by
+            default.
+        levels: number K of quantiles; see `crps`.
+    """
+    end, echo = law.max_range if silence is None else silence, law.echo
+
+    def quantile(level: Floats) -> Floats:
+        share = np.divide(level, echo, where=echo > 0, out=np.full((len(level), len(echo)), np.inf))
+        return np.where(share < 1.0, law.quantile(np.minimum(share, 1.0)), end)
+
+    return _quantile_score(quantile, np.where(reading.echo, reading.range, end), levels)
+
+
+def _quantile_score(quantile: Callable[[Floats], Floats], value: Floats, levels: int) -> Floats:
+    """Return 2 mean_k (1[y < q_k] - t_k) (q_k - y) at levels t_k = (k - 1/2) / K, (n,)."""
     level = ((np.arange(levels) + 0.5) / levels)[:, None]
-    score, batch = np.zeros(len(law)), max(1, MAX_QUANTILES // max(len(law), 1))
+    score, batch = np.zeros(len(value)), max(1, MAX_QUANTILES // max(len(value), 1))
     for part in (level[k : k + batch] for k in range(0, levels, batch)):
-        quantile = law.quantile(part)
-        score += np.sum(((reading.range < quantile) - part) * (quantile - reading.range), axis=0)
-    return np.where(reading.echo, 2.0 * score / levels, np.nan)
+        at = quantile(part)
+        score += np.sum(((value < at) - part) * (at - value), axis=0)
+    return 2.0 * score / levels
 
 
 def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from noise.discrepancy.judge.decision import Evidence
 from noise.discrepancy.presented import Presented
 from noise.fitting.batch import Batch
 from noise.model import SonarModel
@@ -290,6 +291,8 @@ class Diagnosis(Presented):
         causes_only: the corrected model without the empirical term; None where no cause is believed.
         recording: name of the recording.
         unanswered: number of pings without an answer, which were left out.
+        evidence: what the decision model knew of each selected effect, believed or not.
+        posteriors: selected effect -> alternative -> log posterior relative to the selected effect, nats.
     """
 
     verdict: Verdict
@@ -302,6 +305,8 @@ class Diagnosis(Presented):
     causes_only: SonarModel | None
     recording: str
     unanswered: int
+    evidence: Mapping[str, Evidence] = field(default_factory=dict)
+    posteriors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def _plain(value: float) -> float | None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 FALSE_ALARM = 0.01  # probability of a false difference between two recordings of one sonar
 BIAS_TOLERANCE_M = 0.002  # two recordings of one sonar differ by this much: placement with a ruler
 SHARE_TOLERANCE = 0.02  # of pings: two recordings of one sonar differ by this much in echoes heard
-BELIEVED = 0.5  # probability from which an effect is reported as a cause: it is then more likely true than not
+BELIEVED = 0.5  # probability from which an effect or one of its alternatives is reported as a cause
 MIN_SHARE = 0.03  # share of the misfit below which a second effect is not reported beside others
 EXPLAINED_SHARE = 0.9  # share from which causes explain the difference
 PARTLY_SHARE = 0.3  # share from which they explain a part of it
 MAX_CAUSES = 6  # a simulation that lacks more than this should be replaced, not corrected
 LISTED = 0.05  # probability from which an alternative is listed
+SPREAD_TOLERANCE = 0.2  # relative change of the scatter: two sensors of one type differ by this much; chosen here
+LEAST_VISIBLE_M = 0.1  # a recording that shows no smaller bias says nothing: no sonar errs by more
+LEAST_VISIBLE_SHARE = 0.5  # a recording that shows no smaller loss of echoes says nothing

@@ -1,10 +1,11 @@
-"""Fit of a smooth correction to readings: maximum a posteriori, its strength and aspects chosen on unseen conditions."""
+"""Fit of a smooth correction to readings: maximum a posteriori, with strengths chosen on unseen conditions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import torch
@@ -35,7 +36,6 @@ from noise.fitting.visit_effects import (
     FLOOR,
     VisitEffects,
     direct_median,
-    log_prob,
     placement_scatter,
     single_ping_law,
 )
@@ -43,9 +43,10 @@ from noise.physical import PhysicalLaw, PhysicalModel
 from noise.statistics import robust_std
 
 CENTRES = 60  # of the kernel: more describe no survey of a few hundred positions better
-STRENGTHS = (0.3, 1.0, 3.0)  # factors of the prior standard deviation that cross-validation chooses from
+STRENGTHS = (0.1, 0.4, 1.5)  # factors of the prior standard deviation that cross-validation chooses from
 FOLDS = 4
-ITERATIONS, FOLD_ITERATIONS = 60, 25
+ITERATIONS, FOLD_ITERATIONS = 60, 12
+TOLERANCE = 1e-6  # relative, of the log-likelihood: 0.01 nats in 10,000
 # prior standard deviation of each aspect at strength 1: probits, units of the scatter, log factor, log-odds
 PRIOR_SD = {DETECTION: 1.5, SHIFT: 2.0, SPREAD: 0.7, EARLY: 2.0, LATE: 2.0}
 TAIL_M = 0.1  # length of a tail that no reading is in
@@ -53,6 +54,7 @@ FAR = 5.0  # standard deviations beyond which a reading belongs to a tail
 JITTER = 1e-6  # added to the diagonal of the covariance of centres, relative to its greatest eigenvalue
 
 Score = Callable[[PhysicalLaw, VisitEffects, Batch], Tensor]
+Strengths = dict[str, float]
 
 
 def single_log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
@@ -82,6 +84,11 @@ class Basis:
         x, level = self.term.inputs.standardised(state.conditions), self.term.level(state)
         by_condition, by_level = kernel(x, self.term.centres), level_kernel(level, self.term.level_centres)
         return torch.cat([by_condition @ self.root, by_level @ self.level_root], dim=1)
+
+    @property
+    def none(self) -> Coefficients:
+        """No correction."""
+        return Coefficients((), np.zeros((self.root.shape[1] + self.level_root.shape[1], 0)))
 
     def with_weights(self, coefficients: dict[str, Floats]) -> Smooth:
         """Return the correction with given coefficients, (p,) for each aspect."""
@@ -130,6 +137,16 @@ class Problem:
     def log_prob(self, basis: Basis, heads: dict[str, Tensor]) -> Tensor:
         """Return the log probability of each reading under given corrections, nats, (n,)."""
         return self.score(self.law(basis.term.corrected(self.state, heads)), self.visits, self.batch)
+
+    def functions(self, basis: Basis) -> Tensor:
+        """Return the basis functions at each ping, (n, p)."""
+        if id(basis) not in self._functions:
+            self._functions[id(basis)] = basis.functions(self.state)
+        return self._functions[id(basis)]
+
+    @cached_property
+    def _functions(self) -> dict[int, Tensor]:
+        return {}
 
     def select(self, rows: NDArray[np.bool_]) -> Problem:
         """Return the problem for some visits."""
@@ -181,50 +198,65 @@ def _sizes(law: PhysicalLaw, batch: Batch, placement: float) -> tuple[float, tup
     return scatter, tuple(float(each.mean()) if len(each) else TAIL_M for each in (early, late))  # type: ignore[return-value]
 
 
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """Coefficients of basis functions for some aspects.
+
+    Attributes:
+        heads: aspects.
+        value: coefficients, (p, aspects).
+    """
+
+    heads: tuple[str, ...]
+    value: Floats
+
+    def scaled(self, functions: Tensor, basis: Basis) -> dict[str, Tensor]:
+        """Return the corrections, (n,) each."""
+        eta = functions @ torch.from_numpy(self.value)
+        return {head: basis.prior_sd[head] * eta[:, k] for k, head in enumerate(self.heads)}
+
+    def of(self, heads: Sequence[str]) -> Floats:
+        """Return the coefficients of some aspects, zero where there are none, (p, aspects)."""
+        columns = dict(zip(self.heads, self.value.T, strict=True))
+        zero = np.zeros(len(self.value))
+        return np.stack([columns.get(head, zero) for head in heads], axis=1)
+
+
 def maximised(
-    problem: Problem, basis: Basis, strength: float, heads: Sequence[str], start: Floats | None, iterations: int
-) -> Floats:
-    """Return the coefficients with the highest posterior density, (p, aspects), by L-BFGS.
+    problem: Problem, basis: Basis, strengths: Strengths, start: Coefficients, iterations: int
+) -> Coefficients:
+    """Return the coefficients with the highest posterior density, by L-BFGS.
 
     Args:
         problem: readings and physics.
         basis: basis functions.
-        strength: standard deviation of the prior, in units of `Basis.prior_sd`.
-        heads: aspects to correct.
-        start: coefficients, (p, aspects); zero by default.
+        strengths: standard deviation of the prior of each aspect, in units of `Basis.prior_sd`.
+        start: coefficients to begin from.
         iterations: limit.
     """
-    functions, sd = basis.functions(problem.state), number([basis.prior_sd[head] for head in heads])
-    first = np.zeros((functions.shape[1], len(heads))) if start is None else start
+    heads, functions = tuple(strengths), problem.functions(basis)
+    sd = number([basis.prior_sd[head] for head in heads])
+    precision = np.array([1.0 / strength**2 for strength in strengths.values()])
+    first = start.of(heads)
 
     def objective(c: Floats) -> tuple[float, Tensor, Floats]:
         eta = (functions @ torch.from_numpy(c) * sd).requires_grad_()
         total = problem.log_prob(basis, dict(zip(heads, eta.unbind(-1), strict=True))).sum()
         (slope,) = torch.autograd.grad(total, eta)
         slope = torch.nan_to_num(slope, nan=0.0, posinf=0.0, neginf=0.0) * sd
-        value = float(-total.detach()) + 0.5 * float(np.sum(c**2)) / strength**2
-        return value, slope, -(functions.T @ slope).numpy() + c / strength**2
+        value = float(-total.detach()) + 0.5 * float(np.sum(precision * c**2))
+        return value, slope, -(functions.T @ slope).numpy() + precision * c
 
     # step sizes from the squared scores, an estimate of the curvature
-    squared = (functions.T**2 @ objective(first)[1] ** 2).numpy()
-    scale = 1.0 / np.sqrt(squared + 1.0 / strength**2)
+    scale = 1.0 / np.sqrt((functions.T**2 @ objective(first)[1] ** 2).numpy() + precision)
 
     def scaled(y: Floats) -> tuple[float, Floats]:
         value, _, gradient = objective(first + y.reshape(first.shape) * scale)
         return (value, (gradient * scale).ravel()) if np.isfinite(value) else (1e15, np.zeros(y.size))
 
-    options = {"maxiter": iterations, "ftol": 1e-6, "gtol": 1e-2, "maxcor": 15}
+    options = {"maxiter": iterations, "ftol": TOLERANCE, "gtol": 1e-2, "maxcor": 15}
     found = minimize(scaled, np.zeros(first.size), jac=True, method="L-BFGS-B", options=options)
-    return first + found.x.reshape(first.shape) * scale
-
-
-def predicted(problem: Problem, basis: Basis, coefficients: Floats, heads: Sequence[str]) -> Floats:
-    """Return the log-likelihood of each visit under given coefficients, nats, (n_visits,)."""
-    with torch.no_grad():
-        sd = number([basis.prior_sd[head] for head in heads])
-        eta = basis.functions(problem.state) @ torch.from_numpy(coefficients) * sd
-        nats = problem.log_prob(basis, dict(zip(heads, eta.unbind(-1), strict=True)))
-    return problem.batch.visit_sums(nats.numpy())
+    return Coefficients(heads, first + found.x.reshape(first.shape) * scale)
 
 
 def learn_smooth(
@@ -232,8 +264,7 @@ def learn_smooth(
 ) -> Stack:
     """Return the stack with a smooth correction, or unchanged where none improves unseen conditions.
 
-    Cross-validation by condition chooses the strength of the prior, then drops every aspect without which the
-    predictions of unseen conditions are no worse.
+    The strength of each aspect's prior, zero included, is chosen by cross-validation over conditions.
 
     Args:
         stack: law without a correction of this kind.
@@ -245,12 +276,11 @@ def learn_smooth(
     """
     problem = Problem(stack.without_term(kind.name), kind, batch, score)
     basis = basis_of(problem, names, rng)
-    folds = _folds(batch, rng)
-    strength, heads = _chosen(problem, basis, folds)
-    if not heads:
+    strengths = chosen(problem, basis, _folds(batch, rng))
+    if not strengths:
         return problem.stack
-    best = maximised(problem, basis, strength, heads, None, ITERATIONS)
-    return problem.stack.with_term(basis.with_weights(dict(zip(heads, best.T, strict=True))))
+    best = maximised(problem, basis, strengths, basis.none, ITERATIONS)
+    return problem.stack.with_term(basis.with_weights(dict(zip(best.heads, best.value.T, strict=True))))
 
 
 def _folds(batch: Batch, rng: np.random.Generator) -> Ints:
@@ -259,42 +289,35 @@ def _folds(batch: Batch, rng: np.random.Generator) -> Ints:
     return rng.permutation(np.arange(len(conditions)) % FOLDS)[which]
 
 
-def _chosen(problem: Problem, basis: Basis, folds: Ints) -> tuple[float, list[str]]:
-    """Return the strength of the prior and the aspects that predict unseen conditions best."""
-    heads = list(HEADS)
+@dataclass(frozen=True, eq=False)
+class CrossFit:
+    """Coefficients without each fold, and the log-likelihood of the folds under them, nats."""
+
+    fits: tuple[Coefficients, ...]
+    nats: float
+
+
+def chosen(problem: Problem, basis: Basis, folds: Ints) -> Strengths:
+    """Return the strengths of the aspects that predict unseen conditions best, by coordinate ascent."""
     pairs = [(problem.select(folds != k), problem.select(folds == k)) for k in np.unique(folds)]
-    best, found, fits = -np.inf, STRENGTHS[0], [None] * len(pairs)
-    start: list[Floats | None] = list(fits)
-    chosen: list[Floats] = []
-    for strength in STRENGTHS:
-        trained = [
-            maximised(train, basis, strength, heads, c, FOLD_ITERATIONS)
-            for (train, _), c in zip(pairs, start, strict=True)
+
+    def cross_fit(strengths: Strengths, start: CrossFit) -> CrossFit:
+        fits = [
+            maximised(train, basis, strengths, c, FOLD_ITERATIONS) if strengths else basis.none
+            for (train, _), c in zip(pairs, start.fits, strict=True)
         ]
-        start = list(trained)
-        nats = sum(float(predicted(t, basis, c, heads).sum()) for (_, t), c in zip(pairs, trained, strict=True))
-        if nats <= best:
-            break
-        best, found, chosen = nats, strength, trained
-    return found, _useful(pairs, basis, chosen, heads, best)
+        return CrossFit(tuple(fits), sum(predicted(t, basis, c) for (_, t), c in zip(pairs, fits, strict=True)))
+
+    best, strengths = cross_fit({}, CrossFit((basis.none,) * len(pairs), 0.0)), Strengths()
+    for head, strength in product(HEADS, STRENGTHS):
+        tried = {**strengths, head: strength}
+        found = cross_fit(tried, best)
+        if found.nats > best.nats:
+            best, strengths = found, tried
+    return strengths
 
 
-def _useful(
-    pairs: Sequence[tuple[Problem, Problem]], basis: Basis, fits: Sequence[Floats], heads: list[str], best: float
-) -> list[str]:
-    """Return the aspects without which unseen conditions are predicted worse, dropped one at a time."""
-    while heads:
-        nats = {}
-        for head in heads:
-            keep = [k for k, other in enumerate(heads) if other != head]
-            rest = [heads[k] for k in keep]
-            nats[head] = sum(
-                float(predicted(test, basis, fit[:, keep], rest).sum())
-                for (_, test), fit in zip(pairs, fits, strict=True)
-            )
-        worst = max(nats, key=lambda head: nats[head])
-        if nats[worst] < best:
-            break
-        best, fits = nats[worst], [np.delete(fit, heads.index(worst), axis=1) for fit in fits]
-        heads = [head for head in heads if head != worst]
-    return heads
+def predicted(problem: Problem, basis: Basis, coefficients: Coefficients) -> float:
+    """Return the log-likelihood under given coefficients, nats."""
+    with torch.no_grad():
+        return float(problem.log_prob(basis, coefficients.scaled(problem.functions(basis), basis)).sum())

@@ -101,8 +101,8 @@ def kernel(x: Tensor, centres: Tensor) -> Tensor:
 
 
 def level_kernel(level: Tensor, centres: Tensor) -> Tensor:
-    """Return the covariance of the part of f that depends on the level, from `level_scale`, (n, m)."""
-    return torch.exp((level[:, None] - centres) ** 2 * (-0.5 / WIDTH**2))
+    """Return the covariance of the part of f that depends on the level, from `level_scale`, (n, m), a line included."""
+    return level[:, None] * centres + torch.exp((level[:, None] - centres) ** 2 * (-0.5 / WIDTH**2))
 
 
 def level_scale(state: State) -> Tensor:

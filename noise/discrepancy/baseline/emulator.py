@@ -33,8 +33,6 @@ START: dict[Key, float] = {
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
     ("reflectance_loss", "strength"): 0.5,
-    ("dropped_reading", "probability"): 0.002,
-    ("spike", "probability"): 0.002,
     ("cycle_slip", "probability"): 0.2,
 }
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1500, 600, 2500  # readings of each step, which bound the time

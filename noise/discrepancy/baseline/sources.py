@@ -74,8 +74,8 @@ def emulated(simulated: Recording, model: SonarModel | None, rng: np.random.Gene
     readings = Batch.of(simulated)
     conditions, which = np.unique(readings.condition, return_inverse=True)
     unseen = (rng.permutation(np.arange(len(conditions)) % HELD_OUT) == 0)[which]
-    fitted, held_out = (readings.select(rows) for rows in (~unseen, unseen)) if len(conditions) > 1 else (readings, None)
-    law = emulate(fitted, rng)
+    held_out = readings.select(unseen) if len(conditions) > 1 else None
+    law = emulate(readings.select(~unseen) if held_out is not None else readings, rng)
     before = model if model is not None else NearestVisits.of(readings, law.max_range)
     return Baseline(law, readings, before, law.single_ping_model, held_out)
 

@@ -32,7 +32,9 @@ DRAWS = 2000
 OVERLAP = (0.05, 0.95)  # of m(x): beyond, one file has hardly any readings, so that there is nothing to compare
 MIN_EFFECTIVE = 8.0  # effective clusters of a statistic: 2^7 distinct sign patterns allow p < 0.01
 MIN_VARIANCE = 0.02  # of an indicator, when statistics are weighted by the inverse variance
+ROUNDING = 1e-10  # square of a cluster's sum, scores being of order one, below which it is rounding error
 RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
+INDICATORS = (*RATES, Aspect.REPEAT, Aspect.COINCIDENCE)
 
 Only = Callable[[Regressor, Aspect], bool]
 
@@ -50,6 +52,7 @@ class Group:
         residual: weighted score minus g(x), 0 where not valid, (n, aspects).
         natural: the same of the natural values, without weights, (n, aspects).
         weight: factor of the score in `residual`, (n, aspects).
+        unexpected: where an indicator took its less likely value; everywhere for other scores, (n, aspects).
     """
 
     aspects: Ints
@@ -60,6 +63,7 @@ class Group:
     residual: Floats
     natural: Floats
     weight: Floats
+    unexpected: Bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +180,13 @@ def _known(frame: _Frame, aspects: Ints) -> Group:
     weight = _weights(frame, aspects, np.zeros((len(frame.first), len(aspects))))
     residual = frame.scored.value[:, aspects] * weight
     expected = (None,) * len(frame.columns)
-    return Group(aspects, valid, ones, ones, expected, residual, frame.scored.natural[:, aspects], weight)
+    return Group(aspects, valid, ones, ones, expected, residual, frame.scored.natural[:, aspects], weight, _unexpected(frame, aspects))
+
+
+def _unexpected(frame: _Frame, aspects: Ints) -> Bits:
+    """Return where an indicator took its less likely value; True for valid scores of other aspects, (n, aspects)."""
+    indicator = np.array([ASPECTS[a] in INDICATORS for a in aspects])
+    return frame.scored.valid[:, aspects] & (~indicator | (np.abs(frame.scored.value[:, aspects]) > 0.5))
 
 
 def _fitted(frame: _Frame, aspects: Ints, basis: Basis, folds: list[Ints]) -> tuple[Group, float]:
@@ -184,19 +194,21 @@ def _fitted(frame: _Frame, aspects: Ints, basis: Basis, folds: list[Ints]) -> tu
     valid = frame.scored.valid[:, aspects[0]]
     count = frame.sums(valid.astype(np.float64))
     recorded = frame.sample.is_recorded[frame.first].astype(np.float64)
-    on_conditions = CrossFit(basis.features[:, : basis.n_condition], count, folds)
+    on_conditions = CrossFit(basis.features[:, : basis.n_condition], count, folds, near=False)
     m = np.clip(on_conditions.predict((count * recorded)[:, None])[:, 0], 0.0, 1.0)
     inside = (m >= OVERLAP[0]) & (m <= OVERLAP[1])
     contrast = (recorded - m) * inside
     values = np.concatenate([frame.scored.value[:, aspects], frame.scored.natural[:, aspects]], axis=1)
-    g = CrossFit(basis.features, count, folds).predict(frame.sums(values * valid[:, None]))
+    g = CrossFit(basis.features, count, folds, near=True).predict(frame.sums(values * valid[:, None]))
     k = len(aspects)
     weight = _weights(frame, aspects, g[:, :k])
     residual = (values - g[frame.units]) * valid[:, None]
     expected = _expected_weights(frame, valid, contrast, recorded * inside, on_conditions)
     own = count * recorded
     overlap = float((own * inside).sum() / max(own.sum(), 1.0))
-    group = Group(aspects, valid, contrast, recorded, expected, residual[:, :k] * weight, residual[:, k:], weight)
+    unexpected = _unexpected(frame, aspects)
+    own_residual, natural = residual[:, :k] * weight, residual[:, k:]
+    group = Group(aspects, valid, contrast, recorded, expected, own_residual, natural, weight, unexpected)
     return group, overlap
 
 
@@ -231,10 +243,10 @@ def _expected_weights(
     return tuple(out)
 
 
-def _bin_sums(column: Column, label: Ints, value: Floats, n: int) -> Floats:
-    """Return sums of values over (label, bin), (n, bins)."""
+def _bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool = False) -> Floats:
+    """Return sums of values over (label, bin), (n, bins); `absolute` ignores the sign of the column's factor."""
     known = column.base >= 0
-    factor = value if column.factor is None else value * column.factor
+    factor = value if column.factor is None else value * (np.abs(column.factor) if absolute else column.factor)
     flat = label[known] * column.n_bins + column.base[known]
     return np.bincount(flat, factor[known], n * column.n_bins).reshape(n, column.n_bins)
 
@@ -282,10 +294,22 @@ def _tested(
         )
         for j, a in enumerate(group.aspects):
             allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
+            allowed &= _clusters_with(columns, cluster, group.unexpected[:, j]) >= MIN_EFFECTIVE
             z[a], scaled = _studentised(psi[:, :, j], allowed)
             if scaled.shape[1]:
                 greatest[a] = np.abs(signs @ scaled).max(axis=1)
     return _result(z, greatest, groups, frame, overlap, regressors)
+
+
+def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> Floats:
+    """Return the number of clusters with an event in the region of each regressor, (regressors,).
+
+    Without events the residuals of an indicator are the errors of g alone, which are no evidence.
+    """
+    n, counts = int(cluster.max()) + 1, []
+    for column in columns:
+        counts.append((_bin_sums(column, cluster, event * 1.0, n, absolute=True) @ column.combine > 0).sum(axis=0))
+    return np.concatenate(counts)
 
 
 def _studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats]:
@@ -293,7 +317,7 @@ def _studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats]:
     square = psi**2
     total = square.sum(axis=0)
     effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300)
-    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > 1e-18)
+    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > ROUNDING * len(psi))
     scaled = psi[:, enough] / np.sqrt(total[enough])
     z = np.full(psi.shape[1], np.nan)
     z[enough] = scaled.sum(axis=0)

@@ -33,6 +33,13 @@ NAMES = {
     "scintillation": "turbulence",
     "latency": "late time stamps or poses",
 }
+CHANGES = {  # names where an effect is a change of a known size
+    "clock_scale": "clock error",
+    "sound_speed": "change of air temperature",
+    "sensitivity": "loss of sensitivity",
+    "beam_width": "narrower beam",
+    "quantisation": "coarser step of readings",
+}
 BADGES = {
     Kind.NONE: "No difference found",
     Kind.EXPLAINED: "Difference explained",
@@ -113,13 +120,17 @@ def explains(cause: Cause) -> str:
 
 def visible(each: Visible) -> str:
     """Return the least size that would have shown, as a phrase."""
-    size = quantity(each.least, each.unit)
-    return f"{visible_name(each)} by {size}" if each.effect in list(Aspect) else f"{visible_name(each)} of {size}"
+    size, what = quantity(each.least, each.unit), visible_name(each)
+    if each.effect in list(Aspect):
+        return f"{what} by {size}"
+    return f"{size} {what}" if each.unit == "1" and what.endswith("s") else f"a {what} of {size}"
 
 
 def visible_name(each: Visible) -> str:
     """Return an effect or an aspect as words."""
-    return Aspect(each.effect).words if each.effect in list(Aspect) else name(each.effect)
+    if each.effect in list(Aspect):
+        return Aspect(each.effect).words
+    return CHANGES.get(each.effect, name(each.effect))
 
 
 def summary_of(

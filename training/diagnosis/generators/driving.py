@@ -170,9 +170,7 @@ CAUSES = (
         ("air_absorption", "specular_loss"),
         "loss_db",
     ),
-    Cause(
-        "specular_loss", changed(lambda s, k, r: {"tilt_deg": s.tilt_deg / (1.0 + 0.5 * k)}), ("detection",)
-    ),
+    Cause("specular_loss", changed(lambda s, k, r: {"tilt_deg": s.tilt_deg / (1.0 + 0.5 * k)}), ("detection",)),
     Cause(
         "false_alarm",
         changed(lambda s, k, r: {"alarms_per_m": s.alarms_per_m + 0.08 * k}, "alarms_per_m"),

@@ -7,15 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from acquisition import Ping, Recording, SettingError
-from training.diagnosis.generators import beam, rig, ruler
+from training.diagnosis.generators import beam, bursts, driving, fixed, rays, rig, ruler
 from training.diagnosis.generators.grammar import draw_fault
 from training.diagnosis.generators.trial import Trial, TrueCause
 from training.diagnosis.generators.world import Cause, Family, Rng, Surveys, World
 
 _FAMILIES: dict[str, Family] = {
     "rig": rig.FAMILY,
+    "rays": rays.FAMILY,
     "beam": beam.FAMILY,
+    "driving": driving.FAMILY,
     "ruler": ruler.FAMILY,
+    "fixed": fixed.FAMILY,
+    "bursts": bursts.FAMILY,
 }
 FAMILIES: tuple[str, ...] = tuple(_FAMILIES)
 SAME, SINGLE, PAIR, UNMODELLED, SIMULATOR = KINDS = ("same", "single", "pair", "unmodelled", "simulator")

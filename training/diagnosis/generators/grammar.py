@@ -190,8 +190,8 @@ def _operator(aspect: str, function: Function, amount: float, ping: Ping, rng: R
         "spread": lambda: _scatter(function, amount, skewed=False),
         "skew": lambda: _scatter(function, amount * rng.choice([-1.0, 1.0]), skewed=True),
         "loss": lambda: _replaced(function, amount, lambda v, r: np.zeros(len(v))),
-        "early": lambda: _replaced(function, amount, lambda v, r: v * r.uniform(*short, len(v))),
-        "late": lambda: _replaced(function, amount, lambda v, r: v * r.uniform(*long, len(v))),
+        "early": lambda: _replaced(function, amount, lambda v, r: v * r.uniform(short[0], short[1], len(v))),
+        "late": lambda: _replaced(function, amount, lambda v, r: v * r.uniform(long[0], long[1], len(v))),
         "hold": lambda: _held(function, amount),
         "steps": lambda: _steps(function, amount),
     }

@@ -90,13 +90,13 @@ def draw_world(rng: Rng) -> World:
     """Return a random simulator; in half of them the wall is out of range."""
     wall = float(rng.uniform(4.5, 7.0))
     sonar = RaySonar(
-        half_deg=float(rng.uniform(8.0, 30.0)),
+        half_deg=float(rng.uniform(12.0, 35.0)),
         rays=int(rng.integers(5, 32)),
-        plate_m=float(rng.uniform(0.1, 0.3)),
+        plate_m=float(rng.uniform(0.15, 0.5)),
         wall_m=wall,
         noise_m=float(rng.uniform(0.002, 0.01)),
         noise_per_metre=float(rng.choice([0.0, rng.uniform(0.0, 0.005)])),
-        steepest_deg=float(rng.uniform(20.0, 80.0)),
+        steepest_deg=float(rng.uniform(30.0, 80.0)),
         placement_m=float(rng.uniform(0.0, 0.002)),
         gate_m=wall - 0.5 if rng.random() < 0.5 else FULL_SCALE_M,
     )

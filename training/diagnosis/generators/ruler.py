@@ -88,7 +88,7 @@ def draw_surveys(rng: Rng, pings: int, fixed: Mapping[str, Any]) -> Surveys:
     """Return sets at ten marks, of which few have 40 readings in total; the fresh set has other marks."""
     total = FEW if rng.random() < 0.1 else pings
     step, first = float(rng.choice([0.05, 0.1, 0.2, 0.3])), float(rng.choice([0.05, 0.1, 0.2]))
-    marks = first + step * np.arange(MARKS)
+    marks = np.round(first + step * np.arange(MARKS), 3)
     other = marks if rng.random() < 0.5 else marks + 0.5 * step
     between = np.round(first + step * (MARKS - 1) * np.sort(rng.uniform(0.0, 1.0, MARKS // 3 + 1)), 3)
     each = int(np.clip(total // MARKS, *READINGS))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from acquisition import Recording, RecordingError
 from acquisition.io.files import write_atomic
@@ -89,12 +90,12 @@ def load(folder: Path) -> Trial:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; give a folder that `sonar-gym generate-trials` wrote")
     answer = json.loads(path.read_text(encoding="utf-8"))
-    causes = tuple(_cause(each) for each in answer.pop("causes"))
-    recordings = {name: Recording.load(folder / f"{name}.csv") for name in RECORDINGS}
-    return Trial(**{**answer, "seed": tuple(answer["seed"])}, causes=causes, **recordings)
+    recordings = (Recording.load(folder / f"{name}.csv") for name in RECORDINGS)
+    causes = tuple(_cause(each) for each in answer["causes"])
+    return Trial(answer["family"], answer["kind"], tuple(answer["seed"]), causes, answer["fault"], *recordings)
 
 
-def _cause(answer: dict[str, object]) -> TrueCause:
-    lists = {name: tuple(answer[name]) for name in ("accepted", "aspects")}  # type: ignore[call-overload]
-    region = {name: (low, high) for name, (low, high) in answer["region"].items()}  # type: ignore[attr-defined]
-    return TrueCause(**{**answer, **lists, "region": region})  # type: ignore[arg-type]
+def _cause(answer: dict[str, Any]) -> TrueCause:
+    region = {name: (low, high) for name, (low, high) in answer["region"].items()}
+    lists = {name: tuple(answer[name]) for name in ("accepted", "aspects")}
+    return TrueCause(**{**answer, **lists, "region": region})

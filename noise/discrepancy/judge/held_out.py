@@ -1,0 +1,49 @@
+"""Scores on visits that no estimate used: the user's simulation, the emulator, the corrected model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acquisition.arrays import Floats
+from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.name.estimates import Z
+from noise.discrepancy.name.search import standard_error
+from noise.discrepancy.result import HeldOut, Interval, Score
+from noise.fitting.batch import Batch
+from noise.fitting.visit_effects import FLOOR
+from noise.metrics import crps_with_silence
+from noise.model import SonarModel
+
+
+def crps(model: SonarModel, batch: Batch) -> float:
+    """Return the mean CRPS of a model's readings with silence counted, m."""
+    return float(np.mean(crps_with_silence(model.law(batch.ping, batch.past), batch.reading)))
+
+
+def log_score(model: SonarModel, batch: Batch) -> Floats:
+    """Return the log probability of each reading, nats, (n,), with a floor for what a law calls impossible."""
+    law = model.law(batch.ping, batch.past)
+    steps = max(law.last_step, 1)
+    coarser = np.log(steps * batch.resolution / law.max_range) if batch.reading.echo.any() else 0.0
+    nats = law.log_prob(batch.reading) + np.where(batch.reading.echo, min(coarser, 0.0), 0.0)
+    floor = np.where(batch.reading.echo, FLOOR / steps, FLOOR)
+    return np.log((1.0 - 2.0 * FLOOR) * np.exp(nats) + floor)
+
+
+def held_out(before: SonarModel, emulator: SonarModel, after: SonarModel, seen: Batch, unseen: Batch) -> HeldOut:
+    """Return the scores on unseen visits.
+
+    Args:
+        before: the user's own simulation.
+        emulator: law that describes it.
+        after: the corrected model.
+        seen: the recording's other visits, whose readings show how well it repeats itself.
+        unseen: readings to score.
+    """
+    nats = [log_score(model, unseen) for model in (before, emulator, after)]
+    scores = [Score(float(n.mean()), crps(model, unseen)) for n, model in zip(nats, (before, emulator, after), strict=True)]
+    gain = unseen.visit_sums(nats[2] - nats[0])
+    mean, error = float(gain.sum()) / len(unseen), Z * standard_error(gain) / len(unseen)
+    gained = Interval(mean, mean - error, mean + error, "nats")
+    itself = crps(NearestVisits.of(seen), unseen)
+    return HeldOut(len(unseen), unseen.n_visits, scores[0], scores[1], scores[2], itself, gained)

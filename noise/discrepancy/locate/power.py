@@ -1,0 +1,1 @@
+def could_have_seen(law, sample, tested, rng): return ()

@@ -1,0 +1,1 @@
+def next_measurements(places, batch, rng): return ()

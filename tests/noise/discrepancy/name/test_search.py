@@ -1,0 +1,111 @@
+"""Selected effects are those that differ, and nothing that both files have alike."""
+
+import numpy as np
+import pytest
+import torch
+
+from noise.discrepancy.name.alternatives import place_of
+from noise.discrepancy.name.candidates import at_bound, resolved_periods, sampled_effect, with_sampled_bounds
+from noise.discrepancy.name.estimates import conclude, intervals
+from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.search import Search
+from noise.effects import CATALOGUE
+from tests.noise.discrepancy.made import batch_of, law_of
+
+torch.set_num_threads(1)
+CHANGES = {
+    "sound_speed": {"sound_speed": {"temperature_c": 31.0}},
+    "zero_offset": {"zero_offset": {"offset_m": 0.012}},
+    "dropped_reading": {"dropped_reading": {"probability": 0.08}},
+    "time_walk": {"time_walk": {"scale": 1.0}},
+    "spike": {"spike": {"probability": 0.05}},
+    "fixed_clutter": {"fixed_clutter": {"presence": 0.3, "range_m": 0.9, "spread_m": 0.01}},
+    "sensitivity": {"sensitivity": {"loss_db": 43.0}},
+    "noise_burst": {"noise_burst": {"probability": 0.1, "sigma_m": 0.08}},
+}
+
+
+def search_of(changed, seed=3, simulated=None, law=None, **survey):
+    batch = batch_of(changed, seed, **survey)
+    folds = Folds.of(batch, np.random.default_rng(seed))
+    return Search(law_of() if law is None else law, folds, simulated, np.random.default_rng(seed))
+
+
+def test_folds_share_no_condition_and_omit_nothing():
+    batch = batch_of()
+    folds = Folds.of(batch, np.random.default_rng(1))
+    parts = [set(np.round(part.ping.distance, 6)) for part in (folds.first, folds.second, folds.unseen)]
+    assert not (parts[0] & parts[1] or parts[0] & parts[2] or parts[1] & parts[2])
+    assert len(folds.first) + len(folds.second) + len(folds.unseen) == len(batch)
+    assert len(folds.both) == len(folds.first) + len(folds.second)
+
+
+def test_the_same_law_differs_in_nothing():
+    _, found = search_of({}).run()
+    assert found.effects == ()
+
+
+@pytest.mark.parametrize("name", ["sound_speed", "dropped_reading"])
+def test_a_changed_effect_is_selected_alone(name):
+    _, found = search_of(CHANGES[name]).run()
+    assert found.effects in ((name,), ("clock_scale",) if name == "sound_speed" else ())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(set(CHANGES) - {"sound_speed", "dropped_reading"}))
+def test_each_changed_effect_is_selected_alone(name):
+    _, found = search_of(CHANGES[name]).run()
+    assert found.effects == (name,)
+
+
+def test_what_both_files_have_is_no_difference():
+    change = CHANGES["noise_burst"]
+    search = search_of(change, simulated=batch_of(change, seed=77))
+    _, found = search.run()
+    assert found.effects == ()
+    assert search.shared  # it joined the common law, whatever it is called there
+
+
+def test_speed_of_sound_and_clock_are_told_to_be_alike():
+    search = search_of(CHANGES["sound_speed"])
+    _, found = search.run()
+    place = place_of(search, conclude(search, found), found.effects[0])
+    likely = place.probabilities(temperature=1.0)
+    assert {"sound_speed", "clock_scale"} <= set(likely)
+    assert min(likely["sound_speed"], likely["clock_scale"]) > 0.2
+    assert sum(likely.values()) == pytest.approx(1.0, abs=0.06)  # what is not listed is improbable
+
+
+def test_the_interval_holds_the_truth():
+    search = search_of(CHANGES["zero_offset"])
+    _, found = search.run()
+    known = intervals(search, conclude(search, found))[("zero_offset", "offset_m")]
+    assert known.low < 0.012 < known.high
+    assert known.high - known.low < 0.004
+
+
+def test_no_period_is_sought_that_sampling_cannot_resolve():
+    batch = batch_of(visits=40, pings=1, wait_s=600.0)
+    low, high = resolved_periods(batch)
+    assert low == pytest.approx(1200.0)
+    assert high <= 0.5 * np.ptp(batch.ping.time)
+    effect = sampled_effect(CATALOGUE["thermal_drift"], batch)
+    period = next(p for p in effect.parameters if p.cycle)
+    assert low <= period.low < period.high <= high
+    assert all(period.low < start < period.high for start in period.starts)
+
+
+def test_effects_of_time_need_times():
+    batch = batch_of()
+    object.__setattr__(batch, "timed", False)
+    assert sampled_effect(CATALOGUE["thermal_drift"], batch) is None
+    assert sampled_effect(CATALOGUE["zero_offset"], batch) is CATALOGUE["zero_offset"]
+
+
+def test_ring_down_with_its_least_decay_explains_nothing():
+    batch = batch_of()
+    base = with_sampled_bounds(law_of(), batch)
+    values = {("ring_down", "probability"): 0.08, ("ring_down", "range_m"): 0.7}
+    decay = next(p for p in CATALOGUE["ring_down"].parameters if p.name == "decay_m")
+    assert at_bound(base.at({**values, ("ring_down", "decay_m"): decay.low}), base, "ring_down", batch)
+    assert not at_bound(base.at({**values, ("ring_down", "decay_m"): 0.05}), base, "ring_down", batch)

@@ -1,0 +1,74 @@
+"""Write labelled pairs of a simulation and a recording: known causes, unmodelled faults, and no difference at all.
+
+Each trial is a folder with `simulated.csv`, `recorded.csv`, three fresh recordings and `answer.json`.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from acquisition import SettingError
+from training.common.progress import bar
+from training.diagnosis.generators.ensemble import FAMILIES, KINDS, kinds_of, make_trial
+from training.diagnosis.generators.trial import save
+
+
+@dataclass(frozen=True)
+class Args:
+    """Write N labelled trials.
+
+    Attributes:
+        out: folder in which each trial gets a folder.
+        n: number of trials.
+        families: of generators, in turn.
+        kinds: of trials, in turn; a kind that a family lacks is left out there.
+        pings: approximate number in each recording.
+        seed: of all random numbers; the same seed gives the same files.
+        workers: number of processes.
+    """
+
+    out: Path
+    n: int = 70
+    families: tuple[str, ...] = FAMILIES
+    kinds: tuple[str, ...] = KINDS
+    pings: int = 2000
+    seed: int = 0
+    workers: int = 1
+
+
+def mix(families: tuple[str, ...], kinds: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return the pairs of a family and a kind that exist, kind by kind.
+
+    Raises:
+        SettingError: unknown family or kind, or no pair that exists.
+    """
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise SettingError(f"{unknown[0]!r} is not a kind of trial; choose from {', '.join(KINDS)}")
+    pairs = [(family, kind) for kind in kinds for family in families if kind in kinds_of(family)]
+    if not pairs:
+        raise SettingError(f"no family of {', '.join(families)} has trials of kind {', '.join(kinds)}")
+    return pairs
+
+
+def write(out: Path, number: int, family: str, kind: str, pings: int, seed: int) -> Path:
+    """Make one trial and write it; its random numbers depend on the seed and its number alone."""
+    trial = make_trial(family, kind, np.random.default_rng([seed, number]), pings=pings)
+    return save(trial, out / f"{number:05d}")
+
+
+def main(args: Args) -> None:
+    """Write the trials and print where they are."""
+    pairs = mix(args.families, args.kinds)
+    columns = zip(*((args.out, k, *pairs[k % len(pairs)], args.pings, args.seed) for k in range(args.n)), strict=True)
+    # forking a process with threads is unsafe
+    pool = ProcessPoolExecutor(args.workers, get_context("spawn"))
+    with pool, bar("trials", args.n) as update:
+        for done, _ in enumerate(pool.map(write, *columns), 1):
+            update(done, args.n)
+    print(f"{args.n} trials in {args.out}, each with simulated.csv, recorded.csv, fresh recordings and answer.json")
