@@ -114,7 +114,9 @@ def diagnose(
     if unknown:
         raise SettingError(f"without: {unknown[0]!r} is not in the catalogue: {', '.join(CATALOGUE)}")
     recorded = as_recording(recording)
-    data = _prepared(model, recorded, None if simulated is None else as_recording(simulated, "simulation"), seed, progress)
+    data = _prepared(
+        model, recorded, None if simulated is None else as_recording(simulated, "simulation"), seed, progress
+    )
     data.tell("comparing", 0.15)
     law = data.baseline.law
     tested = orthogonal_test(law, law, data.sample, data.rng("test"))
@@ -217,9 +219,9 @@ class Judged:
 def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, tested: Tested) -> Judged:
     """Return the causes of a difference with their probabilities."""
     final = conclude(search, found)
-    places = tuple(place_of(search, final, name) for name in found.effects)
-    divided = shares(search, none, found, data.rng("shares"))
     after = orthogonal_test(final.stack, search.common, data.sample, data.rng("rest"))
+    places = tuple(place_of(search, found, name) for name in found.effects)
+    divided = shares(search, none, found, after.p_value.value < FALSE_ALARM, data.rng("shares"))
     evidence = {
         place.effect: evidence_of(search, found, place, divided, tested.p_value, after.p_value) for place in places
     }

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from acquisition import Ping, Reading, Recording, SettingError
 from acquisition.arrays import Floats
 from noise.model import SonarModel
 from noise.store import load_model
 
-Simulator = Callable[[Ping, np.random.Generator], Reading | ArrayLike]
+Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 Progress = Callable[[str, float], None]
 MIN_RANGE_MM = 20.0  # least range of an HC-SR04 by its data sheet; no ultrasonic ranger here measures less
 MAX_RATIO_ERROR = 0.15  # relative deviation of reading / distance from a power of ten; more than any scale error
@@ -40,7 +39,9 @@ def as_recording(given: Recording | pd.DataFrame | str | os.PathLike[str], name:
         return Recording.from_text(text.where(given.notna().to_numpy(), "").astype(str), name)
     if isinstance(given, str | os.PathLike):
         return Recording.load(given)
-    raise SettingError(f"{name}: is a {type(given).__name__}, expected a Recording, a DataFrame or the path of a CSV file")
+    raise SettingError(
+        f"{name}: is a {type(given).__name__}, expected a Recording, a DataFrame or the path of a CSV file"
+    )
 
 
 def as_model(given: Any) -> SonarModel | Simulator:
@@ -106,7 +107,7 @@ def _times(recording: Recording) -> Iterator[str]:
         )
     if backward:
         yield (
-            f"{recording.name}: time_s decreases {backward:,} times within a session; give each session its own name "
+            f"{recording.name}: time_s decreases within a session (rows: {backward:,}); give each session its own name "
             "in the column `session`, and sort its rows by time."
         )
 

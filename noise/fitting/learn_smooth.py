@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 import torch
@@ -34,7 +33,9 @@ from noise.fitting.smooth import (
 from noise.fitting.stack import Stack
 from noise.fitting.visit_effects import (
     FLOOR,
+    MIN_PROBABILITY,
     VisitEffects,
+    detection_probability,
     direct_median,
     placement_scatter,
     single_ping_law,
@@ -58,8 +59,15 @@ Strengths = dict[str, float]
 
 
 def single_log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
-    """Return the log probability of each reading as the only one of its visit, nats, (n,), with the usual floor."""
-    p = single_ping_law(law, visits).probability_tensor(batch.reading)
+    """Return the log probability of each reading, nats, (n,): of its range as the only one of its visit.
+
+    Echo or no echo is predicted with the earlier pings of the visit (beta-binomial), since pings of one position near
+    the threshold agree; otherwise a few positions would decide on the detection everywhere.
+    """
+    single = single_ping_law(law, visits)
+    agree = visits.detection_weight + visits.urn_weight
+    expected, given = detection_probability(single, VisitEffects(detection_weight=torch.clamp(agree, max=5.0)), batch)
+    p = single.probability_tensor(batch.reading) * given / torch.clamp(expected, min=MIN_PROBABILITY)
     floor = torch.from_numpy(np.where(batch.reading.echo, FLOOR / law.last_step, FLOOR))
     return torch.log((1.0 - 2.0 * FLOOR) * p + floor)
 
@@ -93,7 +101,7 @@ class Basis:
     def with_weights(self, coefficients: dict[str, Floats]) -> Smooth:
         """Return the correction with given coefficients, (p,) for each aspect."""
         m, old = self.root.shape[1], self.term
-        scaled = {head: self.prior_sd[head] * number(c) for head, c in coefficients.items()}
+        scaled = {head: self.prior_sd[head] * torch.from_numpy(c) for head, c in coefficients.items()}
         alpha = {head: self.root @ c[:m] for head, c in scaled.items()}
         beta = {head: self.level_root @ c[m:] for head, c in scaled.items()}
         sizes = old.tails_m, old.placement_m
@@ -254,8 +262,13 @@ def maximised(
         value, _, gradient = objective(first + y.reshape(first.shape) * scale)
         return (value, (gradient * scale).ravel()) if np.isfinite(value) else (1e15, np.zeros(y.size))
 
-    options = {"maxiter": iterations, "ftol": TOLERANCE, "gtol": 1e-2, "maxcor": 15}
-    found = minimize(scaled, np.zeros(first.size), jac=True, method="L-BFGS-B", options=options)
+    found = minimize(
+        scaled,
+        np.zeros(first.size),
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": iterations, "ftol": TOLERANCE, "gtol": 1e-2, "maxcor": 15},
+    )
     return Coefficients(heads, first + found.x.reshape(first.shape) * scale)
 
 
@@ -291,33 +304,44 @@ def _folds(batch: Batch, rng: np.random.Generator) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class CrossFit:
-    """Coefficients without each fold, and the log-likelihood of the folds under them, nats."""
+    """Coefficients without each fold, and the log-likelihood of each visit of the folds under them, nats."""
 
     fits: tuple[Coefficients, ...]
-    nats: float
+    nats: Floats
+
+    def gain(self, other: CrossFit) -> float:
+        """Return the gain over another, nats, less one standard error over visits."""
+        gain = self.nats - other.nats
+        return float(gain.sum() - np.sqrt(len(gain)) * gain.std())
 
 
 def chosen(problem: Problem, basis: Basis, folds: Ints) -> Strengths:
-    """Return the strengths of the aspects that predict unseen conditions best, by coordinate ascent."""
+    """Return the strength of each aspect that predicts unseen conditions best, by coordinate ascent.
+
+    An aspect joins if its gain exceeds one standard error, since few positions decide on detection at the threshold.
+    """
     pairs = [(problem.select(folds != k), problem.select(folds == k)) for k in np.unique(folds)]
 
-    def cross_fit(strengths: Strengths, start: CrossFit) -> CrossFit:
+    def cross_fit(strengths: Strengths, start: CrossFit | None = None) -> CrossFit:
+        starts = start.fits if start else (basis.none,) * len(pairs)
         fits = [
-            maximised(train, basis, strengths, c, FOLD_ITERATIONS) if strengths else basis.none
-            for (train, _), c in zip(pairs, start.fits, strict=True)
+            maximised(train, basis, strengths, c, FOLD_ITERATIONS) if strengths else c
+            for (train, _), c in zip(pairs, starts, strict=True)
         ]
-        return CrossFit(tuple(fits), sum(predicted(t, basis, c) for (_, t), c in zip(pairs, fits, strict=True)))
+        nats = [predicted(test, basis, c) for (_, test), c in zip(pairs, fits, strict=True)]
+        return CrossFit(tuple(fits), np.concatenate(nats))
 
-    best, strengths = cross_fit({}, CrossFit((basis.none,) * len(pairs), 0.0)), Strengths()
-    for head, strength in product(HEADS, STRENGTHS):
-        tried = {**strengths, head: strength}
-        found = cross_fit(tried, best)
-        if found.nats > best.nats:
-            best, strengths = found, tried
+    best, strengths = cross_fit({}), Strengths()
+    for head in HEADS:
+        tried = [({**strengths, head: size}, cross_fit({**strengths, head: size}, best)) for size in STRENGTHS]
+        other, found = max(tried, key=lambda each: float(each[1].nats.sum()))
+        if found.gain(best) > 0.0:
+            best, strengths = found, other
     return strengths
 
 
-def predicted(problem: Problem, basis: Basis, coefficients: Coefficients) -> float:
-    """Return the log-likelihood under given coefficients, nats."""
+def predicted(problem: Problem, basis: Basis, coefficients: Coefficients) -> Floats:
+    """Return the log-likelihood of each visit under given coefficients, nats, (n_visits,)."""
     with torch.no_grad():
-        return float(problem.log_prob(basis, coefficients.scaled(problem.functions(basis), basis)).sum())
+        nats = problem.log_prob(basis, coefficients.scaled(problem.functions(basis), basis))
+    return problem.batch.visit_sums(nats.numpy())

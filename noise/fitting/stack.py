@@ -42,14 +42,14 @@ class Stack:
         values: effect id -> parameter -> value; "visits" holds those of `VisitEffects`.
         resolution, max_range: of the register, m.
         terms: smooth corrections without parameters, at most one of each id.
-        bounded: effects with other bounds than the catalogue's, by id.
+        bounds: parameters with narrower bounds than the catalogue's.
     """
 
     values: Values
     resolution: float = 0.001
     max_range: float = 11.008
     terms: tuple[Smooth, ...] = ()
-    bounded: Mapping[str, type[Effect]] = field(default_factory=dict)
+    bounds: Mapping[Key, Parameter] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: PhysicalModel) -> Stack:
@@ -61,11 +61,11 @@ class Stack:
     @cached_property
     def known(self) -> dict[str, type[Effect]]:
         """All effects that a stack can contain, by id."""
-        return {**CATALOGUE, **self.bounded, VISITS: VisitEffects, PlacementScatter.name: PlacementScatter}
+        return {**CATALOGUE, VISITS: VisitEffects, PlacementScatter.name: PlacementScatter}
 
     def parameter(self, key: Key) -> Parameter:
         """Return the description of a parameter."""
-        return next(p for p in self.known[key[0]].parameters if p.name == key[1])
+        return self.bounds.get(key) or next(p for p in self.known[key[0]].parameters if p.name == key[1])
 
     def get(self, key: Key) -> float:
         """Return a parameter's value; its null value where the effect is absent."""

@@ -52,10 +52,10 @@ def starting_points(
         design: number of points of the Sobol design, a power of two.
         whole: readings for the other estimates; `batch` by default.
     """
-    every = stack.known[name].parameters
+    every = [stack.parameter((name, p.name)) for p in stack.known[name].parameters]
     stack = stack.put([(name, p.name) for p in every], [stack.get((name, p.name)) for p in every])
     logged = (whole or batch).ping.covariates
-    keys = [(name, p.name) for p in every if p.identifiable(logged)]
+    keys = [(name, p.name) for p in every if p.low < p.high and p.identifiable(logged)]
     columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
     first = [column[0] for column in columns]
     points = [[stack.get(key) for key in keys], first]

@@ -37,7 +37,7 @@ START: dict[Key, float] = {
 }
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1500, 600, 2500  # readings of each step, which bound the time
 DESIGN = 4  # starting points of a quasi-random design for each candidate effect
-CANDIDATES, ROUNDS = 3, 3  # effects that are fitted in a round, and rounds
+CANDIDATES, ROUNDS = 3, 4  # effects that are fitted in a round, and rounds
 MIN_GAIN_NATS = 3.0  # on unseen visits: odds of 20 to 1
 MIN_T = 2.0  # the same gain in standard errors over visits
 ITERATIONS = 40
@@ -109,31 +109,34 @@ class Candidate:
 
 def with_catalogue(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
     """Return the law with every effect of the catalogue that improves unseen visits, by forward selection."""
-    batch, rejected = readings.thin(PHYSICS_PINGS), set[str]()
+    batch, few = readings.thin(PHYSICS_PINGS), readings.thin(SCREEN_PINGS)
+    names = [name for name in CATALOGUE if _can_be_added(stack, name, batch)]
     for _ in range(ROUNDS):
-        ranked = screened(stack, batch.thin(SCREEN_PINGS), rng, rejected)[:CANDIDATES]
-        passed = [(c, gain) for c in ranked if (gain := cross_validated(stack, c, batch, rng)) is not None]
-        rejected |= {c.name for c in ranked} - {c.name for c, _ in passed}
+        ranked = screened(stack, names, few, rng)
+        passed = [(c, gain) for c in ranked[:CANDIDATES] if (gain := cross_validated(stack, c, few, rng)) is not None]
         if not passed:
             break
         best = max(passed, key=lambda each: each[1])[0]
         stack = maximise(best.stack, (*_free(best.stack), *NUISANCES), batch, ITERATIONS, 0.5).stack
+        failed = {c.name for c in ranked[:CANDIDATES]} - {c.name for c, _ in passed}
+        names = [c.name for c in ranked if c.name not in failed | {best.name}]
     return stack
 
 
-def screened(stack: Stack, batch: Batch, rng: np.random.Generator, rejected: set[str]) -> list[Candidate]:
-    """Return candidate effects by the likelihood at their best starting point, best first."""
-    now = float(log_likelihood(stack, batch).sum())
-    out = []
-    for name, effect in CATALOGUE.items():
-        absent = [p for p in effect.parameters if (name, p.name) not in stack.values.get(name, {})]
-        covariates = [p for p in effect.parameters if p.covariate and p.identifiable(batch.ping.covariates)]
-        if name in rejected or name == JITTER or not absent or (name in stack.values and not covariates):
-            continue
+def _can_be_added(stack: Stack, name: str, batch: Batch) -> bool:
+    """Return whether an effect is absent, or lacks a parameter that a logged covariate identifies."""
+    covariates = (p for p in CATALOGUE[name].parameters if p.covariate)
+    return name not in stack.values or any(p.identifiable(batch.ping.covariates) for p in covariates)
+
+
+def screened(stack: Stack, names: Sequence[str], batch: Batch, rng: np.random.Generator) -> list[Candidate]:
+    """Return the effects whose best starting point improves the likelihood, best first."""
+    now, out = float(log_likelihood(stack, batch).sum()), []
+    for name in names:
         starts = starting_points(stack, name, batch, rng, DESIGN)
-        best = max(starts, key=lambda s: float(log_likelihood(s, batch).sum()))
-        out.append(Candidate(name, best, float(log_likelihood(best, batch).sum()) - now))
-    return sorted(out, key=lambda each: -each.gain)
+        nats = [float(log_likelihood(start, batch).sum()) for start in starts]
+        out.append(Candidate(name, starts[int(np.argmax(nats))], max(nats) - now))
+    return sorted((each for each in out if each.gain > 0.0), key=lambda each: -each.gain)
 
 
 def cross_validated(stack: Stack, candidate: Candidate, batch: Batch, rng: np.random.Generator) -> float | None:

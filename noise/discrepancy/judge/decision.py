@@ -110,7 +110,9 @@ class DecisionModel:
 
     def to_dict(self) -> dict[str, object]:
         """Return the weights as plain data."""
-        arrays = {name: dict(zip(FEATURES, getattr(self, name).tolist(), strict=True)) for name in ("mean", "scale", "weight")}
+        arrays = {
+            name: dict(zip(FEATURES, getattr(self, name).tolist(), strict=True)) for name in ("mean", "scale", "weight")
+        }
         return {**arrays, "intercept": self.intercept, "temperature": self.temperature}
 
     @classmethod
@@ -126,5 +128,5 @@ def decision_model() -> DecisionModel:
     return DecisionModel.from_dict(json.loads(WEIGHTS.read_text())["model"])
 
 
-assert len(FEATURES) == len(Evidence(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, False).features())  # noqa: S101
-assert len(fields(Evidence)) == len(FEATURES)  # noqa: S101
+assert len(FEATURES) == len(Evidence(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, False).features())
+assert len(fields(Evidence)) == len(FEATURES)

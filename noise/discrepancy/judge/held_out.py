@@ -41,7 +41,9 @@ def held_out(before: SonarModel, emulator: SonarModel, after: SonarModel, seen: 
         unseen: readings to score.
     """
     nats = [log_score(model, unseen) for model in (before, emulator, after)]
-    scores = [Score(float(n.mean()), crps(model, unseen)) for n, model in zip(nats, (before, emulator, after), strict=True)]
+    scores = [
+        Score(float(n.mean()), crps(model, unseen)) for n, model in zip(nats, (before, emulator, after), strict=True)
+    ]
     gain = unseen.visit_sums(nats[2] - nats[0])
     mean, error = float(gain.sum()) / len(unseen), Z * standard_error(gain) / len(unseen)
     gained = Interval(mean, mean - error, mean + error, "nats")

@@ -20,7 +20,7 @@ from noise.fitting.fit import log_likelihood
 from noise.fitting.stack import Stack
 
 N_BOOTSTRAP = 1000
-LEARNER_PINGS = 1500  # of each fold
+LEARNER_PINGS = 1000  # of each fold
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,6 @@ class Shares:
         together: share of all effects.
         rest: share that no effect explains.
         misfit_nats: L2 - L0.
-        learned: the corrected law with the learner, fitted on each fold.
     """
 
     causes: dict[str, Interval]
@@ -41,25 +40,22 @@ class Shares:
     together: Interval
     rest: Interval
     misfit_nats: float
-    learned: tuple[Stack, Stack]
 
 
-def shares(search: Search, none: Hypothesis, found: Hypothesis, rng: np.random.Generator) -> Shares:
+def shares(search: Search, none: Hypothesis, found: Hypothesis, is_left: bool, rng: np.random.Generator) -> Shares:
     """Return the shares of the effects of a hypothesis.
 
     Args:
         search: data of the search.
         none: hypothesis without differences.
         found: the selected hypothesis.
+        is_left: whether a test finds anything left; otherwise nothing is learned.
         rng: draws the bootstrap samples and starts the learner.
     """
-    learned = tuple(empirical_term(s, p.thin(LEARNER_PINGS), rng) for s, p in zip(found.stacks, search.parts, strict=True))
-    parts = ((learned[1], search.parts[0]), (learned[0], search.parts[1]))
-    best = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in parts])
-    n_pings = sum(len(part) for part in search.parts)
-    own = _gain_on_simulation(search.common, search.simulated, rng) * n_pings / len(best)
-    explained, learnt = found.nats - none.nats, best - found.nats - own
-    lost = {name: found.nats - search.left_out(found, name).nats for name in found.effects}
+    explained = found.nats - none.nats
+    learnt = _learnt(search, found, rng) if is_left else np.zeros_like(explained)
+    single = len(found.effects) == 1
+    lost = {n: explained if single else found.nats - search.left_out(found, n).nats for n in found.effects}
     draws = _bootstrap(np.stack([explained, learnt, *lost.values()]), rng)
     rest = _ratio(draws[1].clip(min=0.0), draws)
     each = {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)}
@@ -69,8 +65,20 @@ def shares(search: Search, none: Hypothesis, found: Hypothesis, rng: np.random.G
         _ratio(draws[0], draws),
         rest,
         float(explained.sum() + max(learnt.sum(), 0.0)),
-        (learned[0], learned[1]),
     )
+
+
+def _learnt(search: Search, found: Hypothesis, rng: np.random.Generator) -> Floats:
+    """Return what a learner gains on each recorded visit beyond what it gains on simulated ones, nats."""
+    pairs = list(zip(found.stacks, search.parts, strict=True))
+    learned = [empirical_term(stack, part.thin(LEARNER_PINGS), rng) for stack, part in pairs]
+    if all(new is old for new, (old, _) in zip(learned, pairs, strict=True)):
+        return np.zeros_like(found.nats)
+    crossed = ((learned[1], search.parts[0]), (learned[0], search.parts[1]))
+    best = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in crossed])
+    n_pings = sum(len(part) for part in search.parts)
+    own = _gain_on_simulation(search.common, search.simulated, rng) * n_pings / len(best)
+    return np.asarray(best - found.nats - own)
 
 
 def _gain_on_simulation(law: Stack, simulated: Batch | None, rng: np.random.Generator) -> float:

@@ -1,1 +1,123 @@
-def locate(tested): return ()
+"""Located mismatches: the simplest region that is not significantly worse than the best one, with its size.
+
+The confidence set of the region holds every regressor whose statistic is not significantly below the greatest of its
+aspect. Its simplest member, with the fewest edges, is reported: a mismatch that can be everywhere is not confined to a
+region. Further mismatches of the same aspect count if they remain significant after the first is projected out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.arrays import Floats
+from noise.discrepancy.locate.orthogonal import Group, Tested, bin_sums, moments, one_weight, studentised
+from noise.discrepancy.locate.regressors import Regressor
+from noise.discrepancy.locate.scores import ASPECTS
+from noise.discrepancy.result import Interval, Location, PValue, Range
+
+LEVEL = 0.01  # of the test, adjusted for all regressors and aspects
+TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
+MAX_PER_ASPECT = 3  # located mismatches of one aspect; more are hardly distinct
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A significant regressor of an aspect: index, centred statistic, and adjusted p-value."""
+
+    regressor: int
+    strength: float
+    p_value: PValue
+
+
+def locate(tested: Tested) -> tuple[Location, ...]:
+    """Return the located mismatches, the strongest first; empty where the test does not reject at `LEVEL`."""
+    out = []
+    for group in tested.groups:
+        for j, a in enumerate(group.aspects):
+            for found in _steps(tested, group, j):
+                size = size_of(tested, group, j, found.regressor)
+                region = _region(tested, found.regressor)
+                out.append((found.strength, Location(ASPECTS[a], region, size, found.p_value)))
+    return tuple(location for _, location in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
+    """Return the significant regressors of the j-th aspect of a group, each after projecting out those before."""
+    allowed = np.isfinite(tested.z[group.aspects[j]])
+    found: list[_Found] = []
+    residual = group.residual[:, j]
+    while len(found) < MAX_PER_ASPECT and allowed.any():
+        psi = moments(group, tested.columns, tested.units, tested.cluster, residual[:, None])[:, :, 0]
+        z = studentised(psi, allowed)[0]
+        if np.isnan(z).all():
+            break
+        p_value = tested.p_of(float(np.nanmax(np.abs(z))))
+        if p_value.value > LEVEL:
+            break
+        k, strength = _simplest(tested, group, j, psi, np.isfinite(z))
+        found.append(_Found(k, strength, p_value))
+        weight = one_weight(group, tested.columns, tested.units, k)[0]
+        residual = residual - weight * float(weight @ residual) / max(float(weight @ weight), 1e-300)
+    return found
+
+
+def _simplest(tested: Tested, group: Group, j: int, psi: Floats, allowed: Floats) -> tuple[int, float]:
+    """Return the simplest regressor of the confidence set, and the greatest centred statistic."""
+    index = np.flatnonzero(allowed)
+    psi, exposure = psi[:, index], _exposure(tested, group, j)[:, index]
+    slope = psi.sum(axis=0) / np.where(exposure.sum(axis=0) == 0, 1.0, exposure.sum(axis=0))
+    centred = psi - slope * exposure
+    norm = np.sqrt(np.maximum((centred**2).sum(axis=0), 1e-300))
+    z = psi.sum(axis=0) / norm
+    best = int(np.argmax(np.abs(z)))
+    agreement = np.sign(z) * np.sign(z[best]) * (centred.T @ centred[:, best]) / (norm * norm[best])
+    # the standard error in the denominator of z is an estimate too
+    error = np.sqrt(2.0 * np.maximum(1.0 - agreement, 0.0) * (1.0 + z[best] ** 2 / (2.0 * len(psi))))
+    inside = np.flatnonzero(np.abs(z[best]) - np.abs(z) <= TWO_SIDED * error)
+    chosen = min(inside, key=lambda i: (_complexity(tested.regressors[index[i]]), -abs(z[i])))
+    return int(index[chosen]), float(np.abs(z[best]))
+
+
+def _complexity(regressor: Regressor) -> int:
+    return regressor.n_edges + 2 * int(regressor.phase_of_s > 0)
+
+
+def _exposure(tested: Tested, group: Group, j: int) -> Floats:
+    """Return the sum over each cluster that a difference of one would add to each statistic, (clusters, regressors)."""
+    n = int(tested.cluster.max()) + 1
+    own = group.valid * group.weight[:, j] * group.recorded[tested.units]
+    parts = []
+    for column in tested.columns:
+        weight = own * group.plain_weight(column.form)[tested.units]
+        parts.append(bin_sums(column, tested.cluster, weight, n, absolute=True) @ column.combine)
+    return np.concatenate(parts, axis=1)
+
+
+def size_of(tested: Tested, group: Group, j: int, k: int) -> Interval:
+    """Return the mean difference in a region in natural units, with a 90 % interval clustered by visit."""
+    weight, phi = one_weight(group, tested.columns, tested.units, k)
+    n = int(tested.cluster.max()) + 1
+    exposure = np.bincount(tested.cluster, weight * phi * group.recorded[tested.units], n)
+    psi = np.bincount(tested.cluster, weight * group.natural[:, j], n)
+    total = exposure.sum()
+    value = float(psi.sum() / total) if total != 0 else float("nan")
+    error = float(np.sqrt(((psi - value * exposure) ** 2).sum()) / abs(total)) if total != 0 else float("nan")
+    unit = ASPECTS[group.aspects[j]].unit
+    return Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, unit)
+
+
+def _region(tested: Tested, k: int) -> dict[str, Range]:
+    """Return the region of a regressor, open sides closed at the recording's extremes."""
+    regressor = tested.regressors[k]
+    span = {name: both for column in tested.columns for name, both in column.span.items()}
+    if regressor.phase_of_s > 0:
+        return {"period_s": (regressor.phase_of_s, regressor.phase_of_s)}
+    out = {}
+    for name, low, high in regressor.region:
+        if name == "abs_angle" and low == -np.inf:
+            name, low = "angle", -high
+        ends = span.get(name, (low, high))
+        out[name] = (float(max(low, ends[0])), float(min(high, ends[1])))
+    return out

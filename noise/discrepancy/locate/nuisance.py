@@ -67,7 +67,8 @@ def basis_of(x: Floats, law: Floats, cluster: Ints, rng: np.random.Generator) ->
     radial = [_radial(z, part, SCALES[k] * np.sqrt(z.shape[1])) for k, part in enumerate(np.array_split(centres, 2))]
     own = [np.ones((len(z), 1)), *splines, *radial]
     slope = law[:, 1:]
-    with_law = [_hats(law[:, 0]), slope, *(slope * part for part in splines)]
+    level = _hats(law[:, 0])
+    with_law = [level, *(level * column[:, None] for column in z.T), slope, *(slope * part for part in splines)]
     features = np.concatenate([*own, *with_law], axis=1)
     return Basis(features, sum(part.shape[1] for part in own))
 

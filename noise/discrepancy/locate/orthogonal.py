@@ -14,8 +14,8 @@ clusters (wild cluster bootstrap; Cameron, Gelbach and Miller 2008).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,8 @@ from noise.fitting.stack import Stack
 
 DRAWS = 2000
 OVERLAP = (0.05, 0.95)  # of m(x): beyond, one file has hardly any readings, so that there is nothing to compare
-MIN_EFFECTIVE = 8.0  # effective clusters of a statistic: 2^7 distinct sign patterns allow p < 0.01
+MIN_CLUSTERS = 8  # of a statistic: 2^7 distinct sign patterns allow p < 0.01
+MIN_EFFECTIVE = 4.0  # clusters of equal size that its sum of squares is worth: no mismatch rests on one visit
 MIN_VARIANCE = 0.02  # of an indicator, when statistics are weighted by the inverse variance
 ROUNDING = 1e-10  # square of a cluster's sum, scores being of order one, below which it is rounding error
 RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
@@ -65,6 +66,10 @@ class Group:
     weight: Floats
     unexpected: Bits
 
+    def plain_weight(self, form: Form) -> Floats:
+        """Return the factor of a regressor of a form before its conditional mean is subtracted, (units,)."""
+        return self.recorded * (self.contrast != 0) if form is Form.RECORDED else self.contrast
+
 
 @dataclass(frozen=True, eq=False)
 class Tested:
@@ -78,7 +83,8 @@ class Tested:
         regressors: descriptions, K.
         overlap: share of the recording's pings with m(x) in `OVERLAP`.
         critical: quantile function of the greatest |z| under the null: sorted draws of the bootstrap, (draws,).
-        groups, columns, units, cluster: intermediate results for `locate`.
+        scale: root of the sum of squares over clusters that each statistic is divided by, (A, K).
+        groups, columns, units, cluster: intermediate results for `locate` and `could_have_seen`.
     """
 
     p_value: PValue
@@ -88,6 +94,7 @@ class Tested:
     regressors: tuple[Regressor, ...]
     overlap: float
     critical: Floats
+    scale: Floats
     groups: tuple[Group, ...]
     columns: tuple[Column, ...]
     units: Ints
@@ -180,7 +187,17 @@ def _known(frame: _Frame, aspects: Ints) -> Group:
     weight = _weights(frame, aspects, np.zeros((len(frame.first), len(aspects))))
     residual = frame.scored.value[:, aspects] * weight
     expected = (None,) * len(frame.columns)
-    return Group(aspects, valid, ones, ones, expected, residual, frame.scored.natural[:, aspects], weight, _unexpected(frame, aspects))
+    return Group(
+        aspects,
+        valid,
+        ones,
+        ones,
+        expected,
+        residual,
+        frame.scored.natural[:, aspects],
+        weight,
+        _unexpected(frame, aspects),
+    )
 
 
 def _unexpected(frame: _Frame, aspects: Ints) -> Bits:
@@ -218,7 +235,7 @@ def _weights(frame: _Frame, aspects: Ints, g: Floats) -> Floats:
     for j, a in enumerate(aspects):
         if ASPECTS[a] in RATES:
             rate = frame.scored.probability[frame.first, RATES.index(ASPECTS[a])] + g[:, j]
-            out[:, j] = (1.0 / np.maximum(rate * (1.0 - rate), MIN_VARIANCE))[frame.units]
+            out[:, j] = (np.maximum(rate * (1.0 - rate), MIN_VARIANCE) ** -0.5)[frame.units]
     return out
 
 
@@ -231,7 +248,7 @@ def _expected_weights(
     for column in frame.columns:
         if column.form is not Form.CONDITION:
             own = contrast if column.form is Form.SHARED else recorded
-            sums.append(_bin_sums(column, frame.units, valid * own[frame.units], len(frame.first)))
+            sums.append(bin_sums(column, frame.units, valid * own[frame.units], len(frame.first)))
     predicted = fit.predict(np.concatenate(sums, axis=1)) if sums else np.empty((len(frame.first), 0))
     at = 0
     for column in frame.columns:
@@ -243,7 +260,7 @@ def _expected_weights(
     return tuple(out)
 
 
-def _bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool = False) -> Floats:
+def bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool = False) -> Floats:
     """Return sums of values over (label, bin), (n, bins); `absolute` ignores the sign of the column's factor."""
     known = column.base >= 0
     factor = value if column.factor is None else value * (np.abs(column.factor) if absolute else column.factor)
@@ -251,12 +268,11 @@ def _bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool
     return np.bincount(flat, factor[known], n * column.n_bins).reshape(n, column.n_bins)
 
 
-def moments(group: Group, column: int, columns: tuple[Column, ...], units: Ints, cluster: Ints, value: Floats) -> Floats:
-    """Return sums over clusters of a regressor's weight times values.
+def moments(group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats) -> Floats:
+    """Return sums over clusters of the weight of each regressor times values.
 
     Args:
         group: aspects and their nuisance functions.
-        column: index of the column.
         columns: all columns.
         units: unit of each ping, (n,).
         cluster: cluster of each ping, (n,).
@@ -265,18 +281,33 @@ def moments(group: Group, column: int, columns: tuple[Column, ...], units: Ints,
     Returns:
         sums, (clusters, regressors, k).
     """
-    own, n = columns[column], int(cluster.max()) + 1
-    weight = group.recorded * (group.contrast != 0) if own.form is Form.RECORDED else group.contrast
-    parts = [_bin_sums(own, cluster, weight[units] * part, n) for part in value.T]
-    expected = group.expected[column]
+    n, first = int(cluster.max()) + 1, np.unique(units, return_index=True)[1]
+    by_unit, at = np.add.reduceat(value, first, axis=0), cluster[first]
+    out = []
+    for column, expected in zip(columns, group.expected, strict=True):
+        weight = group.plain_weight(column.form)[units]
+        parts = [bin_sums(column, cluster, weight * part, n) for part in value.T]
+        if expected is not None:
+            for j, part in enumerate(parts):
+                product = expected * by_unit[:, j : j + 1]
+                part -= np.stack([np.bincount(at, each, n) for each in product.T], axis=1)
+        out.append(np.stack([part @ column.combine for part in parts], axis=2))
+    return np.concatenate(out, axis=1)
+
+
+def one_weight(group: Group, columns: Sequence[Column], units: Ints, k: int) -> tuple[Floats, Floats]:
+    """Return the weight and the value of regressor k at each ping, (n,) each."""
+    for column, expected in zip(columns, group.expected, strict=True):  # noqa: B007
+        if k < len(column.regressors):
+            break
+        k -= len(column.regressors)
+    part = column.combine[:, k]
+    phi = np.where(column.base >= 0, part[np.maximum(column.base, 0)], 0.0)
+    phi = phi if column.factor is None else phi * column.factor
+    weight = phi * group.plain_weight(column.form)[units]
     if expected is not None:
-        first = np.unique(units, return_index=True)[1]
-        by_unit = np.add.reduceat(value, first, axis=0)
-        for j in range(len(parts)):
-            product = expected * by_unit[:, j : j + 1]
-            at = cluster[first]
-            parts[j] = parts[j] - np.stack([np.bincount(at, p, n) for p in product.T], axis=1)
-    return np.stack([part @ own.combine for part in parts], axis=2)
+        weight = weight - (expected @ part)[units]
+    return weight * group.valid, phi * group.valid
 
 
 def _tested(
@@ -285,20 +316,18 @@ def _tested(
     columns, cluster = tuple(frame.columns), frame.sample.cluster
     regressors = tuple(r for column in columns for r in column.regressors)
     n = int(cluster.max()) + 1
-    z = np.full((len(ASPECTS), len(regressors)), np.nan)
+    z, scale = np.full((2, len(ASPECTS), len(regressors)), np.nan)
     signs = (2.0 * rng.integers(0, 2, (draws, n)) - 1.0).astype(np.float32)
     greatest = np.zeros((len(ASPECTS), draws))
     for group in groups:
-        psi = np.concatenate(
-            [moments(group, k, columns, frame.units, cluster, group.residual) for k in range(len(columns))], axis=1
-        )
+        psi = moments(group, columns, frame.units, cluster, group.residual)
         for j, a in enumerate(group.aspects):
             allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
-            allowed &= _clusters_with(columns, cluster, group.unexpected[:, j]) >= MIN_EFFECTIVE
-            z[a], scaled = _studentised(psi[:, :, j], allowed)
+            allowed &= _clusters_with(columns, cluster, group.unexpected[:, j]) >= MIN_CLUSTERS
+            z[a], scale[a], scaled = studentised(psi[:, :, j], allowed)
             if scaled.shape[1]:
                 greatest[a] = np.abs(signs @ scaled).max(axis=1)
-    return _result(z, greatest, groups, frame, overlap, regressors)
+    return _result(z, scale, greatest, groups, frame, overlap)
 
 
 def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> Floats:
@@ -308,12 +337,12 @@ def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> F
     """
     n, counts = int(cluster.max()) + 1, []
     for column in columns:
-        counts.append((_bin_sums(column, cluster, event * 1.0, n, absolute=True) @ column.combine > 0).sum(axis=0))
+        counts.append((bin_sums(column, cluster, event * 1.0, n, absolute=True) @ column.combine > 0).sum(axis=0))
     return np.concatenate(counts)
 
 
-def _studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats]:
-    """Return z of each regressor, nan where too few clusters contribute, and the scaled sums of those that count."""
+def studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats, Floats]:
+    """Return z and scale of each regressor, z nan where too few clusters contribute, and scaled sums of the others."""
     square = psi**2
     total = square.sum(axis=0)
     effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300)
@@ -321,40 +350,26 @@ def _studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats]:
     scaled = psi[:, enough] / np.sqrt(total[enough])
     z = np.full(psi.shape[1], np.nan)
     z[enough] = scaled.sum(axis=0)
-    return z, scaled.astype(np.float32)
+    return z, np.sqrt(total), scaled.astype(np.float32)
 
 
-def _result(
-    z: Floats, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float, regressors: tuple[Regressor, ...]
-) -> Tested:
-    draws = greatest.shape[1]
+def _result(z: Floats, scale: Floats, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float) -> Tested:
+    regressors = tuple(r for column in frame.columns for r in column.regressors)
     critical = np.sort(greatest.max(axis=0))
-    own = {ASPECTS[a]: _p_value(z[a], greatest[a], len(regressors)) for a in range(len(ASPECTS))}
+    own = {aspect: _p_value(z[a], greatest[a], len(regressors)) for a, aspect in enumerate(ASPECTS)}
     best = None
-    p_value = PValue(1.0, draws, len(regressors), len(ASPECTS))
     if np.isfinite(z).any():
         a, k = np.unravel_index(np.nanargmax(np.abs(z)), z.shape)
         best = (ASPECTS[a], int(k))
-        top = float(np.abs(z[a, k]))
-        value = (1 + int(np.sum(critical >= top * (1 - 1e-6)))) / (draws + 1)
-        p_value = PValue(value, draws, len(regressors), int(np.isfinite(z).any(axis=1).sum()))
-    return Tested(
-        p_value,
-        z,
-        best,
-        own,
-        regressors,
-        overlap,
-        critical,
-        tuple(groups),
-        tuple(frame.columns),
-        frame.units,
-        frame.sample.cluster,
-    )
+    count = int(np.isfinite(z).any(axis=1).sum())
+    p_value = replace(_p_value(z, critical, len(regressors)), n_aspects=count)
+    groups_, columns = tuple(groups), tuple(frame.columns)
+    units, cluster = frame.units, frame.sample.cluster
+    return Tested(p_value, z, best, own, regressors, overlap, critical, scale, groups_, columns, units, cluster)
 
 
 def _p_value(z: Floats, greatest: Floats, n_regressors: int) -> PValue:
-    """Return the p-value of one aspect's maximum."""
+    """Return the p-value of the greatest |z|, given the greatest in each draw under the null."""
     draws = len(greatest)
     if not np.isfinite(z).any():
         return PValue(1.0, draws, n_regressors, 1)

@@ -1,1 +1,161 @@
-def could_have_seen(law, sample, tested, rng): return ()
+"""What could have been seen: the least sizes of aspects and effects that the test finds with a power of 90 %.
+
+A statistic with mean mu and standard deviation 1 exceeds the critical value c with a power of 90 % if mu = c + 1.28. For
+an aspect everywhere, mu is its size over its standard error. For an effect, readings of the law with the effect and
+without it are drawn from the same uniform numbers under the recording's conditions; mu is the difference of their
+scores in the statistic that shows it best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from acquisition import Reading
+from acquisition.arrays import Floats, Ints
+from noise.discrepancy.locate.location import LEVEL, TWO_SIDED, size_of
+from noise.discrepancy.locate.orthogonal import Tested, moments
+from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.scores import ASPECTS, ping_law, scores
+from noise.discrepancy.result import Aspect, Visible
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Key, Stack
+
+POWER_QUANTILE = 1.2816  # standard normal, 90 %
+STEPS = 4  # of the search; the shift is nearly proportional to the size, so that a few secant steps suffice
+MAX_PINGS = 1000  # of the recording from which the shift of a statistic is estimated
+PRECISION = 0.05  # of the least size, relative
+EVERYWHERE = 0  # index of the regressor
+SHOWN = (Aspect.BIAS, Aspect.SPREAD, Aspect.DETECTION, Aspect.EARLY, Aspect.LATE, Aspect.REPEAT)
+# the commonest effects: the parameter that is their size, and the value of others that they need
+COMMONEST: tuple[tuple[Key, dict[str, float]], ...] = (
+    (("zero_offset", "offset_m"), {}),
+    (("clock_scale", "error"), {}),
+    (("dropped_reading", "probability"), {}),
+    (("spike", "probability"), {}),
+    (("false_alarm", "per_metre"), {}),
+    (("sensitivity", "loss_db"), {}),
+    (("beam_width", "ka"), {}),
+    (("stale_repeat", "probability"), {}),
+    (("fixed_clutter", "presence"), {"range_m": 0.5}),
+    (("quantisation", "step_m"), {}),
+)
+
+
+def could_have_seen(law: Stack, sample: Sample, tested: Tested, rng: np.random.Generator) -> tuple[Visible, ...]:
+    """Return the least sizes that the test shows with a power of 90 %.
+
+    Args:
+        law: law of the recording.
+        sample: readings.
+        tested: result of the test.
+        rng: draws the readings from which the shift of a statistic is estimated.
+    """
+    wanted = _critical(tested) + POWER_QUANTILE
+    aspects = [_aspect(tested, aspect, wanted) for aspect in SHOWN]
+    probe = _Probe.of(law, sample, tested, rng)
+    effects = [_effect(probe, key, others, wanted) for key, others in COMMONEST]
+    return tuple(found for found in (*aspects, *effects) if found is not None)
+
+
+def _critical(tested: Tested) -> float:
+    """Return the critical value of the greatest statistic at `LEVEL`."""
+    return float(np.quantile(tested.critical, 1.0 - LEVEL))
+
+
+def _aspect(tested: Tested, aspect: Aspect, wanted: float) -> Visible | None:
+    """Return the least size of an aspect that differs everywhere; None where it cannot be tested."""
+    a = ASPECTS.index(aspect)
+    if not np.isfinite(tested.z[a, EVERYWHERE]):
+        return None
+    group = next(g for g in tested.groups if a in g.aspects)
+    size = size_of(tested, group, int(np.flatnonzero(group.aspects == a)[0]), EVERYWHERE)
+    return Visible(str(aspect), wanted * (size.high - size.value) / TWO_SIDED, aspect.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Probe:
+    """Readings that the law without the effect gives, and what is needed to compare others with them.
+
+    Attributes:
+        law: law without the effect.
+        batch: conditions, m pings.
+        rows: their rows in the sample, (m,).
+        uniform: random numbers that readings are drawn from, (m,).
+        base: scores of readings that follow the law, (m, aspects).
+        tested: result of the test.
+        factor: number of pings of the recording for each ping drawn.
+    """
+
+    law: Stack
+    batch: Batch
+    rows: Ints
+    uniform: Floats
+    base: Floats
+    tested: Tested
+    factor: float
+
+    @classmethod
+    def of(cls, law: Stack, sample: Sample, tested: Tested, rng: np.random.Generator) -> _Probe:
+        """Draw readings of whole visits, at most about `MAX_PINGS`."""
+        whole = sample.recorded
+        mask = whole.visit % -(-len(whole) // MAX_PINGS) == 0
+        batch, rows = whole.select(mask), np.flatnonzero(mask)
+        uniform = rng.random(len(batch))
+        base = _scores_of(law, law, batch, uniform)
+        return cls(law, batch, rows, uniform, base, tested, len(whole) / len(batch))
+
+    def strength(self, stack: Stack) -> float:
+        """Return the greatest expected statistic where the recording follows another stack."""
+        shift = _scores_of(stack, self.law, self.batch, self.uniform) - self.base
+        tested, best = self.tested, 0.0
+        value = np.zeros((len(tested.cluster), len(ASPECTS)))
+        value[self.rows] = shift
+        for group in tested.groups:
+            own = value[:, group.aspects] * group.weight * group.valid[:, None]
+            total = moments(group, tested.columns, tested.units, tested.cluster, own).sum(axis=0)
+            z = np.abs(total.T) / np.maximum(tested.scale[group.aspects], 1e-300)
+            allowed = np.isfinite(tested.z[group.aspects])
+            best = max(best, float(np.max(z, where=allowed, initial=0.0)))
+        return best * self.factor
+
+
+@dataclass(frozen=True)
+class _Uniform:
+    """A source that returns given uniform numbers."""
+
+    value: Floats
+
+    def random(self, size: int | tuple[int, ...], /) -> Floats:
+        """Return the numbers."""
+        return np.broadcast_to(self.value, size if isinstance(size, tuple) else (size,))
+
+
+def _scores_of(truth: Stack, law: Stack, batch: Batch, uniform: Floats) -> Floats:
+    """Return the scores under a law of readings that follow another."""
+    drawn = ping_law(truth, batch).sample(_Uniform(uniform))
+    reading = Reading.of(drawn.range, drawn.status)
+    return scores(law, replace(batch, reading=reading)).value
+
+
+def _effect(probe: _Probe, key: Key, others: dict[str, float], wanted: float) -> Visible | None:
+    """Return the least change of an effect's parameter; None where not even the bound is seen."""
+    parameter, law = probe.law.parameter(key), probe.law
+    present = law.get(key)
+    limit = parameter.high if parameter.high > present else parameter.low
+    room, unit = abs(limit - present), parameter.unit
+    if room == 0.0:
+        return None
+    missing = {(key[0], name): value for name, value in others.items() if key[0] not in law.values}
+
+    def strength(size: float) -> float:
+        return probe.strength(law.at({**missing, key: present + np.sign(limit - present) * size}))
+
+    size = 0.1 * room
+    for _ in range(STEPS):
+        reached = strength(size)
+        if abs(reached / wanted - 1.0) < PRECISION:
+            break
+        size = float(np.clip(size * wanted / max(reached, 0.1 * wanted), 1e-6 * room, room))
+    return Visible(key[0], size, unit) if size < room else None

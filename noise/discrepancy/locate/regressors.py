@@ -6,7 +6,8 @@ from the sums of the bins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import combinations
 
@@ -64,6 +65,7 @@ class Column:
         combine: regressors as sums of bins, (bins, regressors).
         regressors: their descriptions.
         factor: multiplies the indicator, (n,); None for 1.
+        span: smallest and greatest value of each column in the recording.
     """
 
     form: Form
@@ -72,6 +74,7 @@ class Column:
     combine: Floats
     regressors: tuple[Regressor, ...]
     factor: Floats | None = None
+    span: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def columns_of(sample: Sample) -> list[Column]:
@@ -87,7 +90,7 @@ def columns_of(sample: Sample) -> list[Column]:
     for pair in (("distance", angle), ("distance", "reflectance"), (angle, "reflectance")):
         if all(name in conditions for name in pair):
             found += _boxes(pair, conditions, recorded)
-    return found + _histories(sample) + _recorded_only(sample)
+    return found + _histories(sample) + _runs(sample) + _recorded_only(sample)
 
 
 def _everywhere(n: int) -> Column:
@@ -127,7 +130,11 @@ def _binned(name: str, value: Floats, rows: Bits, n_bins: int, form: Form) -> li
     pairs, bound = _intervals(edges), _bounds(edges)
     regressors = tuple(Regressor((name,), ((name, bound[i], bound[j]),)) for i, j in pairs)
     base = np.where(np.isfinite(value), np.searchsorted(edges, value, side="right"), -1)
-    return [Column(form, base, len(edges) + 1, _indicator(pairs, len(edges) + 1), regressors)]
+    return [
+        Column(
+            form, base, len(edges) + 1, _indicator(pairs, len(edges) + 1), regressors, span={name: _span(value[known])}
+        )
+    ]
 
 
 def _boxes(pair: tuple[str, str], conditions: dict[str, Floats], rows: Bits) -> list[Column]:
@@ -146,21 +153,30 @@ def _boxes(pair: tuple[str, str], conditions: dict[str, Floats], rows: Bits) -> 
         for a, b in sides[0]
         for c, d in sides[1]
     )
-    return [Column(Form.CONDITION, bins[0] * n_bins[1] + bins[1], n_bins[0] * n_bins[1], combine, regressors)]
+    base, span = bins[0] * n_bins[1] + bins[1], {name: _span(conditions[name][rows]) for name in pair}
+    return [Column(Form.CONDITION, base, n_bins[0] * n_bins[1], combine, regressors, span=span)]
+
+
+def _span(value: Floats) -> tuple[float, float]:
+    return float(value.min()), float(value.max())
 
 
 def _histories(sample: Sample) -> list[Column]:
-    """Return columns of time, order in the visit, the previous reading and movement, which both files have."""
+    """Return columns of time, order in the visit, the previous reading and movement, which both files have.
+
+    They are compared between the files, since two files of one sensor may follow the same temperature.
+    """
     rows, found = sample.is_recorded, []
     if all(batch.timed for batch in sample.batches):
         time = np.concatenate([batch.ping.time for batch in sample.batches])
         found += _binned("time", time, rows, N_TIME_BINS, Form.SHARED)
         interval = np.concatenate([_interval_s(batch) for batch in sample.batches])
         found += _binned("interval_s", np.round(interval, 6), rows, N_PAIR_BINS, Form.SHARED)
+        found += _phases(sample)
     order = np.concatenate([np.log2(1.0 + batch.count).astype(np.int64) for batch in sample.batches]).astype(np.float64)
     found += _binned("order", 2.0**order - 1.0, rows, N_BINS, Form.SHARED)
-    past = np.concatenate([_previous_excess(batch) for batch in sample.batches])
-    found += _binned("previous_excess", past, rows, N_PAIR_BINS, Form.SHARED)
+    past = np.concatenate([_previous(batch) for batch in sample.batches])
+    found += _binned("previous_reading", past, rows, N_PAIR_BINS, Form.SHARED)
     move = np.concatenate([_movement(batch) for batch in sample.batches])
     return found + _binned("movement", move, rows, N_PAIR_BINS, Form.SHARED)
 
@@ -170,10 +186,15 @@ def _interval_s(batch: Batch) -> Floats:
     return np.where(batch.count > 0, np.diff(batch.ping.time, prepend=np.nan), np.nan)
 
 
-def _previous_excess(batch: Batch) -> Floats:
-    """Return by how much the previous reading of the run exceeds the present distance, m, (n,); -inf after silence."""
-    excess = np.round(batch.past.range - batch.ping.distance, 3)
-    return np.where(batch.past.echo, excess, np.where(batch.past.answered, -1e3, np.nan))
+def _previous(batch: Batch) -> Floats:
+    """Return what the previous reading of the run was, (n,); nan at the start of a run.
+
+    -2: no echo; -1: before the present target; 0: at it; 1: behind it. Finer bins would select pings by their own error,
+    since errors within a visit agree.
+    """
+    excess = batch.past.range - batch.ping.distance
+    place = np.sign(excess) * (np.abs(excess) > batch.reach)
+    return np.where(batch.past.echo, place, np.where(batch.past.answered, -2.0, np.nan))
 
 
 def _movement(batch: Batch) -> Floats:
@@ -183,16 +204,13 @@ def _movement(batch: Batch) -> Floats:
 
 
 def _recorded_only(sample: Sample) -> list[Column]:
-    """Return columns that only the recording has: sessions, further logged quantities, and phases."""
+    """Return columns of logged quantities that only the recording has."""
     own, rows = sample.recorded, sample.is_recorded
     found = []
     for name, value in condition_columns(own).items():
-        if name in own.ping.covariates and name not in sample.conditions:
+        if name in own.ping.covariates and name not in condition_columns(sample.batches[-1]):
             found += _binned(name, _padded(value, rows), rows, N_BINS, Form.RECORDED)
-    run = np.unique(own.ping.run, return_inverse=True)[1]
-    if 1 < run.max() + 1 <= MAX_RUNS:
-        found += [_runs(_padded(run.astype(np.float64), rows))]
-    return found + (_phases(own, rows) if own.timed else [])
+    return found
 
 
 def _padded(value: Floats, rows: Bits) -> Floats:
@@ -202,29 +220,27 @@ def _padded(value: Floats, rows: Bits) -> Floats:
     return out
 
 
-def _runs(run: Floats) -> Column:
-    """Return the indicators of single runs."""
-    n = int(np.nanmax(run)) + 1
+def _runs(sample: Sample) -> list[Column]:
+    """Return the indicators of single runs, by their order in each file; none for one run or for many."""
+    runs = [np.unique(batch.ping.run, return_inverse=True)[1] for batch in sample.batches]
+    n = int(runs[0].max()) + 1
+    if not 1 < n <= MAX_RUNS:
+        return []
+    run = np.concatenate(runs)
     regressors = tuple(Regressor(("run",), (("run", k - 0.5, k + 0.5),)) for k in range(n))
-    return Column(Form.RECORDED, np.where(np.isfinite(run), run, -1).astype(np.int64), n, np.eye(n), regressors)
+    return [Column(Form.SHARED, np.where(run < n, run, -1), n, np.eye(n), regressors)]
 
 
-def _phases(batch: Batch, rows: Bits) -> list[Column]:
+def _phases(sample: Sample) -> list[Column]:
     """Return harmonics of time, none shorter than two sampling intervals or longer than half the record."""
-    time = batch.ping.time
-    length, step = float(np.ptp(time)), np.diff(np.sort(time))
+    own = sample.recorded.ping.time
+    time = np.concatenate([batch.ping.time for batch in sample.batches])
+    length, step = float(np.ptp(own)), np.diff(np.sort(own))
     shortest = 2.0 * float(np.median(step[step > 0])) if (step > 0).any() else np.inf
     periods = [length / k for k in range(MIN_CYCLES, MIN_CYCLES + N_PERIODS) if length / k >= shortest]
-    base = np.where(rows, 0, -1)
+    base, one = np.zeros(len(time), dtype=np.int64), np.ones((1, 1))
     return [
-        Column(
-            Form.RECORDED,
-            base,
-            1,
-            np.ones((1, 1)),
-            (Regressor(("time",), phase_of_s=period),),
-            np.nan_to_num(_padded(wave(2.0 * np.pi * time / period), rows)),
-        )
+        Column(Form.SHARED, base, 1, one, (Regressor(("time",), phase_of_s=period),), wave(2.0 * np.pi * time / period))
         for period in periods
         for wave in (np.sin, np.cos)
     ]

@@ -92,9 +92,7 @@ def _terms(law: PhysicalLaw, batch: Batch, other: Floats) -> _Terms:
     given = np.clip(arrival[1:] / np.maximum(echo, MIN_PROBABILITY), 0.0, 1.0)
     outside = np.maximum(1.0 - (given[3] - given[2]), MIN_PROBABILITY)
     again, agree = given[5] - given[4], np.clip((given[7] - given[6]) / outside, 0.0, 1.0)
-    return _Terms(
-        middle, np.sqrt(variance), level_db, echo, (given[0], given[1]), (given[2], given[3]), again, agree
-    )
+    return _Terms(middle, np.sqrt(variance), level_db, echo, (given[0], given[1]), (given[2], given[3]), again, agree)
 
 
 def _of_terms(terms: _Terms, batch: Batch, other: Floats) -> Scores:

@@ -7,40 +7,40 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise.effects import CATALOGUE, Effect
+from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
-DESIGN = 4  # quasi-random starting points of an effect, a power of two
+DESIGN = 2  # quasi-random starting points of an effect, a power of two
 # discrete values without a derivative, whose bounds are those of the list of starts
 STEPWISE = ("step_m", "unit_m")
 
 
-def sampled_effect(effect: type[Effect], batch: Batch) -> type[Effect] | None:
-    """Return an effect with the bounds that the sampling of a recording resolves; None if it shows none of it.
+def shows(effect: type[Effect], batch: Batch) -> bool:
+    """Return whether the sampling of a recording shows an effect at all."""
+    return (batch.timed or not effect.needs_time) and batch.resolution <= effect.coarsest_step_m
+
+
+def sampled_bounds(batch: Batch) -> dict[Key, Parameter]:
+    """Return the periods of the catalogue with the bounds that the sampling of a recording resolves.
 
     A period below twice the sampling interval cannot be told from a longer one (Nyquist), and one above half the
-    recording cannot be told from a trend.
+    recording cannot be told from a trend. Where the sampling resolves no period, it keeps its null value.
     """
-    if effect.needs_time and not batch.timed:
-        return None
-    if batch.resolution > effect.coarsest_step_m:
-        return None
-    if not any(p.cycle for p in effect.parameters):
-        return effect
     low, high = resolved_periods(batch)
-    changed = []
-    for p in effect.parameters:
-        if p.cycle:
-            p_low, p_high = max(p.low, low), min(p.high, high)
-            if p_low >= p_high:
-                return None
-            starts = tuple(s for s in p.starts if p_low < s < p_high) or (float(np.sqrt(p_low * p_high)),)
-            p = replace(p, low=p_low, high=p_high, null=float(np.clip(p.null, p_low, p_high)), starts=starts)
-        changed.append(p)
-    return type(effect.__name__, (effect,), {"parameters": tuple(changed)})
+    periods = [(name, p) for name, effect in CATALOGUE.items() for p in effect.parameters if p.cycle]
+    return {(name, p.name): _limited(p, low, high) for name, p in periods}
+
+
+def _limited(p: Parameter, low: float, high: float) -> Parameter:
+    low, high = max(p.low, low), min(p.high, high)
+    if low >= high:
+        return replace(p, low=p.null, high=p.null, starts=(p.null,))
+    middle = float(np.sqrt(low * high))
+    starts = tuple(start for start in p.starts if low < start < high) or (middle,)
+    return replace(p, low=low, high=high, null=float(np.clip(p.null, low, high)), starts=starts)
 
 
 def resolved_periods(batch: Batch) -> tuple[float, float]:
@@ -54,25 +54,19 @@ def resolved_periods(batch: Batch) -> tuple[float, float]:
 
 def candidate_names(base: Stack, batch: Batch, without: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that may differ; the scatter of single pings is judged apart, since every fit frees it."""
-    names = (*CATALOGUE, *(name for name in base.values if name in CATALOGUE))
-    shown = (name for name in dict.fromkeys(names) if name != JITTER and name not in without)
-    return tuple(name for name in shown if sampled_effect(CATALOGUE[name], batch) and keys_of(base, name, batch))
+    shown = (name for name, effect in CATALOGUE.items() if shows(effect, batch))
+    return tuple(n for n in shown if n != JITTER and n not in without and keys_of(base, n, batch))
 
 
 def with_sampled_bounds(base: Stack, batch: Batch) -> Stack:
     """Return the stack in which periods have the bounds that a batch resolves."""
-    effects = {name: sampled_effect(effect, batch) for name, effect in CATALOGUE.items()}
-    changed = {name: e for name, e in effects.items() if e is not None and e is not CATALOGUE[name]}
-    return replace(base, bounded={**base.bounded, **changed})
+    return replace(base, bounds={**base.bounds, **sampled_bounds(batch)})
 
 
 def keys_of(base: Stack, name: str, batch: Batch) -> tuple[Key, ...]:
     """Return the parameters of an effect that the recording can identify."""
-    return tuple(
-        (name, p.name)
-        for p in base.known[name].parameters
-        if p.identifiable(batch.ping.covariates) and not (name == "thermal_drift" and p.covariate)
-    )
+    every = [base.parameter((name, p.name)) for p in base.known[name].parameters]
+    return tuple((name, p.name) for p in every if p.low < p.high and p.identifiable(batch.ping.covariates))
 
 
 def starts_of(stack: Stack, name: str, grid: Batch, whole: Batch, rng: np.random.Generator) -> list[Stack]:

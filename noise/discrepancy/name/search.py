@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
 from noise.discrepancy.name.candidates import (
     at_bound,
     candidate_names,
@@ -26,14 +25,16 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
 from noise.fitting.batch import Batch, share_without_echo
-from noise.fitting.fit import Fit, highest, log_likelihood, maximise
+from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
 GRID_PINGS, SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 300, 800, 2500, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
+CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
 ROUGH, FINE = 1.0, 0.2  # nats that a local fit must gain for another to follow, in screening and in cross-fitting
 STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the base to the recording, on which a common value is sought
@@ -92,6 +93,9 @@ class Search:
         rng: generator of the starting points.
         without: effects that are known not to differ.
         tell: called with a message and the share done.
+        attempts: what was cross-fitted, and what became of it.
+        shared: effects that joined the common law.
+        tried: cross-fitted hypotheses of each round, by the effects that were given and the effect that was added.
     """
 
     common: Stack
@@ -102,6 +106,8 @@ class Search:
     tell: Tell = lambda message, share: None
     attempts: list[Attempt] = field(default_factory=list)
     shared: list[str] = field(default_factory=list)
+    tried: dict[tuple[str, ...], dict[str, Hypothesis]] = field(default_factory=dict)
+    _scales: dict[int, Scales] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
@@ -161,7 +167,7 @@ class Search:
         stacks: list[Stack] = []
         for near, part in zip(current.stacks, self.parts, strict=True):
             begin = start if own_scatter else near.put(keys, [start.get(key) for key in keys])
-            start = maximise(begin, free, part, 40, FINE).stack
+            start = self.fitted(begin, free, part, 40, FINE).stack
             stacks.append(start)
         return self.scored(effects, stacks)
 
@@ -169,7 +175,11 @@ class Search:
         """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
         free = (*self.keys(found.effects), *NUISANCES)
         pairs = zip(found.stacks, self.parts, strict=True)
-        return self.scored(found.effects, [maximise(stack, free, part, 40, FINE).stack for stack, part in pairs])
+        return self.scored(found.effects, [self.fitted(stack, free, part, 40, FINE).stack for stack, part in pairs])
+
+    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int, enough: float) -> Fit:
+        """Return the local maximum from a start; the scales of nuisances are measured once for each batch."""
+        return maximise(start, free, batch, iterations, enough, self._scales.setdefault(id(batch), {}))
 
     def keys(self, effects: Sequence[str]) -> tuple[Key, ...]:
         """Return the parameters of effects that the recording can identify."""
@@ -179,6 +189,7 @@ class Search:
         """Return the hypothesis with the effect that gains most; None when no gain is beyond chance."""
         screened = self.screened(current)
         tried = {name: self.met(fit, current, name) for name, fit in screened.items()}
+        self.tried[current.effects] = tried
         gains = {name: each.nats - current.nats for name, each in tried.items()}
         winner = self.winner(current, tried, gains)
         for name, gain in gains.items():
@@ -199,16 +210,17 @@ class Search:
         for name in self.names:
             if name not in current.effects:
                 starts = starts_of(stack, name, self.grid, self.parts[0], self.rng)
-                scored = [(float(log_likelihood(s, self.grid).sum()), -k) for k, s in enumerate(starts)]
-                best = sorted(scored, reverse=True)[:2]
-                points[name] = (best[0][0], [starts[-k] for _, k in best])
+                scored = [float(log_likelihood(each, self.grid).sum()) for each in starts]
+                best = np.argsort(scored)[::-1][:2]
+                # a second start is worth a fit where a few readings cannot tell it from the best
+                close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
+                points[name] = scored[best[0]], [starts[k] for k in close]
         order = sorted(points, key=lambda name: -points[name][0])[:N_SCREENED]
-        free = (*self.keys(current.effects), *SPREAD)
-        here = maximise(stack, free, self.screen, 15, ROUGH).nats
+        here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15, ROUGH).nats
         fits, n_pings = {}, sum(len(part) for part in self.parts)
         for name in order:
             own = (*self.keys([*current.effects, name]), *SPREAD)
-            fit = highest(maximise(start, own, self.screen, 20, ROUGH) for start in points[name][1])
+            fit = highest(self.fitted(start, own, self.screen, 20, ROUGH) for start in points[name][1])
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
             if (fit.nats - here) * n_pings / len(self.screen) > self.least_gain:
                 fits[name] = fit
@@ -283,6 +295,8 @@ class Search:
     def left_out(self, current: Hypothesis, name: str) -> Hypothesis:
         """Return a hypothesis fitted anew without one of its effects."""
         others = tuple(each for each in current.effects if each != name)
+        if not others:
+            return self.null()
         keys = [(name, p.name) for p in self.common.known[name].parameters]
         reset = [stack.put(keys, [self.common.get(key) for key in keys]) for stack in current.stacks]
         reset = [stack if name in self.common.values else stack.without(name) for stack in reset]

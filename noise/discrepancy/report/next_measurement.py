@@ -1,1 +1,180 @@
-def next_measurements(places, batch, rng): return ()
+"""The next measurement: what to do so that explanations that the data do not separate are told apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.arrays import Floats
+from noise.discrepancy.name.alternatives import Place
+from noise.discrepancy.name.candidates import keys_of
+from noise.discrepancy.report.design import (
+    ROUNDS,
+    Candidates,
+    Design,
+    Rival,
+    Setting,
+    best_design,
+    candidates_of,
+    evaluated,
+    settings_of,
+    weigh,
+)
+from noise.discrepancy.result import Measurement
+from noise.effects.medium import TEMPERATURE
+from noise.fitting.batch import Batch
+from noise.fitting.threads import one_thread
+
+DECIDED = 10.8  # nats; a normal log-likelihood ratio of this mean has the right sign with 99 %
+HOPELESS = 0.02  # nats per visit: more than 500 visits, whose errors under any law outweigh what they tell
+# share of its nats that counts for a setting that the recording never had: its effect is known from data sheets only
+UNTRIED = 1.0 / 3.0
+THERMOMETER = "read a thermometer beside the sensor"
+LOG = "log a thermometer beside the sensor through the whole recording"
+NOTHING = "no distance, angle, gain or ping interval separates these: inspect the sensor and its cable"
+
+
+@dataclass(frozen=True, eq=False)
+class _Proposal:
+    """A design for pairs of effects, under the usual setting and, where given, under another one too."""
+
+    separates: tuple[str, ...]
+    tables: tuple[Candidates, ...]
+    design: Design
+
+    @property
+    def pings(self) -> int:
+        k = len(self.design.rows)
+        return k * math.ceil(DECIDED / (self.design.nats * k))
+
+    @property
+    def worth(self) -> float:
+        return self.design.nats * (UNTRIED if len(self.tables) > 1 else 1.0)
+
+
+def next_measurements(
+    places: Sequence[Place], batch: Batch, rng: np.random.Generator, temperature: float = 1.0
+) -> tuple[Measurement, ...]:
+    """Return the measurements that separate the alternatives of every place, fewest pings first.
+
+    Args:
+        places: selected effects with their alternatives.
+        batch: recorded pings; conditions far from theirs are not proposed.
+        rng: draws readings of the laws that are compared.
+        temperature: factor by which log posteriors overstate evidence, as in `Place.probabilities`.
+    """
+    instruments: list[Measurement] = []
+    proposals: list[_Proposal] = []
+    with one_thread():
+        for place in places:
+            for other in list(place.probabilities(temperature))[1:]:
+                pair = (place.effect, other)
+                if set(pair) & {"sound_speed", "thermal_drift"} and TEMPERATURE not in batch.ping.covariates:
+                    instruments.append(_thermometer(pair))
+                else:
+                    proposals.append(_proposed(place, other, batch, rng))
+    measured = [_measurement(each) for each in _joined(proposals)]
+    return tuple(sorted(merged([*instruments, *measured]), key=lambda each: (each.pings == 0, each.pings)))
+
+
+def merged(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
+    """Return measurements with those that ask for the same made one, which separates the effects of all."""
+    out: dict[str, Measurement] = {}
+    for each in measurements:
+        same = out.get(each.do, each)
+        separates = tuple(dict.fromkeys((*same.separates, *each.separates)))
+        out[each.do] = Measurement(each.do, separates, max(same.pings, each.pings), same.conditions, same.also)
+    return tuple(out.values())
+
+
+def _thermometer(pair: tuple[str, str]) -> Measurement:
+    do, every = (LOG, "every ping") if "thermal_drift" in pair else (THERMOMETER, "once")
+    return Measurement(do, pair, 1, also={"thermometer": every})
+
+
+def _proposed(place: Place, other: str, batch: Batch, rng: np.random.Generator) -> _Proposal:
+    """Return the best design with the usual setting or with one other setting."""
+    own, rival = place.stacks[place.effect], place.stacks[other]
+    rivals = (
+        Rival(own, rival, keys_of(rival, other, batch)),
+        Rival(rival, own, keys_of(own, place.effect, batch)),
+    )
+    facing = candidates_of(batch, facing=True)
+    options = [(Candidates(facing), Candidates(facing, s)) for s in settings_of((own, rival), batch)]
+    rough = [best_design(rivals, tables, rng, rounds=0).nats for tables in options]
+    tried = ((Candidates(candidates_of(batch)),), options[int(np.argmax(rough))])
+    pair = (place.effect, other)
+    return max((_Proposal(pair, t, best_design(rivals, t, rng, ROUNDS)) for t in tried), key=lambda each: each.worth)
+
+
+def _joined(proposals: Sequence[_Proposal]) -> list[_Proposal]:
+    """Return proposals with those of one setting made one design where that takes fewer pings in total."""
+    out = [each for each in proposals if each.design.nats < HOPELESS]
+    groups: dict[str, list[_Proposal]] = {}
+    for each in proposals:
+        if each.design.nats >= HOPELESS:
+            groups.setdefault(each.tables[-1].setting.words, []).append(each)
+    for group in groups.values():
+        ratios = np.concatenate([each.design.ratios for each in group])
+        names = tuple(dict.fromkeys(name for each in group for name in each.separates))
+        together = _Proposal(names, group[0].tables, evaluated(weigh(ratios), ratios))
+        alone = sum(each.pings for each in group)
+        out += [together] if together.design.nats >= HOPELESS and together.pings <= alone else group
+    return out
+
+
+def _measurement(found: _Proposal) -> Measurement:
+    if found.design.nats < HOPELESS:
+        return Measurement(NOTHING, found.separates, 0)
+    setting, rows = found.tables[-1].setting, found.design.rows
+    n = len(found.tables[0].ping)
+    changed = rows >= n if len(found.tables) > 1 else np.zeros(len(rows), dtype=bool)
+    ping = found.tables[0].ping[rows % n]
+    columns = {name: getattr(ping, name) for name in ("distance", "angle", "incidence", "reflectance")}
+    if setting.column == "hand_m":
+        columns["distance"] = np.where(changed, setting.value, columns["distance"])
+    visits = f"{found.pings // len(rows)} visits each" if len(rows) > 1 else f"{found.pings} visits"
+    do = f"{_places(columns, changed, setting)}; {visits}, placing the target anew for every visit"
+    listed = {name: tuple(float(x) for x in value) for name, value in columns.items()}
+    if not changed.any():
+        return Measurement(do, found.separates, found.pings, listed)
+    states = {"change": setting.value, "in_condition": [int(k) for k in np.flatnonzero(changed)]}
+    return Measurement(do, found.separates, found.pings, listed, {setting.column: states})
+
+
+def _places(columns: dict[str, Floats], changed: np.ndarray, setting: Setting) -> str:
+    """Return conditions in words."""
+    text = f"place the target at {_values(columns['distance'], 'm')}{_turns(columns['angle'], columns['incidence'])}"
+    if np.ptp(columns["reflectance"]) > 0:
+        text += f", with reflectances of {_values(columns['reflectance'], '')}"
+    if changed.all():
+        return f"{text}, with {setting.words}"
+    return f"{text}, without and with {setting.words}" if changed.any() else text
+
+
+def _turns(angle: Floats, incidence: Floats) -> str:
+    """Return in words what is turned, and by how much."""
+    kinds = {
+        "the sensor and the target": (angle, (angle != 0) & (incidence != 0)),
+        "the sensor alone": (angle, (angle != 0) & (incidence == 0)),
+        "the target alone": (incidence, (angle == 0) & (incidence != 0)),
+    }
+    parts = [f"{what} turned by {_values(np.rad2deg(by[rows]), 'deg')}" for what, (by, rows) in kinds.items() if rows.any()]
+    if parts and ((angle == 0) & (incidence == 0)).any():
+        parts.insert(0, "straight ahead")
+    return f", {' and '.join(parts)}" if parts else ""
+
+
+def _values(value: Floats, unit: str) -> str:
+    """Return the different values in words: all of two, the range of more.
+
+    >>> _values(np.array([2.5, 0.4, 0.4]), "m")
+    '0.4 m and 2.5 m'
+    """
+    each = [f"{x:g} {unit}".strip() for x in np.unique(np.round(value, 3))]
+    if len(each) <= 2:
+        return " and ".join(each)
+    return f"{len(each)} values from {each[0]} to {each[-1]}"

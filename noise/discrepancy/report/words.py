@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 from noise.discrepancy.report.numbers import bounds, place, plain, quantity, with_interval
 from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Unexplained, Verdict, Visible
@@ -33,6 +34,7 @@ NAMES = {
     "scintillation": "turbulence",
     "latency": "late time stamps or poses",
 }
+ASPECTS = {str(aspect): aspect.words for aspect in Aspect}
 CHANGES = {  # names where an effect is a change of a known size
     "clock_scale": "clock error",
     "sound_speed": "change of air temperature",
@@ -47,17 +49,17 @@ BADGES = {
     Kind.UNEXPLAINED: "Difference without a known cause",
     Kind.TOO_LITTLE_DATA: "Too little data",
 }
-MORE_LESS = {  # sentence for a positive and for a negative size
-    Aspect.BIAS: ("Echoes read {size} long", "Echoes read {size} short"),
-    Aspect.SPREAD: ("Echoes scatter more: the variance is {size} larger", "Echoes scatter less: the variance is {size} smaller"),
-    Aspect.SKEW: ("Errors have a longer tail towards long readings", "Errors have a longer tail towards short readings"),
-    Aspect.DETECTION: ("Echoes are heard in {size} more of the pings", "Echoes are lost in {size} of the pings"),
-    Aspect.EARLY: ("{size} more of the readings lie far before the target", "{size} fewer of the readings lie far before the target"),
-    Aspect.LATE: ("{size} more of the readings lie far behind the target", "{size} fewer of the readings lie far behind the target"),
-    Aspect.REPEAT: ("{size} more of the readings repeat the one before", "{size} fewer of the readings repeat the one before"),
-    Aspect.MEMORY: ("Each error is closer to the error before it", "Each error is less close to the error before it"),
-    Aspect.COINCIDENCE: ("Far readings of one position agree with each other", "Far readings of one position agree less with each other"),
-}  # fmt: skip
+SENTENCES = {  # sentence, and its word for a positive and for a negative size
+    Aspect.BIAS: ("Echoes read {size} {sign}", "long", "short"),
+    Aspect.SPREAD: ("The variance of echoes is {size} {sign}", "larger", "smaller"),
+    Aspect.SKEW: ("Errors have a longer tail towards {sign} readings", "long", "short"),
+    Aspect.DETECTION: ("{size} {sign} of the pings have an echo", "more", "fewer"),
+    Aspect.EARLY: ("{size} {sign} of the readings lie far before the target", "more", "fewer"),
+    Aspect.LATE: ("{size} {sign} of the readings lie far behind the target", "more", "fewer"),
+    Aspect.REPEAT: ("{size} {sign} of the readings repeat the one before", "more", "fewer"),
+    Aspect.MEMORY: ("Each error is {sign} similar to the error before it", "more", "less"),
+    Aspect.COINCIDENCE: ("Far readings of one position agree {sign} with each other", "more", "less"),
+}
 FIRST = ("zero_offset", "dropped_reading", "clock_scale", "spike")  # of what could have been seen, in a headline
 MIN_RIVAL = 0.05  # probability from which an alternative is part of the headline; less is listed below it
 SILENT = "No ping had an echo: check the sensor's power, gain, range setting and direction."
@@ -80,10 +82,10 @@ def either(effects: Sequence[str], last: str = "or") -> str:
 
 def location(found: Location) -> str:
     """Return a located mismatch as a sentence without a full stop."""
-    sentence = MORE_LESS[found.aspect][found.size.value < 0]
+    sentence, more, less = SENTENCES[found.aspect]
     low, high = sorted((abs(found.size.low), abs(found.size.high)))
-    size = type(found.size)(abs(found.size.value), low, high, found.size.unit)
-    shown = sentence.format(size=quantity(size.value, size.unit))
+    size = replace(found.size, value=abs(found.size.value), low=low, high=high)
+    shown = sentence.format(size=quantity(size.value, size.unit), sign=less if found.size.value < 0 else more)
     between = "" if found.size.low * found.size.high <= 0 or "{size}" not in sentence else f" ({bounds(size)})"
     return f"{shown}{between} {place(found.region)}"
 
@@ -121,15 +123,15 @@ def explains(cause: Cause) -> str:
 def visible(each: Visible) -> str:
     """Return the least size that would have shown, as a phrase."""
     size, what = quantity(each.least, each.unit), visible_name(each)
-    if each.effect in list(Aspect):
+    if each.effect in ASPECTS:
         return f"{what} by {size}"
     return f"{size} {what}" if each.unit == "1" and what.endswith("s") else f"a {what} of {size}"
 
 
 def visible_name(each: Visible) -> str:
     """Return an effect or an aspect as words."""
-    if each.effect in list(Aspect):
-        return Aspect(each.effect).words
+    if each.effect in ASPECTS:
+        return ASPECTS[each.effect]
     return CHANGES.get(each.effect, name(each.effect))
 
 
@@ -152,9 +154,9 @@ def summary_of(
         n_pings: number of answered pings.
     """
     if kind is Kind.NONE:
-        return f"No difference found in {n_pings:,} pings{_would_show(could_have_seen)}."
+        return f"No difference found in {_pings(n_pings)}{_would_show(could_have_seen)}."
     if kind is Kind.TOO_LITTLE_DATA:
-        return f"Too little data: {n_pings:,} pings cannot decide{_needs(could_have_seen)}."
+        return f"Too little data: {_pings(n_pings)} cannot decide{_needs(could_have_seen)}."
     if kind is Kind.UNEXPLAINED or not causes:
         found = location((*where, *unexplained.where)[0]) if where or unexplained.where else "The readings differ"
         return f"{found}: no known effect explains it."
@@ -163,6 +165,10 @@ def summary_of(
         return told if told.endswith("?") else f"{told}."
     rest = quantity(unexplained.share.value, "1")
     return f"{told}{'' if told.endswith('?') else '.'} {rest} of the difference remains unexplained."
+
+
+def _pings(count: int) -> str:
+    return f"{count:,} ping{'' if count == 1 else 's'}"
 
 
 def _causes(causes: Sequence[Cause]) -> str:
@@ -209,7 +215,7 @@ def formula_text(left: str, terms: Sequence[tuple[float, str, str]]) -> str:
     >>> formula_text("reading - prediction", [(3.1, "mm", ""), (-0.2, "mm/deg", "angle")])
     'reading - prediction = 3.1 mm - 0.2 mm/deg × angle'
     """
-    parts = []
+    parts: list[str] = []
     for coefficient, unit, variable in terms:
         sign = ("- " if coefficient < 0 else "+ ") if parts else ("-" if coefficient < 0 else "")
         times = f" × {variable}" if variable else ""
@@ -250,5 +256,5 @@ def summary_lines(diagnosis: Diagnosis) -> list[str]:
         lines.append(f"  unexplained: {with_interval(verdict.unexplained.share)} of the difference{where}")
     if verdict.verdict is not Kind.TOO_LITTLE_DATA:
         lines.append(fit_line(verdict))
-    lines += [f"next: {each.do} ({each.pings:,} pings)" for each in verdict.next_measurement[:2]]
+    lines += [f"next: {each.do} ({_pings(each.pings)})" for each in verdict.next_measurement[:2]]
     return lines

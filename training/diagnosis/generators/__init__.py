@@ -8,7 +8,7 @@ trial: the trial, its true causes, and both as files.
 world: a sonar with its register and link; causes planted in it; faults of the link.
 surveys: conditions, order and times of a survey with visits.
 grammar: unmodelled faults, composed at random.
-rig, rays, beam, driving, ruler, fixed, bursts: the families.
+rig, rig_causes, rays, beam, driving, ruler, fixed, bursts: the families.
 hard: builders of the cases that are known to be hard.
 command: writes N labelled pairs.
 """

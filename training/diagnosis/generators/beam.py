@@ -14,7 +14,7 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Floats
-from training.diagnosis.generators.surveys import drawn_surveys
+from training.diagnosis.generators.surveys import WIDE, drawn_surveys
 from training.diagnosis.generators.world import (
     FULL_SCALE_M,
     LINK_CAUSES,
@@ -130,7 +130,7 @@ class BeamSonar:
 def draw_world(rng: Rng) -> World:
     """Return a random beam model."""
     sonar = BeamSonar(
-        level_db=rng.uniform(28.0, 45.0),
+        level_db=rng.uniform(22.0, 38.0),
         per_metre_db=rng.uniform(1.0, 5.0),
         per_decade_db=rng.uniform(10.0, 30.0),
         beam_deg=rng.uniform(12.0, 35.0),
@@ -241,14 +241,14 @@ CAUSES = (
         "beam_width",
         changed(lambda s, k, r: {"beam_deg": s.beam_deg / (1.0 + 0.5 * k)}),
         ("detection", "bias"),
-        survey={"angle_deg": tuple(np.arange(-40.0, 41.0, 5.0))},
+        survey=WIDE,
     ),
     Cause(
         "boresight",
         changed(lambda s, k, r: {"yaw_deg": s.yaw_deg + sign(r) * 7.0 * k}, "yaw_deg"),
         ("detection", "bias"),
         parameter="yaw_deg",
-        survey={"angle_deg": tuple(np.arange(-40.0, 41.0, 5.0))},
+        survey=WIDE,
     ),
     Cause(
         "specular_loss",
@@ -273,16 +273,8 @@ CAUSES = (
         needs=("reflectance",),
         survey={"reflectance": (0.1, 0.3, 0.6, 0.9)},
     ),
-    Cause(
-        "scintillation",
-        changed(lambda s, k, r: {"fading_db": s.fading_db + 12.0 * k}),
-        ("detection", "spread"),
-    ),
-    Cause(
-        "travel_time_jitter",
-        changed(lambda s, k, r: {"noise_m": s.noise_m * (1.0 + k)}),
-        ("spread",),
-    ),
+    Cause("scintillation", changed(lambda s, k, r: {"fading_db": s.fading_db + 18.0 * k}), ("detection", "spread")),
+    Cause("travel_time_jitter", changed(lambda s, k, r: {"noise_m": s.noise_m * (1.0 + k)}), ("spread",)),
     Cause("time_walk", changed(lambda s, k, r: {"walk_m": s.walk_m + 0.04 * k}), ("bias", "skew")),
     Cause(
         "false_alarm",
@@ -291,7 +283,7 @@ CAUSES = (
         parameter="per_metre",
     ),
     Cause("fixed_clutter", _plant_clutter, ("early", "detection", "coincidence"), parameter="range_m"),
-    Cause("background_reflector", _plant_behind, ("late", "detection", "skew"), parameter="behind_m"),
+    Cause("background_reflector", _plant_behind, ("late", "detection", "skew"), parameter="behind_m", survey=WIDE),
     Cause("range_gate", _plant_gate, ("detection",), parameter="listen_m", survey={"distance_m": (0.3, 4.0)}),
     *LINK_CAUSES,
 )

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from acquisition import Ping, Recording, SettingError
-from training.diagnosis.generators import beam, bursts, driving, fixed, rays, rig, ruler
+from training.diagnosis.generators import beam, bursts, driving, fixed, rays, rig_causes, ruler
 from training.diagnosis.generators.grammar import draw_fault
 from training.diagnosis.generators.trial import Trial, TrueCause
 from training.diagnosis.generators.world import Cause, Family, Rng, Surveys, World
 
 _FAMILIES: dict[str, Family] = {
-    "rig": rig.FAMILY,
+    "rig": rig_causes.FAMILY,
     "rays": rays.FAMILY,
     "beam": beam.FAMILY,
     "driving": driving.FAMILY,
@@ -25,16 +25,17 @@ FAMILIES: tuple[str, ...] = tuple(_FAMILIES)
 SAME, SINGLE, PAIR, UNMODELLED, SIMULATOR = KINDS = ("same", "single", "pair", "unmodelled", "simulator")
 SIZES = (0.12, 3.0)  # from barely visible to more than plain, evenly in the logarithm
 MIN_PINGS = 20
+DECOYS = 0.3  # share of the surveys laid out as another cause would require
 
 
 def catalogue_of(family: str) -> tuple[str, ...]:
     """Return the ids of the causes of a family."""
-    return tuple(cause.effect for cause in _family(family).causes)
+    return tuple(cause.effect for cause in family_of(family).causes)
 
 
 def kinds_of(family: str) -> tuple[str, ...]:
     """Return the kinds of trials of a family: all, but only a family with two simulators can compare them."""
-    return KINDS if _family(family).simulator is not None else KINDS[:-1]
+    return KINDS if family_of(family).simulator is not None else KINDS[:-1]
 
 
 def make_trial(
@@ -60,7 +61,8 @@ def make_trial(
     return _made(family, kind, seed, own, pings, cause, size)
 
 
-def _family(name: str) -> Family:
+def family_of(name: str) -> Family:
+    """Return a family by its name."""
     if name not in _FAMILIES:
         raise SettingError(f"{name!r} is not a family of generators; choose one of {', '.join(FAMILIES)}")
     return _FAMILIES[name]
@@ -78,7 +80,7 @@ def _check(family: str, kind: str, pings: int, cause: str | None) -> None:
 def _made(
     name: str, kind: str, seed: tuple[int, ...], rng: Rng, pings: int, cause: str | None, size: float | None
 ) -> Trial:
-    family = _family(name)
+    family = family_of(name)
     chosen = _chosen(family, kind, rng, cause)
     surveys = _surveys(family, chosen, rng, pings)
     simulated = family.world(rng)
@@ -87,7 +89,7 @@ def _made(
         simulated, real = family.simulator(simulated, rng)
     truths = []
     for each in chosen:
-        simulated, real, truth = _planted(each, simulated, real, _size(rng, size), rng)
+        simulated, real, truth = planted(each, simulated, real, _size(rng, size), rng)
         truths.append(truth)
     fault = ""
     if kind == UNMODELLED:
@@ -95,7 +97,7 @@ def _made(
         real = replace(real, operators=operators)
     if kind == SIMULATOR:
         fault = "a simulator of another kind"
-    return Trial(name, kind, seed, tuple(truths), fault, *_recorded(simulated, real, surveys, rng))
+    return Trial(name, kind, seed, tuple(truths), fault, *recordings_of(simulated, real, surveys, rng))
 
 
 def _size(rng: Rng, size: float | None) -> float:
@@ -123,8 +125,12 @@ def _chosen(family: Family, kind: str, rng: Rng, first: str | None) -> list[Caus
 
 
 def _surveys(family: Family, chosen: list[Cause], rng: Rng, pings: int) -> Surveys:
-    """Return surveys in which the causes can show and no column gives them away."""
-    drawn = family.surveys(rng, pings, {k: v for cause in chosen for k, v in cause.survey.items()})
+    """Return surveys in which the causes can show and no column gives them away.
+
+    A survey that some cause requires is also used for others, so that it tells nothing.
+    """
+    decoy = family.causes[int(rng.integers(len(family.causes)))].survey if rng.random() < DECOYS else {}
+    drawn = family.surveys(rng, pings, {**decoy, **{k: v for cause in chosen for k, v in cause.survey.items()}})
     hidden = {name for cause in chosen for name in cause.hides}
     needed = {name for cause in chosen for name in cause.needs}
 
@@ -135,7 +141,7 @@ def _surveys(family: Family, chosen: list[Cause], rng: Rng, pings: int) -> Surve
     return Surveys(shown(drawn.simulated), shown(drawn.recorded), shown(drawn.fresh), missing)
 
 
-def _planted(cause: Cause, simulated: World, real: World, size: float, rng: Rng) -> tuple[World, World, TrueCause]:
+def planted(cause: Cause, simulated: World, real: World, size: float, rng: Rng) -> tuple[World, World, TrueCause]:
     """Return the worlds after a cause, with the same random choices in both, and the answer."""
     seed = int(rng.integers(2**63))
     first = cause.plant(simulated, size, np.random.default_rng(seed))
@@ -147,7 +153,7 @@ def _planted(cause: Cause, simulated: World, real: World, size: float, rng: Rng)
     return first.simulated, second.recorded, truth
 
 
-def _recorded(simulated: World, real: World, surveys: Surveys, rng: Rng) -> tuple[Recording, ...]:
+def recordings_of(simulated: World, real: World, surveys: Surveys, rng: Rng) -> tuple[Recording, ...]:
     """Return the recordings in the order of the fields of `Trial`."""
     plan = (
         (simulated, surveys.simulated),

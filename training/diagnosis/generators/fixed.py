@@ -12,17 +12,7 @@ from acquisition import Ping
 from acquisition.arrays import Floats
 from training.diagnosis.generators.beam import SPEED_C, changed, speed_ratio
 from training.diagnosis.generators.surveys import TEMPERATURE
-from training.diagnosis.generators.world import (
-    LINK_CAUSES,
-    Cause,
-    Family,
-    Planted,
-    Register,
-    Rng,
-    Surveys,
-    World,
-    sign,
-)
+from training.diagnosis.generators.world import LINK_CAUSES, Cause, Family, Planted, Register, Rng, Surveys, World, sign
 
 STEP_S, DAY_S = 600.0, 86_400.0
 REFERENCE_C = 20.0  # air temperature at which an uncompensated sensor is adjusted

@@ -14,9 +14,9 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Floats
-from training.diagnosis.generators import rig
+from training.diagnosis.generators import rig, rig_causes
 from training.diagnosis.generators.beam import SCALE_CAUSES, SPEED_C, changed, speed_ratio
-from training.diagnosis.generators.surveys import drawn_surveys
+from training.diagnosis.generators.surveys import WIDE, drawn_surveys
 from training.diagnosis.generators.world import (
     FULL_SCALE_M,
     LINK_CAUSES,
@@ -90,7 +90,7 @@ def draw_world(rng: Rng) -> World:
     """Return a random simulator; in half of them the wall is out of range."""
     wall = float(rng.uniform(4.5, 7.0))
     sonar = RaySonar(
-        half_deg=float(rng.uniform(12.0, 35.0)),
+        half_deg=float(rng.uniform(8.0, 30.0)),
         rays=int(rng.integers(5, 32)),
         plate_m=float(rng.uniform(0.15, 0.5)),
         wall_m=wall,
@@ -112,7 +112,7 @@ def against_rig(world: World, rng: Rng) -> tuple[World, World]:
     """Return a simulation by rays and the waveform rig, with the same register, in two of five trials changed."""
     real = rig.another_day(replace(rig.draw_world(rng), register=world.register), rng)
     if rng.random() < 0.4:
-        cause = rig.CAUSES[int(rng.integers(len(rig.CAUSES)))]
+        cause = rig_causes.CAUSES[int(rng.integers(len(rig_causes.CAUSES)))]
         real = cause.plant(real, float(rng.uniform(0.5, 2.0)), rng).recorded
     return world, real
 
@@ -133,7 +133,6 @@ def _plant_gate(world: World, size: float, rng: Rng) -> Planted:
     return Planted(world, world.with_sonar(gate_m=at), at, {"distance": (at, FULL_SCALE_M)})
 
 
-WIDE = {"angle_deg": tuple(np.arange(-40.0, 41.0, 5.0))}
 CAUSES = (
     *SCALE_CAUSES,
     Cause("travel_time_jitter", changed(lambda s, k, r: {"noise_m": s.noise_m * (1.0 + k)}), ("spread",)),
@@ -152,7 +151,7 @@ CAUSES = (
     ),
     Cause(
         "specular_loss",
-        changed(lambda s, k, r: {"steepest_deg": s.steepest_deg / (1.0 + k)}),
+        changed(lambda s, k, r: {"steepest_deg": s.steepest_deg / (1.0 + 2.0 * k)}),
         ("detection", "late", "bias"),
         needs=("incidence_deg",),
         survey={"incidence": "free"},

@@ -11,16 +11,7 @@ import numpy as np
 from acquisition import Ping
 from acquisition.arrays import Floats
 from training.diagnosis.generators.beam import SCALE_CAUSES, SPEED_C, changed, speed_ratio
-from training.diagnosis.generators.world import (
-    LINK_CAUSES,
-    Cause,
-    Family,
-    Register,
-    Rng,
-    Surveys,
-    World,
-    scattered,
-)
+from training.diagnosis.generators.world import LINK_CAUSES, Cause, Family, Register, Rng, Surveys, World, scattered
 
 MARKS = 10
 READINGS = (4, 300)  # at a mark
@@ -87,11 +78,15 @@ def draw_world(rng: Rng) -> World:
 def draw_surveys(rng: Rng, pings: int, fixed: Mapping[str, Any]) -> Surveys:
     """Return sets at ten marks, of which few have 40 readings in total; the fresh set has other marks."""
     total = FEW if rng.random() < 0.1 else pings
+    return surveys_at(int(np.clip(total // MARKS, *READINGS)), rng)
+
+
+def surveys_at(each: int, rng: Rng) -> Surveys:
+    """Return sets of `each` readings at ten marks, which simulation and recording share in half of the trials."""
     step, first = float(rng.choice([0.05, 0.1, 0.2, 0.3])), float(rng.choice([0.05, 0.1, 0.2]))
     marks = np.round(first + step * np.arange(MARKS), 3)
     other = marks if rng.random() < 0.5 else marks + 0.5 * step
     between = np.round(first + step * (MARKS - 1) * np.sort(rng.uniform(0.0, 1.0, MARKS // 3 + 1)), 3)
-    each = int(np.clip(total // MARKS, *READINGS))
     missing = ("time_s",) if rng.random() < 0.3 else ()
     return Surveys(_set(marks, each, rng), _set(other, each, rng), _set(between, each, rng), missing)
 

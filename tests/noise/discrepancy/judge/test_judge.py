@@ -27,7 +27,7 @@ def test_a_single_cause_explains_nearly_everything():
     batch = batch_of({"zero_offset": {"offset_m": 0.015}}, seed=4)
     search = Search(law_of(), Folds.of(batch, np.random.default_rng(4)), None, np.random.default_rng(4))
     none, found = search.run()
-    divided = shares(search, none, found, np.random.default_rng(5))
+    divided = shares(search, none, found, True, np.random.default_rng(5))
     share = divided.causes["zero_offset"]
     assert share.low <= share.value <= share.high
     assert share.value > 0.9
