@@ -35,6 +35,7 @@ COMMANDS = {
     "diagnose": ("diagnosis.diagnose", "find where a simulation and a recording differ, and why; correct the model"),
     "prove": ("diagnosis.prove", "run blind trials of the diagnosis: sealed, scored, published"),
     "prove-real": ("diagnosis.prove_real", "diagnose real recordings with one column hidden"),
+    "generate-trials": ("diagnosis.generators.command", "write labelled pairs of a simulation and a recording"),
     "effects": ("diagnosis.effects", "list the effects that a diagnosis can name"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130

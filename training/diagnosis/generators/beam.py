@@ -14,7 +14,7 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Floats
-from training.diagnosis.generators.surveys import WIDE, drawn_surveys
+from training.diagnosis.generators.surveys import TEMPERATURE, WIDE, drawn_surveys
 from training.diagnosis.generators.world import (
     FULL_SCALE_M,
     LINK_CAUSES,
@@ -190,7 +190,7 @@ def _plant_gate(world: World, size: float, rng: Rng) -> Planted:
 
 
 SCALE_CAUSES = (
-    Cause("sound_speed", _plant_air, ("bias",), ("clock_scale",), "temperature_c"),
+    Cause("sound_speed", _plant_air, ("bias",), ("clock_scale",), "temperature_c", hides=(TEMPERATURE,)),
     Cause(
         "clock_scale",
         changed(lambda s, k, r: {"scale": s.scale * (1.0 + sign(r) * 0.016 * k)}, "scale"),
@@ -212,6 +212,7 @@ CAUSES = (
         changed(lambda s, k, r: {"warming_k": 5.0 * k, "warming_s": float(r.uniform(600.0, 3000.0))}, "warming_k"),
         ("bias", "memory", "spread"),
         parameter="sine_k",
+        hides=(TEMPERATURE,),
         needs=("time_s",),
     ),
     Cause(

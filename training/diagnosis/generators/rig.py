@@ -49,7 +49,7 @@ class RigSonar:
 def draw_world(rng: Rng) -> World:
     """Return a random sensor in a random laboratory, with a random register."""
     serial = int(rng.integers(1, 2**31))
-    reverberation = Reverberation(float(rng.uniform(-75.0, -60.0))) if rng.random() < 0.2 else None
+    reverberation = Reverberation(float(rng.uniform(-75.0, -60.0))) if rng.random() < 0.05 else None  # slow to compute
     setup = Setup.draw(
         serial + 1,
         gain=int(rng.integers(20, 31)),

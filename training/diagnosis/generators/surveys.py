@@ -13,6 +13,7 @@ from acquisition.arrays import Floats, Ints
 from training.diagnosis.generators.world import Rng, Surveys
 
 ORDERS = ("random", "distance", "reflectance", "boustrophedon")
+MAX_POSITIONS = 200  # of a survey; the rig computes each anew
 FRESH_SHARE = 3  # a fresh recording has a third of the pings
 TEMPERATURE = "temperature_c"
 WIDE = {"angle_deg": tuple(float(a) for a in range(-40, 41, 5))}  # a survey in which targets leave the beam
@@ -53,7 +54,8 @@ class Design:
     @classmethod
     def draw(cls, rng: Rng, pings: int, **fixed: Any) -> Design:
         """Return a random layout of about `pings` pings; `fixed` settings are not drawn."""
-        each = int(np.clip(round(np.exp(rng.uniform(np.log(5), np.log(50)))), 1, max(1, pings // 12)))
+        each = round(float(np.exp(rng.uniform(np.log(5), np.log(50)))))
+        each = int(np.clip(each, max(1, pings // MAX_POSITIONS), max(1, pings // 12)))
         slow = float(np.exp(rng.uniform(np.log(0.08), np.log(0.5))))
         angles = [(0.0,), (-20.0, -10.0, 0.0, 10.0, 20.0), tuple(np.arange(-40.0, 41.0, 5.0))]
         reflectances = [(0.9,), (0.1, 0.9), (0.1, 0.3, 0.6, 0.9)]
