@@ -341,7 +341,7 @@ def _diagnosis(
         rest,
         visible,
         scores,
-        next_measurements(places, data.batch, data.rng("next")),
+        next_measurements(places, data.batch, data.rng("next"), decision_model().temperature),
         _baseline_check(data, tested),
         data.warnings,
     )

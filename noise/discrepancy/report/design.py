@@ -9,7 +9,7 @@ conditions. Each reading is that of a newly placed target: more readings of one 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import linprog, minimize
@@ -23,13 +23,16 @@ from noise.fitting.stack import Key, Stack
 from noise.fitting.visit_effects import FLOOR, single_ping_law
 from noise.physical import PhysicalLaw
 
+CHECKS = 10  # times as many readings of a chosen design as of a candidate
 DRAWS = 32  # readings of each candidate condition, one in each of as many equal parts of the law
 STRETCH = 1.5  # factor by which proposed conditions may exceed the recorded ones: laws are guesses beyond
 TURN = np.pi / 18.0  # rad; turn that is proposed although no angle was recorded
 N_DISTANCES = 6  # candidate distances
-ROUNDS = 5  # rivals that are fitted to the design of one pair in each direction
+ITERATIONS = 8  # of such a fit; another round continues where it matters
+ROUNDS = 4  # rivals that are fitted to the design of one pair in each direction
 SESSION_S = 60.0  # times of the readings are spread over a minute, so that no phase of a clock counts
-MIN_WEIGHT = 0.05  # share of the readings below which a condition is left out
+MIN_WEIGHT = 1e-3  # share of the readings below which the linear program leaves a condition out
+HAND = "hand_m"  # column of a hand in front of the sensor
 TINY = 1e-300
 
 
@@ -70,11 +73,19 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Conditions with equally many visits: rows of candidates, (k,), and nats per visit against the nearest rival."""
+    """Conditions with equally many visits each.
+
+    Attributes:
+        rows: rows of the candidates, (k,).
+        nats: expected log-likelihood ratio per visit against the nearest rival.
+        rivals: fitted rivals, m of them.
+        ratios: expected log-likelihood ratios against each of them under each candidate condition, (m, n).
+    """
 
     rows: Ints
     nats: float
-    ratios: Floats  # against each fitted rival, under each candidate condition, (m, n)
+    rivals: tuple[Rival, ...]
+    ratios: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,14 +161,34 @@ def best_design(rivals: Sequence[Rival], tables: Sequence[Candidates], rng: np.r
         rounds: times that each rival is fitted to the present design.
     """
     samples = [[_sample(rival.truth, table, rng) for table in tables] for rival in rivals]
+    every = list(rivals)
     ratios = np.stack([_ratio(rival.model, parts) for rival, parts in zip(rivals, samples, strict=True)])
     designs = [weigh(ratios)]
     for _ in range(rounds):
-        nearest = [_fitted(r, parts, designs[-1]) for r, parts in zip(rivals, samples, strict=True)]
-        more = [_ratio(stack, parts) for stack, parts in zip(nearest, samples, strict=True)]
+        nearest = [_fitted(rival, tables, parts, designs[-1]) for rival, parts in zip(rivals, samples, strict=True)]
+        more = [_ratio(rival.model, parts) for rival, parts in zip(nearest, samples, strict=True)]
         ratios = np.concatenate([ratios, more])
+        every += nearest
         designs.append(weigh(ratios))
-    return max((evaluated(rows, ratios) for rows in designs), key=lambda design: design.nats)
+    return max((evaluated(rows, every, ratios) for rows in designs), key=lambda design: design.nats)
+
+
+def checked(tables: Sequence[Candidates], design: Design, rng: np.random.Generator) -> Design:
+    """Return a design with its nats from readings of its own: those that chose it favour it by chance."""
+    means = design.ratios[:, design.rows].mean(axis=1)
+    rival, nats = design.rivals[int(np.argmin(means))], []
+    for part, rows in _by_table(tables, design.rows):
+        table = tables[part]
+        sample = _sample(rival.truth, replace(table, ping=table.ping[np.repeat(rows, CHECKS)]), rng)
+        nats.append(_ratio(rival.model, [sample]))
+    return replace(design, nats=float(np.concatenate(nats).mean()))
+
+
+def _by_table(tables: Sequence[Candidates], rows: Ints) -> list[tuple[int, Ints]]:
+    """Return the tables that a design uses, by index, with the rows in each."""
+    ends = np.cumsum([len(table.ping) for table in tables])
+    which = np.searchsorted(ends, rows, side="right")
+    return [(int(k), rows[which == k] - ends[k] + len(tables[k].ping)) for k in np.unique(which)]
 
 
 def weigh(ratios: Floats) -> Ints:
@@ -167,23 +198,23 @@ def weigh(ratios: Floats) -> Ints:
     above = np.concatenate([-ratios, np.ones((m, 1))], axis=1)
     one = np.append(np.ones(n), 0.0)[None]
     found = linprog(cost, above, np.zeros(m), one, [1.0], [*[(0.0, 1.0)] * n, (None, None)])
-    return np.flatnonzero(found.x[:n] >= MIN_WEIGHT)
+    weight: Floats = np.asarray(found.x)[:n]
+    return np.flatnonzero(weight >= MIN_WEIGHT)
 
 
-def evaluated(rows: Ints, ratios: Floats) -> Design:
+def evaluated(rows: Ints, rivals: Sequence[Rival], ratios: Floats) -> Design:
     """Return the design with equally many visits under each condition, against rivals, (m, n)."""
-    return Design(rows, float(ratios[:, rows].mean(axis=1).min()), ratios)
+    return Design(rows, float(ratios[:, rows].mean(axis=1).min()), tuple(rivals), ratios)
 
 
 def _sample(truth: Stack, table: Candidates, rng: np.random.Generator) -> _Sample:
     ping = table.setting.ping(table.ping[np.repeat(np.arange(len(table.ping)), DRAWS)])
-    ping = Ping(ping.distance, ping.angle, ping.incidence, ping.reflectance,
-                ping.time + SESSION_S * rng.random(len(ping)), ping.run, ping.covariates)  # fmt: skip
+    ping = replace(ping, time=ping.time + SESSION_S * rng.random(len(ping)))
     stack = table.setting.stack(truth)
     past = law_of(stack, ping).sample(rng)
     reading = law_of(stack, ping, past).sample(_EqualParts(rng))
     drawn = _Sample(ping, past, reading, table.setting, np.zeros(len(ping)))
-    return _Sample(ping, past, reading, table.setting, drawn.log_prob(truth))
+    return replace(drawn, truth=drawn.log_prob(truth))
 
 
 def _ratio(model: Stack, parts: Sequence[_Sample]) -> Floats:
@@ -192,11 +223,11 @@ def _ratio(model: Stack, parts: Sequence[_Sample]) -> Floats:
     return np.concatenate(each)
 
 
-def _fitted(rival: Rival, parts: Sequence[_Sample], rows: Ints) -> Stack:
+def _fitted(rival: Rival, tables: Sequence[Candidates], parts: Sequence[_Sample], rows: Ints) -> Rival:
     """Return the rival with its free parameters fitted to the readings of a design."""
-    first = np.cumsum([0, *(len(part.reading) // DRAWS for part in parts)])
-    chosen = [part.pick(rows[(rows >= a) & (rows < b)] - a) for part, a, b in zip(parts, first, first[1:], strict=False)]
-    chosen = [part for part in chosen if len(part.reading)]
+    if not rival.free:
+        return rival
+    chosen = [parts[k].pick(at) for k, at in _by_table(tables, rows)]
     known = [rival.model.parameter(key) for key in rival.free]
     low, width = np.array([p.low for p in known]), np.array([p.high - p.low for p in known])
 
@@ -208,52 +239,45 @@ def _fitted(rival: Rival, parts: Sequence[_Sample], rows: Ints) -> Stack:
         return -float(np.mean(np.concatenate([part.log_prob(stack(u), 0.0) for part in chosen])))
 
     start = (np.array([rival.model.get(key) for key in rival.free]) - low) / width
-    found = minimize(cost, np.clip(start, 0.0, 1.0), method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(start), options={"maxiter": 15})
-    return stack(found.x)
+    bounds = [(0.0, 1.0)] * len(known)
+    found = minimize(cost, np.clip(start, 0.0, 1.0), method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS})
+    return replace(rival, model=stack(found.x))
 
 
 def settings_of(stacks: Sequence[Stack], batch: Batch) -> list[Setting]:
-    """Return the settings that change a law of the given stacks."""
+    """Return the settings that may change a law of the given stacks."""
     names = {name for stack in stacks for name in stack.values}
-    settings = [
-        Setting("6 dB less receiver gain", "gain_db", -6.0, lambda s: _weaker(s, 6.0)),
-        Setting("6 dB more receiver gain", "gain_db", 6.0, lambda s: _weaker(s, -6.0)),
-        Setting("a hand 0.15 m in front of the sensor", "hand_m", 0.15, ping=lambda p: Ping.of(
-            np.full(len(p), 0.15), 0.0, 0.0, p.reflectance, p.time, **p.covariates)),
-    ]  # fmt: skip
     crosstalk = [name for name in names if name.endswith("_crosstalk")]
-    if crosstalk:
-        settings.append(Setting("all other sensors switched off", "others_off", 1.0, lambda s: _without(s, crosstalk)))
-    if "previous_ping" in names:
-        settings.append(Setting("5 ms more between pings", "interval_s", 0.005, _wait, lambda p: _logged(p, INTERVAL, 0.005)))
-    if "warm_up" in names:
-        settings.append(Setting("the sensor on for two hours", "time", 7200.0, ping=_later))
-    if TEMPERATURE in batch.ping.covariates:
-        settings.append(Setting("the room 10 degC warmer", TEMPERATURE, 10.0, ping=lambda p: _logged(p, TEMPERATURE, 10.0)))
-    return settings
+    known = {
+        Setting("6 dB less receiver gain", "gain_db", -6.0, _weaker(6.0)): True,
+        Setting("6 dB more receiver gain", "gain_db", 6.0, _weaker(-6.0)): True,
+        Setting("a hand 0.15 m in front of the sensor", HAND, 0.15, ping=_covered): True,
+        Setting("all other sensors switched off", "others_off", 1.0, _without(crosstalk)): bool(crosstalk),
+        Setting("5 ms more between pings", INTERVAL, 0.005, ping=_logged(INTERVAL, 0.005)): "previous_ping" in names,
+        Setting("the sensor on for two hours", "time", 7200.0, ping=_later): "warm_up" in names,
+        Setting("the room 10 degC warmer", TEMPERATURE, 10.0, ping=_logged(TEMPERATURE, 10.0)): TEMPERATURE
+        in batch.ping.covariates,
+    }
+    return [setting for setting, applies in known.items() if applies]
 
 
-def _weaker(stack: Stack, loss_db: float) -> Stack:
+def _weaker(loss_db: float) -> Callable[[Stack], Stack]:
     key = ("sensitivity", "loss_db")
-    return stack.put([key], [stack.get(key) + loss_db])
+    return lambda stack: stack.put([key], [stack.get(key) + loss_db])
 
 
-def _without(stack: Stack, names: Sequence[str]) -> Stack:
-    for name in names:
-        stack = stack.without(name)
-    return stack
+def _without(names: Sequence[str]) -> Callable[[Stack], Stack]:
+    return lambda stack: replace(stack, values={k: v for k, v in stack.values.items() if k not in names})
 
 
-def _wait(stack: Stack) -> Stack:
-    """Return the law of bursts with a longer wait after each echo, where it has one."""
-    key = ("previous_ping", "wait_m")
-    return stack.put([key], [stack.get(key) + 0.86]) if stack.get(key) > 0 else stack
-
-
-def _logged(ping: Ping, column: str, more: float) -> Ping:
-    covariates = {**ping.covariates, column: ping.covariates[column] + more}
-    return Ping(ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.time, ping.run, covariates)
+def _logged(column: str, more: float) -> Callable[[Ping], Ping]:
+    return lambda ping: replace(ping, covariates={**ping.covariates, column: ping.covariates[column] + more})
 
 
 def _later(ping: Ping) -> Ping:
-    return Ping(ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.time + 7200.0, ping.run, ping.covariates)
+    return replace(ping, time=ping.time + 7200.0)
+
+
+def _covered(ping: Ping) -> Ping:
+    zero = np.zeros(len(ping))
+    return replace(ping, distance=zero + 0.15, angle=zero, incidence=zero)

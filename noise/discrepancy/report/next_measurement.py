@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Bits, Floats
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.candidates import keys_of
 from noise.discrepancy.report.design import (
+    HAND,
     ROUNDS,
     Candidates,
     Design,
@@ -19,6 +20,7 @@ from noise.discrepancy.report.design import (
     Setting,
     best_design,
     candidates_of,
+    checked,
     evaluated,
     settings_of,
     weigh,
@@ -32,6 +34,7 @@ DECIDED = 10.8  # nats; a normal log-likelihood ratio of this mean has the right
 HOPELESS = 0.02  # nats per visit: more than 500 visits, whose errors under any law outweigh what they tell
 # share of its nats that counts for a setting that the recording never had: its effect is known from data sheets only
 UNTRIED = 1.0 / 3.0
+TURNED = 0.8  # the same for turned sensors and targets, whose angles have to be set too
 THERMOMETER = "read a thermometer beside the sensor"
 LOG = "log a thermometer beside the sensor through the whole recording"
 NOTHING = "no distance, angle, gain or ping interval separates these: inspect the sensor and its cable"
@@ -49,10 +52,6 @@ class _Proposal:
     def pings(self) -> int:
         k = len(self.design.rows)
         return k * math.ceil(DECIDED / (self.design.nats * k))
-
-    @property
-    def worth(self) -> float:
-        return self.design.nats * (UNTRIED if len(self.tables) > 1 else 1.0)
 
 
 def next_measurements(
@@ -76,7 +75,7 @@ def next_measurements(
                     instruments.append(_thermometer(pair))
                 else:
                     proposals.append(_proposed(place, other, batch, rng))
-    measured = [_measurement(each) for each in _joined(proposals)]
+        measured = [_measurement(each) for each in _joined(proposals, rng)]
     return tuple(sorted(merged([*instruments, *measured]), key=lambda each: (each.pings == 0, each.pings)))
 
 
@@ -105,22 +104,32 @@ def _proposed(place: Place, other: str, batch: Batch, rng: np.random.Generator) 
     facing = candidates_of(batch, facing=True)
     options = [(Candidates(facing), Candidates(facing, s)) for s in settings_of((own, rival), batch)]
     rough = [best_design(rivals, tables, rng, rounds=0).nats for tables in options]
-    tried = ((Candidates(candidates_of(batch)),), options[int(np.argmax(rough))])
-    pair = (place.effect, other)
-    return max((_Proposal(pair, t, best_design(rivals, t, rng, ROUNDS)) for t in tried), key=lambda each: each.worth)
+    tried = {
+        (Candidates(facing),): 1.0,
+        (Candidates(candidates_of(batch)),): TURNED,
+        options[int(np.argmax(rough))]: UNTRIED,
+    }
+    designs = {tables: checked(tables, best_design(rivals, tables, rng, ROUNDS), rng) for tables in tried}
+    tables = max(tried, key=lambda each: tried[each] * designs[each].nats)
+    return _Proposal((place.effect, other), tables, designs[tables])
 
 
-def _joined(proposals: Sequence[_Proposal]) -> list[_Proposal]:
+def _joined(proposals: Sequence[_Proposal], rng: np.random.Generator) -> list[_Proposal]:
     """Return proposals with those of one setting made one design where that takes fewer pings in total."""
     out = [each for each in proposals if each.design.nats < HOPELESS]
     groups: dict[str, list[_Proposal]] = {}
     for each in proposals:
         if each.design.nats >= HOPELESS:
-            groups.setdefault(each.tables[-1].setting.words, []).append(each)
+            tables = each.tables
+            groups.setdefault(f"{[len(t.ping) for t in tables]} {tables[-1].setting.words}", []).append(each)
     for group in groups.values():
+        if len(group) == 1:
+            out += group
+            continue
         ratios = np.concatenate([each.design.ratios for each in group])
         names = tuple(dict.fromkeys(name for each in group for name in each.separates))
-        together = _Proposal(names, group[0].tables, evaluated(weigh(ratios), ratios))
+        rivals, tables = [rival for each in group for rival in each.design.rivals], group[0].tables
+        together = _Proposal(names, tables, checked(tables, evaluated(weigh(ratios), rivals, ratios), rng))
         alone = sum(each.pings for each in group)
         out += [together] if together.design.nats >= HOPELESS and together.pings <= alone else group
     return out
@@ -134,7 +143,7 @@ def _measurement(found: _Proposal) -> Measurement:
     changed = rows >= n if len(found.tables) > 1 else np.zeros(len(rows), dtype=bool)
     ping = found.tables[0].ping[rows % n]
     columns = {name: getattr(ping, name) for name in ("distance", "angle", "incidence", "reflectance")}
-    if setting.column == "hand_m":
+    if setting.column == HAND:
         columns["distance"] = np.where(changed, setting.value, columns["distance"])
     visits = f"{found.pings // len(rows)} visits each" if len(rows) > 1 else f"{found.pings} visits"
     do = f"{_places(columns, changed, setting)}; {visits}, placing the target anew for every visit"
@@ -145,14 +154,16 @@ def _measurement(found: _Proposal) -> Measurement:
     return Measurement(do, found.separates, found.pings, listed, {setting.column: states})
 
 
-def _places(columns: dict[str, Floats], changed: np.ndarray, setting: Setting) -> str:
-    """Return conditions in words."""
-    text = f"place the target at {_values(columns['distance'], 'm')}{_turns(columns['angle'], columns['incidence'])}"
-    if np.ptp(columns["reflectance"]) > 0:
-        text += f", with reflectances of {_values(columns['reflectance'], '')}"
-    if changed.all():
-        return f"{text}, with {setting.words}"
-    return f"{text}, without and with {setting.words}" if changed.any() else text
+def _places(columns: dict[str, Floats], changed: Bits, setting: Setting) -> str:
+    """Return conditions in words, those under another setting last."""
+    parts = []
+    for rows, words in ((~changed, ""), (changed, f" with {setting.words}")):
+        if rows.any():
+            distance, angle, incidence, shade = (value[rows] for value in columns.values())
+            text = f"{_values(distance, 'm')}{_turns(angle, incidence)}"
+            text += f", with reflectances of {_values(shade, '')}" if np.ptp(shade) > 0 else ""
+            parts.append(text + words)
+    return f"place the target at {', then at '.join(parts)}"
 
 
 def _turns(angle: Floats, incidence: Floats) -> str:
@@ -162,7 +173,9 @@ def _turns(angle: Floats, incidence: Floats) -> str:
         "the sensor alone": (angle, (angle != 0) & (incidence == 0)),
         "the target alone": (incidence, (angle == 0) & (incidence != 0)),
     }
-    parts = [f"{what} turned by {_values(np.rad2deg(by[rows]), 'deg')}" for what, (by, rows) in kinds.items() if rows.any()]
+    parts = [
+        f"{what} turned by {_values(np.rad2deg(by[rows]), 'deg')}" for what, (by, rows) in kinds.items() if rows.any()
+    ]
     if parts and ((angle == 0) & (incidence == 0)).any():
         parts.insert(0, "straight ahead")
     return f", {' and '.join(parts)}" if parts else ""
