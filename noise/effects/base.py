@@ -105,7 +105,7 @@ class Effect(ABC):
     stage: ClassVar[Stage]
     parameters: ClassVar[tuple[Parameter, ...]]
     summary: ClassVar[str]  # one line without a full stop
-    remembers: ClassVar[bool] = False  # whether it depends on the previous reading
+    remembers: bool = False  # whether it depends on the previous reading
     needs_time: ClassVar[bool] = False  # whether it can be told only from logged times
     localised: ClassVar[bool] = False  # whether it changes some visits or pings clearly and leaves the others unchanged
     by_ping: ClassVar[bool] = False  # whether it affects single pings independently of their condition

@@ -113,7 +113,7 @@ def level_scale(state: State) -> Tensor:
 
 
 class Smooth(Effect):
-    """A smooth correction of the direct echo without a cause; `noise.fitting.learn_smooth` fits it.
+    """A smooth correction of the direct echo without a cause; `learn_smooth` fits it.
 
     Args:
         inputs: standardised inputs.
@@ -199,7 +199,7 @@ class Smooth(Effect):
         Below one, the factor applies to the spread alone, since placement is a property of visits.
         """
         squared = torch.exp(2.0 * torch.clamp(log_factor, -MAX_LOG_SPREAD, MAX_LOG_SPREAD))
-        variance = spread**2 * squared + self.placement_m**2 * torch.relu(squared - 1.0)
+        variance = spread**2 * squared + self.placement_m**2 * torch.clamp(squared - 1.0, min=0.0)
         return torch.sqrt(variance + 1e-18) - 1e-9  # finite gradient at zero
 
     def _tail(self, state: State, log_odds: Tensor, length_m: float) -> Atom:

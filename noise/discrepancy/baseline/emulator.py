@@ -17,10 +17,11 @@ from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import highest, log_likelihood, maximise
-from noise.fitting.learn_smooth import learn_smooth, single_log_prob
+from noise.fitting.learn_smooth import learn_smooth
 from noise.fitting.smooth import MEMORY, Empirical, Smooth
+from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import JITTER, NUISANCES, SHARED, SPREAD, VISITS, Key, Stack
-from noise.fitting.starts import nuisance_starts, starting_points
+from noise.fitting.starts import extra_modes, nuisance_starts, starting_points
 from noise.fitting.visit_effects import log_prob
 from noise.physical import PhysicalModel
 
@@ -33,10 +34,11 @@ START: dict[Key, float] = {
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
     ("reflectance_loss", "strength"): 0.5,
-    ("cycle_slip", "probability"): 0.2,
 }
-PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1500, 600, 2500  # readings of each step, which bound the time
-DESIGN = 4  # starting points of a quasi-random design for each candidate effect
+LOSS: Key = ("sensitivity", "loss_db")
+LOSSES_DB = (30.0, 38.0, 46.0)  # where a fit with another reflector begins: a wall at 32, 13 and 5 m at the threshold
+PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1200, 600, 2000  # readings of each step, which bound the time
+DESIGN = 2  # starting points of a quasi-random design for each candidate effect
 CANDIDATES, ROUNDS = 3, 4  # effects that are fitted in a round, and rounds
 MIN_GAIN_NATS = 3.0  # on unseen visits: odds of 20 to 1
 MIN_T = 2.0  # the same gain in standard errors over visits
@@ -59,8 +61,8 @@ def emulate(readings: Batch, rng: np.random.Generator) -> Stack:
 def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
     """Return a law with its smooth correction by condition, and the dependence within visits fitted beside it."""
     batch = readings.thin(SMOOTH_PINGS)
-    names = (*CONDITION_INPUTS, *_logged(batch))
-    stack = learn_smooth(stack, batch, Smooth, names, single_log_prob, rng)
+    inputs = [(*CONDITION_INPUTS, *_logged(batch))]
+    stack = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng)
     return maximise(stack, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
 
 
@@ -75,10 +77,13 @@ def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stac
     Returns:
         The stack with an `Empirical` term, or unchanged where no term improves visits that it was not fitted to.
     """
-    timed = ("time",) if batch.timed else ()
-    names = (*CONDITION_INPUTS, *_logged(batch), *timed, INTERVAL, *MEMORY)
-    known = [name for name in names if name != INTERVAL or INTERVAL in batch.ping.covariates]
-    return learn_smooth(stack, batch.thin(SMOOTH_PINGS), Empirical, known, log_prob, rng)
+    few, conditions = batch.thin(SMOOTH_PINGS), (*CONDITION_INPUTS, *_logged(batch))
+    interval = (INTERVAL,) if INTERVAL in batch.ping.covariates else ()
+    inputs = [conditions, (*conditions, "time")] if batch.timed else [conditions]
+    found = learn_smooth(stack, few, Empirical, [*inputs, (*conditions, *interval, *MEMORY)], log_prob, rng)
+    if found.terms == stack.terms:
+        return stack
+    return maximise(found, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
 
 
 def _logged(batch: Batch) -> list[str]:
@@ -86,10 +91,31 @@ def _logged(batch: Batch) -> list[str]:
 
 
 def base_physics(batch: Batch) -> Stack:
-    """Return the law with what every sonar has, from weak and strong dependence within visits."""
-    bare = nuisance_starts(Stack.of(PhysicalModel((), batch.resolution)), batch)
-    fits = [maximise(s.at(START), (*START, *NUISANCES), batch, ITERATIONS, 0.5) for s in bare]
+    """Return the law with what every sonar has: the best fit from several starts."""
+    bare = [stack.at(START) for stack in nuisance_starts(Stack.of(PhysicalModel((), batch.resolution)), batch)]
+    starts = [*bare, *_with_other_reflector(bare[0], batch)]
+    fits = [maximise(stack, (*_free(stack), *NUISANCES), batch, ITERATIONS, 0.5) for stack in starts]
     return highest(fits).stack
+
+
+def _with_other_reflector(stack: Stack, batch: Batch) -> list[Stack]:
+    """Return the likeliest start with a reflector that answers wherever the target is missed, if any reading is late.
+
+    From a law in which the target is never missed no small step leads there.
+    """
+    modes = [mode for mode in extra_modes(batch) if mode > 0.0]
+    reflectors = [reflector for mode in modes for reflector in _reflectors(mode)]
+    starts = [stack.at({**reflector, LOSS: loss}) for reflector in reflectors for loss in LOSSES_DB]
+    return [max(starts, key=lambda each: float(log_likelihood(each, batch).sum()))] if starts else []
+
+
+def _reflectors(length_m: float) -> tuple[dict[Key, float], dict[Key, float]]:
+    """Return a reflector so far behind the target, and one at a fixed range, both nearly always present."""
+    behind, fixed = "background_reflector", "fixed_clutter"
+    return (
+        {(behind, "presence"): 0.9, (behind, "behind_m"): length_m, (behind, "loss_db"): 5.0},
+        {(fixed, "presence"): 0.9, (fixed, "range_m"): length_m, (fixed, "spread_m"): 0.02},
+    )
 
 
 @dataclass(frozen=True)

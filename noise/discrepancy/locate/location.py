@@ -1,8 +1,9 @@
-"""Located mismatches: the simplest region that is not significantly worse than the best one, with its size.
+"""Located mismatches: the most probable region of each aspect, with its size.
 
-The confidence set of the region holds every regressor whose statistic is not significantly below the greatest of its
-aspect. Its simplest member, with the fewest edges, is reported: a mismatch that can be everywhere is not confined to a
-region. Further mismatches of the same aspect count if they remain significant after the first is projected out.
+With z the statistic studentised about its own mean, z^2 / 2 is the gain in log-likelihood of a difference in a region.
+Each finite edge of a region is one more estimated number, so that the region with the greatest
+z^2 - edges log(clusters) is the most probable one (Schwarz 1978, BIC). Further mismatches of the same aspect count if they remain significant
+after the first is projected out.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.arrays import Floats
-from noise.discrepancy.locate.orthogonal import Group, Tested, bin_sums, moments, one_weight, studentised
+from acquisition.arrays import Bits, Floats
+from noise.discrepancy.locate.moments import Group, bin_sums, moments, one_weight
+from noise.discrepancy.locate.orthogonal import Tested, studentised
 from noise.discrepancy.locate.regressors import Regressor
 from noise.discrepancy.locate.scores import ASPECTS
 from noise.discrepancy.result import Interval, Location, PValue, Range
@@ -56,31 +58,28 @@ def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
         p_value = tested.p_of(float(np.nanmax(np.abs(z))))
         if p_value.value > LEVEL:
             break
-        k, strength = _simplest(tested, group, j, psi, np.isfinite(z))
+        k, strength = _most_probable(tested, group, j, psi, np.isfinite(z))
         found.append(_Found(k, strength, p_value))
         weight = one_weight(group, tested.columns, tested.units, k)[0]
         residual = residual - weight * float(weight @ residual) / max(float(weight @ weight), 1e-300)
     return found
 
 
-def _simplest(tested: Tested, group: Group, j: int, psi: Floats, allowed: Floats) -> tuple[int, float]:
-    """Return the simplest regressor of the confidence set, and the greatest centred statistic."""
+def _most_probable(tested: Tested, group: Group, j: int, psi: Floats, allowed: Bits) -> tuple[int, float]:
+    """Return the most probable regressor, and its statistic studentised about its own mean."""
     index = np.flatnonzero(allowed)
     psi, exposure = psi[:, index], _exposure(tested, group, j)[:, index]
     slope = psi.sum(axis=0) / np.where(exposure.sum(axis=0) == 0, 1.0, exposure.sum(axis=0))
     centred = psi - slope * exposure
     norm = np.sqrt(np.maximum((centred**2).sum(axis=0), 1e-300))
     z = psi.sum(axis=0) / norm
-    best = int(np.argmax(np.abs(z)))
-    agreement = np.sign(z) * np.sign(z[best]) * (centred.T @ centred[:, best]) / (norm * norm[best])
-    # the standard error in the denominator of z is an estimate too
-    error = np.sqrt(2.0 * np.maximum(1.0 - agreement, 0.0) * (1.0 + z[best] ** 2 / (2.0 * len(psi))))
-    inside = np.flatnonzero(np.abs(z[best]) - np.abs(z) <= TWO_SIDED * error)
-    chosen = min(inside, key=lambda i: (_complexity(tested.regressors[index[i]]), -abs(z[i])))
-    return int(index[chosen]), float(np.abs(z[best]))
+    edges = np.array([_complexity(tested.regressors[i]) for i in index])
+    chosen = int(np.argmax(z**2 - edges * np.log(len(psi))))
+    return int(index[chosen]), float(np.abs(z[chosen]))
 
 
 def _complexity(regressor: Regressor) -> int:
+    """Return the number of edges of a region, which are estimated; a harmonic has a period and a phase."""
     return regressor.n_edges + 2 * int(regressor.phase_of_s > 0)
 
 

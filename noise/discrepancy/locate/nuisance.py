@@ -1,14 +1,14 @@
 """Cross-fitted conditional means by ridge regression on splines and radial functions of the conditions.
 
 The means are those of the scores, g(x), and of the indicator of the recording, m(x) = P(D = 1 | x). Folds consist of
-whole clusters. All outcomes share the Gram matrices of the folds, and each outcome has its own ridge strength, chosen by
-cross-validation over the same folds.
+whole clusters. All outcomes share the Gram matrices of the folds, and each outcome has its own ridge strength, chosen
+by cross-validation over the same folds.
 
 With the same training data for g and m, the error of g at one cluster depends on the noise of another exactly where
-the error of m depends on its D, and vice versa, so that products of both do not average out: the variance of a statistic
-exceeds its estimate by a share of about four effective parameters per cluster. The folds are therefore arranged in a
-circle: g is estimated on the near folds and m on the far ones (Newey and Robins 2018, double cross-fitting), a symmetric
-relation under which no pair of clusters contributes to both.
+the error of m depends on its D, and vice versa, so that products of both do not average out: the variance of a
+statistic exceeds its estimate by a share of about four effective parameters per cluster. The folds are therefore
+arranged in a circle: g is estimated on the near folds and m on the far ones (Newey and Robins 2018, double
+cross-fitting), a symmetric relation under which no pair of clusters contributes to both.
 
 Pings of one visit under one condition enter as one row, a *unit*, with weights.
 """

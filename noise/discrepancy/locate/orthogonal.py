@@ -14,12 +14,13 @@ clusters (wild cluster bootstrap; Cameron, Gelbach and Miller 2008).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.moments import Group, bin_sums, moments
 from noise.discrepancy.locate.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.locate.regressors import Column, Form, Regressor, columns_of
 from noise.discrepancy.locate.sample import Sample
@@ -38,37 +39,6 @@ RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
 INDICATORS = (*RATES, Aspect.REPEAT, Aspect.COINCIDENCE)
 
 Only = Callable[[Regressor, Aspect], bool]
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Aspects whose scores exist for the same pings, with what their statistics are made of.
-
-    Attributes:
-        aspects: indices into `ASPECTS`.
-        valid: whether a ping has these scores, (n,).
-        contrast: D - m(x), 0 where the files do not overlap, of each unit, (units,).
-        recorded: D of each unit, (units,).
-        expected: conditional mean of the weight of each bin, of each column; None where it is zero, (units, bins).
-        residual: weighted score minus g(x), 0 where not valid, (n, aspects).
-        natural: the same of the natural values, without weights, (n, aspects).
-        weight: factor of the score in `residual`, (n, aspects).
-        unexpected: where an indicator took its less likely value; everywhere for other scores, (n, aspects).
-    """
-
-    aspects: Ints
-    valid: Bits
-    contrast: Floats
-    recorded: Floats
-    expected: tuple[Floats | None, ...]
-    residual: Floats
-    natural: Floats
-    weight: Floats
-    unexpected: Bits
-
-    def plain_weight(self, form: Form) -> Floats:
-        """Return the factor of a regressor of a form before its conditional mean is subtracted, (units,)."""
-        return self.recorded * (self.contrast != 0) if form is Form.RECORDED else self.contrast
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,56 +230,6 @@ def _expected_weights(
     return tuple(out)
 
 
-def bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool = False) -> Floats:
-    """Return sums of values over (label, bin), (n, bins); `absolute` ignores the sign of the column's factor."""
-    known = column.base >= 0
-    factor = value if column.factor is None else value * (np.abs(column.factor) if absolute else column.factor)
-    flat = label[known] * column.n_bins + column.base[known]
-    return np.bincount(flat, factor[known], n * column.n_bins).reshape(n, column.n_bins)
-
-
-def moments(group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats) -> Floats:
-    """Return sums over clusters of the weight of each regressor times values.
-
-    Args:
-        group: aspects and their nuisance functions.
-        columns: all columns.
-        units: unit of each ping, (n,).
-        cluster: cluster of each ping, (n,).
-        value: values, 0 where not valid, (n, k).
-
-    Returns:
-        sums, (clusters, regressors, k).
-    """
-    n, first = int(cluster.max()) + 1, np.unique(units, return_index=True)[1]
-    by_unit, at = np.add.reduceat(value, first, axis=0), cluster[first]
-    out = []
-    for column, expected in zip(columns, group.expected, strict=True):
-        weight = group.plain_weight(column.form)[units]
-        parts = [bin_sums(column, cluster, weight * part, n) for part in value.T]
-        if expected is not None:
-            for j, part in enumerate(parts):
-                product = expected * by_unit[:, j : j + 1]
-                part -= np.stack([np.bincount(at, each, n) for each in product.T], axis=1)
-        out.append(np.stack([part @ column.combine for part in parts], axis=2))
-    return np.concatenate(out, axis=1)
-
-
-def one_weight(group: Group, columns: Sequence[Column], units: Ints, k: int) -> tuple[Floats, Floats]:
-    """Return the weight and the value of regressor k at each ping, (n,) each."""
-    for column, expected in zip(columns, group.expected, strict=True):  # noqa: B007
-        if k < len(column.regressors):
-            break
-        k -= len(column.regressors)
-    part = column.combine[:, k]
-    phi = np.where(column.base >= 0, part[np.maximum(column.base, 0)], 0.0)
-    phi = phi if column.factor is None else phi * column.factor
-    weight = phi * group.plain_weight(column.form)[units]
-    if expected is not None:
-        weight = weight - (expected @ part)[units]
-    return weight * group.valid, phi * group.valid
-
-
 def _tested(
     groups: list[Group], frame: _Frame, overlap: float, rng: np.random.Generator, draws: int, only: Only | None
 ) -> Tested:
@@ -337,7 +257,9 @@ def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> F
     """
     n, counts = int(cluster.max()) + 1, []
     for column in columns:
-        counts.append((bin_sums(column, cluster, event * 1.0, n, absolute=True) @ column.combine > 0).sum(axis=0))
+        counts.append(
+            (bin_sums(column, cluster, event.astype(np.float64), n, absolute=True) @ column.combine > 0).sum(axis=0)
+        )
     return np.concatenate(counts)
 
 

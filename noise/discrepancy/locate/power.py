@@ -1,7 +1,7 @@
 """What could have been seen: the least sizes of aspects and effects that the test finds with a power of 90 %.
 
-A statistic with mean mu and standard deviation 1 exceeds the critical value c with a power of 90 % if mu = c + 1.28. For
-an aspect everywhere, mu is its size over its standard error. For an effect, readings of the law with the effect and
+A statistic with mean mu and standard deviation 1 exceeds the critical value c with a power of 90 % if mu = c + 1.28.
+For an aspect everywhere, mu is its size over its standard error. For an effect, readings of the law with the effect and
 without it are drawn from the same uniform numbers under the recording's conditions; mu is the difference of their
 scores in the statistic that shows it best.
 """
@@ -15,7 +15,8 @@ import numpy as np
 from acquisition import Reading
 from acquisition.arrays import Floats, Ints
 from noise.discrepancy.locate.location import LEVEL, TWO_SIDED, size_of
-from noise.discrepancy.locate.orthogonal import Tested, moments
+from noise.discrepancy.locate.moments import moments
+from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import ASPECTS, ping_law, scores
 from noise.discrepancy.result import Aspect, Visible
@@ -52,16 +53,21 @@ def could_have_seen(law: Stack, sample: Sample, tested: Tested, rng: np.random.G
         tested: result of the test.
         rng: draws the readings from which the shift of a statistic is estimated.
     """
-    wanted = _critical(tested) + POWER_QUANTILE
-    aspects = [_aspect(tested, aspect, wanted) for aspect in SHOWN]
+    wanted = _wanted(tested)
     probe = _Probe.of(law, sample, tested, rng)
     effects = [_effect(probe, key, others, wanted) for key, others in COMMONEST]
-    return tuple(found for found in (*aspects, *effects) if found is not None)
+    return (*visible_aspects(tested), *(found for found in effects if found is not None))
 
 
-def _critical(tested: Tested) -> float:
-    """Return the critical value of the greatest statistic at `LEVEL`."""
-    return float(np.quantile(tested.critical, 1.0 - LEVEL))
+def visible_aspects(tested: Tested) -> tuple[Visible, ...]:
+    """Return the least size of each aspect, if it differs everywhere, that is seen with a power of 90 %."""
+    found = [_aspect(tested, aspect, _wanted(tested)) for aspect in SHOWN]
+    return tuple(each for each in found if each is not None)
+
+
+def _wanted(tested: Tested) -> float:
+    """Return the mean at which the greatest statistic exceeds its critical value at `LEVEL` with a power of 90 %."""
+    return float(np.quantile(tested.critical, 1.0 - LEVEL)) + POWER_QUANTILE
 
 
 def _aspect(tested: Tested, aspect: Aspect, wanted: float) -> Visible | None:

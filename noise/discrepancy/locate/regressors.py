@@ -146,7 +146,7 @@ def _boxes(pair: tuple[str, str], conditions: dict[str, Floats], rows: Bits) -> 
     sides = [_intervals(e) for e in edges]
     bins = [np.searchsorted(e, value, side="right") for e, value in zip(edges, values, strict=True)]
     n_bins = [len(e) + 1 for e in edges]
-    combine = np.kron(_indicator(sides[0], n_bins[0]), _indicator(sides[1], n_bins[1]))
+    combine = np.asarray(np.kron(_indicator(sides[0], n_bins[0]), _indicator(sides[1], n_bins[1])), dtype=np.float64)
     bounds = [_bounds(e) for e in edges]
     regressors = tuple(
         Regressor(pair, ((pair[0], bounds[0][a], bounds[0][b]), (pair[1], bounds[1][c], bounds[1][d])))
@@ -189,8 +189,8 @@ def _interval_s(batch: Batch) -> Floats:
 def _previous(batch: Batch) -> Floats:
     """Return what the previous reading of the run was, (n,); nan at the start of a run.
 
-    -2: no echo; -1: before the present target; 0: at it; 1: behind it. Finer bins would select pings by their own error,
-    since errors within a visit agree.
+    -2: no echo; -1: before the present target; 0: at it; 1: behind it. Finer bins would select pings by their own
+    error, since errors within a visit agree.
     """
     excess = batch.past.range - batch.ping.distance
     place = np.sign(excess) * (np.abs(excess) > batch.reach)

@@ -54,15 +54,14 @@ class Sample:
         A cluster is the k-th visit of a condition in the recording with the k-th visit of the same condition in the
         simulation, so that an error of the nuisance functions at that condition cancels within the cluster.
         """
-        keys, offset = [], 0
+        keys = []
         for batch in self.batches:
             at = np.stack([batch.ping.distance, batch.ping.angle, batch.ping.incidence, batch.ping.reflectance], axis=1)
             at = np.round(at[batch.starts], 6)
             table = pd.DataFrame(at)
             keys.append(np.c_[at, table.groupby(list(table.columns)).cumcount(), batch.ping.time[batch.starts]])
-            offset += batch.n_visits
         every = pd.DataFrame(np.concatenate(keys))
-        by_visit = every.groupby([0, 1, 2, 3, 4], sort=False).ngroup().to_numpy()
+        by_visit = every.groupby([0, 1, 2, 3, 4], sort=False).ngroup().to_numpy().astype(np.int64)
         merged = _merged(by_visit, every[5].to_numpy())
         return np.concatenate([part[b.visit] for part, b in zip(self._split(merged), self.batches, strict=True)])
 

@@ -1,0 +1,153 @@
+"""The law of a simulation: known, emulated, sampled or asked; the nearest visits; the empirical term."""
+
+import numpy as np
+import pytest
+
+from acquisition import ModelError, Ping, Reading, Recording
+from noise import GaussianModel, IdealModel, load_model, save_model
+from noise.discrepancy.baseline.emulator import empirical_term
+from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.baseline.sources import asked, baseline_of
+from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.smooth import Empirical
+from noise.fitting.stack import NUISANCES, Stack
+from noise.fitting.starts import nuisance_start
+from noise.metrics import crps_with_silence
+from noise.physical import PhysicalModel
+
+SONAR = PhysicalModel(
+    [
+        CATALOGUE["travel_time_jitter"](sigma_m=0.004),
+        CATALOGUE["sensitivity"](loss_db=46.0),
+        CATALOGUE["zero_offset"](offset_m=0.02),
+    ]
+)
+
+
+def survey(seed, n_visits=60, n_pings=8):
+    rng = np.random.default_rng(seed)
+    visits = Ping.of(np.round(rng.uniform(0.3, 7.0, n_visits), 3), rng.choice([0.0, 0.2], n_visits))
+    every = visits[np.repeat(np.arange(n_visits), n_pings)]
+    return Ping.of(every.distance, every.angle, time=np.arange(len(every)) * 0.1)
+
+
+def recording(model, seed):
+    ping = survey(seed)
+    return Recording.of(ping, model.law(ping).sample(np.random.default_rng(seed)))
+
+
+@pytest.fixture(scope="module")
+def baseline():
+    return baseline_of(IdealModel(), recording(SONAR, 2), recording(SONAR, 1), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("model", [IdealModel(0.01, 6.0), SONAR])
+def test_a_model_with_a_known_law_is_used_as_it_is(model):
+    found = baseline_of(model, recording(SONAR, 1), None, np.random.default_rng(0))
+    assert found.before is model
+    assert found.emulator is model
+    assert found.readings is None
+    assert found.held_out is None
+    assert found.law.resolution == model.resolution
+    assert found.law.max_range == model.max_range
+
+
+def test_the_emulator_predicts_unseen_readings_nearly_as_well_as_the_true_law(baseline):
+    test = Batch.of(recording(SONAR, 3))
+    true, found = (crps_with_silence(m.law(test.ping), test.reading).mean() for m in (SONAR, baseline.emulator))
+    assert found < 1.15 * true
+
+
+def test_the_emulator_predicts_better_than_the_nearest_visits(baseline):
+    test = Batch.of(recording(SONAR, 3))
+    near, found = (
+        crps_with_silence(m.law(test.ping), test.reading).mean() for m in (baseline.before, baseline.emulator)
+    )
+    assert found < near
+
+
+def test_a_fifth_of_the_conditions_is_held_out(baseline):
+    assert baseline.held_out.n_visits == 12
+    assert baseline.readings.n_visits == 60
+
+
+def test_the_emulator_can_be_saved(baseline, tmp_path):
+    again = load_model(save_model(baseline.emulator, tmp_path / "emulator"))
+    ping = survey(4)
+    assert np.allclose(again.law(ping).echo, baseline.emulator.law(ping).echo, atol=1e-9)
+
+
+def test_equal_seeds_give_equal_laws(baseline):
+    again = baseline_of(IdealModel(), recording(SONAR, 2), recording(SONAR, 1), np.random.default_rng(0))
+    assert again.law.values == baseline.law.values
+
+
+def test_a_simulator_is_asked_under_the_pings_of_the_recording():
+    def simulator(ping, rng):
+        return ping.distance + rng.normal(0.0, 0.01, len(ping))
+
+    real = recording(SONAR, 1)
+    found = asked(simulator, real, np.random.default_rng(0))
+    assert np.array_equal(np.sort(found.ping.distance), np.sort(real.ping.distance))
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda ping: ping.distance[:-1], "of shape"),
+        (lambda ping: -ping.distance, "a range of -"),
+        (lambda ping: np.full(len(ping), np.nan), "a range of nan m"),
+        (lambda ping: {"range": ping.distance}, "returned a dict"),
+        (lambda ping: Reading.of(ping.distance[:-1]), "return one each"),
+    ],
+)
+def test_a_wrong_answer_of_a_simulator_is_a_clear_error(answer, message):
+    with pytest.raises(ModelError, match=message):
+        asked(lambda ping, _: answer(ping), recording(SONAR, 1), np.random.default_rng(0))
+
+
+@pytest.mark.slow
+def test_another_model_is_sampled_under_the_conditions_of_the_recording():
+    model, real = GaussianModel(), recording(SONAR, 1)
+    found = baseline_of(model, real, None, np.random.default_rng(0))
+    assert found.before is model
+    assert set(found.readings.ping.distance) <= set(real.ping.distance)
+
+
+def test_the_nearest_visits_repeat_a_visit_that_was_simulated():
+    batch = Batch.of(recording(SONAR, 1))
+    row = batch.starts[:1]
+    law = NearestVisits.of(batch).law(batch.ping[row])
+    alike = batch.visit == batch.visit[row[0]]
+    own = np.median(batch.error[alike & batch.reading.echo]) if batch.reading.echo[alike].any() else 0.0
+    assert abs(law.quantile(0.5)[0] - law.distance[0] - own) < 0.02
+
+
+def test_the_nearest_visits_transport_errors_and_not_ranges():
+    ping = survey(1)
+    batch = Batch.of(Recording.of(ping, Reading.of(ping.distance + 0.05)))
+    law = NearestVisits.of(batch).law(survey(9))
+    assert np.allclose(law.quantile(0.5), law.distance + 0.05, atol=0.002)
+
+
+def test_a_law_that_describes_the_recording_gets_no_empirical_term_that_does_harm():
+    train, test = (Batch.of(recording(SONAR, seed)) for seed in (1, 2))
+    stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
+    found = empirical_term(stack, train, np.random.default_rng(0))
+    assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > -5.0  # nats in 480 readings
+
+
+def test_a_drift_without_a_name_becomes_an_empirical_term_of_time():
+    def drifting(seed):
+        ping = survey(seed)
+        reading = SONAR.law(Ping.of(ping.distance + 0.03 * np.sin(ping.time / 8.0), ping.angle))
+        return Batch.of(Recording.of(ping, reading.sample(np.random.default_rng(seed))))
+
+    train, test = drifting(1), drifting(2)
+    stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
+    found = empirical_term(stack, train, np.random.default_rng(0))
+    assert found.terms
+    assert isinstance(found.terms[0], Empirical)
+    assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > 50.0
