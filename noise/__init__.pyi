@@ -12,6 +12,7 @@ from . import physical as physical
 from . import rig as rig
 from . import statistics as statistics
 from . import store as store
+from .composed import ComposedModel, compose
 from .credence import ConditionPrior, CredenceTable
 from .discrepancy import diagnose
 from .effects import CATALOGUE
@@ -26,6 +27,7 @@ from .store import load_model, model_names, save_model
 
 __all__ = [
     "CATALOGUE",
+    "ComposedModel",
     "ConditionPrior",
     "CredenceTable",
     "EchoLaw",
@@ -36,6 +38,7 @@ __all__ = [
     "MlpModel",
     "PhysicalModel",
     "SonarModel",
+    "compose",
     "diagnose",
     "follow",
     "listener",

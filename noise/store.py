@@ -33,6 +33,7 @@ KINDS = {
     "ideal": ("noise.model", "IdealModel"),
     "gaussian": ("noise.model", "GaussianModel"),
     "faulty": ("noise.faults", "Faulty"),
+    "composed": ("noise.composed", "ComposedModel"),
     "lstm": ("noise.learned.recurrent", "LstmModel"),
 }
 
@@ -68,7 +69,7 @@ def _of_kind(folder: Path, data: Any) -> SonarModel:
         raise ModelError(f"{folder / 'model.json'}: the model is of kind {kind!r}, expected {', '.join(KINDS)}")
     module, attribute = KINDS[kind]
     cls = getattr(importlib.import_module(module), attribute)
-    if kind == "faulty":
+    if kind in ("faulty", "composed"):
         return cls.load(folder, data, _of_kind)
     return cls.load(folder, data) if hasattr(cls, "load") else cls.from_dict(data)
 

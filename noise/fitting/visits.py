@@ -12,7 +12,7 @@ from acquisition import Ping, Recording
 from noise.effects.interping import RANGE_RATE
 
 VISIT_PINGS = 25  # length of a visit where conditions never repeat (a moving robot); chosen here
-MIN_VISITS = 12  # a recording with fewer is cut into visits of `VISIT_PINGS`; chosen here
+MIN_VISITS = 8  # with fewer, no bootstrap over visits means anything, and each is cut into visits of `VISIT_PINGS`
 
 
 def last_echo(recording: Recording) -> NDArray[np.float64]:

@@ -7,8 +7,9 @@ import pytest
 
 import noise
 
-NAMES = """CATALOGUE ConditionPrior CredenceTable EchoLaw Faulty GaussianModel IdealModel LstmModel MlpModel
-PhysicalModel SonarModel diagnose follow listener load_model load_thesis_network model_names save_model simulate"""
+NAMES = """CATALOGUE ComposedModel ConditionPrior CredenceTable EchoLaw Faulty GaussianModel IdealModel LstmModel
+MlpModel PhysicalModel SonarModel compose diagnose follow listener load_model load_thesis_network model_names save_model
+simulate"""
 MODULES = "law model store credence physical metrics faults effects learned fitting discrepancy"
 
 

@@ -14,7 +14,21 @@ from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-__all__ = ["AFTER", "BEFORE", "INK", "SOFT", "STYLE", "Axes", "Draw", "PolarAxes", "TwoSlopeNorm", "panels", "svg"]
+__all__ = [
+    "AFTER",
+    "BEFORE",
+    "INK",
+    "SOFT",
+    "STYLE",
+    "Axes",
+    "Draw",
+    "Figure",
+    "PolarAxes",
+    "TwoSlopeNorm",
+    "figure_of",
+    "panels",
+    "svg",
+]
 Draw = Callable[[Axes], None]
 INK, SOFT, BEFORE, AFTER = (
     "#1d2733",
@@ -59,6 +73,20 @@ def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.
     for attribute in ("width", "height"):
         text = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", text, count=1)
     return text
+
+
+def figure_of(draws: Sequence[Draw], size: tuple[float, float]) -> Figure:
+    """Return a figure with several pairs of axes in one row.
+
+    Args:
+        draws: draw on one pair of axes each.
+        size: width and height, inches.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        for draw, axes in zip(draws, figure.subplots(1, len(draws), squeeze=False)[0], strict=True):
+            draw(axes)
+    return figure
 
 
 def panels(

@@ -13,7 +13,7 @@ from acquisition.bench import Rig, Setup, Unit
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from acquisition.survey.sources import RigSource
-from noise.discrepancy import Diagnosis
+from noise.discrepancy.result import Diagnosis
 from sonar_gym.agent import load_agent
 from training.common.progress import bar
 from training.diagnosis import diagnose
@@ -81,8 +81,9 @@ def record(setup: Setup, path: Path, seed: int, stream: int) -> Recording:
 
 
 def park(args: Args) -> dict[str, Drive]:
-    """Park on one street with the ideal, learned and corrected sonar, and with the shipped agent."""
-    sonars = {name: name for name in SONARS} | {"corrected": str(args.out / "diagnosis" / "corrected")}
+    """Park on one street with the ideal, learned and, if there is one, corrected sonar, and with the shipped agent."""
+    corrected = args.out / "diagnosis" / "corrected"
+    sonars = {name: name for name in SONARS} | ({"corrected": str(corrected)} if corrected.exists() else {})
     with bar("parking", len(sonars) + 1) as update:
         drives = {}
         for k, (name, sonar) in enumerate(sonars.items()):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from acquisition.io.files import write_bytes, write_text
-from noise.discrepancy import Diagnosis
+from noise.discrepancy.result import Diagnosis
 from training.diagnosis.drive import Drive
 from training.diagnosis.envelope import Envelope
 from training.diagnosis.report import fill

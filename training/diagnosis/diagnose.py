@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import json
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,15 +14,12 @@ from typing import Annotated, cast
 import tyro
 
 from acquisition import Recording, SettingError
-from acquisition.io.files import write_text
-from noise.discrepancy import Diagnosis, diagnose
-from noise.discrepancy.baseline.emulate import Simulator
-from noise.discrepancy.common.workers import usable
-from noise.discrepancy.name.search import Progress
-from noise.fitting.threads import one_thread
-from noise.store import load_model, save_model
+from noise.discrepancy import diagnose
+from noise.discrepancy.inputs import Progress, Simulator, as_model
+from noise.discrepancy.result import Diagnosis
 from training.common.progress import bars
-from training.diagnosis.report import headline, render
+
+MAX_WORKERS = 4  # about 400 MB each
 
 
 @dataclass(frozen=True)
@@ -32,7 +29,7 @@ class Args:
     recorded: Annotated[Path, tyro.conf.Positional]
     """Recording of the real sonar (CSV, one row per ping)."""
     out: Path
-    """Output folder: verdict.json, report.html, and the corrected model in corrected/."""
+    """Output folder: verdict.json, report.html and, if a correction is offered, the corrected model in corrected/."""
     model: str = "ideal"
     """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""
     simulated: Path | None = None
@@ -40,7 +37,7 @@ class Args:
     function(pings, rng) and returns readings."""
     seed: int = 0
     """Seed; the same seed gives the same verdict."""
-    workers: int = field(default_factory=usable)
+    workers: int = field(default_factory=lambda: min(MAX_WORKERS, os.cpu_count() or 1))
     """Number of processes, about 400 MB each; it does not affect the verdict."""
 
 
@@ -54,17 +51,16 @@ def examine(args: Args) -> Diagnosis:
     recorded = Recording.load(args.recorded)
     simulator = None if args.simulated is None else simulator_of(args.simulated)
     simulated = None if args.simulated is None or simulator is not None else Recording.load(args.simulated)
-    model = simulator or load_model(args.model)
+    model = simulator or as_model(args.model)
     _check_out(args.out)
-    with one_thread(), _progress() as update:
-        diagnosis = diagnose(
-            model, recorded, simulated=simulated, seed=args.seed, progress=update, workers=args.workers
+    with _progress() as update:
+        diagnosis = cast(
+            Diagnosis,
+            diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=update, workers=args.workers),
         )
         update("drawing the report", 0.97)
-        page = render(diagnosis, str(args.out / "corrected"), args.seed)
-    write_text(args.out / "verdict.json", json.dumps(diagnosis.to_verdict(), indent=1, allow_nan=False) + "\n")
-    write_text(args.out / "report.html", page)
-    save_model(diagnosis.corrected, args.out / "corrected")
+        diagnosis.save(args.out)
+        diagnosis.report(args.out / "report.html", args.seed)
     return diagnosis
 
 
@@ -104,23 +100,6 @@ def _progress() -> Iterator[Progress]:
 
 
 def summary(diagnosis: Diagnosis, out: Path) -> list[str]:
-    """Return the verdict as about ten lines of text."""
-    verdict = diagnosis.verdict
-    test = verdict.held_out
-    lines = [f"verdict: {verdict.verdict} (p = {verdict.p_value:.2g})", headline(diagnosis)]
-    for named in verdict.effects:
-        rivals = ", ".join(named.indistinguishable_from)
-        doubt = f"; indistinguishable from {rivals}" if rivals else ""
-        lines.append(f"  {named.effect}: {named.gain_nats:.0f} ± {named.gain_se:.0f} nats{doubt}")
-    if verdict.unknown.present:
-        lines.append(f"  unexplained: {verdict.unknown.description}")
-    lines += [f"  next: {m.do}" + (f" ({m.pings} pings)" if m.pings > 1 else "") for m in verdict.next_measurement[:2]]
-    lines.append(
-        f"test set ({test.n_pings} pings): CRPS {test.before.crps_mm:.1f} -> {test.after.crps_mm:.1f} mm, "
-        f"gain {test.gain_per_ping_low:.3f} to {test.gain_per_ping_high:.3f} nats per ping"
-    )
-    if not verdict.baseline_check.describes_simulation:
-        lines.append(f"caution: {verdict.baseline_check.note}")
-    if diagnosis.unanswered:
-        lines.append(f"caution: {diagnosis.unanswered} pings without an answer were omitted; check the wires")
-    return [*lines, f"report: {out / 'report.html'}   model: {out / 'corrected'}"]
+    """Return the verdict as at most twelve lines of text, warnings first."""
+    model = f"   model: {out / 'corrected'}" if diagnosis.corrected is not None else "   no correction is offered"
+    return [*diagnosis.summary().splitlines(), f"report: {out / 'report.html'}{model}"]

@@ -1,66 +1,34 @@
-"""HTML report of a diagnosis: differences, causes, rivals, next measurements."""
+"""HTML report of a diagnosis: one file without scripts, the answer first and the details folded."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from noise.discrepancy import Diagnosis
-from noise.discrepancy.judge.rest import in_words
-from noise.discrepancy.judge.verdict import Named, Verdict
-from noise.discrepancy.name.explanation import Interval
+from noise.discrepancy.report import markup, words
+from noise.discrepancy.report.numbers import bounds, parameter, plain, quantity, readable, with_interval
+from noise.discrepancy.result import LEVEL, Cause, Diagnosis, HeldOut, Kind, Location, PValue, Visible
 from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
 from training.diagnosis.figures import all_figures
+from training.diagnosis.prediction import Prediction, axis, predictor
 
 TEMPLATES = Path(__file__).parent / "templates"
-BADGES = {
-    "none": ("No difference found", "good"),
-    "named": ("Cause found", "found"),
-    "confounded": ("Cause narrowed down", "found"),
-    "named_with_rest": ("Cause found, part unexplained", "partly"),
-    "unknown": ("Difference without a known cause", "open"),
+COLOURS = {
+    Kind.NONE: "good",
+    Kind.EXPLAINED: "found",
+    Kind.PARTLY_EXPLAINED: "partly",
+    Kind.UNEXPLAINED: "open",
+    Kind.TOO_LITTLE_DATA: "partly",
 }
-
-
-def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict as one or two sentences."""
-    verdict = diagnosis.verdict
-    if silent(diagnosis):
-        first = "check the sensor's power, gain, range setting and direction"
-        return f"None of {diagnosis.pings:,} pings had an echo: {first}."
-    if verdict.verdict == "none":
-        return f"The model agrees with the recording: its CRPS is {verdict.held_out.before.crps_mm:.1f} mm."
-    if verdict.verdict == "unknown":
-        what = verdict.unknown.description or "; ".join(in_words(f) for f in verdict.where[:1])
-        what = what.split(";")[0].replace(" (a description, not a cause)", "")
-        return f"The recording differs from the model, and no known effect explains it: {what}."
-    statements = " ".join(named.statement for named in verdict.effects[:2])
-    rivals = sorted({name for named in verdict.effects for name in named.indistinguishable_from})
-    others = len(verdict.effects) - 2
-    more = "" if others < 1 else f" And {others} smaller effect{'s' if others > 1 else ''}."
-    doubt = f" These data do not distinguish this from {_list(rivals)}." if verdict.verdict == "confounded" else ""
-    rest = " A smaller difference remains unexplained." if verdict.verdict == "named_with_rest" else ""
-    return statements + more + doubt + rest
-
-
-def silent(diagnosis: Diagnosis) -> bool:
-    """Return whether no ping of the recording had an echo."""
-    return not diagnosis.split.whole.reading.echo.any()
-
-
-def _list(names: list[str]) -> str:
-    words = [plain(name) for name in names]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-def plain(name: str) -> str:
-    """Return an effect's id as words."""
-    return name.replace("_", " ")
+N_WORST = 10
+MAX_COLUMNS = 3  # logged columns in the table of the worst pings
 
 
 def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
@@ -79,99 +47,148 @@ def fill(template: str, diagnosis: Diagnosis, seed: int = 0, **variables: Any) -
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(), undefined=StrictUndefined, trim_blocks=True
     )
-    figures = {name: Markup(text) for name, text in all_figures(diagnosis, seed).items()}
+    drawn = {name: Markup(text) for name, text in all_figures(diagnosis, seed).items()}
+    figures = defaultdict(Markup, drawn)  # a figure that the recording cannot fill is empty
     return environment.get_template(template).render(**facts(diagnosis), figures=figures, **variables)
 
 
 def facts(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the variables of the page's template."""
-    verdict = diagnosis.verdict
-    badge, kind = BADGES[verdict.verdict]
+    verdict, batch = diagnosis.verdict, diagnosis.recorded
+    silent = words.silent(diagnosis)
+    answers = verdict.verdict not in (Kind.NONE, Kind.TOO_LITTLE_DATA) and not silent
     return {
-        "headline": headline(diagnosis),
-        "badge": badge,
-        "kind": kind,
+        "headline": words.headline(diagnosis),
+        "badge": "No echo at all" if silent else words.BADGES[verdict.verdict],
+        "kind": "open" if silent else COLOURS[verdict.verdict],
         "verdict": verdict,
+        "warnings": verdict.warnings,
         "recording": Path(diagnosis.recording).name,
-        "pings": diagnosis.pings,
+        "pings": len(batch),
+        "visits": f"{batch.n_visits:,} visit{'' if batch.n_visits == 1 else 's'}",
+        "moving": not batch.stationary.any(),
         "unanswered": diagnosis.unanswered,
-        "certainty": certainty(by_chance(verdict)),
-        "effects": [effect_facts(named) for named in verdict.effects],
-        "where": [in_words(finding) for finding in verdict.where],
-        "rivals": rival_rows(diagnosis),
-        "tried": tried_rows(diagnosis),
+        "silent": silent,
+        "found": answers,
+        "offered": diagnosis.corrected is not None,
+        "bar": Markup(markup.share_bar(verdict) + markup.legend(verdict)) if answers else "",
+        "causes": [] if silent else [cause_facts(cause) for cause in verdict.causes],
+        "where": [located(found) for found in verdict.where],
+        "rest": [located(found) for found in verdict.unexplained.where],
+        "rest_share": with_interval(verdict.unexplained.share),
+        "fit": fit_rows(verdict.held_out, diagnosis.corrected is not None),
+        "tiles": tiles(diagnosis),
+        "visible": [visible_row(each) for each in verdict.could_have_seen],
+        "worst": {} if silent else worst_pings(diagnosis),
+        "level": f"{100 * LEVEL:.0f} %",
+        "p_value": p_text(verdict.p_value),
+        "p_rest": p_text(verdict.unexplained.p_value),
         "catalogue": len(CATALOGUE),
-        "silent": silent(diagnosis),
-        "matched": matched(diagnosis),
+        "plain_names": lambda effects: [words.name(effect) for effect in effects],
     }
 
 
-def matched(diagnosis: Diagnosis) -> str:
-    """Return a sentence on the positions that both files share, compared without a model; empty if too few."""
-    found = diagnosis.verdict.matched
-    if found is None:
-        return ""
-    differ = (
-        f"differ, by {1000 * found.shift_m:+.1f} mm in the median" if found.differs else "do not differ beyond chance"
-    )
-    return f"Compared directly, without any model, the {found.cells} positions that both files share {differ}."
+def p_text(p_value: PValue) -> str:
+    """Return a p-value as text: "p < 0.0005" where the bootstrap ends."""
+    text = str(p_value)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
-def by_chance(verdict: Verdict) -> float:
-    """Return the p-value of the difference, that of unexplained structure included."""
-    return min(verdict.p_value, verdict.unknown.p_value) if verdict.unknown.present else verdict.p_value
+def located(found: Location) -> dict[str, str]:
+    """Return a located mismatch as template variables."""
+    return {"text": words.location(found), "p": p_text(found.p_value)}
 
 
-def certainty(p_value: float) -> str:
-    """Return a p-value as a sentence."""
-    if p_value > 0.05:
-        return "The difference is not significant."
-    return f"Chance alone causes such a difference in fewer than one recording in {int(1 / max(p_value, 1e-6)):,}."
-
-
-def effect_facts(named: Named) -> dict[str, Any]:
-    """Return the template variables of one named effect."""
+def cause_facts(cause: Cause) -> dict[str, Any]:
+    """Return the template variables of one cause."""
+    rivals = [(words.name(each.effect), each.probability) for each in cause.alternatives]
     return {
-        **asdict(named),
-        "title": plain(named.effect),
-        "summary": CATALOGUE[named.effect].summary,
-        "rivals": [plain(name) for name in named.indistinguishable_from],
-        "percent": f"{100 * named.probability:.0f}",
-        "numbers": [(parameter(name, value.unit), interval(value)) for name, value in named.parameters.items()],
-        "gain": f"{named.gain_nats:.0f} ± {named.gain_se:.0f}",
+        "title": capital(words.name(cause.effect)),
+        "effect": cause.effect,
+        "statement": words.statement(cause) + ".",
+        "share": quantity(cause.share.value, "1"),
+        "share_bounds": bounds(cause.share),
+        "candidates": [
+            (text, quantity(weight, "1"), f"{100 * weight:.1f}")
+            for text, weight in [(words.name(cause.effect), cause.probability), *rivals]
+        ],
+        "ambiguous": bool(rivals),
+        "gain": f"{plain(cause.gain_nats, 3)} ± {plain(cause.gain_se)}",
+        "parameters": [(readable(name, each.unit), parameter(name, each)) for name, each in cause.parameters.items()],
     }
 
 
-def parameter(name: str, unit: str) -> str:
-    """Return a parameter's name as words, without the unit at its end."""
-    return plain(name.removesuffix("_" + unit.lower().replace("/", "_per_").replace("degc", "c")))
+def capital(text: str) -> str:
+    """Return a text with its first letter in upper case."""
+    return text[:1].upper() + text[1:]
 
 
-def interval(value: Interval) -> str:
-    """Return a value with its 90 % interval and unit."""
-    unit = "" if value.unit == "1" else f" {value.unit.replace('degC', '°C')}"
-    if value.unit == "m" and max(abs(value.low), abs(value.high)) < 1.0:
-        return f"{1000 * value.value:.3g} mm ({1000 * value.low:.3g} to {1000 * value.high:.3g})"
-    return f"{value.value:.3g}{unit} ({value.low:.3g} to {value.high:.3g})"
+def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Return the three numbers at the top of the page: title, value and explanation."""
+    verdict, test = diagnosis.verdict, diagnosis.verdict.held_out
+    if words.silent(diagnosis):
+        return [("Pings with an echo", "0", f"of {len(diagnosis.recorded):,}")]
+    before = quantity(test.before.crps_m, "m")
+    if verdict.verdict in (Kind.NONE, Kind.TOO_LITTLE_DATA):
+        return [
+            ("Mean prediction error", before, "of your simulation on this recording"),
+            ("The recording repeats itself to", quantity(test.repeatability_m, "m"), "the least error possible"),
+            ("Pings", f"{len(diagnosis.recorded):,}", "in the recording"),
+        ]
+    after = f" → {quantity(test.after.crps_m, 'm')}" if diagnosis.corrected is not None else ""
+    note = "simulation → corrected model" if after else "no correction beats your simulation"
+    rest = verdict.unexplained.share.value
+    shown = ("Explained", max(0.0, 1.0 - rest)) if verdict.causes else ("Unexplained", rest)
+    return [
+        ("Mean prediction error", before + after, f"{note}, on {test.n_pings:,} unseen pings"),
+        (shown[0], quantity(shown[1], "1"), "of the difference"),
+        ("The recording repeats itself to", quantity(test.repeatability_m, "m"), "the least error possible"),
+    ]
 
 
-def rival_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
-    """Return one row for each effect that was fitted instead of a named one."""
-    rows = []
-    for rival in diagnosis.rivals:
-        reason = "not excluded" if rival.survives else f"fits worse by {rival.observed:.0f} nats"
-        if not rival.survives and rival.observed > 10.8:
-            reason += ": excluded"
-        rows.append({"rival": plain(rival.effect), "instead": plain(rival.replaces), "why": reason})
-    return rows
+def fit_rows(test: HeldOut, offered: bool) -> list[tuple[str, str, str]]:
+    """Return name, mean error and log-likelihood per ping of every model on unseen visits."""
+    rows = [("your simulation", test.before)]
+    rows += [("emulator of your simulation", test.emulator)] if test.emulator != test.before else []
+    rows += [("corrected model", test.after)] if offered else []
+    table = [(name, quantity(each.crps_m, "m"), plain(each.log_likelihood_per_ping, 3)) for name, each in rows]
+    return [*table, ("the recording's nearest other visits", quantity(test.repeatability_m, "m"), "")]
 
 
-def tried_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
-    """Return one row for each effect that was fitted in the search and scored by cross-validation."""
-    rows = []
-    for attempt in diagnosis.verdict.attempts:
-        if attempt.gain_nats == attempt.gain_nats:
-            given = ", ".join(plain(name) for name in attempt.given) or "nothing"
-            gain = f"{attempt.gain_nats:+.1f} ± {attempt.gain_se:.1f}"
-            rows.append({"effect": plain(attempt.effect), "given": given, "gain": gain, "decision": attempt.decision})
-    return rows
+def visible_row(each: Visible) -> tuple[str, str]:
+    """Return effect or aspect and the least size that would have shown."""
+    return words.visible_name(each), quantity(each.least, each.unit)
+
+
+def worst_pings(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the pings that the user's simulation predicts worst, as header and rows of a table."""
+    whole, model = diagnosis.recorded, predictor(diagnosis)
+    # many models give errors of any size the probability 0, so that ties are ordered by the error
+    certainty = np.maximum(model.law(whole.ping, whole.past).log_prob(whole.reading), -100.0)
+    batch = whole.select(np.isin(np.arange(len(whole)), np.lexsort((-np.abs(whole.error), certainty))[:N_WORST]))
+    before = Prediction.of(model, batch)
+    after = None if diagnosis.corrected is None else Prediction.of(diagnosis.corrected, batch)
+    logged = list(batch.ping.covariates)[:MAX_COLUMNS]
+    header = [
+        "time (s)",
+        "distance (mm)",
+        "angle (°)",
+        *(axis(name, batch)[0] for name in logged),
+        "reading (mm)",
+        "simulation expects (mm)",
+    ]
+    header += [] if after is None else ["corrected model expects (mm)"]
+    return {"header": header, "rows": [_row(batch, k, logged, before, after) for k in range(len(batch))]}
+
+
+def _row(batch: Batch, k: int, logged: list[str], before: Prediction, after: Prediction | None) -> list[str]:
+    ping, echo = batch.ping, bool(batch.reading.echo[k])
+    expected = [before] if after is None else [before, after]
+    return [
+        f"{ping.time[k]:.1f}",
+        f"{1000 * ping.distance[k]:.0f}",
+        f"{np.degrees(ping.angle[k]):.1f}",
+        *(f"{axis(name, batch)[1] * ping.covariates[name][k]:.4g}" for name in logged),
+        f"{1000 * batch.reading.range[k]:.0f}" if echo else "no echo",
+        *(f"{1000 * each.median[k]:.0f}" if each.law.echo[k] > 0.5 else "no echo" for each in expected),
+    ]

@@ -2,8 +2,8 @@
 
 With z the statistic studentised about its own mean, z^2 / 2 is the gain in log-likelihood of a difference in a region.
 Each finite edge of a region is one more estimated number, so that the region with the greatest
-z^2 - edges log(clusters) is the most probable one (Schwarz 1978, BIC). Further mismatches of the same aspect count if they remain significant
-after the first is projected out.
+z^2 - edges log(clusters) is the most probable one (Schwarz 1978, BIC). Further mismatches of the same aspect count if
+they remain significant after the first is projected out.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.stack import Key, Stack
 
 POWER_QUANTILE = 1.2816  # standard normal, 90 %
-STEPS = 4  # of the search; the shift is nearly proportional to the size, so that a few secant steps suffice
+STEPS = 5  # of the search; the shift is nearly proportional to the size, so that a few secant steps suffice
 MAX_PINGS = 1000  # of the recording from which the shift of a statistic is estimated
 PRECISION = 0.05  # of the least size, relative
 EVERYWHERE = 0  # index of the regressor
@@ -77,7 +77,12 @@ def _aspect(tested: Tested, aspect: Aspect, wanted: float) -> Visible | None:
         return None
     group = next(g for g in tested.groups if a in g.aspects)
     size = size_of(tested, group, int(np.flatnonzero(group.aspects == a)[0]), EVERYWHERE)
-    return Visible(str(aspect), wanted * (size.high - size.value) / TWO_SIDED, aspect.unit)
+    n = len(np.unique(tested.cluster[group.valid]))
+    if wanted**2 >= n:
+        return None
+    # a statistic that is divided by its own root mean square cannot exceed the root of the number of clusters
+    mean = wanted / np.sqrt(1.0 - wanted**2 / n)
+    return Visible(str(aspect), float(mean * (size.high - size.value) / TWO_SIDED), aspect.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +125,14 @@ class _Probe:
         value[self.rows] = shift
         for group in tested.groups:
             own = value[:, group.aspects] * group.weight * group.valid[:, None]
-            total = moments(group, tested.columns, tested.units, tested.cluster, own).sum(axis=0)
-            z = np.abs(total.T) / np.maximum(tested.scale[group.aspects], 1e-300)
+            shifts = moments(group, tested.columns, tested.units, tested.cluster, own)
+            total = self.factor * np.abs(shifts.sum(axis=0)).T
+            # rare events add to the sum of squares that the statistic is divided by
+            square = tested.scale[group.aspects] ** 2 + self.factor * (shifts**2).sum(axis=0).T
+            z = total / np.sqrt(np.maximum(square, 1e-300))
             allowed = np.isfinite(tested.z[group.aspects])
             best = max(best, float(np.max(z, where=allowed, initial=0.0)))
-        return best * self.factor
+        return best
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from html import escape
 
 from noise.discrepancy.report import words
-from noise.discrepancy.report.numbers import bounds, parameter, quantity
-from noise.discrepancy.result import Diagnosis, Interval, Verdict
+from noise.discrepancy.report.numbers import bounds, parameter, quantity, readable
+from noise.discrepancy.result import Cause, Diagnosis, Interval, Verdict
 
 COLOURS = ("#1b6ca8", "#2a9d8f", "#8a5fbf", "#c98a1b", "#5a7d2a")  # of causes; distinct for the colour-blind
 REST, TOGETHER, INK = "#b9c2cb", "#dde7ee", "#1d2733"
@@ -25,10 +26,10 @@ def shares(verdict: Verdict) -> list[tuple[str, Interval, str]]:
 def share_bar(verdict: Verdict) -> str:
     """Return the shares of the difference as one SVG bar with the interval of each share as a line."""
     parts = shares(verdict)
-    total = max(1.0, sum(max(share.value, 0.0) for _, share, _ in parts))
+    total = max(1.0, sum(_positive(share.value) for _, share, _ in parts))
     left, drawn = 0.0, [f'<rect width="{WIDTH:.0f}" height="{HEIGHT:.0f}" fill="{TOGETHER}"/>']
     for k, (label, share, colour) in enumerate(parts):
-        width = WIDTH * max(share.value, 0.0) / total
+        width = WIDTH * _positive(share.value) / total
         drawn.append(_segment(left, width, label, share, colour))
         drawn.append(_whisker(left, share, total, HEIGHT + 7 + 9 * (k % 2)))
         left += width
@@ -36,6 +37,11 @@ def share_bar(verdict: Verdict) -> str:
         f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT + 22:.0f}" role="img" aria-label="shares of the difference" '
         f'style="width:100%;max-width:1000px;display:block">{"".join(drawn)}</svg>'
     )
+
+
+def _positive(share: float) -> float:
+    """Return a share as a length: 0 if it is negative or unknown."""
+    return max(share, 0.0) if math.isfinite(share) else 0.0
 
 
 def _segment(left: float, width: float, label: str, share: Interval, colour: str) -> str:
@@ -53,7 +59,7 @@ def _segment(left: float, width: float, label: str, share: Interval, colour: str
 
 def _whisker(left: float, share: Interval, total: float, y: float) -> str:
     """Return a line at height y below a segment, from the low to the high end of its share."""
-    low, high = (min(left + WIDTH * max(x, 0.0) / total, WIDTH) for x in (share.low, share.high))
+    low, high = (min(left + WIDTH * _positive(x) / total, WIDTH) for x in (share.low, share.high))
     ticks = "".join(f"M{x:.1f} {y - 4:.0f}v8" for x in (low, high))
     return f'<path d="M{low:.1f} {y:.0f}H{high:.1f}{ticks}" stroke="{INK}" stroke-width="1.5" fill="none"/>'
 
@@ -69,6 +75,13 @@ def legend(verdict: Verdict) -> str:
     return f'<div style="line-height:1.8">{" ".join(rows)}</div>'
 
 
+def _row(cause: Cause) -> str:
+    parameters = "; ".join(f"{readable(k, v.unit)} {parameter(k, v)}" for k, v in cause.parameters.items())
+    rivals = ", ".join(f"{words.name(each.effect)} {quantity(each.probability, '1')}" for each in cause.alternatives)
+    cells = (words.name(cause.effect), quantity(cause.probability, "1"), parameters, rivals)
+    return f"<tr>{''.join(f'<td {CELL}>{escape(text)}</td>' for text in cells)}</tr>"
+
+
 def compact(diagnosis: Diagnosis) -> str:
     """Return headline, bar and causes as HTML for a notebook."""
     verdict = diagnosis.verdict
@@ -76,11 +89,8 @@ def compact(diagnosis: Diagnosis) -> str:
     head = f"<p><b>{escape(words.headline(diagnosis))}</b></p>"
     if not verdict.causes:
         return f"<div>{warnings}{head}<p>{escape(words.fit_line(verdict))}</p></div>"
-    rows = "".join(
-        f"<tr><td {CELL}>{escape(words.name(cause.effect))}</td><td {CELL}>{quantity(cause.probability, '1')}</td>"
-        f"<td {CELL}>{escape('; '.join(f'{k} {parameter(k, v)}' for k, v in cause.parameters.items()))}</td></tr>"
-        for cause in verdict.causes
-    )
-    table = f"<table><tr><th {CELL}>cause</th><th {CELL}>probability</th><th {CELL}>parameters</th></tr>{rows}</table>"
+    rows = "".join(_row(cause) for cause in verdict.causes)
+    heads = "".join(f"<th {CELL}>{text}</th>" for text in ("cause", "probability", "parameters", "alternatives"))
+    table = f"<table><tr>{heads}</tr>{rows}</table>"
     fit = f"<p>{escape(words.fit_line(verdict))}</p>"
     return f'<div style="max-width:800px">{warnings}{head}{share_bar(verdict)}{legend(verdict)}{table}{fit}</div>'

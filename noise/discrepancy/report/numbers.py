@@ -16,11 +16,18 @@ COLUMNS = {
     "angle": ("at angles of", DEG, "°"),
     "incidence": ("at incidence angles of", DEG, "°"),
     "reflectance": ("at reflectances of", 1.0, ""),
-    "time": ("at times of", 1.0 / 60.0, "min"),
     "interval_s": ("at intervals of", 1000.0, "ms"),
     "temperature_c": ("at temperatures of", 1.0, "°C"),
     "humidity_pct": ("at a humidity of", 1.0, "%"),
 }
+
+
+TIMES = ((7200.0, 60.0, "min"), (172_800.0, 3600.0, "h"), (math.inf, 86_400.0, "days"))  # up to s, unit in s, name
+
+
+def time_unit(longest_s: float) -> tuple[float, str]:
+    """Return the factor from s to the unit in which times up to a length are printed, and its name."""
+    return next((1.0 / seconds, unit) for upto, seconds, unit in TIMES if longest_s <= upto)
 
 
 def plain(value: float, digits: int = 2) -> str:
@@ -56,7 +63,7 @@ def quantity(value: float, unit: str, percent: bool = True) -> str:
     ('15 mm', '8.3 %', '24 °C')
     """
     factor, printed = _scale(abs(value), unit, percent)
-    return plain(factor * value) + printed
+    return plain(factor * value) + printed if math.isfinite(value) else "unknown"
 
 
 def with_interval(found: Interval, percent: bool = True) -> str:
@@ -70,10 +77,12 @@ def with_interval(found: Interval, percent: bool = True) -> str:
 
 def bounds(found: Interval, percent: bool = True) -> str:
     """Return the interval of a value, with enough digits to show its width."""
+    if not (math.isfinite(found.low) and math.isfinite(found.high)):
+        return "interval unknown"
     size = max(abs(found.low), abs(found.high))
     factor, printed = _scale(abs(found.value), found.unit, percent)
     width = found.high - found.low
-    digits = 2 if not (0 < width < size and math.isfinite(size)) else min(6, 1 + math.ceil(math.log10(size / width)))
+    digits = 2 if not 0 < width < size else min(6, 1 + math.ceil(math.log10(size / width)))
     return f"{plain(factor * found.low, max(2, digits))} to {plain(factor * found.high, max(2, digits))}{printed}"
 
 
@@ -82,13 +91,28 @@ def parameter(name: str, found: Interval) -> str:
     return with_interval(found, name in PERCENT)
 
 
+def readable(name: str, unit: str) -> str:
+    """Return a parameter's name as words, without the unit at its end.
+
+    >>> readable("temperature_c", "degC"), readable("rate_k_per_h", "K/h")
+    ('temperature', 'rate')
+    """
+    suffix = "_" + unit.lower().replace("/", "_per_").replace("degc", "c")
+    return name.removesuffix(suffix).replace("_", " ")
+
+
 def span(column: str, between: Range) -> str:
     """Return a range of one column as words.
 
     >>> span("distance", (0.7, 2.0)), span("angle", (0.35, float("inf")))
     ('at 0.7 to 2 m', 'at angles of more than 20°')
     """
-    words, factor, unit = COLUMNS.get(column, (f"at {column.replace('_', ' ')} of", 1.0, ""))
+    words, factor, unit = COLUMNS.get(column, (f"where {column} is", 1.0, ""))
+    if column == "time":
+        words, (factor, unit) = (
+            "at times of",
+            time_unit(max((abs(t) for t in between if math.isfinite(t)), default=0.0)),
+        )
     low, high = (factor * bound for bound in between)
     unit = unit if unit in ("", "°") else f" {unit}"
     if not math.isfinite(low):

@@ -1,0 +1,299 @@
+"""A learned law with the differences that a diagnosis found: `compose("srf08-mlp", diagnosis)`, a sonar for training.
+
+The law of the learned model takes the place of the direct path of a physical law, so that all effects of the catalogue
+act on it. Effects that change the direct path are applied as differences between the simulation of the diagnosis and
+its recording: ranges are stretched by the ratio of path lengths and shifted by the difference of lags; the probability
+of an echo is multiplied by the ratio of detection probabilities, p' = p d_rec / d_sim, or that of a miss where echoes
+become more frequent, 1 - p' = (1 - p) (1 - d_rec) / (1 - d_sim). Paths, false alarms and replaced readings compete with
+the learned law as they do with a direct path.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from scipy.special import ndtri
+from torch import Tensor
+
+from acquisition import ModelError, Ping, Reading, SettingError, previous
+from acquisition.arrays import Floats, Ints
+from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
+from noise.effects.state import number
+from noise.faults import HasWeights
+from noise.law import EchoLaw
+from noise.model import SonarModel, StatefulModel, follow, listener
+from noise.physical import END, PhysicalLaw, PhysicalModel
+from noise.store import load_model
+
+if TYPE_CHECKING:
+    from noise.discrepancy.result import Diagnosis
+
+WEIGHTS = ("probability", "presence", "per_metre")  # parameters that say how often an effect acts
+N_NODES = 15  # equally probable points that stand for added normal scatter
+Values = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class LearnedPath(Path):
+    """The echoes of another law as a path, with changed detection, stretch, delay and scatter.
+
+    Attributes:
+        law: law of the echoes, of n pings.
+        probability: probability of an echo, (1, n).
+        stretch: factor on ranges, (n,).
+        offsets: weighted delays, as range, m, (k, n).
+        weights: of the delays, (k,).
+    """
+
+    law: EchoLaw
+    probability: Tensor
+    stretch: Floats
+    offsets: Floats
+    weights: Floats
+
+    def detection(self, width_db: Tensor) -> Tensor:
+        """Return the probability of an echo, (1, n)."""
+        return self.probability
+
+    def missing(self, width_db: Tensor) -> Tensor:
+        """Return the probability of no echo, (1, n)."""
+        return 1.0 - self.probability
+
+    def survival(self, z: Tensor) -> Tensor:
+        """Return the survival function P(registered beyond z | echo)."""
+        return 1.0 - self._mean(self.law.arrival, z)
+
+    def between(self, low: Tensor, high: Tensor) -> Tensor:
+        """Return P(registered in (low, high] | echo)."""
+        return self._mean(self.law.between, low, high)
+
+    def _mean(self, function: Callable[..., Floats], *edges: Tensor) -> Tensor:
+        """Return the mean of a function of the law's own ranges over the delays, given an echo."""
+        shape = torch.broadcast_shapes(*(edge.shape for edge in edges), self.probability.shape)
+        own = [self._own(edge.expand(shape).numpy()) for edge in edges]
+        value = function(*(each.reshape(-1, shape[-1]) for each in own)).reshape(own[0].shape)
+        given = np.divide(value, self._echo, out=np.zeros_like(value), where=self._echo > 0)
+        return torch.from_numpy(np.clip(np.tensordot(self.weights, given, 1), 0.0, 1.0))
+
+    def _own(self, z: Floats) -> Floats:
+        offsets = self.offsets.reshape(len(self.offsets), *[1] * (z.ndim - 1), -1)
+        return (z - offsets) / self.stretch
+
+    @cached_property
+    def _echo(self) -> Floats:
+        return self.law.echo
+
+
+class ComposedModel:
+    """A model with the differences between two stacks of effects: those of a simulation and of a recording.
+
+    Args:
+        model: model whose laws have probabilities.
+        before: effects of the simulation that act on the direct path.
+        after: effects of the recording: the same with other parameters, and added paths and replacements.
+
+    Raises:
+        SettingError: the law of the model can only be sampled.
+    """
+
+    def __init__(self, model: SonarModel, before: Iterable[Effect], after: Iterable[Effect]) -> None:
+        if not listener(model).law(Ping.of(distance=1.0)).has_probabilities:
+            raise SettingError(
+                f"compose: a {type(model).__name__} can only be sampled; choose a model with probabilities, srf08-mlp"
+            )
+        self.model = model
+        self.before, self.after = (PhysicalModel(stack, model.resolution, END) for stack in (before, after))
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.model.resolution
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the law depends on the previous reading."""
+        return self.model.remembers or self.after.remembers
+
+    def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> PhysicalLaw:
+        """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
+        model = self.model
+        own = model.law(ping, past, sensors) if isinstance(model, StatefulModel) else model.law(ping, past)
+        return self._changed(own, Conditions.of(ping, past))
+
+    def follow(self, ping: Ping, reading: Reading) -> PhysicalLaw:
+        """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
+        past = previous(reading, ping.run)
+        return self._changed(follow(self.model, ping, reading), Conditions.of(ping, past))
+
+    def _changed(self, law: EchoLaw, conditions: Conditions) -> PhysicalLaw:
+        with torch.no_grad():
+            before, after = self.before.state(conditions), self.after.state(conditions)
+            factor = after.scale / before.scale
+            state = replace(
+                after,
+                paths=(_learned_path(law, before, after), *after.paths[1:]),
+                scale=factor,
+                offset=after.offset - factor * before.offset,
+            )
+        if np.any(law.no_answer > 0):
+            state = state.with_atom(Atom(torch.tensor(law.no_answer), torch.zeros_like, number(0.0), number(1.0)))
+        return PhysicalLaw(state, conditions.distance.numpy(), law.resolution, law.max_range)
+
+    def fresh(self) -> ComposedModel:
+        """Return a copy with an empty state of its own if the model is stateful."""
+        return ComposedModel(listener(self.model), self.before.effects, self.after.effects)
+
+    def reset(self, sensors: ArrayLike | None = None) -> None:
+        """Clear the state of all sensors, or of those given by index or mask."""
+        if isinstance(self.model, StatefulModel):
+            self.model.reset(sensors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return model and effects as plain data.
+
+        Raises:
+            ModelError: the model cannot be saved.
+        """
+        inner: Any = self.model
+        if not hasattr(inner, "to_dict"):
+            raise ModelError(f"ComposedModel: a {type(inner).__name__} cannot be saved; it has no to_dict()")
+        stacks = {"before": self.before.to_dict()["effects"], "after": self.after.to_dict()["effects"]}
+        return {"kind": "composed", "model": inner.to_dict(), **stacks}
+
+    def write_weights(self, folder: FilePath) -> None:
+        """Write the weights of the model, if any, into a folder."""
+        if isinstance(self.model, HasWeights):
+            self.model.write_weights(folder)
+
+    @classmethod
+    def load(
+        cls, folder: FilePath, data: dict[str, Any], load_kind: Callable[[FilePath, Any], SonarModel]
+    ) -> ComposedModel:
+        """Load a saved model; `load_kind` loads the model without the differences.
+
+        Raises:
+            ModelError: an effect is unknown or a value is invalid.
+        """
+        try:
+            before, after = (_built(data[key]) for key in ("before", "after"))
+            return cls(load_kind(folder, data["model"]), before, after)
+        except (KeyError, TypeError, AttributeError, SettingError) as error:
+            raise ModelError(f"{folder / 'model.json'}: does not describe effects on a model ({error})") from None
+
+    def __repr__(self) -> str:
+        return f"ComposedModel({type(self.model).__name__}, {[effect.name for effect in self.after.effects]})"
+
+
+def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) -> ComposedModel:
+    """Return a model with the causes that a diagnosis found, for training; causes that cannot be added are warned of.
+
+    Args:
+        model: model whose laws have probabilities, its name or its folder.
+        diagnosis: diagnosis whose causes are added, as differences between its simulation and its recording.
+
+    Raises:
+        SettingError: the law of the model can only be sampled.
+    """
+    base = load_model(model) if isinstance(model, str | os.PathLike) else model
+    known, found = (_values(each) for each in (diagnosis.emulator, diagnosis.causes_only))
+    before = {name: values for name, values in known.items() if not _adds(name)}
+    after, left_out = dict(before), dict[str, str]()
+    for cause in diagnosis.verdict.causes:
+        name, own = cause.effect, known.get(cause.effect, {})
+        values = {**own, **found.get(name, {}), **{key: each.value for key, each in cause.parameters.items()}}
+        if reason := _obstacle(name, own, values):
+            left_out[name] = reason
+        else:
+            after[name] = _known(name, _added(own, values) if _adds(name) else values)
+    if left_out or not diagnosis.verdict.causes:
+        reasons = "; ".join(f"{name} ({reason})" for name, reason in left_out.items()) or "the diagnosis names no cause"
+        warnings.warn(f"compose: not added to the model: {reasons}", stacklevel=2)
+    return ComposedModel(base, _built(before), _built(after))
+
+
+def _values(model: SonarModel | None) -> dict[str, dict[str, float]]:
+    effects: tuple[Effect, ...] = getattr(model, "effects", ())
+    return {effect.name: effect.values for effect in effects if effect.name in CATALOGUE}
+
+
+def _built(values: Values) -> list[Effect]:
+    return [CATALOGUE[name](**each) for name, each in values.items()]
+
+
+def _adds(name: str) -> bool:
+    """Return whether an effect adds a path, false alarms or replaced readings, rather than change the direct path."""
+    state = PhysicalModel([CATALOGUE[name]()]).state(Conditions.of(Ping.of(distance=1.0)))
+    return len(state.paths) > 1 or bool(state.atoms) or state.clutter is not None
+
+
+def _obstacle(name: str, own: Mapping[str, float], values: Mapping[str, float]) -> str:
+    """Return why the difference in an effect cannot be added to another law; empty if it can."""
+    if name not in CATALOGUE:
+        return "not an effect of the catalogue"
+    if _adds(name) and any(values.get(key, 1.0) <= own.get(key, 0.0) for key in WEIGHTS if key in own):
+        return "less frequent than in the simulation, and a learned law cannot be freed of it"
+    if name == "travel_time_jitter" and any(values[key] < own[key] for key in own if key in values):
+        return "less scatter than in the simulation cannot be taken out of a learned law"
+    if name == "range_gate" and values.get("listen_m", END) > own.get("listen_m", END):
+        return "echoes beyond the end of the simulated window are unknown"
+    return ""
+
+
+def _known(name: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the values of an effect's own parameters; a cause may state further numbers."""
+    return {p.name: values[p.name] for p in CATALOGUE[name].parameters if p.name in values}
+
+
+def _added(own: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of an added effect: how often it acts beyond its rate in the simulation."""
+    return {key: value - own.get(key, 0.0) if key in WEIGHTS else value for key, value in values.items()}
+
+
+def _learned_path(law: EchoLaw, before: State, after: State) -> LearnedPath:
+    """Return the law's echoes, changed as the direct path differs between two states."""
+    old, new = before.direct, after.direct
+    n = len(law)
+    stretch = (new.length / torch.clamp(old.length, min=1e-3)).expand(n).numpy()
+    delay = (_mean(after, new.lag) - _mean(before, old.lag)).expand(n).numpy()
+    sigma = torch.sqrt(torch.clamp(new.spread**2 - old.spread**2, min=0.0)).expand(n).numpy()
+    noise = ndtri((np.arange(N_NODES) + 0.5) / N_NODES) if np.any(sigma > 0) else np.zeros(1)
+    slips = (number([0.0]), number([1.0])) if len(old.slip_m) > 1 else (new.slip_m, new.slip_weight)
+    offsets = delay + slips[0].numpy()[:, None, None] + noise[:, None] * sigma
+    weights = np.repeat(slips[1].numpy() / len(noise), len(noise))
+    probability = torch.from_numpy(_probability(law, before, after))[None]
+    return LearnedPath(
+        **{**vars(new), "name": "learned"},
+        law=law,
+        probability=probability,
+        stretch=stretch,
+        offsets=offsets.reshape(-1, n),
+        weights=weights,
+    )
+
+
+def _probability(law: EchoLaw, before: State, after: State) -> Floats:
+    """Return P(echo | answer) of a law, changed by the ratio of the detection probabilities of two states, (n,)."""
+    n = len(law)
+    p = np.clip(law.echo / np.maximum(1.0 - law.no_answer, 1e-12), 0.0, 1.0)
+    old, new = (_mean(state, state.direct.detection(state.width_db)).expand(n).numpy() for state in (before, after))
+    missed, misses = (_mean(state, state.direct.missing(state.width_db)).expand(n).numpy() for state in (before, after))
+    loss = np.divide(new, old, out=np.ones(n), where=old > 0)
+    gain = np.divide(misses, missed, out=np.ones(n), where=missed > 0)
+    return np.where(new <= old, p * np.minimum(loss, 1.0), 1.0 - (1.0 - p) * np.minimum(gain, 1.0))
+
+
+def _mean(state: State, value: Tensor) -> Tensor:
+    """Return a quantity averaged over the nodes of the latent level if it depends on them, (n,) or scalar."""
+    if value.ndim < 2:
+        return value
+    weight = torch.softmax(state.log_weight, dim=0)
+    return (weight * value).sum(0) if len(value) > 1 else value[0]

@@ -1,0 +1,174 @@
+"""The report and the notebook view in ten situations: complete pages, plain words, figures that fit the recording."""
+
+import html
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from acquisition import Ping, Reading, Recording
+from noise.discrepancy.result import Aspect, Interval, Kind, Location, PValue
+from noise.fitting.batch import Batch
+from training.diagnosis.figures import Compared, overview
+from training.diagnosis.prediction import Prediction, along, binned, column, observed, thinned
+from training.diagnosis.report import p_text, render, tiles, worst_pings
+
+NAMES = ["none", "scale", "clutter", "dropped", "unexplained", "partly", "too_little", "drift", "silent", "robot"]
+P = PValue(1 / 2001, 2000)
+
+
+@pytest.fixture(scope="session")
+def pages(situations):
+    return {name: render(made, "result/corrected") for name, made in situations.items()}
+
+
+def text_of(page):
+    """Return the visible text of a page."""
+    bare = re.sub(r"<(style|svg|title|pre).*?</\1>", " ", page, flags=re.S)
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", bare)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_is_one_file_without_scripts(pages, name):
+    page = pages[name]
+    assert len(page) < 1_500_000
+    assert "<script" not in page
+    links = [part.split('"')[0] for part in page.split('href="')[1:] + page.split('src="')[1:]]
+    assert all(link.startswith(("#", "data:")) for link in links)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_has_no_jargon_above_the_details_and_no_broken_text(pages, name):
+    text = text_of(pages[name])
+    above = text.split(" Details ")[0]
+    assert "nats" not in above
+    assert "p =" not in above
+    for broken in ("+0 mm", "-0 ", "nan", "None", "e-0", "..", " .", " ,", "degC", "{{", "_"):
+        assert broken not in above.replace("recorded.csv", "").replace("verdict.json", ""), (broken, name)
+    assert "p = 0.0005" not in text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_identifiers_of_all_figures_of_a_page_differ(pages, name):
+    found = [set(re.findall(r'id="([^"]+)"', svg)) for svg in pages[name].split("<svg")[1:]]
+    clips = [{each for each in ids if re.fullmatch(r"p[0-9a-f]{10}", each)} for ids in found]
+    assert sum(map(len, clips)) == len(set().union(*clips))
+
+
+def test_the_ambiguity_is_in_the_headline(pages):
+    expected = "Readings run long by 1.5 % (15 mm at 1 m): speed of sound, clock or thermal drift?"
+    assert expected in text_of(pages["scale"])
+
+
+def test_shares_and_their_intervals_are_listed(pages):
+    text = text_of(pages["partly"])
+    assert "zero offset: 55 % (52 to 58 %)" in text
+    assert "unexplained: 24 % (21 to 27 %)" in text
+
+
+def test_a_verdict_without_difference_says_what_would_have_shown(pages):
+    text = text_of(pages["none"])
+    assert "a zero offset of 1.2 mm or 1.1 % lost readings would have shown" in text
+    assert "What could have been seen" in text
+    assert "What explains the difference" not in text
+
+
+def test_a_correction_is_offered_only_if_there_is_one(pages):
+    assert "Use the correction" in pages["scale"]
+    assert "Use the correction" not in pages["unexplained"]
+    assert "No correction is offered" in text_of(pages["unexplained"])
+
+
+def test_only_silence_gives_a_short_page_that_says_what_to_check(pages):
+    text = text_of(pages["silent"])
+    assert "No ping had an echo" in text
+    assert "<svg" not in pages["silent"]
+
+
+def test_warnings_come_before_the_verdict(pages, situations):
+    text = text_of(pages["too_little"])
+    assert text.index("Only 2 positions") < text.index("Too little data")
+    assert situations["too_little"].summary().splitlines()[0].startswith("warning: Only 2 positions")
+
+
+@pytest.mark.parametrize(
+    ("name", "label"), [("drift", "time since"), ("unexplained", "angle"), ("clutter", "distance")]
+)
+def test_a_mismatch_is_drawn_along_the_condition_where_it_was_located(situations, name, label):
+    made = situations[name]
+    axes = overview(made).axes[0]
+    assert label in axes.get_xlabel()
+    assert any(text.get_text() == "located here" for text in axes.get_legend().get_texts())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_plot_is_a_figure_and_the_views_are_text(situations, name):
+    made = situations[name]
+    assert isinstance(made.plot(), Figure)
+    assert "\n" not in repr(made)
+    assert made.verdict.verdict.value in repr(made)
+    assert len(made.summary().splitlines()) <= 11
+    assert made._repr_html_().count("<div") == made._repr_html_().count("</div>")
+
+
+def test_save_and_report_write_files_and_remove_an_older_model(situations, tmp_path):
+    situations["scale"].save(tmp_path)
+    assert (tmp_path / "verdict.json").is_file()
+    assert (tmp_path / "corrected" / "model.json").is_file()
+    situations["unexplained"].save(tmp_path)
+    assert not (tmp_path / "corrected").exists()
+    assert situations["silent"].report(tmp_path / "report.html").read_text().startswith("<!doctype html>")
+
+
+def test_the_corrected_model_removes_the_error_that_the_figures_show(situations):
+    compared = Compared.of(situations["scale"])
+    before, after = (np.nanmedian(np.abs(each.error_mm)) for each, *_ in compared.each)
+    assert before > 15
+    assert after < 3
+
+
+def test_predicted_shares_are_calibrated(situations):
+    batch = thinned(situations["clutter"].recorded)
+    prediction = Prediction.of(situations["clutter"].corrected, batch)
+    for aspect in (Aspect.EARLY, Aspect.LATE, Aspect.DETECTION, Aspect.REPEAT):
+        share, expected = observed(batch, aspect).mean(), prediction.probability(aspect).mean()
+        assert share == pytest.approx(expected, abs=0.03), aspect
+
+
+def test_the_worst_pings_are_those_that_the_simulation_excludes(situations):
+    table = worst_pings(situations["clutter"])
+    reading = table["header"].index("reading (mm)")
+    assert len(table["rows"]) == 10
+    assert all(680 < float(row[reading]) < 720 for row in table["rows"])
+
+
+def test_the_column_is_the_most_restricted_one_that_varies():
+    ping = Ping.of(np.linspace(1, 2, 50), angle=np.linspace(0, 0.5, 50), time=np.arange(50.0), temperature_c=20.0)
+    batch = Batch.of(Recording.of(ping, Reading.of(ping.distance)))
+    size = Interval(0.01, 0.0, 0.02, "m")
+    region = {"temperature_c": (10.0, 20.0), "angle": (0.0, 0.1), "distance": (1.0, 1.9)}
+    assert along(Location(Aspect.BIAS, region, size, P), batch) == "angle"
+    assert along(Location(Aspect.BIAS, {}, size, P), batch) == "distance"
+    assert column(batch, "temperature_c") is None
+    assert column(batch, "unknown") is None
+
+
+def test_bins_have_equal_counts_and_keep_the_mean():
+    x, y = np.arange(96.0), np.arange(96.0)
+    centre, mean = binned(x, y, np.mean)
+    assert len(centre) == 24
+    np.testing.assert_allclose(centre, mean)
+
+
+def test_p_values_end_where_the_bootstrap_ends():
+    assert p_text(P) == "p < 0.0005"
+    assert p_text(PValue(0.034, 2000)) == "p = 0.034"
+
+
+def test_the_first_numbers_fit_the_verdict(situations):
+    titles = {name: [title for title, *_ in tiles(made)] for name, made in situations.items()}
+    assert "Explained" in titles["scale"]
+    assert "Unexplained" in titles["unexplained"]
+    assert "Explained" not in titles["none"]
+    assert situations["none"].verdict.verdict is Kind.NONE
