@@ -10,7 +10,9 @@ import pandas as pd
 
 from acquisition.arrays import Bits, Floats, Ints
 from noise.fitting.batch import Batch
+from noise.statistics import winsorised
 
+MIN_CLUSTERS = 12  # fewer give no bootstrap
 MAX_CLUSTERS = 1500  # more do not improve the variance estimates; neighbours in time are merged
 
 
@@ -55,11 +57,14 @@ class Sample:
         simulation, so that an error of the nuisance functions at that condition cancels within the cluster.
         """
         keys = []
-        for batch in self.batches:
+        for k, batch in enumerate(self.batches):
             at = np.stack([batch.ping.distance, batch.ping.angle, batch.ping.incidence, batch.ping.reflectance], axis=1)
             at = np.round(at[batch.starts], 6)
             table = pd.DataFrame(at)
-            keys.append(np.c_[at, table.groupby(list(table.columns)).cumcount(), batch.ping.time[batch.starts]])
+            nth = table.groupby(list(table.columns)).cumcount().to_numpy()
+            if is_continuous(batch):  # neighbours in time, of this file alone
+                at, nth = np.full_like(at, float(k)), np.arange(batch.n_visits) // independent_length(batch)
+            keys.append(np.c_[at, nth, batch.ping.time[batch.starts]])
         every = pd.DataFrame(np.concatenate(keys))
         by_visit = every.groupby([0, 1, 2, 3, 4], sort=False).ngroup().to_numpy().astype(np.int64)
         merged = _merged(by_visit, every[5].to_numpy())
@@ -73,6 +78,33 @@ class Sample:
         """Visit of each ping, numbered through both files, (n,)."""
         start = np.cumsum([0, *(batch.n_visits for batch in self.batches)])
         return np.concatenate([batch.visit + k for batch, k in zip(self.batches, start[:-1], strict=True)])
+
+
+def is_continuous(batch: Batch) -> bool:
+    """Return whether visits are pieces of a log in which conditions never repeat, as of a moving robot."""
+    return bool(np.array_equal(batch.condition, batch.visit))
+
+
+def independent_length(batch: Batch) -> int:
+    """Return the number of neighbouring pieces of a log whose errors are independent of the next as many.
+
+    An error of the pose lasts longer than a piece. The number doubles until the mean errors of neighbours are not
+    correlated at the 5 % level, after a cubic in distance is subtracted, or too few clusters would remain.
+    """
+    echo = batch.is_target(batch.error)
+    if echo.sum() < MIN_CLUSTERS:
+        return 1
+    distance, error = batch.ping.distance[echo], winsorised(batch.error[echo])
+    left = np.zeros(len(batch))
+    left[echo] = error - np.polyval(np.polyfit(distance, error, 3), distance)
+    length = 1
+    while batch.n_visits // (2 * length) >= MIN_CLUSTERS:
+        group = batch.visit // length
+        mean = np.bincount(group, left) / np.maximum(np.bincount(group, echo), 1.0)
+        if np.corrcoef(mean[:-1], mean[1:])[0, 1] < 1.64 / np.sqrt(len(mean) - 1):
+            break
+        length *= 2
+    return length
 
 
 def condition_columns(batch: Batch) -> dict[str, Floats]:
