@@ -18,6 +18,7 @@ from noise.discrepancy.judge.decision import Evidence, decision_model
 from noise.discrepancy.judge.held_out import crps, held_out
 from noise.discrepancy.judge.shares import Shares, shares
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
+from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
@@ -120,11 +121,20 @@ def diagnose(
     data.tell("comparing", 0.15)
     law = data.baseline.law
     tested = orthogonal_test(law, law, data.sample, data.rng("test"))
+    directed = directed_test(law, law, data.sample, data.rng("directed"))
+    tested = replace(tested, p_value=either(tested.p_value, directed.p_value))
     where = locate(tested) if tested.p_value.value < FALSE_ALARM else ()
     visible = could_have_seen(law, data.sample, tested, data.rng("power"))
     if differs(tested, where):
         return _different(data, recorded, tested, where, visible, tuple(without))
     return _alike(data, recorded, tested, visible)
+
+
+def either(first: PValue, second: PValue) -> PValue:
+    """Return the p-value of two tests of one hypothesis: twice the smaller (Bonferroni)."""
+    n_regressors = first.n_regressors + second.n_regressors
+    value = min(1.0, 2.0 * min(first.value, second.value))
+    return PValue(value, min(first.draws, second.draws) // 2, n_regressors, first.n_aspects)
 
 
 def _prepared(
@@ -172,7 +182,8 @@ def _different(
     """Return the diagnosis of a recording that differs."""
     readings = data.baseline.readings
     search = Search(data.baseline.law, data.folds, readings, data.rng("search"), without, data.tell)
-    none, found = search.run()
+    _, found = search.run()
+    none = search.nothing(found)
     data.tell("weighing", 0.7)
     judged = judge(data, search, none, found, tested)
     data.tell("correcting", 0.9)

@@ -50,7 +50,9 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     They are those that came nearest when the effect was selected; where others were selected after it, they are fitted
     again beside these.
     """
-    given = next(effects for effects, tried in search.tried.items() if name in tried and name in found.effects)
+    given = next((effects for effects, tried in search.tried.items() if name in tried), None)
+    if given is None:  # added first or last, without others in its place
+        return Place(name, {}, {name: found.stacks[0]})
     others = tuple(each for each in found.effects if each != name)
     fits = {other: hypothesis for other, hypothesis in search.tried[given].items() if other not in found.effects}
     if set(given) != set(others):

@@ -58,7 +58,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     known = np.sqrt(np.diag(covariance(final.single, final.batch)))
     out = {}
     for key, error in zip(final.single.free, known, strict=True):
-        if key in NUISANCES:
+        if key in NUISANCES and key[0] not in final.effects:
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
         shift, own_error = _in_simulation(search, key)

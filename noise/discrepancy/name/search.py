@@ -28,7 +28,7 @@ from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
-from noise.fitting.stack import NUISANCES, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
@@ -136,7 +136,7 @@ class Search:
             if found.effects == current.effects:  # an effect joined the common law
                 none = self.null()
             current = self.pruned(self.polished(found))
-        return none, current
+        return none, self.with_scatter(current)
 
     def null(self) -> Hypothesis:
         """Return the hypothesis that only nuisances differ."""
@@ -181,9 +181,40 @@ class Search:
         """Return the local maximum from a start; the scales of nuisances are measured once for each batch."""
         return maximise(start, free, batch, iterations, enough, self._scales.setdefault(id(batch), {}))
 
+    def with_scatter(self, current: Hypothesis) -> Hypothesis:
+        """Return the hypothesis with the scatter of single pings as a difference, where that gains beyond chance.
+
+        Every fit frees the scatter, so that outliers do not pass for other effects; here it is held at the value of the
+        simulation instead.
+        """
+        if JITTER in self.without:
+            return current
+        held = self.held_scatter(current)
+        gain = current.nats - held.nats
+        value = float(gain.sum())
+        good = value > self.least_gain and value > 2.0 * standard_error(gain)
+        decision = "added last" if good else "gained less"
+        self.attempts.append(Attempt(JITTER, current.effects, value, standard_error(gain), decision))
+        return replace(current, effects=(*current.effects, JITTER)) if good else current
+
+    def held_scatter(self, current: Hypothesis) -> Hypothesis:
+        """Return a hypothesis fitted with the scatter of single pings at its value in the simulation."""
+        effects = tuple(name for name in current.effects if name != JITTER)
+        held = [key for key in SPREAD if key[0] == JITTER]
+        free = (*self.keys(effects), *(key for key in NUISANCES if key not in held))
+        values = [self.common.get(key) for key in held]
+        pairs = zip(current.stacks, self.parts, strict=True)
+        return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40, FINE).stack for s, p in pairs])
+
+    def nothing(self, found: Hypothesis) -> Hypothesis:
+        """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
+        none = self.null()
+        return self.held_scatter(none) if JITTER in found.effects else none
+
     def keys(self, effects: Sequence[str]) -> tuple[Key, ...]:
         """Return the parameters of effects that the recording can identify."""
-        return tuple(key for name in effects for key in keys_of(self.common, name, self.folds.both))
+        every = (key for name in effects for key in keys_of(self.common, name, self.folds.both))
+        return tuple(key for key in every if key not in SPREAD)  # the scatter is free in every fit
 
     def round(self, current: Hypothesis) -> Hypothesis | None:
         """Return the hypothesis with the effect that gains most; None when no gain is beyond chance."""
@@ -294,6 +325,8 @@ class Search:
 
     def left_out(self, current: Hypothesis, name: str) -> Hypothesis:
         """Return a hypothesis fitted anew without one of its effects."""
+        if name == JITTER:
+            return self.held_scatter(current)
         others = tuple(each for each in current.effects if each != name)
         if not others:
             return self.null()

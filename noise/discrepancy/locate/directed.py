@@ -1,0 +1,157 @@
+"""Directed test: the orthogonal test in the directions in which effects of the catalogue would change readings.
+
+The score of a direction is the log-likelihood ratio of a reading between the law with an effect at a typical size and
+the law itself. Its error under the law, which both files share, is a nuisance g(x), as in `orthogonal_test`; one
+statistic for each direction, over all pings, is sensitive to what no interval of one condition shows well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from acquisition import previous
+from acquisition.arrays import Floats
+from noise.discrepancy.locate.nuisance import CrossFit, basis_of, folds_of, units_of
+from noise.discrepancy.locate.orthogonal import DRAWS, MIN_CLUSTERS, OVERLAP, studentised
+from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.scores import ping_law, scores
+from noise.discrepancy.result import PValue
+from noise.effects import CATALOGUE
+from noise.effects.state import DETECTION_WIDTH_DB
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Key, Stack
+
+MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
+LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
+LOWEST_LOG = float(np.log(1e-12))
+STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
+TIMED = ("thermal_drift", "warm_up", "asynchronous_crosstalk")  # regressors of time and phase look for these
+
+
+@dataclass(frozen=True)
+class Directed:
+    """Result of the test: p-value of the greatest |z|, and the greatest |z| of the directions of each effect."""
+
+    p_value: PValue
+    z: dict[str, float]
+
+
+def directed_test(
+    law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: np.random.Generator, draws: int = DRAWS
+) -> Directed:
+    """Test whether the recording differs from its law in the direction of any effect.
+
+    Args:
+        law_recorded: law of the recording.
+        law_simulated: law that describes the simulation.
+        sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
+        rng: draws readings, folds and signs.
+        draws: number of bootstrap draws.
+    """
+    recorded = sample.recorded.thin(MAX_PINGS)
+    simulated = _drawn(law_simulated, recorded, rng) if sample.simulated is None else sample.simulated.thin(MAX_PINGS)
+    both = Sample(recorded, simulated)
+    pairs = ((law_recorded, recorded), (law_simulated, simulated))
+    names, ratios = directions(law_recorded, law_simulated, pairs)
+    if not names:
+        return Directed(PValue(1.0, draws), {})
+    psi = _sums(law_simulated, both, ratios, rng)
+    z, _, scaled = studentised(psi, (psi != 0).sum(axis=0) >= MIN_CLUSTERS)
+    if not scaled.shape[1]:
+        return Directed(PValue(1.0, draws, len(names)), {})
+    signs = (2.0 * rng.integers(0, 2, (draws, len(psi))) - 1.0).astype(np.float32)
+    greatest = np.abs(signs @ scaled).max(axis=1)
+    top = float(np.nanmax(np.abs(z))) * (1.0 - 1e-6)
+    found: dict[str, float] = {}
+    for name, value in zip(names, np.nan_to_num(np.abs(z)), strict=True):
+        found[name] = max(found.get(name, 0.0), float(value))
+    return Directed(PValue((1 + int(np.sum(greatest >= top))) / (draws + 1), draws, len(names)), found)
+
+
+def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
+    """Return the batch with readings drawn from a law."""
+    reading = ping_law(law, batch).sample(rng)
+    return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
+
+
+def directions(
+    law_recorded: Stack, law_simulated: Stack, pairs: tuple[tuple[Stack, Batch], ...]
+) -> tuple[list[str], Floats]:
+    """Return the effect of each direction, and the ratios of both files, (n, directions)."""
+    base = np.concatenate([_log_prob(law, batch) for law, batch in pairs])
+    names, ratios = [], []
+    for name in CATALOGUE:
+        if name in TIMED or not _shown(name, pairs[0][1]):
+            continue
+        for change in changes(law_recorded, name):
+            nats = np.concatenate([_log_prob(_changed(law, change), batch) for law, batch in pairs])
+            ratio = np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)
+            if np.ptp(ratio) > 1e-6:
+                names.append(name)
+                ratios.append(ratio)
+    return names, np.stack(ratios, axis=1) if ratios else np.empty((len(base), 0))
+
+
+def _shown(name: str, batch: Batch) -> bool:
+    effect = CATALOGUE[name]
+    return batch.resolution <= effect.coarsest_step_m and any(
+        p.identifiable(batch.ping.covariates) for p in effect.parameters
+    )
+
+
+def changes(law: Stack, name: str) -> list[dict[Key, float]]:
+    """Return parameter values of an effect at typical sizes: its first parameter varied, the others as they start."""
+    first, *others = (law.parameter((name, p.name)) for p in CATALOGUE[name].parameters)
+    beside = {(name, p.name): p.starts[0] if p.starts else p.null for p in others if not p.covariate}
+    key = (name, first.name)
+    if name in law.values:
+        step = STEP_SHARE * (first.high - first.low)
+        values = [law.get(key) - step, law.get(key) + step]
+        beside = {key: law.get(key) for key in beside}
+    elif first.typical > 0:
+        values = [first.null - 0.5 * first.typical, first.null + 0.5 * first.typical]
+    else:
+        values = [value for value in first.starts if value != first.null]
+    inside = [value for value in values if first.low <= value <= first.high]
+    places = [p for p in others if len(p.starts) > 1 and not p.covariate] if name not in law.values else []
+    out = [{key: value, **beside} for value in inside]
+    for p in places[:1]:  # where a reflector may stand
+        out += [{key: value, **beside, (name, p.name): start} for value in inside for start in p.starts[1:]]
+    return out
+
+
+def _changed(law: Stack, change: dict[Key, float]) -> Stack:
+    return law.at(change)
+
+
+def _log_prob(law: Stack, batch: Batch) -> Floats:
+    """Return the log probability of each reading as a single ping, nats, (n,)."""
+    with torch.no_grad():
+        probability = ping_law(law, batch).probability_tensor(batch.reading).numpy()
+    return np.log(np.maximum(probability, np.exp(LOWEST_LOG)))
+
+
+def _sums(law: Stack, sample: Sample, ratios: Floats, rng: np.random.Generator) -> Floats:
+    """Return the sums over clusters of (D - m) (U - g), (clusters, directions)."""
+    level = np.concatenate([scores(law, batch).level_db for batch in sample.batches])
+    level = np.clip(level, -20.0, 20.0)
+    own = np.stack([level, np.exp(-0.5 * (level / DETECTION_WIDTH_DB) ** 2)], axis=1)
+    x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
+    units = units_of(sample.visit, np.concatenate([x, np.round(own, 3)], axis=1))
+    first = np.unique(units, return_index=True)[1]
+    cluster = sample.cluster
+    basis = basis_of(x[first], own[first], cluster[first], rng)
+    folds = folds_of(cluster[first], rng)
+    count = np.add.reduceat(np.ones(len(units)), first)
+    recorded = sample.is_recorded[first].astype(np.float64)
+    on_conditions = CrossFit(basis.features[:, : basis.n_condition], count, folds, near=False)
+    m = np.clip(on_conditions.predict((count * recorded)[:, None])[:, 0], 0.0, 1.0)
+    contrast = (recorded - m) * ((m >= OVERLAP[0]) & (m <= OVERLAP[1]))
+    sums = np.add.reduceat(ratios, first, axis=0)
+    g = CrossFit(basis.features, count, folds, near=True).predict(sums)
+    part = contrast[:, None] * (sums - count[:, None] * g)
+    n = int(cluster.max()) + 1
+    return np.stack([np.bincount(cluster[first], column, n) for column in part.T], axis=1)
