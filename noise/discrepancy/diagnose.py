@@ -14,7 +14,8 @@ from acquisition import Recording, SettingError
 from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
-from noise.discrepancy.judge.decision import Evidence, decision_model
+from noise.discrepancy.evidence import Evidence
+from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.held_out import crps, held_out
 from noise.discrepancy.judge.shares import Shares, shares
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
@@ -134,7 +135,7 @@ def either(first: PValue, second: PValue) -> PValue:
     """Return the p-value of two tests of one hypothesis: twice the smaller (Bonferroni)."""
     n_regressors = first.n_regressors + second.n_regressors
     value = min(1.0, 2.0 * min(first.value, second.value))
-    return PValue(value, min(first.draws, second.draws) // 2, n_regressors, first.n_aspects)
+    return PValue(value, (min(first.draws, second.draws) + 1) // 2 - 1, n_regressors, first.n_aspects)
 
 
 def _prepared(

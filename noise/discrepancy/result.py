@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from noise.discrepancy.judge.decision import Evidence
+from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.presented import Presented
 from noise.fitting.batch import Batch
 from noise.model import SonarModel

@@ -8,7 +8,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise.discrepancy.judge.decision import Evidence, decision_model
+from noise.discrepancy.evidence import FEATURES, Evidence
+from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.shares import shares
 from noise.discrepancy.judge.verdict import kind_of, shows_little
 from noise.discrepancy.name.folds import Folds
@@ -34,6 +35,12 @@ def test_a_single_cause_explains_nearly_everything():
     assert divided.rest.value < 0.1
     gain, error = divided.gains["zero_offset"]
     assert gain > 4.0 * error > 0.0
+
+
+def test_every_feature_has_a_name_and_is_finite():
+    for evidence in (STRONG, WEAK, replace(WEAK, lead=float("inf"), gain=-5.0, gain_error=0.0)):
+        assert evidence.features().shape == (len(FEATURES),)
+        assert np.isfinite(evidence.features()).all()
 
 
 def test_strong_evidence_is_believed_and_weak_is_not():
