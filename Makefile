@@ -5,7 +5,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NONCE ?= public
 
-.PHONY: help demo test check install benchmarks proof firmware clean
+TRIALS ?= 10
+WORKERS ?= 2
+
+.PHONY: help demo test check install benchmarks judge proof firmware clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -33,6 +36,9 @@ check: $(STAMP)  ## lint, types and import contracts only
 
 benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
 	$(BIN)/python -m pytest benchmarks -m '' -q -s
+
+judge: $(STAMP)  ## measure the diagnosis on labelled trials (hours; stop at any time, the same command goes on)
+	$(BIN)/sonar-gym judge --out runs/judge --n $(TRIALS) --workers $(WORKERS) --page docs/diagnosis-judged.md
 
 proof: $(STAMP)  ## the slow tests, then 300 blind trials (hours; stop at any time, the same command goes on)
 	$(BIN)/python -m pytest -m slow -q

@@ -37,6 +37,8 @@ COMMANDS = {
     "prove-real": ("diagnosis.prove_real", "diagnose real recordings with one column hidden"),
     "generate-trials": ("diagnosis.generators.command", "write labelled pairs of a simulation and a recording"),
     "effects": ("diagnosis.effects", "list the effects that a diagnosis can name"),
+    "judge": ("diagnosis.judging.command", "measure the diagnosis on labelled trials and on real recordings"),
+    "fit-decision": ("diagnosis.judging.fit_command", "fit the probabilities of causes on labelled trials"),
 }
 USAGE_ERROR, INTERRUPTED = 2, 130
 

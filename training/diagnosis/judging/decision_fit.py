@@ -1,0 +1,177 @@
+"""Fit of the decision model: a logistic regression on evidence, checked on families that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import log_loss
+from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from acquisition import SettingError
+from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.judge.decision import DecisionModel, Evidence
+from noise.discrepancy.thresholds import LISTED
+from noise.metrics import Reliability, reliability
+from training.diagnosis.judging.record import Record
+
+PENALTIES = tuple(10.0**k for k in np.arange(-3.0, 2.5, 0.5))  # inverse strengths of the L2 penalty
+MAX_TEMPERATURE = 100.0  # at which 460 nats exclude an alternative no better than 1 %
+CONTAMINATION = 0.01  # of places in which no law is near the truth; keeps one of them from setting the temperature
+MIN_FAMILIES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Examples:
+    """Selected effects of many trials.
+
+    Attributes:
+        feature: (n, k).
+        true: whether the effect, or a listed alternative in its place, is a true cause, (n,).
+        family, trial: index of the family and of the trial, (n,).
+    """
+
+    feature: Floats
+    true: Bits
+    family: Ints
+    trial: Ints
+
+
+def temperature_of(records: Sequence[Record]) -> float:
+    """Return the factor by which log posteriors of alternatives overstate evidence, by maximum likelihood.
+
+    It uses the places that hold a true cause which no other selected effect names.
+    """
+    places = [place for record in records for place in _decided(record)]
+    if not places:
+        raise SettingError("no trial has its true cause among the alternatives; add trials of kind single")
+
+    def loss(log_temperature: float) -> float:
+        likely = [_probability(names, log / np.exp(log_temperature), ids) for names, log, ids in places]
+        return -float(np.sum(np.log((1.0 - CONTAMINATION) * np.array(likely) + CONTAMINATION)))
+
+    found = minimize_scalar(loss, bounds=(0.0, np.log(MAX_TEMPERATURE)), method="bounded")
+    return float(np.exp(found.x))
+
+
+def _place(record: Record, effect: str) -> tuple[list[str], Floats]:
+    others = record["posteriors"].get(effect, {})
+    return [effect, *others], np.array([0.0, *others.values()])
+
+
+def _probability(names: Sequence[str], log: Floats, ids: set[str]) -> float:
+    weight = np.exp(log - log.max())
+    return float(weight[[name in ids for name in names]].sum() / weight.sum())
+
+
+def _decided(record: Record) -> list[tuple[list[str], Floats, set[str]]]:
+    found = []
+    for effect in record["evidence"]:
+        names, log = _place(record, effect)
+        for cause in record["causes"]:
+            ids = set(cause["accepted"])
+            elsewhere = ids & record["evidence"].keys() - {effect}
+            if len(names) > 1 and ids & set(names) and not elsewhere:
+                found.append((names, log, ids))
+    return found
+
+
+def true_places(record: Record, temperature: float) -> set[str]:
+    """Return the selected effects in whose place a true cause is listed; each cause counts in one place."""
+    out = set()
+    for cause in record["causes"]:
+        ids = set(cause["accepted"])
+        likely = {e: _listed(record, e, temperature, ids) for e in record["evidence"] if e not in out}
+        best = max(likely, key=lambda effect: likely[effect], default="")
+        if likely.get(best, 0.0) >= LISTED:
+            out.add(best)
+    return out
+
+
+def _listed(record: Record, effect: str, temperature: float, ids: set[str]) -> float:
+    names, log = _place(record, effect)
+    return 1.0 + float(effect in ids) if effect in ids else _probability(names, log / temperature, ids)
+
+
+def examples_of(records: Sequence[Record], temperature: float) -> Examples:
+    """Return the selected effects of all records with their features.
+
+    Raises:
+        SettingError: fewer than two families, or effects that are all true or all wrong.
+    """
+    families = sorted({record["family"] for record in records})
+    rows = [
+        (Evidence(**evidence).features(), effect in true, families.index(record["family"]), k)
+        for k, record in enumerate(records)
+        for true in [true_places(record, temperature)]
+        for effect, evidence in record["evidence"].items()
+    ]
+    feature, true, family, trial = (
+        (np.array(column) for column in zip(*rows, strict=True)) if rows else [np.empty(0)] * 4
+    )
+    if len(np.unique(family)) < MIN_FAMILIES or len(np.unique(true)) < 2:
+        raise SettingError(
+            f"{len(rows)} selected effects of {len(np.unique(family))} families, {int(np.sum(true))} of them true: the "
+            f"fit needs both true and wrong ones, and {MIN_FAMILIES} families; run more trials"
+        )
+    return Examples(feature, true.astype(bool), family.astype(np.int64), trial.astype(np.int64))
+
+
+def fit(examples: Examples, temperature: float) -> DecisionModel:
+    """Return the decision model; the penalty is that with the least log loss on families left out."""
+    regression = _regression(_penalty(examples)).fit(examples.feature, examples.true)
+    scaler, logistic = regression[0], regression[1]
+    return DecisionModel(scaler.mean_, scaler.scale_, logistic.coef_[0], float(logistic.intercept_[0]), temperature)
+
+
+def _regression(penalty: float) -> Pipeline:
+    return make_pipeline(StandardScaler(), LogisticRegression(C=penalty, max_iter=2000))
+
+
+def _penalty(examples: Examples) -> float:
+    if len(np.unique(examples.family)) < MIN_FAMILIES:
+        return 1.0
+    losses = [log_loss(examples.true, _left_out(examples, each), labels=[False, True]) for each in PENALTIES]
+    return PENALTIES[int(np.argmin(losses))]
+
+
+def _left_out(examples: Examples, penalty: float) -> Floats:
+    """Return probabilities of the effects of each family by a model of the other families, (n,)."""
+    by_family = LeaveOneGroupOut()
+    both = cross_val_predict(
+        _regression(penalty),
+        examples.feature,
+        examples.true,
+        groups=examples.family,
+        cv=by_family,
+        method="predict_proba",
+    )
+    return np.asarray(both[:, 1])
+
+
+def left_out_probabilities(examples: Examples) -> Floats:
+    """Return probabilities of each family's effects by a model of the others, its penalty included, (n,)."""
+    out = np.empty(len(examples.true))
+    for each in np.unique(examples.family):
+        rest = examples.family != each
+        part = Examples(*(getattr(examples, name)[rest] for name in ("feature", "true", "family", "trial")))
+        regression = _regression(_penalty(part)).fit(part.feature, part.true)
+        out[~rest] = regression.predict_proba(examples.feature[~rest])[:, 1]
+    return out
+
+
+def quality(probability: Floats, examples: Examples) -> tuple[dict[str, object], Reliability]:
+    """Return size, Brier score, calibration error and reliability bins of probabilities, and the bins to draw."""
+    bins = reliability(probability, examples.true, examples.trial)
+    filled = np.flatnonzero(bins.pings)
+    table = [
+        {"predicted": float(bins.predicted[k]), "observed": float(bins.observed[k]), "n": int(bins.pings[k])}
+        for k in filled
+    ]
+    brier = float(np.mean((probability - examples.true) ** 2))
+    return {"n": len(probability), "brier": brier, "ece": bins.gap, "reliability": table}, bins

@@ -1,0 +1,106 @@
+"""Fit the decision model on labelled trials, and write its weights with a card and a reliability diagram."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquisition import SettingError
+from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
+from noise.metrics import Reliability
+from training.common.canvas import AFTER, SOFT, Axes, panels
+from training.common.commit import ROOT, commit
+from training.diagnosis.generators.ensemble import FAMILIES, PAIR, SAME, SINGLE, UNMODELLED
+from training.diagnosis.judging.command import LEFT_OUT
+from training.diagnosis.judging.decision_fit import (
+    examples_of,
+    fit,
+    left_out_probabilities,
+    quality,
+    temperature_of,
+)
+from training.diagnosis.judging.record import Record
+from training.diagnosis.judging.run import read, run
+from training.diagnosis.judging.tasks import trials
+
+KINDS = (SAME, SINGLE, PAIR, UNMODELLED)  # whose true causes are known
+
+
+@dataclass(frozen=True)
+class Args:
+    """Fit the decision model.
+
+    Attributes:
+        out: folder of the records of the trials.
+        n: number of trials of each family and kind; 0 fits to the records that exist.
+        pings: approximate number in each recording.
+        seed: of all random numbers; `sonar-gym judge` uses another.
+        workers: number of processes.
+        weights: file of the weights and the card.
+        picture: file of the reliability diagram.
+    """
+
+    out: Path = Path("runs/decision")
+    n: int = 20
+    pings: int = 2000
+    seed: int = 1
+    workers: int = 1
+    weights: Path = WEIGHTS
+    picture: Path = ROOT / "docs" / "images" / "decision-reliability.png"
+
+
+def main(args: Args) -> None:
+    """Run the trials, fit, and write."""
+    version = commit()
+    families = tuple(name for name in FAMILIES if name not in LEFT_OUT)
+    tasks = trials(families, KINDS, args.n, args.seed, args.pings)
+    records = run(tasks, args.out, args.workers) if args.n else read(args.out)
+    model, card, bins = fitted([r for r in records if r["family"] in families and r["kind"] in KINDS])
+    card |= {"command": f"sonar-gym {shlex.join(sys.argv[1:])}", "commit": version}
+    args.weights.write_text(json.dumps({"model": model.to_dict(), "card": card}, indent=1) + "\n", encoding="utf-8")
+    args.picture.parent.mkdir(parents=True, exist_ok=True)
+    args.picture.write_bytes(panels([lambda axes: draw(axes, bins)], (4.6, 4.2)))
+    print(json.dumps(card, indent=1))
+    print(f"written: {args.weights} and {args.picture}")
+
+
+def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object], Reliability]:
+    """Return the model, its card, and the reliability of families left out.
+
+    Raises:
+        SettingError: too few trials.
+    """
+    done = [record for record in records if record["error"] is None]
+    if not done:
+        raise SettingError("no finished trials to fit the decision model to; give a number of trials with --n")
+    temperature = temperature_of(done)
+    examples = examples_of(done, temperature)
+    model = fit(examples, temperature)
+    scores, bins = quality(left_out_probabilities(examples), examples)
+    used = sorted({record["family"] for record in done})
+    commits = sorted({record["commit"] for record in done})
+    card: dict[str, object] = {
+        "families used": used,
+        "families left out": list(LEFT_OUT),
+        "trials": len(done),
+        "seeds": sorted({record["seed"] for record in done}),
+        "diagnosed at": commits,
+        "scores are of": "effects of each family by a model of the other families used",
+    }
+    return model, card | scores, bins
+
+
+def draw(axes: Axes, bins: Reliability) -> None:
+    """Draw observed frequency against stated probability; the area of a point is the number of effects."""
+    axes.plot([0, 1], [0, 1], color=SOFT, lw=1)
+    filled = bins.pings > 0
+    axes.errorbar(
+        bins.predicted[filled], bins.observed[filled], yerr=bins.error[filled], fmt="none", ecolor=AFTER, elinewidth=1
+    )
+    axes.scatter(bins.predicted[filled], bins.observed[filled], s=8 + 2 * bins.pings[filled], color=AFTER, zorder=3)
+    axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), xlabel="stated probability", ylabel="share of true causes")
+    axes.set_title("Families left out")

@@ -1,0 +1,121 @@
+"""The page of targets: misses first, then all rows, each family, and the hard cases; as Markdown and as JSON."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from training.common.tables import markdown_table
+from training.diagnosis.judging.record import Record
+from training.diagnosis.judging.rows import Records, Row, rows
+from training.diagnosis.judging.scoring import STRONG_NATS, STRONG_P, STRONG_SIZE, leads, stated
+from training.diagnosis.judging.tasks import HARD_CASE, REAL, TIMED
+
+SECONDS = {2_000: 5.0, 10_000: 15.0, 133_100: 40.0}  # pings -> target of the design, s
+HEADER = ("metric", "target", "measured", "95 % interval", "n", "met")
+NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}; rows
+named "by a classifier" use ≥ {STRONG_NATS:g} nats of a classifier instead, which knows no law of a sonar. Shares have
+Wilson intervals, medians and percentiles bootstrap intervals. The gap closed on a fresh recording is that between
+the simulation's own readings and a second recording, in CRPS with silence counted; trials without a gap of two standard
+errors are left out of it. On unseen visits the oracle is the recording's own nearest visits. Times are those of this
+run, with all its workers busy. Not measured here: the width of intervals relative to an oracle, and whether the next
+measurement settles. Region overlap (IoU) is counted in pings of the recording."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Content of the page.
+
+    Attributes:
+        scopes: name of a set of trials -> its rows; "all", "left out of the fit", then each family.
+        special: hard cases, real recordings, and timed trials.
+    """
+
+    scopes: dict[str, list[Row]]
+    special: list[Record]
+
+
+def judged(records: Records, left_out: Sequence[str]) -> Judged:
+    """Return the rows of all scopes.
+
+    Args:
+        records: of trials and of hard cases.
+        left_out: families that the decision model never saw.
+    """
+    special = [record for record in records if record["family"] in (HARD_CASE, REAL, TIMED)]
+    plain = [record for record in records if record["family"] not in (HARD_CASE, REAL, TIMED)]
+    families = list(dict.fromkeys(record["family"] for record in plain))
+    scopes = {"all families": plain, "left out of the fit": [r for r in plain if r["family"] in left_out]}
+    scopes |= {family: [r for r in plain if r["family"] == family] for family in families}
+    return Judged({name: rows(some) for name, some in scopes.items() if some}, special)
+
+
+def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
+    """Return the page; `heading` holds commit, command line and counts."""
+    missed = [(name, row) for name, found in content.scopes.items() for row in found if row.hit is False]
+    parts = ["# The diagnosis, measured\n", heading, "", NOTES, "", "## Misses", ""]
+    parts.append(markdown_table(("trials", *HEADER[:-1]), ((name, *_cells(row)[:-1]) for name, row in missed)))
+    for name, found in list(content.scopes.items())[:2]:
+        title = f"{name} ({', '.join(left_out)})" if name == "left out of the fit" else name
+        parts += ["", f"## Targets: {title}", "", markdown_table(HEADER, map(_cells, found))]
+    parts += ["", "## Each family", "", _by_family(content), "", "## Hard cases", "", _special_table(content.special)]
+    return "\n".join(parts) + "\n"
+
+
+def as_json(content: Judged) -> dict[str, Any]:
+    """Return the rows as plain data, with "hit" true, false or null."""
+    return {name: [{**asdict(row), "hit": row.hit} for row in found] for name, found in content.scopes.items()}
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    met = {True: "yes", False: "**no**", None: "–"}[row.hit]
+    span = f"{row.number(row.low)} to {row.number(row.high)}"
+    return row.metric, row.aim, row.number(row.value), span if row.low == row.low else "–", f"{row.n:,}", met
+
+
+def _by_family(content: Judged) -> str:
+    families = [name for name in content.scopes if name not in ("all families", "left out of the fit")]
+    first = content.scopes.get("all families", [])
+    lines = [
+        (row.metric, row.aim, *(_brief(content.scopes[family][k]) for family in families))
+        for k, row in enumerate(first)
+    ]
+    return markdown_table(("metric", "target", *families), lines)
+
+
+def _brief(row: Row) -> str:
+    text = f"{row.number(row.value)} ({row.n})" if row.n else "–"
+    return f"**{text}**" if row.hit is False else text
+
+
+def is_right(record: Record) -> bool:
+    """Return whether a hard case is answered: none without a cause, else the leading cause right and no second."""
+    if record["error"] is not None:
+        return False
+    if record["family"] == TIMED:
+        return bool(record["seconds"] <= SECONDS[record["pings"]])
+    if record["fault"]:
+        return record["verdict"]["verdict"] != "none"
+    if not record["causes"]:
+        return record["verdict"]["verdict"] in ("none", "too_little_data")
+    return leads(record) and len(record["verdict"]["causes"]) == len(record["causes"])
+
+
+def _special_table(records: Iterable[Record]) -> str:
+    header = ("case", "pings", "expected", "verdict", "named, with probability", "seconds", "right")
+    records = sorted(records, key=is_right)
+    counts = Counter((record["family"], is_right(record)) for record in records)
+    totals = [f"{name}: {counts[name, True]} right, {counts[name, False]} wrong" for name in (HARD_CASE, REAL, TIMED)]
+    return "; ".join(totals) + "\n\n" + markdown_table(header, map(_line, records))
+
+
+def _line(record: Record) -> tuple[str, ...]:
+    truth = ", ".join(cause["effect"] for cause in record["causes"]) or record["fault"] or "none"
+    case = f"{record['family']}: {record['kind']}"
+    if record["error"] is not None:
+        return case, f"{record['n']:,}", truth, f"error: {record['error']}"[:80], "–", "–", "**no**"
+    named = ", ".join(f"{name} {probability:.2f}" for name, probability in stated(record)) or "–"
+    verdict, right = record["verdict"]["verdict"], "yes" if is_right(record) else "**no**"
+    return case, f"{record['n']:,}", truth, verdict, named, f"{record['seconds']:.0f}", right

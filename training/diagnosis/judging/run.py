@@ -1,0 +1,68 @@
+"""Diagnose many tasks and keep one line of JSON for each; an interrupted run goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+from training.common.progress import bar
+from training.diagnosis.judging.record import Record, record_of
+from training.diagnosis.judging.tasks import Task
+
+RECORDS = "records.jsonl"
+
+
+def run(tasks: Iterable[Task], out: Path, workers: int, judge: Callable[[Task], Record] = record_of) -> list[Record]:
+    """Diagnose the tasks that have no record yet; return the records of all tasks.
+
+    Args:
+        tasks: what to diagnose.
+        out: folder of the records.
+        workers: number of processes; 1 works in this process.
+        judge: makes the record of a task.
+    """
+    tasks, path = list(tasks), out / RECORDS
+    out.mkdir(parents=True, exist_ok=True)
+    known = {record["id"] for record in read(out)}
+    missing = [task for task in tasks if task.id not in known]
+    with bar("diagnosing", len(missing)) as update:
+        for done, record in enumerate(_records(missing, workers, judge), 1):
+            append(path, record)
+            update(done, len(missing))
+    wanted = {task.id for task in tasks}
+    return [record for record in read(out) if record["id"] in wanted]
+
+
+def _records(tasks: list[Task], workers: int, judge: Callable[[Task], Record]) -> Iterator[Record]:
+    if workers == 1:
+        yield from map(judge, tasks)
+        return
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:  # forking a process with threads is unsafe
+        for future in as_completed([pool.submit(judge, task) for task in tasks]):
+            yield future.result()
+
+
+def append(path: Path, record: Record) -> None:
+    """Write a record as one line and force it to disk."""
+    with path.open("ab") as file:
+        file.write(json.dumps(record).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read(out: Path) -> list[Record]:
+    """Return the records of a folder, one per task; a line that an interruption cut short is removed from the file."""
+    path = out / RECORDS
+    if not path.is_file():
+        return []
+    text = path.read_bytes()
+    whole = text[: text.rfind(b"\n") + 1]
+    if len(whole) < len(text):
+        with path.open("ab") as file:
+            file.truncate(len(whole))
+    found: Iterable[Record] = map(json.loads, whole.splitlines())
+    return list({record["id"]: record for record in found}.values())

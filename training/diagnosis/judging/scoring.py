@@ -1,0 +1,129 @@
+"""Whether the verdict of one record is right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from training.diagnosis.judging.record import Record
+
+STRONG_SIZE = 0.5  # half of "plain to see"
+STRONG_P = 0.001  # the test tells the two recordings apart beyond doubt
+STRONG_NATS = 15.0  # the design's definition, here by a classifier that knows no law
+LEAST_SHARE = 0.1  # a wrong cause with a smaller share does little harm
+BELIEVED, PARTLY = 0.5, 0.3  # probability and share from which a wrong name of an unmodelled fault misleads
+
+
+def true_ids(record: Record) -> set[str]:
+    """Return all ids that name a true cause."""
+    return {name for cause in record["causes"] for name in cause["accepted"]}
+
+
+def is_strong(record: Record) -> bool:
+    """Return whether every cause is of half the plain size and the test has p < 0.001."""
+    large = all(cause["size"] >= STRONG_SIZE for cause in record["causes"])
+    return large and record["verdict"]["p_value"] < STRONG_P
+
+
+def is_apart(record: Record) -> bool:
+    """Return whether a classifier that knows no law tells the recordings apart by 15 nats."""
+    return bool(record["separation_nats"] >= STRONG_NATS)
+
+
+def stated(record: Record) -> list[tuple[str, float]]:
+    """Return every named effect with its probability: causes and their alternatives."""
+    return [pair for cause in record["verdict"]["causes"] for pair in _place(cause)]
+
+
+def _place(cause: Record) -> list[tuple[str, float]]:
+    others = [(each["effect"], each["probability"]) for each in cause["alternatives"]]
+    return [(cause["effect"], cause["probability"]), *others]
+
+
+def leads(record: Record) -> bool:
+    """Return whether the most probable effect is a true cause."""
+    named = stated(record)
+    return bool(named) and max(named, key=lambda pair: pair[1])[0] in true_ids(record)
+
+
+def wrong_causes(record: Record) -> Iterator[Record]:
+    """Yield the causes that name no true cause."""
+    return (cause for cause in record["verdict"]["causes"] if cause["effect"] not in true_ids(record))
+
+
+def no_wrong_share(record: Record) -> bool:
+    """Return whether no wrong cause holds more than a tenth of the misfit."""
+    return all((cause["share"] or 0.0) <= LEAST_SHARE for cause in wrong_causes(record))
+
+
+def names_all(record: Record) -> bool:
+    """Return whether every true cause is named by a cause of its own."""
+    named = [cause["effect"] for cause in record["verdict"]["causes"]]
+    sets = [[name for name in named if name in cause["accepted"]] for cause in record["causes"]]
+    return all(sets) and len({name for names in sets for name in names}) >= len(sets)
+
+
+def misled(record: Record) -> bool:
+    """Return whether a wrong cause is believed and holds a large share."""
+    return any(c["probability"] >= BELIEVED and (c["share"] or 0.0) >= PARTLY for c in wrong_causes(record))
+
+
+def aspect_right(record: Record) -> bool:
+    """Return whether the first located aspect is one in which the cause shows."""
+    where, true = record["verdict"]["where"], {a for cause in record["causes"] for a in cause["aspects"]}
+    return bool(where) and where[0]["aspect"] in true
+
+
+def region_overlap(record: Record) -> float:
+    """Return the overlap of the first located region of conditions with a right aspect; 0 where there is none."""
+    true = {aspect for cause in record["causes"] for aspect in cause["aspects"]}
+    pairs = zip(record["verdict"]["where"], record["overlap"], strict=True)
+    return next((iou for place, iou in pairs if place["aspect"] in true and iou is not None), 0.0)
+
+
+def covered(record: Record) -> Iterator[bool]:
+    """Yield, for each true cause that was named by its id, whether the interval holds the true parameter."""
+    for cause in record["causes"]:
+        interval = record["intervals"].get(cause["effect"], {}).get(cause["parameter"])
+        if interval is not None and cause["value"] is not None:
+            yield bool(interval[1] <= cause["value"] <= interval[2])
+
+
+def statements(record: Record) -> Iterator[tuple[float, bool]]:
+    """Yield stated probabilities and whether each is true.
+
+    Ids that name the same true cause in the place of one cause are one statement, with the sum of their probabilities.
+    """
+    for cause in record["verdict"]["causes"]:
+        named = _place(cause)
+        for true in record["causes"]:
+            own = [p for name, p in named if name in true["accepted"]]
+            if own:
+                yield min(sum(own), 1.0), True
+            named = [(name, p) for name, p in named if name not in true["accepted"]]
+        yield from ((p, False) for _, p in named)
+
+
+def gap_closed(record: Record, model: str = "corrected") -> float | None:
+    """Return the share of the CRPS between simulation and oracle that a model gains on a fresh recording.
+
+    None where simulation and oracle differ by less than two standard errors, so that there is no gap to close.
+    """
+    scores = record["scores"]
+    if scores is None:
+        return None
+    gap = scores["before"] - scores["again"]
+    return float((scores["before"] - scores[model]) / gap) if gap > 2.0 * scores["gap_error"] else None
+
+
+def gap_unseen(record: Record) -> float | None:
+    """Return the gap closed on unseen visits of the recording, with its own repeatability as the oracle."""
+    held = record["verdict"]["held_out"]
+    before, after = held["before"]["crps_mm"], held["after"]["crps_mm"]
+    gap = before - held["repeatability_mm"]
+    return float((before - after) / gap) if gap > 0 else None
+
+
+def made_worse(record: Record) -> bool:
+    """Return whether the corrected model is worse than the simulation on fresh readings, beyond two errors."""
+    scores = record["scores"]
+    return bool(scores["corrected"] - scores["before"] > 2.0 * scores["change_error"])
