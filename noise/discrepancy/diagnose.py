@@ -13,8 +13,8 @@ import pandas as pd
 from acquisition import Recording, SettingError
 from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
-from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
 from noise.discrepancy.evidence import Evidence
+from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.held_out import crps, held_out
 from noise.discrepancy.judge.shares import Shares, shares

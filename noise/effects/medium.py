@@ -88,7 +88,9 @@ class SoundSpeed(Effect):
         if not share:
             return f"{size}: the air was at {warm:.1f} degC, the sensor assumes {ASSUMED_TEMPERATURE_C:.1f} degC."
         slope = -50.0 * share / (CELSIUS + warm)
-        return f"{size} in air of {warm:.1f} degC, and change by {slope:+.2g} % per kelvin of the thermometer."
+        change = f"change by {slope:+.2g} % of distance per kelvin of the thermometer"
+        sense = "long" if error >= 0 else "short"
+        return f"Readings {change}; at {REFERENCE_C:g} degC, they run {sense} by {100 * abs(error):.2g} %."
 
 
 class AirAbsorption(Effect):

@@ -17,10 +17,11 @@ from noise.discrepancy.locate.moments import Group, bin_sums, moments, one_weigh
 from noise.discrepancy.locate.orthogonal import Tested, studentised
 from noise.discrepancy.locate.regressors import Regressor
 from noise.discrepancy.locate.scores import ASPECTS
-from noise.discrepancy.result import Interval, Location, PValue, Range
+from noise.discrepancy.result import Aspect, Interval, Location, PValue, Range
 
 LEVEL = 0.01  # of the test, adjusted for all regressors and aspects
 TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
+ORDER = {Aspect.SPREAD: 1, Aspect.REPEAT: 1, Aspect.MEMORY: 1, Aspect.SKEW: 2}  # of moments; 0 for all others
 MAX_PER_ASPECT = 3  # located mismatches of one aspect; more are hardly distinct
 
 
@@ -34,15 +35,21 @@ class _Found:
 
 
 def locate(tested: Tested) -> tuple[Location, ...]:
-    """Return the located mismatches, the strongest first; empty where the test does not reject at `LEVEL`."""
+    """Return the located mismatches, the strongest first; empty where the test does not reject at `LEVEL`.
+
+    Of those that no draw of the bootstrap reaches, a difference of lower order comes first: echoes that read long also
+    look wider and lopsided.
+    """
     out = []
     for group in tested.groups:
         for j, a in enumerate(group.aspects):
             for found in _steps(tested, group, j):
                 size = size_of(tested, group, j, found.regressor)
                 region = _region(tested, found.regressor)
-                out.append((found.strength, Location(ASPECTS[a], region, size, found.p_value)))
-    return tuple(location for _, location in sorted(out, key=lambda pair: -pair[0]))
+                certain = found.p_value.at_end
+                order = -ORDER.get(ASPECTS[a], 0) if certain else -max(ORDER.values()) - 1
+                out.append(((order, found.strength), Location(ASPECTS[a], region, size, found.p_value)))
+    return tuple(location for _, location in sorted(out, key=lambda pair: pair[0], reverse=True))
 
 
 def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:

@@ -15,6 +15,7 @@ from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
 DESIGN = 2  # quasi-random starting points of an effect, a power of two
 # discrete values without a derivative, whose bounds are those of the list of starts
+WIDTH = "spread_m"  # of the echoes of another reflector
 STEPWISE = ("step_m", "unit_m")
 
 
@@ -103,12 +104,12 @@ def log_prior(stack: Stack, base: Stack, names: Sequence[str]) -> float:
 def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
     """Return whether an effect needs a bound that is neither its null nor the base's value: then it explains nothing.
 
-    The ends of a share, 0 and 1, are no bounds in this sense. Stepwise parameters have no derivative and stay at their
-    starts.
+    The ends of a share, 0 and 1, are no bounds in this sense, nor is a width within one step of the register, which is
+    none at all. Stepwise parameters have no derivative and stay at their starts.
     """
     for key in keys_of(stack, name, batch):
         p, value = stack.parameter(key), stack.get(key)
-        if p.name in STEPWISE or (p.low, p.high) == (0.0, 1.0):
+        if p.name in STEPWISE or (p.low, p.high) == (0.0, 1.0) or (p.name == WIDTH and value <= batch.resolution):
             continue
         slack = AT_BOUND * (p.high - p.low)
         moved = abs(value - p.null) > slack and abs(value - base.get(key)) > slack
