@@ -45,7 +45,7 @@ from noise.discrepancy.result import (
     Verdict,
     Visible,
 )
-from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MIN_SHARE
+from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, LEFT_LEVEL, MIN_SHARE
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -183,6 +183,7 @@ def _different(
     """Return the diagnosis of a recording that differs."""
     readings = data.baseline.readings
     search = Search(data.baseline.law, data.folds, readings, data.rng("search"), without, data.tell)
+    search.is_left = lambda found: is_left(data, search, found)
     _, found = search.run()
     none = search.nothing(found)
     data.tell("weighing", 0.7)
@@ -196,6 +197,12 @@ def _different(
         data, recorded, tested, where, visible, kind, judged.causes, rest, causes_only, corrected, places
     )
     return replace(diagnosis, evidence=judged.evidence, posteriors={p.effect: p.others for p in judged.places})
+
+
+def is_left(data: Data, search: Search, found: Hypothesis) -> bool:
+    """Return whether the orthogonal test finds a difference that a hypothesis leaves."""
+    tested = orthogonal_test(found.stacks[0], search.common, data.sample, data.rng("left"))
+    return tested.p_value.value < LEFT_LEVEL
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,3 +14,4 @@ LISTED = 0.05  # probability from which an alternative is listed
 SPREAD_TOLERANCE = 0.2  # relative change of the scatter: two sensors of one type differ by this much; chosen here
 LEAST_VISIBLE_M = 0.1  # a recording that shows no smaller bias says nothing: no sonar errs by more
 LEAST_VISIBLE_SHARE = 0.5  # a recording that shows no smaller loss of echoes says nothing
+LEFT_LEVEL = 0.1  # of the test after each cause: a further search costs time, and the gain of a cause decides

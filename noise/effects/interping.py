@@ -206,7 +206,7 @@ class AsynchronousCrosstalk(Effect):
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return the clock that fits the arrivals of early readings best: the peak of their spectrum."""
         early = echoes.early
-        if len(early.time) < 8:
+        if cls.ambiguous(echoes):
             return []
         delay = 2.0 * early.range / ASSUMED_SPEED
         period = 1.0 / _clock_frequency(early.time - early.time.min(), delay)

@@ -195,6 +195,11 @@ class Batch:
         return np.add.reduceat(value, self.starts, axis=0)
 
     @cached_property
+    def guesses(self) -> dict[str, list[dict[str, float]]]:
+        """Initial parameter values of effects estimated from these readings, by effect id; filled on first use."""
+        return {}
+
+    @cached_property
     def repeats(self) -> NDArray[np.bool_]:
         """Whether each echo equals the reading before it in its run, (n,)."""
         same = np.abs(self.reading.range - self.past.range) < 0.5 * self.resolution

@@ -10,7 +10,7 @@ import torch
 from scipy.stats import qmc
 
 from acquisition.arrays import Floats
-from noise.effects import EchoSample, Parameter
+from noise.effects import EchoSample, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std
@@ -63,10 +63,17 @@ def starting_points(
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
     for row in dict.fromkeys((tuple(points[0]), tuple(first))):
         points += _one_at_a_time(stack.put(keys, row), keys, whole or batch)
-    points += [[guess[key[1]] for key in keys] for guess in stack.known[name].guesses(echoes_of(whole or batch))]
+    points += [[guess[key[1]] for key in keys] for guess in guesses_of(stack.known[name], whole or batch)]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
     points += [[between_bounds(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
     return [stack.put(keys, point) for point in points]
+
+
+def guesses_of(effect: type[Effect], batch: Batch) -> list[dict[str, float]]:
+    """Return the initial values that an effect estimates from readings; they are computed once for each batch."""
+    if effect.name not in batch.guesses:
+        batch.guesses[effect.name] = effect.guesses(echoes_of(batch))
+    return batch.guesses[effect.name]
 
 
 def _one_at_a_time(stack: Stack, keys: Sequence[Key], batch: Batch) -> list[list[float]]:

@@ -93,6 +93,7 @@ class Search:
         rng: generator of the starting points.
         without: effects that are known not to differ.
         tell: called with a message and the share done.
+        is_left: whether the recording differs from a hypothesis, by the orthogonal test; if not, nothing is added.
         attempts: what was cross-fitted, and what became of it.
         shared: effects that joined the common law.
         tried: cross-fitted hypotheses of each round, by the effects that were given and the effect that was added.
@@ -104,10 +105,12 @@ class Search:
     rng: np.random.Generator
     without: tuple[str, ...] = ()
     tell: Tell = lambda message, share: None
+    is_left: Callable[[Hypothesis], bool] = lambda found: True
     attempts: list[Attempt] = field(default_factory=list)
     shared: list[str] = field(default_factory=list)
     tried: dict[tuple[str, ...], dict[str, Hypothesis]] = field(default_factory=dict)
     _scales: dict[int, Scales] = field(default_factory=dict)
+    _null: tuple[Stack, Hypothesis] | None = None
 
     def __post_init__(self) -> None:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
@@ -128,7 +131,7 @@ class Search:
         none = current = self.null()
         if self.lacks_threshold():
             current = self.with_threshold(current)
-        while len(current.effects) < MAX_CAUSES:
+        while len(current.effects) < MAX_CAUSES and (not current.effects or self.is_left(current)):
             self.tell(f"searching, {len(current.effects)} found", 0.2 + 0.1 * len(current.effects))
             found = self.round(current)
             if found is None:
@@ -139,7 +142,12 @@ class Search:
         return none, self.with_scatter(current)
 
     def null(self) -> Hypothesis:
-        """Return the hypothesis that only nuisances differ."""
+        """Return the hypothesis that only nuisances differ; it is fitted once for each common law."""
+        if self._null is None or self._null[0] is not self.common:
+            self._null = self.common, self._fitted_null()
+        return self._null[1]
+
+    def _fitted_null(self) -> Hypothesis:
         stacks = [
             highest(maximise(start, NUISANCES, part, 40, FINE) for start in nuisance_starts(self.common, part)).stack
             for part in self.parts
