@@ -15,7 +15,8 @@ from sklearn.preprocessing import StandardScaler
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.judge.decision import DecisionModel, Evidence
+from noise.discrepancy.evidence import Evidence
+from noise.discrepancy.judge.decision import DecisionModel
 from noise.discrepancy.thresholds import LISTED
 from noise.metrics import Reliability, reliability
 from training.diagnosis.judging.record import Record

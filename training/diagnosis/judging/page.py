@@ -15,13 +15,14 @@ from training.diagnosis.judging.tasks import HARD_CASE, REAL, TIMED
 
 SECONDS = {2_000: 5.0, 10_000: 15.0, 133_100: 40.0}  # pings -> target of the design, s
 HEADER = ("metric", "target", "measured", "95 % interval", "n", "met")
-NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}; rows
-named "by a classifier" use ≥ {STRONG_NATS:g} nats of a classifier instead, which knows no law of a sonar. Shares have
-Wilson intervals, medians and percentiles bootstrap intervals. The gap closed on a fresh recording is that between
-the simulation's own readings and a second recording, in CRPS with silence counted; trials without a gap of two standard
-errors are left out of it. On unseen visits the oracle is the recording's own nearest visits. Times are those of this
-run, with all its workers busy. Not measured here: the width of intervals relative to an oracle, and whether the next
-measurement settles. Region overlap (IoU) is counted in pings of the recording."""
+NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}.
+The row "{STRONG_NATS:g} nats apart in CRPS" does not use the test: the readings of a second simulation describe a fresh
+recording worse than those of a second recording, by so many nats or more. Shares have Wilson intervals, medians and
+percentiles bootstrap intervals. The gap closed on a fresh recording is that between the simulation's own readings and a
+second recording in the same visits, in CRPS with silence counted; trials without a gap of two standard errors are left
+out of it. On unseen visits the oracle is the recording's own nearest visits. Times are those of this run, with all its
+workers busy. Region overlap (IoU) is counted in pings. Not measured here: the width of intervals relative to an oracle,
+and whether the next measurement settles."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
     """Return the page; `heading` holds commit, command line and counts."""
     missed = [(name, row) for name, found in content.scopes.items() for row in found if row.hit is False]
     parts = ["# The diagnosis, measured\n", heading, "", NOTES, "", "## Misses", ""]
-    parts.append(markdown_table(("trials", *HEADER[:-1]), ((name, *_cells(row)[:-1]) for name, row in missed)))
+    parts.append(markdown_table(("trials", *HEADER), ((name, *_cells(row)) for name, row in missed)))
     for name, found in list(content.scopes.items())[:2]:
         title = f"{name} ({', '.join(left_out)})" if name == "left out of the fit" else name
         parts += ["", f"## Targets: {title}", "", markdown_table(HEADER, map(_cells, found))]
@@ -70,9 +71,8 @@ def as_json(content: Judged) -> dict[str, Any]:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    met = {True: "yes", False: "**no**", None: "–"}[row.hit]
     span = f"{row.number(row.low)} to {row.number(row.high)}"
-    return row.metric, row.aim, row.number(row.value), span if row.low == row.low else "–", f"{row.n:,}", met
+    return row.metric, row.aim, row.number(row.value), span if row.low == row.low else "–", f"{row.n:,}", row.met
 
 
 def _by_family(content: Judged) -> str:

@@ -66,9 +66,9 @@ def _angles(folder: Path) -> pd.DataFrame:
 
 def _box(folder: Path) -> pd.DataFrame:
     log = pd.read_csv(folder / "20210102_alldata.csv")
-    log = log[log.ObjectClass.str.startswith("EMPTY")]
-    mark = 10.0 * log.HCSR04_001.median()
-    return _table(mark, 10.0 * log.HCSR04_001, time_s=(log.Time - log.Time.iloc[0]).astype(float))
+    log = log[log.ObjectClass != "ObjectClass"].reset_index(drop=True)  # the header stands in the middle once more
+    reading = 10.0 * pd.to_numeric(log.HCSR04_001)
+    return _table(reading.groupby(log.ObjectClass).transform("median"), reading, session=log.ObjectClass)
 
 
 def _apple(folder: Path) -> pd.DataFrame:
@@ -97,9 +97,9 @@ def _at_random(share: float, value: Callable[[Floats, Rng], Floats]) -> Change:
 
 def _repeated(reading: Floats, rng: Rng) -> Floats:
     """Return readings of which 15 % are the reported reading before."""
-    out = reading.copy()
-    for k in np.flatnonzero(rng.random(len(out)) < 0.15):
-        out[k] = out[max(k - 1, 0)]
+    out, again = reading.copy(), rng.random(len(reading)) < 0.15
+    for k in range(1, len(out)):
+        out[k] = out[k - 1] if again[k] else out[k]
     return out
 
 
@@ -134,23 +134,25 @@ def planted(folder: Path, case: str, rng: Rng) -> tuple[Recording, Recording, tu
     recorded["reading_mm"] = step * np.round(changed / step)  # on the register of the sensor
     distance = table.distance_mm.astype(float)
     if distance.std() < ONE_DISTANCE * distance.mean() and accepted and accepted[0] in ("zero_offset", *SCALES):
-        accepted = (accepted[0], *{"zero_offset", *SCALES} - {accepted[0]})
+        accepted = (accepted[0], *sorted({"zero_offset", *SCALES} - {accepted[0]}))
     causes = (TrueCause(accepted[0], accepted, 1.0),) if accepted else ()
     return _recording(simulated, name), _recording(recorded, name), causes
 
 
 def half_of(recording: Recording) -> Bits:
-    """Return which readings belong to the first half, (n,): every other visit of a condition, else every other reading.
+    """Return which readings belong to the first half, (n,).
 
-    Readings alternate where most conditions were visited only once, so that each half holds every condition.
+    Visits under the same logged conditions alternate; the readings of the last one do where their number is odd. Each
+    half holds about as many readings under every condition.
     """
-    condition, visit = visits_of(recording)
-    if len(np.unique(visit)) >= 2 * len(np.unique(condition)):
-        first = pd.DataFrame({"visit": visit, "condition": condition}).drop_duplicates("visit")
-        rank = first.groupby("condition").cumcount()
-        return np.isin(visit, first.visit[rank % 2 == 0])
-    place = pd.Series(visit).groupby(visit).cumcount().to_numpy()
-    return np.asarray(place % 2 == 0)
+    visit, ping = visits_of(recording)[1], recording.ping
+    logged = {"distance": ping.distance, "angle": ping.angle, **ping.covariates}
+    first = pd.DataFrame({**logged, "visit": visit}).drop_duplicates("visit")
+    same = first.groupby(list(logged), dropna=False).visit
+    rank = same.cumcount()
+    shared = first.visit[(rank % 2 == 0) & (rank == same.transform("size") - 1)]
+    place = pd.Series(visit).groupby(visit).cumcount().to_numpy() + visit  # visits of odd length begin in turn
+    return np.where(np.isin(visit, shared), place % 2 == 0, np.isin(visit, first.visit[rank % 2 == 0]))
 
 
 def _recording(table: pd.DataFrame, name: str) -> Recording:

@@ -8,24 +8,22 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingClassifier
-from sklearn.model_selection import GroupKFold, cross_val_predict
+from scoringrules import crps_ensemble
 from threadpoolctl import threadpool_limits
 
 from acquisition import Recording
 from acquisition.arrays import Bits, Floats
 from noise import discrepancy
-from noise.discrepancy.baseline.nearest import NearestVisits
 from noise.discrepancy.result import Diagnosis, Location
 from noise.fitting.batch import Batch
+from noise.fitting.visits import visits_of
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, IdealModel, SonarModel
 from training.common.commit import commit
 from training.diagnosis.judging.tasks import Case, Task, case_of
 
 Record = dict[str, Any]
-N_FOLDS = 5
-MAX_ITERATIONS = 60  # of boosting: separates strong from weak differences, and takes about a second
+MAX_MEMBERS = 25  # readings of an ensemble; more hardly add information, and take memory
 
 
 def record_of(task: Task) -> Record:
@@ -46,9 +44,7 @@ def record_of(task: Task) -> Record:
 def _content(case: Case, found: Diagnosis) -> Record:
     verdict, batch = found.verdict, found.recorded
     region = case.causes[0].region if len(case.causes) == 1 else {}
-    simulated = found.simulated if found.simulated is not None else Batch.of(case.simulated)
     return {
-        "separation_nats": separation_nats(simulated, batch),
         "verdict": verdict.to_dict(),
         "intervals": {
             cause.effect: {name: (v.value, v.low, v.high) for name, v in cause.parameters.items()}
@@ -84,24 +80,21 @@ def _inside(batch: Batch, region: Mapping[str, tuple[float, float]]) -> Bits | N
 def scores(found: Diagnosis, fresh: tuple[Recording, ...]) -> Record:
     """Return CRPS with silence counted, m, on a fresh recording.
 
-    The user's simulation and the oracle, a second recording, are the readings of their nearest visits under the same
-    conditions. Where no model is offered, its score is that of the simulation.
+    The user's simulation and the oracle, a second recording, are their own readings in the same visits. Where no model
+    is offered, its score is that of the simulation.
 
     Args:
         found: the diagnosis.
-        fresh: recording, simulation, and second recording under the same conditions.
+        fresh: recording, simulation, and second recording under the same conditions, ping by ping.
     """
-    batch, simulated, again = (Batch.of(each) for each in fresh)
-    models: dict[str, SonarModel | None] = {
-        "before": NearestVisits.of(simulated),
-        "again": NearestVisits.of(again),
-        "corrected": found.corrected,
-        "causes_only": found.causes_only,
-    }
-    each = {name: _crps(model, batch) for name, model in models.items() if model is not None}
-    means: Record = {name: float(each.get(name, each["before"]).mean()) for name in models}
+    recording, simulated, again = fresh
+    batch = Batch.of(recording)
+    each = {"before": ensemble_crps(recording, simulated), "again": ensemble_crps(recording, again)}
+    models = {"corrected": found.corrected, "causes_only": found.causes_only}
+    each |= {name: each["before"] if model is None else _crps(model, batch) for name, model in models.items()}
     gap = ClusterMean.of(each["before"] - each["again"], batch.visit).error
-    change = ClusterMean.of(each.get("corrected", each["before"]) - each["before"], batch.visit).error
+    change = ClusterMean.of(each["corrected"] - each["before"], batch.visit).error
+    means = {name: float(value.mean()) for name, value in each.items()}
     return {**means, "gap_error": gap, "change_error": change, "offered": found.corrected is not None}
 
 
@@ -109,35 +102,22 @@ def _crps(model: SonarModel, batch: Batch) -> Floats:
     return crps_with_silence(model.law(batch.ping, batch.past), batch.reading, MAX_RANGE)
 
 
-def separation_nats(simulated: Batch, recorded: Batch) -> float:
-    """Return how far apart two recordings are, in nats, without any law of a sonar.
+def ensemble_crps(recording: Recording, other: Recording) -> Floats:
+    """Return the CRPS of answered pings, m, in the order of a `Batch`; the ensemble is the same visit of another file.
 
-    A classifier of the files sees conditions and readings, another sees conditions alone; the difference of their log
-    losses on unseen visits estimates, from below, the information of the readings about the file, times their number.
+    Its estimator is unbiased (Ferro 2014), so that a small ensemble is no handicap.
+    Readings of the ensemble are moved to the distance of the ping.
     """
-    file = np.r_[np.zeros(len(simulated)), np.ones(len(recorded))]
-    group = np.r_[simulated.visit, simulated.n_visits + recorded.visit]
-    if len(np.unique(group)) < 2 * N_FOLDS:
-        return 0.0
-    common = sorted(simulated.ping.covariates.keys() & recorded.ping.covariates.keys())
-    conditions, readings = map(
-        np.concatenate, zip(_columns(simulated, common), _columns(recorded, common), strict=True)
-    )
-    gain = _log_probability(np.c_[conditions, readings], file, group) - _log_probability(conditions, file, group)
-    return float(gain.sum())
-
-
-def _columns(batch: Batch, common: list[str]) -> tuple[Floats, Floats]:
-    ping, reading = batch.ping, batch.reading
-    logged = [ping.covariates[name] for name in common]
-    error = np.where(reading.echo, reading.range - ping.distance, np.nan)
-    before = np.where(reading.echo & batch.past.echo, reading.range - batch.past.range, np.nan)
-    conditions = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, *logged], axis=1)
-    return conditions, np.stack([error, before, reading.echo.astype(np.float64)], axis=1)
-
-
-def _log_probability(column: Floats, file: Floats, group: Floats) -> Floats:
-    learner = HistGradientBoostingClassifier(max_iter=MAX_ITERATIONS, early_stopping=False, random_state=0)
-    folds = GroupKFold(N_FOLDS)
-    both = cross_val_predict(learner, column, file, groups=group, cv=folds, method="predict_proba")
-    return np.log(np.clip(both[np.arange(len(file)), file.astype(int)], 1e-3, 1.0))
+    visit = visits_of(recording)[1]
+    order = np.lexsort((np.arange(len(visit)), visit))
+    order = order[recording.reading.answered[order]]
+    distance, reading, answered = recording.ping.distance, recording.reading, np.flatnonzero(other.reading.answered)
+    error = np.where(other.reading.echo, other.reading.range - other.ping.distance, np.inf)
+    out = np.empty(len(visit))
+    for rows in np.split(order, np.flatnonzero(np.diff(visit[order])) + 1):
+        same = answered[visit[answered] == visit[rows[0]]]
+        members = error[same if len(same) > 1 else answered][:MAX_MEMBERS]
+        drawn = np.where(np.isfinite(members), distance[rows, None] + members, MAX_RANGE)
+        y = np.where(reading.echo[rows], reading.range[rows], MAX_RANGE)
+        out[rows] = crps_ensemble(y, drawn, estimator="fair")
+    return out[order]

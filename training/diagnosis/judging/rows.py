@@ -61,6 +61,12 @@ class Row:
             return None
         return self.target[0] <= self.value <= self.target[1]
 
+    @property
+    def met(self) -> str:
+        """Whether the target is met, in words; a miss whose interval reaches the target says so."""
+        reached = self.low <= self.target[1] and self.high >= self.target[0]
+        return {True: "yes", None: "–", False: "**no**, interval reaches it" if reached else "**no**"}[self.hit]
+
     def number(self, value: float) -> str:
         """Return a value in the unit of the row."""
         return "–" if not np.isfinite(value) else f"{100 * value:.0f} %" if self.percent else f"{value:.3g}"
@@ -152,7 +158,7 @@ def _names(records: Records) -> Iterator[Row]:
     strong = [record for record in single if is_strong(record)]
     apart = [record for record in single if is_apart(record)]
     yield share("strong single: true cause most probable", at_least(0.95), map(leads, strong))
-    yield share("single, 15 nats apart by a classifier: true cause most probable", at_least(0.95), map(leads, apart))
+    yield share("single, 15 nats apart in CRPS: true cause most probable", at_least(0.95), map(leads, apart))
     yield share("strong single: no wrong cause > 10 %", at_least(0.9), map(no_wrong_share, strong))
     yield share("strong pair: both named", at_least(0.8), map(names_all, pair))
     unmodelled = of_kind(records, UNMODELLED)

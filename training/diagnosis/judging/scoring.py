@@ -8,7 +8,7 @@ from training.diagnosis.judging.record import Record
 
 STRONG_SIZE = 0.5  # half of "plain to see"
 STRONG_P = 0.001  # the test tells the two recordings apart beyond doubt
-STRONG_NATS = 15.0  # the design's definition, here by a classifier that knows no law
+STRONG_NATS = 15.0  # the design's definition, here of the CRPS on a fresh recording
 LEAST_SHARE = 0.1  # a wrong cause with a smaller share does little harm
 BELIEVED, PARTLY = 0.5, 0.3  # probability and share from which a wrong name of an unmodelled fault misleads
 
@@ -25,8 +25,14 @@ def is_strong(record: Record) -> bool:
 
 
 def is_apart(record: Record) -> bool:
-    """Return whether a classifier that knows no law tells the recordings apart by 15 nats."""
-    return bool(record["separation_nats"] >= STRONG_NATS)
+    """Return whether fresh readings of the two sonars differ by 15 nats, without any law of a sonar.
+
+    With z the CRPS of the simulation's own readings minus that of a second recording, in standard errors over visits,
+    z^2 / 2 is the gain in log-likelihood of a difference (Wilks 1938).
+    """
+    scores = record["scores"]
+    z = (scores["before"] - scores["again"]) / scores["gap_error"] if scores["gap_error"] > 0 else 0.0
+    return bool(z > 0 and 0.5 * z**2 >= STRONG_NATS)
 
 
 def stated(record: Record) -> list[tuple[str, float]]:

@@ -1,0 +1,116 @@
+"""Figures of records whose answers are known by construction."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from training.diagnosis.judging import scoring
+from training.diagnosis.judging.page import as_json, is_right, judged, markdown
+from training.diagnosis.judging.rows import rows, share
+
+from .conftest import OFFSET, SCALE, cause
+
+
+def found(records):
+    return {row.metric: row for row in rows(records)}
+
+
+def test_a_share_has_the_wilson_interval():
+    """Brown, Cai and DasGupta (2001): 9 of 10 has the Wilson interval 0.596 to 0.982."""
+    row = share("x", (0.8, np.inf), [True] * 9 + [False])
+    assert (row.low, row.high) == pytest.approx((0.596, 0.982), abs=1e-3)
+    assert row.hit
+    assert replace(row, target=(0.95, np.inf)).met == "**no**, interval reaches it"
+    assert replace(row, target=(0.99, np.inf)).met == "**no**"
+
+
+def test_a_right_answer_meets_every_target_that_it_is_part_of(record):
+    figures = found([record(number=k) for k in range(10)])
+    named = (
+        "strong single: true cause most probable",
+        "strong single: no wrong cause > 10 %",
+        "strong single: aspect right",
+    )
+    assert all(figures[name].value == 1.0 and figures[name].n == 10 for name in named)
+    assert figures["single, 15 nats apart in CRPS: true cause most probable"].n == 10
+    assert figures["strong single, acts everywhere: IoU"].value == 1.0
+    assert figures["90 % intervals cover"].value == 1.0
+    assert figures["fresh recording, known causes: median gap closed"].value == pytest.approx(0.9)
+    assert figures["unseen visits, strong: median gap closed"].value == pytest.approx(0.9)
+    assert figures["stated probabilities: calibration error"].value == pytest.approx(0.1)
+
+
+def test_errors_count_in_their_own_row_alone(record):
+    broken = {
+        key: record()[key] for key in ("family", "kind", "number", "seed", "pings", "id", "commit", "n", "causes")
+    }
+    figures = found([record(), broken | {"fault": "", "error": "ValueError: x"}])
+    assert figures["diagnosis ended in an error"].value == 0.5
+    assert figures["strong single: true cause most probable"].n == 1
+
+
+def test_nulls(record):
+    p = np.linspace(0.001, 0.999, 200)
+    null = [record(kind="same", causes=(), named=[], number=k, p_value=each) for k, each in enumerate(p)]
+    figures = found([*null, record(kind="same", causes=(), number=200)])
+    assert figures["same sonar twice: verdict other than none"].value == pytest.approx(1 / 201)
+    assert figures["same sonar twice: a cause named"].hit
+    assert figures["same sonar twice: p < 5 %"].hit
+    assert figures["same sonar twice: p-values uniform (KS p)"].value > 0.9
+
+
+def test_the_most_probable_effect_counts_whether_cause_or_alternative(record):
+    assert not scoring.leads(record(named=[cause(probability=0.4, spike=0.5)]))
+    assert scoring.leads(record(causes=(SCALE,), named=[cause("spike", 0.4, sound_speed=0.5)]))
+    assert not scoring.leads(record(named=[]))
+
+
+def test_equivalent_ids_are_one_statement(record):
+    one = record(causes=(SCALE,), named=[cause("clock_scale", 0.5, sound_speed=0.4, spike=0.1)])
+    assert list(scoring.statements(one)) == [(pytest.approx(0.9), True), (0.1, False)]
+
+
+def test_a_pair_needs_a_cause_for_each(record):
+    assert scoring.names_all(record(causes=(OFFSET, SCALE), named=[cause(), cause("sound_speed")]))
+    assert not scoring.names_all(record(causes=(OFFSET, SCALE), named=[cause()]))
+
+
+def test_an_unmodelled_fault_misleads_only_by_a_large_believed_cause(record):
+    fault = {"kind": "unmodelled", "causes": (), "fault": "readings breathe"}
+    assert scoring.misled(record(**fault))
+    assert not scoring.misled(record(**fault, named=[cause(share=0.2)]))
+    assert not scoring.misled(record(**fault, named=[cause(probability=0.4)]))
+
+
+def test_no_gap_is_no_figure_and_a_correction_that_harms_is_below_zero(record):
+    scores = record()["scores"]
+    assert scoring.gap_closed(record(scores=scores | {"before": 0.003})) is None
+    worse = record(scores=scores | {"corrected": 0.02})
+    assert scoring.gap_closed(worse) < 0
+    assert scoring.made_worse(worse)
+    assert not scoring.made_worse(record())
+
+
+def test_the_page_prints_misses_first_and_families_left_out_apart(record):
+    wrong = [record("fixed", number=k, named=[cause("spike")]) for k in range(5)]
+    hard = record("hard", kind="forty_pings", causes=(), named=[])
+    content = judged([*[record(number=k) for k in range(5)], *wrong, hard], ("fixed", "driving"))
+    page = markdown(content, "made by x", ("fixed", "driving"))
+    assert (
+        page.index("## Misses")
+        < page.index("| left out of the fit | strong single: true cause")
+        < page.index("## Targets")
+    )
+    assert "| hard: forty_pings | 1,000 | none | none |" in page
+    plain = json.loads(json.dumps(as_json(content)))
+    lead = {name: next(r for r in plain[name] if "true cause most" in r["metric"]) for name in plain}
+    assert (lead["beam"]["hit"], lead["fixed"]["hit"], lead["left out of the fit"]["hit"]) == (True, False, False)
+
+
+def test_a_hard_case_is_right_without_a_second_cause(record):
+    assert is_right(record("real"))
+    assert not is_right(record("real", named=[cause(), cause("spike", 0.6, 0.05)]))
+    assert not is_right(record("real", causes=()))
+    assert is_right(record("hard", causes=(), named=[]))
