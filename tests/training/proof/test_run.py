@@ -1,0 +1,153 @@
+"""Trials are planned, sealed before they are diagnosed, and never diagnosed twice, wherever a run was interrupted."""
+
+import json
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.training.proof.conftest import args_of, run_stub, stub_diagnose
+from training.diagnosis.generators.ensemble import FAMILIES
+from training.diagnosis.judging.tasks import Task, case_of
+from training.proof import work
+from training.proof.chain import ProofError, load, parse, sha256
+from training.proof.deck import planned
+from training.proof.ledger import answers_of, lost_of
+from training.proof.run import LEDGER, Args, given, main, opened
+from training.proof.verify import Args as VerifyArgs
+from training.proof.verify import problems_of
+from training.proof.work import diagnosed, environment, files_of
+
+N_KILLS = 3
+
+
+def problems(path):
+    return problems_of(load(path), VerifyArgs(path, workers=1, unannounced=True))
+
+
+def test_the_deck_holds_what_was_promised():
+    counts = planned(300)
+    by_kind, by_family = Counter(), Counter()
+    for (family, kind), n in counts.items():
+        by_kind[kind] += n
+        by_family[family] += n
+    assert counts.total() == 300
+    assert min(by_kind["same"], by_kind["unmodelled"]) >= 60
+    assert by_kind["pair"] >= 40
+    assert min(by_family[family] for family in FAMILIES) >= 30
+    assert {planned(n).total() for n in range(1, 40)} == set(range(1, 40))
+
+
+def test_a_finished_ledger_has_every_trial_once_and_no_two_alike(finished):
+    _, _, lines = finished
+    answers = answers_of(lines)
+    found = Counter((answer["family"], answer["kind"]) for answer in answers.values())
+    assert found == planned(len(answers))
+    assert len({answer["seed"] for answer in answers.values()}) == len(answers)
+
+
+def test_an_answer_is_committed_to_before_its_diagnosis_begins(tmp_path):
+    def diagnose(files, without=()):
+        sealed = [json.loads(line) for line in (tmp_path / LEDGER).read_text().splitlines()]
+        committed = {line["files"]["recorded.csv"] for line in sealed if line["event"] == "sealed"}
+        assert sha256(files["recorded.csv"]) in committed
+        return stub_diagnose(files, without)
+
+    run_stub(args_of(tmp_path, 3), diagnose)
+
+
+@pytest.mark.parametrize("seed", range(N_KILLS))
+def test_a_run_killed_at_any_byte_goes_on_without_a_second_verdict(finished, tmp_path, seed):
+    _, data, _ = finished
+    first = data.index(b"\n") + 1
+    place = int(np.random.default_rng(seed).integers(first, len(data)))
+    (tmp_path / LEDGER).write_bytes(data[:place])
+    before = parse(data[: data.rfind(b"\n", 0, place) + 1], "before")
+    lines = run_stub(args_of(tmp_path))
+    assert lines[: len(before)] == before
+    verdicts = Counter(line["trial"] for line in lines if line["event"] == "verdict")
+    assert set(verdicts.values()) == {1}
+    assert len(lost_of(lines)) <= args_of(tmp_path).workers
+    assert problems(tmp_path / LEDGER) == []
+
+
+def test_a_closed_ledger_is_not_continued(finished, tmp_path):
+    _, data, lines = finished
+    (tmp_path / LEDGER).write_bytes(data)
+    assert run_stub(args_of(tmp_path)) == lines
+    assert (tmp_path / LEDGER).read_bytes() == data
+
+
+def test_other_settings_need_another_folder(finished, tmp_path):
+    _, data, _ = finished
+    (tmp_path / LEDGER).write_bytes(data)
+    with pytest.raises(ProofError, match="trials 8, now 9"):
+        opened(args_of(tmp_path, 9))
+
+
+def test_an_error_of_the_diagnosis_counts_and_the_run_goes_on(tmp_path):
+    lines = run_stub(
+        args_of(tmp_path, 2), lambda files, without=(): ({"verdict": None, "error": "E: x", "seconds": 0.0}, b"")
+    )
+    assert [line["error"] for line in lines if line["event"] == "verdict"] == ["E: x"] * 2
+    row = next(row for row in lines[-1]["table"]["all families"] if row["metric"] == "diagnosis ended in an error")
+    assert (row["value"], row["n"], row["hit"]) == (1.0, 2, False)
+    assert problems(tmp_path / LEDGER) == []
+
+
+def test_a_deck_can_be_published_before_it_is_run(tmp_path, capsys):
+    announced = tmp_path / "announced.txt"
+    main(Args(tmp_path / "out", trials=3, plan=True, announce=announced))
+    head = load(tmp_path / "out" / LEDGER)[0]["hash"]
+    assert announced.read_text().split()[:2] == ["deck", head]
+    assert head in capsys.readouterr().out
+
+
+SPY = """
+import json, os, sys
+seen = {"files": sorted(os.listdir()), "env": dict(os.environ), "arguments": sys.argv[1:], "cwd": os.getcwd()}
+json.dump({"verdict": seen, "error": None, "seconds": 0.0}, open("result.json", "w"))
+open("diagnosis.pickle", "wb").close()
+"""
+
+
+def test_the_diagnosing_process_sees_two_files_and_nothing_else(monkeypatch):
+    monkeypatch.setattr(work, "PROGRAM", ("-c", SPY))
+    monkeypatch.setenv("SONAR_GYM_SECRET", "the answer")
+    files = files_of(case_of(Task("beam", "single", 0, 1, 40)))
+    assert set(files) > set(given(files)) == {"simulated.csv", "recorded.csv"}
+    seen = diagnosed(files)[0]["verdict"]
+    assert seen["files"] == ["recorded.csv", "simulated.csv"]
+    assert seen["env"].keys() - {"LC_CTYPE", "PWD", "SHLVL", "_"} == environment().keys()
+    assert "the answer" not in str(seen)
+    assert seen["arguments"] == []
+    assert not Path(seen["cwd"]).exists()
+    assert Path(seen["cwd"]) != Path(os.getcwd())
+
+
+def test_files_do_not_name_their_trial():
+    files = given(files_of(case_of(Task("beam", "single", 7, 123456789, 40))))
+    text = b"".join(files.values())
+    assert b"123456789" not in text
+    assert b"single" not in text
+    assert b"beam" not in text
+
+
+def test_a_process_that_dies_is_an_error_of_the_diagnosis(monkeypatch):
+    monkeypatch.setattr(work, "PROGRAM", ("-c", "raise SystemExit('out of memory')"))
+    result, model = diagnosed({"recorded.csv": b""})
+    assert (result["verdict"], model) == (None, b"")
+    assert "out of memory" in result["error"]
+
+
+@pytest.mark.slow
+def test_a_diagnosis_in_its_own_process_can_be_scored():
+    task = Task("beam", "same", 0, 1, 200)
+    case = case_of(task)
+    result, model = diagnosed(given(files_of(case)))
+    assert result["error"] is None
+    content = work.scored(work.answer_of(task, case), model)
+    assert content["scores"]["process"] > 0
+    json.dumps(content)

@@ -1,0 +1,145 @@
+"""An append-only hash chain of JSON lines: each line holds the SHA-256 of itself and of the line before."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import lzma
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from acquisition import SonarError
+from acquisition.io.files import lock, sync_folder
+
+FIRST = "0" * 64  # stands for the hash of the line before the first
+Line = dict[str, Any]
+
+
+class ProofError(SonarError):
+    """A ledger is damaged, belongs to other settings, or is in use."""
+
+
+def canonical(content: Mapping[str, Any]) -> str:
+    """Return the only text of a content that a ledger may hold."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"))
+
+
+def sha256(data: str | bytes) -> str:
+    """Return the SHA-256 of text or bytes, 64 hexadecimal digits."""
+    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
+
+
+def linked(event: str, content: Mapping[str, Any], before: str) -> Line:
+    """Return a line of a ledger, bound to the line before."""
+    line = {"event": event, **content, "before": before}
+    return {**line, "hash": sha256(canonical(line))}
+
+
+@dataclass
+class Chain:
+    """A ledger that is being written; threads may share it.
+
+    Attributes:
+        path: of the file.
+        lines: its content.
+    """
+
+    path: Path
+    lines: list[Line] = field(default_factory=list)
+    _handle: int = -1
+    _turn: Lock = field(default_factory=Lock)
+
+    @classmethod
+    def open(cls, path: Path) -> Chain:
+        """Open a new or unfinished ledger; a last line that an interruption cut short is removed.
+
+        Raises:
+            ProofError: another process writes it, or it was changed.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        try:
+            if not lock(handle):
+                raise ProofError(f"{path}: another process writes this ledger; wait for it or give another --out")
+            sync_folder(path.parent)
+            data = path.read_bytes()
+            whole = data[: data.rfind(b"\n") + 1]
+            lines = parse(whole, str(path))
+            os.ftruncate(handle, len(whole))
+        except BaseException:
+            os.close(handle)
+            raise
+        return cls(path, lines, handle)
+
+    def append(self, *events: tuple[str, Mapping[str, Any]]) -> None:
+        """Write lines with one system call and force them to disk."""
+        with self._turn:
+            new: list[Line] = []
+            for event, content in events:
+                before = (new or self.lines)[-1]["hash"] if new or self.lines else FIRST
+                new.append(json.loads(canonical(linked(event, content, before))))
+            data = "".join(canonical(line) + "\n" for line in new).encode()
+            while data:
+                data = data[os.write(self._handle, data) :]
+            os.fsync(self._handle)
+            self.lines.extend(new)
+
+    def of(self, event: str) -> dict[int, Line]:
+        """Return the lines of an event by trial."""
+        with self._turn:
+            return {line["trial"]: line for line in self.lines if line["event"] == event}
+
+    def close(self) -> None:
+        """Release the file."""
+        os.close(self._handle)
+
+
+def load(path: Path) -> list[Line]:
+    """Read a ledger, compressed by xz or not.
+
+    Raises:
+        ProofError: the file is missing, or a line was changed, removed, repeated or moved.
+    """
+    try:
+        data = path.read_bytes()
+        data = lzma.decompress(data) if path.suffix == ".xz" else data
+    except (OSError, lzma.LZMAError) as error:
+        raise ProofError(f"{path}: cannot be read ({error}); give a ledger that `sonar-gym prove` wrote") from None
+    return parse(data, str(path))
+
+
+def parse(data: bytes, name: str) -> list[Line]:
+    """Return the lines of a ledger.
+
+    The text of each line must be the canonical one, so that no byte can change without notice.
+
+    Raises:
+        ProofError: a line was changed, removed, repeated or moved; the end of the file cannot be seen from here.
+    """
+    if data and not data.endswith(b"\n"):
+        raise ProofError(f"{name}: the last line is cut short")
+    before, lines = FIRST, []
+    for number, raw in enumerate(data.split(b"\n")[:-1], 1):
+        line = _line(raw)
+        if line is None or line != linked(line["event"], _content(line), before):
+            raise ProofError(f"{name}, line {number}: it was changed, or a line before it was changed or removed")
+        before = line["hash"]
+        lines.append(line)
+    return lines
+
+
+def _line(raw: bytes) -> Line | None:
+    try:
+        line = json.loads(raw)
+        valid = isinstance(line, dict) and "event" in line and canonical(line).encode() == raw
+    except (ValueError, RecursionError):
+        return None
+    return line if valid else None
+
+
+def _content(line: Line) -> Line:
+    return {name: value for name, value in line.items() if name not in ("event", "before", "hash")}

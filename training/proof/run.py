@@ -1,0 +1,242 @@
+"""Blind trials of the diagnosis: sealed, diagnosed, disclosed and scored, in a ledger that anybody can verify.
+
+The same command goes on with an interrupted run. Trials at work when it was interrupted are lost, since their keys
+were in memory only; they are recorded as lost and never run again.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from acquisition import SettingError
+from acquisition.io.files import write_bytes
+from training.common.progress import bar
+from training.diagnosis.judging.tasks import Task, case_of
+from training.proof import real
+from training.proof.chain import Chain, ProofError, sha256
+from training.proof.deck import cells_of, deck_of, hashes
+from training.proof.diagnosing import RECORDED, SIMULATED
+from training.proof.ledger import (
+    CLOSED,
+    DECK,
+    DISCLOSED,
+    LEFT_OUT,
+    RESUMED,
+    SCORED,
+    SEALED,
+    VERDICT,
+    answers_of,
+    context_of,
+    left_out_trials,
+    lost_of,
+    of_event,
+    without_of,
+)
+from training.proof.page import publish, table_of
+from training.proof.sealing import new_key, seal
+from training.proof.work import (
+    Call,
+    Diagnose,
+    Files,
+    answer_of,
+    diagnosed,
+    files_of,
+    local,
+    on_ray,
+    scored,
+    task_of,
+)
+
+Score = Callable[[dict[str, Any], bytes], dict[str, Any]]
+LEDGER = "ledger.jsonl"
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym prove`."""
+
+    out: Path
+    """Folder of the ledger and the page; an interrupted run goes on."""
+    trials: int = 300
+    """Number of trials."""
+    pings: int = 2000
+    """Approximate number in each recording."""
+    left_out: int = 30
+    """Number of single causes that are also diagnosed without the true effect in the catalogue."""
+    workers: int = 2
+    """Number of trials in parallel."""
+    ray: bool = False
+    """Diagnose and score on a Ray cluster."""
+    plan: bool = False
+    """Only write the deck, whose hash can then be published before the trials are run."""
+    announce: Path | None = None
+    """File to which the hashes of the deck and of the closing line are added, for the repository."""
+
+
+def main(args: Args) -> None:
+    """Run what is missing, close the ledger and write the page."""
+    if args.trials < 1 or args.workers < 1:
+        raise SettingError(f"--trials and --workers must be at least 1, got {args.trials} and {args.workers}")
+    chain = opened(args)
+    try:
+        if not args.plan:
+            with (on_ray if args.ray else local)(args.workers) as call:
+                Runner(chain, args.out, args.workers, call).run()
+            close(chain, args.announce)
+            print(publish(chain.lines, args.out))
+        print(f"{chain.path}: deck {chain.lines[0]['hash']}, last line {chain.lines[-1]['hash']}")
+    finally:
+        chain.close()
+
+
+def opened(args: Args) -> Chain:
+    """Return the ledger, with its deck.
+
+    Raises:
+        ProofError: it was begun with other settings or other code.
+    """
+    chain = Chain.open(args.out / LEDGER)
+    settings = {"trials": args.trials, "pings": args.pings, "left_out": args.left_out}
+    if not chain.lines:
+        chain.append((DECK, deck_of(**settings)))
+        announce(args.announce, f"deck {chain.lines[0]['hash']} {args.trials} trials")
+        return chain
+    for name, value in {**settings, **hashes()}.items():
+        if chain.lines[0][name] != value:
+            chain.close()
+            before = chain.lines[0][name]
+            raise ProofError(f"{chain.path}: begun with {name} {before}, now {value}; give another --out")
+    return chain
+
+
+def announce(path: Path | None, line: str) -> None:
+    """Add a line to the file of published hashes."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+
+
+def close(chain: Chain, path: Path | None) -> None:
+    """Write the closing line, once, with the table that follows from all the others."""
+    if chain.lines[-1]["event"] != CLOSED:
+        answers = answers_of(chain.lines)
+        content = {"disclosed": len(answers), "lost": lost_of(chain.lines), "table": table_of(chain.lines, answers)}
+        chain.append((CLOSED, content))
+        announce(path, f"closed {chain.lines[0]['hash']} {chain.lines[-1]['hash']}")
+
+
+class Runner:
+    """Runs the trials of a deck in threads that wait for worker processes; keys stay in this process."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        out: Path,
+        workers: int,
+        call: Call,
+        diagnose: Diagnose = diagnosed,
+        score: Score = scored,
+    ) -> None:
+        self.chain, self.out, self.workers, self.call = chain, out, workers, call
+        self.diagnose, self.score, self.turn = diagnose, score, Lock()
+
+    def run(self) -> None:
+        """Run all trials that were never begun, score those that have no score, then leave effects out."""
+        chain = self.chain
+        if chain.lines[-1]["event"] == CLOSED:
+            return
+        self.resume()
+        answers = answers_of(chain.lines)
+        done = Counter((each["family"], each["kind"]) for each in answers.values())
+        cells = sorted((cells_of(chain.lines[0]) - done).elements())
+        self.cells = cells
+        begun = chain.of(SEALED)
+        self.each("trials", self.trial, [t for t in range(chain.lines[0]["trials"]) if t not in begun])
+        answers, known = answers_of(chain.lines), chain.of(SCORED)
+        self.each("scoring", self.rescue, [t for t in answers if t not in known])
+        known = chain.of(LEFT_OUT)
+        self.each("leaving out", self.leave_out, [t for t in left_out_trials(chain.lines, answers) if t not in known])
+        for case in real.available():
+            if case.name not in {line.get("name") for line in chain.lines}:
+                chain.append((real.EVENT, real.diagnosed_case(case, self.diagnose)))
+
+    def each(self, name: str, work: Callable[[int], None], trials: Sequence[int]) -> None:
+        """Do work on each trial in threads; the first error ends the run when the trials at work are done."""
+        pool = ThreadPoolExecutor(self.workers)
+        jobs: list[Future[None]] = [pool.submit(work, trial) for trial in trials]
+        try:
+            with bar(name, len(jobs)) as update:
+                for count, job in enumerate(as_completed(jobs), 1):
+                    job.result()
+                    update(count, len(jobs))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def resume(self) -> None:
+        """Record that a run goes on, and which trials are lost because their keys are gone."""
+        lines = self.chain.lines
+        lost = of_event(lines, SEALED).keys() - of_event(lines, DISCLOSED).keys() - set(lost_of(lines))
+        if len(lines) > 1:
+            self.chain.append((RESUMED, {"lost": sorted(lost)}))
+
+    def trial(self, trial: int) -> None:
+        """Run one trial: draw, seal, diagnose, record the verdict, disclose, score."""
+        family, kind = self.draw()
+        task = Task(family, kind, trial, int.from_bytes(os.urandom(16)), self.chain.lines[0]["pings"])
+        case = case_of(task)
+        answer, files, key = answer_of(task, case), files_of(case), new_key()
+        sealed = seal(answer, key, context_of(self.chain.lines, trial))
+        self.chain.append((SEALED, {"trial": trial, **sealed, "files": hashes_of(files)}))
+        result, model = self.call(self.diagnose, given(files))
+        write_bytes(self.model(trial), model)
+        verdict = {"trial": trial, **result, "model_sha256": sha256(model)}
+        self.chain.append((VERDICT, verdict), (DISCLOSED, {"trial": trial, "key": key.hex()}))
+        self.finish(trial, answer, model)
+
+    def draw(self) -> tuple[str, str]:
+        """Return family and kind of the next trial, drawn without replacement by the operating system's generator."""
+        with self.turn:
+            return self.cells.pop(secrets.randbelow(len(self.cells)))
+
+    def model(self, trial: int) -> Path:
+        """Return the file of a diagnosis that has not been scored."""
+        return self.out / "unscored" / f"{trial}.pickle"
+
+    def finish(self, trial: int, answer: dict[str, Any], model: bytes) -> None:
+        """Score a disclosed trial; a diagnosis that ended in an error, or was lost, has no scores."""
+        content = self.call(self.score, answer, model) if model else None
+        self.chain.append((SCORED, {"trial": trial, "content": content}))
+        self.model(trial).unlink(missing_ok=True)
+
+    def rescue(self, trial: int) -> None:
+        """Score a trial that was interrupted after its disclosure, by the diagnosis that its verdict names."""
+        path = self.model(trial)
+        model = path.read_bytes() if path.is_file() else b""
+        same = sha256(model) == self.chain.of(VERDICT)[trial]["model_sha256"]
+        self.finish(trial, answers_of(self.chain.lines)[trial], model if same else b"")
+
+    def leave_out(self, trial: int) -> None:
+        """Diagnose a disclosed trial without the true effect in the catalogue."""
+        answer = answers_of(self.chain.lines)[trial]
+        without = without_of(answer)
+        result, _ = self.call(self.diagnose, given(files_of(case_of(task_of(answer)))), without)
+        self.chain.append((LEFT_OUT, {"trial": trial, "without": list(without), **result}))
+
+
+def hashes_of(files: Files) -> dict[str, str]:
+    """Return the SHA-256 of each file."""
+    return {name: sha256(data) for name, data in files.items()}
+
+
+def given(files: Files) -> Files:
+    """Return the two files that a diagnosing process gets."""
+    return {name: files[name] for name in (SIMULATED, RECORDED)}

@@ -1,1 +1,0 @@
-"""Scores of trials, baselines, and the published page."""

@@ -1,0 +1,245 @@
+"""Verify the ledger of a proof: its hash chain, seals, recordings, scores, and that no planned trial is missing."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from noise.effects import CATALOGUE
+from training.common.commit import ROOT
+from training.diagnosis.judging.tasks import case_of
+from training.proof.chain import Line, ProofError, load
+from training.proof.deck import cells_of, hashes
+from training.proof.ledger import (
+    CLOSED,
+    DECK,
+    LEFT_OUT,
+    ORDER,
+    RESUMED,
+    SCORED,
+    SEALED,
+    VERDICT,
+    answers_of,
+    left_out_trials,
+    lost_of,
+    of_event,
+    without_of,
+)
+from training.proof.page import table_of
+from training.proof.real import EVENT as REAL
+from training.proof.run import given, hashes_of
+from training.proof.sealing import SEALED as SEALS
+from training.proof.work import Diagnose, answer_of, diagnosed, files_of, scored, task_of
+
+ANNOUNCED = ROOT / "benchmarks" / "records" / "proof" / "announced.txt"
+RESULT = {"verdict", "error", "seconds"}
+ENTRIES = {  # of each event, besides "event", "before" and "hash"
+    SEALED: {"trial", "files", *SEALS},
+    VERDICT: {"trial", "model_sha256", *RESULT},
+    "disclosed": {"trial", "key"},
+    SCORED: {"trial", "content"},
+    LEFT_OUT: {"trial", "without", *RESULT},
+    RESUMED: {"lost"},
+    REAL: {"name", "hidden", "accepted", "files", *RESULT},
+    CLOSED: {"disclosed", "lost", "table"},
+}
+Answers = dict[int, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym verify-proof`."""
+
+    ledger: Annotated[Path, tyro.conf.Positional]
+    """Ledger that `sonar-gym prove` wrote, compressed by xz or not."""
+    rediagnose: int = 0
+    """Number of trials to diagnose again, about 20 s each; another machine may differ in last digits."""
+    workers: int = 2
+    """Number of processes."""
+    announced: Path = ANNOUNCED
+    """File with the hashes that the repository published."""
+    unannounced: bool = False
+    """Accept a ledger whose hashes were not published."""
+
+
+def main(args: Args) -> None:
+    """Print what holds, what does not and what cannot be checked; exit with 1 unless all holds."""
+    lines = load(args.ledger)
+    problems = problems_of(lines, args)
+    for text in problems or passed(lines, args):
+        print(("FAILED: " if problems else "holds: ") + text)
+    print("\n".join(f"cannot be checked: {text}" for text in unchecked(lines, args)))
+    if problems:
+        raise SystemExit(1)
+
+
+def problems_of(lines: Sequence[Line], args: Args) -> list[str]:
+    """Return what is wrong with a ledger; a check is made only where those before it hold."""
+    try:
+        problems = [*order_problems(lines)]
+        if not problems:
+            problems = [*content_problems(lines), *announcement_problems(lines, args)]
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        return [f"an entry is missing or is not what it should be ({type(error).__name__}: {error})"]
+    return problems or regeneration_problems(lines, args.workers, args.rediagnose)
+
+
+def order_problems(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield what is wrong with the order of the events."""
+    if not lines or lines[0]["event"] != DECK or lines[-1]["event"] != CLOSED:
+        yield "the ledger does not begin with a deck and end with a closing line: it is unfinished, or was cut"
+        return
+    seen: dict[Any, list[str]] = {}
+    for number, line in enumerate(lines[1:], 2):
+        event = line["event"]
+        if event not in ENTRIES or line.keys() - {"event", "before", "hash"} != ENTRIES[event]:
+            yield f"line {number}: not a line of a ledger"
+            return
+        if "trial" in line:
+            seen.setdefault(line["trial"], []).append(event)
+        elif event == CLOSED and number < len(lines):
+            yield f"line {number}: a closing line before the end"
+        elif event == REAL:
+            seen.setdefault(line["name"], []).append(event)
+    complete = ([*ORDER], [*ORDER, LEFT_OUT], [REAL])
+    lost = lost_of(lines)
+    for trial, events in seen.items():
+        if events not in complete and not (trial in lost and events in ([SEALED], [SEALED, VERDICT])):
+            yield f"trial {trial}: expected {', '.join(ORDER)}, found {', '.join(events)}"
+    planned = range(lines[0]["trials"])
+    if {trial for trial in seen if isinstance(trial, int)} != set(planned):
+        yield f"the deck plans trials 0 to {planned[-1]}: some are missing, or others were added"
+
+
+def content_problems(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield what is wrong with seals, numbers of trials, losses and scores."""
+    try:
+        answers = answers_of(lines)
+    except ProofError as error:
+        yield str(error)
+        return
+    yield from _of_plan(lines, answers)
+    yield from _of_losses(lines)
+    expected, found = left_out_trials(lines, answers), of_event(lines, LEFT_OUT)
+    if sorted(found) != expected or any(tuple(found[t]["without"]) != without_of(answers[t]) for t in expected):
+        yield "the trials without the true effect are not those that the deck requires"
+    closing = lines[-1]
+    if (closing["disclosed"], closing["lost"]) != (len(answers), lost_of(lines)):
+        yield "the closing line counts other trials than the ledger holds"
+    elif closing["table"] != table_of(lines, answers):
+        yield "the table of the closing line does not follow from verdicts and answers"
+
+
+def _of_plan(lines: Sequence[Line], answers: Answers) -> Iterator[str]:
+    planned, lost = cells_of(lines[0]), lost_of(lines)
+    found = Counter((answer["family"], answer["kind"]) for answer in answers.values())
+    if sum(planned.values()) != lines[0]["trials"] or found - planned or (planned - found).total() != len(lost):
+        yield "the families and kinds of the trials are not those of the deck"
+    for trial, answer in answers.items():
+        if answer["number"] != trial or answer["pings"] != lines[0]["pings"]:
+            yield f"trial {trial}: the answer belongs to another trial or deck"
+    if len({answer["seed"] for answer in answers.values()}) != len(answers):
+        yield "two trials have the same seed"
+
+
+def _of_losses(lines: Sequence[Line]) -> Iterator[str]:
+    sealed, open_ = set[int](), set[int]()
+    for number, line in enumerate(lines, 1):
+        if line["event"] == SEALED:
+            sealed.add(line["trial"])
+            open_.add(line["trial"])
+        elif line["event"] == "disclosed":
+            open_.discard(line["trial"])
+        elif line["event"] == RESUMED:
+            if set(line["lost"]) != open_:
+                yield f"line {number}: the lost trials are not those that were at work"
+            open_ = set()
+
+
+def announcement_problems(lines: Sequence[Line], args: Args) -> Iterator[str]:
+    """Yield what differs from the hashes that the repository published."""
+    if args.unannounced:
+        return
+    text = args.announced.read_text(encoding="utf-8") if args.announced.is_file() else ""
+    entries = [line.split() for line in text.splitlines() if line.strip()]
+    head, last = lines[0]["hash"], lines[-1]["hash"]
+    if head not in (entry[1] for entry in entries if entry[0] == "deck"):
+        yield f"the hash of the deck, {head}, is not in {args.announced}; --unannounced accepts a deck of your own"
+    elif ["closed", head, last] not in entries:
+        yield f"the hash of the closing line, {last}, is not the one in {args.announced}"
+
+
+def regeneration_problems(
+    lines: Sequence[Line], workers: int, rediagnose: int = 0, diagnose: Diagnose = diagnosed
+) -> list[str]:
+    """Return which recordings do not follow from the disclosed seeds, bit by bit, and which verdicts do not repeat."""
+    answers, sealed = answers_of(lines), of_event(lines, SEALED)
+    jobs = [(answers[t], sealed[t]["files"]) for t in sorted(answers)]
+    verdicts, scores = of_event(lines, VERDICT), of_event(lines, SCORED)
+    again = [(answers[t], verdicts[t], scores[t]["content"], diagnose) for t in sorted(answers)[:rediagnose]]
+    found = [*_mapped(regenerated, jobs, workers), *_mapped(rediagnosed, again, workers)]
+    problems = [text for text in found if text]
+    if problems and lines[0]["source_sha256"] != hashes()["source_sha256"]:
+        problems.append(f"this code is not the deck's: check out commit {lines[0]['commit']} and verify there")
+    return problems
+
+
+def _mapped(function: Callable[..., str], jobs: Sequence[tuple[Any, ...]], workers: int) -> list[str]:
+    if workers == 1 or len(jobs) < 2:
+        return [function(*job) for job in jobs]
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        return list(pool.map(function, *zip(*jobs, strict=True), chunksize=4))
+
+
+def regenerated(answer: dict[str, Any], files: dict[str, str]) -> str:
+    """Return "" where the recordings and the answer of a trial follow from its seed, else what differs."""
+    case = case_of(task_of(answer))
+    if hashes_of(files_of(case)) != files:
+        return f"trial {answer['number']}: its recordings do not follow from its seed"
+    same = as_plain(answer_of(task_of(answer), case)) == answer
+    return "" if same else f"trial {answer['number']}: its answer does not follow from its seed"
+
+
+def as_plain(content: Any) -> Any:
+    """Return content as JSON holds it."""
+    return json.loads(json.dumps(content))
+
+
+def rediagnosed(answer: dict[str, Any], verdict: Line, content: Any, diagnose: Diagnose) -> str:
+    """Return "" where verdict and scores of a trial repeat, else what differs."""
+    result, model = diagnose(given(files_of(case_of(task_of(answer)))))
+    if (result["verdict"], result["error"]) != (verdict["verdict"], verdict["error"]):
+        return f"trial {answer['number']}: diagnosed again, it has another verdict"
+    same = not model or as_plain(scored(answer, model)) == content
+    return "" if same else f"trial {answer['number']}: diagnosed again, it has other scores"
+
+
+def passed(lines: Sequence[Line], args: Args) -> Iterator[str]:
+    """Yield what was checked."""
+    n, lost = lines[-1]["disclosed"], len(lost_of(lines))
+    yield f"each of {len(lines):,} lines is bound to the one before"
+    yield f"all {lines[0]['trials']} planned trials are there, each with one verdict; {lost} were interrupted and lost"
+    yield f"{n} disclosed keys are those committed to, and open answers that no one could exchange"
+    yield f"the recordings and answers of {n} trials follow from the disclosed seeds, bit by bit"
+    yield f"the table follows from verdicts, answers and scores; {min(args.rediagnose, n)} were diagnosed again"
+    if not args.unannounced:
+        yield f"deck and closing line are those in {args.announced}"
+
+
+def unchecked(lines: Sequence[Line], args: Args) -> Iterator[str]:
+    """Yield what no reader of a ledger can check."""
+    yield "that the deck's hash was published before it was run: see the history of the file of published hashes"
+    yield "that no other deck was run and thrown away unpublished"
+    yield "that no run was interrupted because of a verdict: every interruption and its lost trials are counted above"
+    n = max(len(of_event(lines, SCORED)) - args.rediagnose, 0)
+    yield f"verdicts, evidence and scores on fresh recordings of {n} trials: give --rediagnose to repeat them"
+    if lines and lines[0].get("catalogue_sha256") != hashes()["catalogue_sha256"]:
+        yield f"the catalogue of effects of the deck: this one has {len(CATALOGUE)} effects and another hash"

@@ -1,0 +1,126 @@
+"""What worker processes do for the proof, on this machine or on a Ray cluster; none of them holds a key."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from acquisition import MissingExtraError, Recording
+from training.common.commit import ROOT
+from training.diagnosis.generators.trial import RECORDINGS
+from training.diagnosis.judging.record import _content as content_of
+from training.diagnosis.judging.tasks import Case, Task, case_of
+from training.proof.baselines import baselines
+from training.proof.diagnosing import MODEL, RECORDED, RESULT, SIMULATED
+
+Files = dict[str, bytes]
+Result = dict[str, Any]
+Diagnose = Callable[..., tuple[Result, bytes]]  # (files, ids left out) -> result, and the diagnosis as bytes
+Call = Callable[..., Any]  # (function, *arguments) -> its result, from a worker
+TASK = ("family", "kind", "number", "seed", "pings")
+PROGRAM = ("-m", "training.proof.diagnosing")
+THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+KEPT = ("PATH", "LANG", "LD_LIBRARY_PATH", "SYSTEMROOT")  # what Python needs of the environment
+
+
+def answer_of(task: Task, case: Case) -> dict[str, Any]:
+    """Return what is concealed: the seed of everything, and the true difference."""
+    causes = [asdict(cause) for cause in case.causes]
+    return {**asdict(task), "causes": causes, "fault": case.fault, "n": len(case.recorded)}
+
+
+def task_of(answer: Mapping[str, Any]) -> Task:
+    """Return the task of a disclosed answer."""
+    return Task(**{name: answer[name] for name in TASK})
+
+
+def files_of(case: Case) -> Files:
+    """Return the recordings of a trial as CSV files."""
+    recordings = (case.simulated, case.recorded, *case.fresh)
+    return {f"{name}.csv": as_csv(each) for name, each in zip(RECORDINGS, recordings, strict=False)}
+
+
+def as_csv(recording: Recording) -> bytes:
+    """Return a recording as the bytes of its CSV file."""
+    with tempfile.TemporaryDirectory() as folder:
+        return recording.save(Path(folder) / "recording.csv").read_bytes()
+
+
+def diagnosed(files: Files, without: tuple[str, ...] = ()) -> tuple[Result, bytes]:
+    """Return the result of a new process that gets two files in an empty folder, and the diagnosis as bytes.
+
+    Args:
+        files: of which `recorded.csv` and, if it is there, `simulated.csv` are given.
+        without: ids of effects that are taken out of the catalogue.
+    """
+    with tempfile.TemporaryDirectory(prefix="diagnosis-") as name:
+        folder = Path(name)
+        for file in (SIMULATED, RECORDED):
+            if file in files:
+                (folder / file).write_bytes(files[file])
+        done = subprocess.run(
+            [sys.executable, *PROGRAM, *without], cwd=folder, env=environment(), capture_output=True, text=True
+        )
+        if not (folder / RESULT).is_file():
+            words = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+            return {"verdict": None, "error": f"the process ended: {words[-1]}", "seconds": 0.0}, b""
+        return json.loads((folder / RESULT).read_text()), (folder / MODEL).read_bytes()
+
+
+def environment() -> dict[str, str]:
+    """Return the whole environment of a diagnosing process."""
+    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
+    return {**kept, "PYTHONPATH": str(ROOT), **{f"{name}_NUM_THREADS": "1" for name in THREADS}}
+
+
+def scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:
+    """Return evidence, overlap of regions, and scores on the fresh recordings of a disclosed trial, with baselines.
+
+    Args:
+        answer: as it was sealed.
+        model: the diagnosis that `diagnosed` returned.
+    """
+    with threadpool_limits(1):
+        case, found = case_of(task_of(answer)), pickle.loads(model)
+        content = content_of(case, found)
+        names, crps = baselines(case, found)
+        scores = content["scores"] and {**content["scores"], **crps}
+        return {**{k: v for k, v in content.items() if k != "verdict"}, "scores": scores, "baselines": names}
+
+
+@contextmanager
+def local(workers: int) -> Iterator[Call]:
+    """Yield the calls of processes on this machine."""
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        yield lambda function, *arguments: pool.submit(function, *arguments).result()
+
+
+@contextmanager
+def on_ray(workers: int) -> Iterator[Call]:
+    """Yield the calls of tasks on the Ray cluster that this machine belongs to, or on one of its own.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+    """
+    try:
+        import ray
+    except ModuleNotFoundError:
+        raise MissingExtraError("--ray needs the package 'ray': pip install 'sonar-gym[ray]'") from None
+    ray.init(log_to_driver=False, include_dashboard=False, ignore_reinit_error=True)
+    try:
+        yield lambda function, *arguments: ray.get(ray.remote(function).remote(*arguments))
+    finally:
+        ray.shutdown()
