@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -18,8 +17,6 @@ from noise.discrepancy import diagnose
 from noise.discrepancy.inputs import Progress, Simulator, as_model
 from noise.discrepancy.result import Diagnosis
 from training.common.progress import bars
-
-MAX_WORKERS = 4  # about 400 MB each
 
 
 @dataclass(frozen=True)
@@ -37,8 +34,6 @@ class Args:
     function(pings, rng) and returns readings."""
     seed: int = 0
     """Seed; the same seed gives the same verdict."""
-    workers: int = field(default_factory=lambda: min(MAX_WORKERS, os.cpu_count() or 1))
-    """Number of processes, about 400 MB each; it does not affect the verdict."""
 
 
 def main(args: Args) -> None:
@@ -54,10 +49,7 @@ def examine(args: Args) -> Diagnosis:
     model = simulator or as_model(args.model)
     _check_out(args.out)
     with _progress() as update:
-        diagnosis = cast(
-            Diagnosis,
-            diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=update, workers=args.workers),
-        )
+        diagnosis = diagnose(model, recorded, simulated=simulated, seed=args.seed, progress=update)
         update("drawing the report", 0.97)
         diagnosis.save(args.out)
         diagnosis.report(args.out / "report.html", args.seed)
