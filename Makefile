@@ -3,10 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-NONCE ?= public
-
 TRIALS ?= 10
 WORKERS ?= 2
+ANNOUNCED := benchmarks/records/proof/announced.txt
 
 .PHONY: help demo test check install benchmarks judge proof firmware clean
 .DEFAULT_GOAL := help
@@ -40,10 +39,9 @@ benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
 judge: $(STAMP)  ## measure the diagnosis on labelled trials (hours; stop at any time, the same command goes on)
 	$(BIN)/sonar-gym judge --out runs/judge --n $(TRIALS) --workers $(WORKERS) --page docs/diagnosis-judged.md
 
-proof: $(STAMP)  ## the slow tests, then 300 blind trials (hours; stop at any time, the same command goes on)
-	$(BIN)/python -m pytest -m slow -q
-	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --nonce $(NONCE) --workers 2
-	$(BIN)/sonar-gym prove --out runs/proof-left-out --trials 30 --nonce $(NONCE) --deck effects --leave-out --quick --workers 2
+proof: $(STAMP)  ## 300 blind trials (hours; stop at any time, the same command goes on)
+	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --workers $(WORKERS) --announce $(ANNOUNCED) --pages docs
+	$(BIN)/sonar-gym verify-proof runs/proof/ledger.jsonl --workers $(WORKERS)
 
 firmware:  ## compile the Arduino sketch; needs apt install gcc-avr avr-libc arduino-core-avr
 	@command -v avr-g++ >/dev/null || { echo 'no avr-g++: apt install gcc-avr avr-libc arduino-core-avr'; exit 1; }

@@ -27,6 +27,7 @@ from torch import Tensor
 from acquisition import ModelError, Ping, Reading, SettingError, previous
 from acquisition.arrays import Floats, Ints
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
+from noise.effects.medium import TEMPERATURE
 from noise.effects.state import number
 from noise.faults import HasWeights
 from noise.law import EchoLaw
@@ -239,6 +240,8 @@ def _obstacle(name: str, own: Mapping[str, float], values: Mapping[str, float]) 
     """Return why the difference in an effect cannot be added to another law; empty if it can."""
     if name not in CATALOGUE:
         return "not an effect of the catalogue"
+    if all(p.covariate and p.covariate != TEMPERATURE for p in CATALOGUE[name].parameters):
+        return "a property of the log, which an environment with its own latency does not share"
     if _adds(name) and any(values.get(key, 1.0) <= own.get(key, 0.0) for key in WEIGHTS if key in own):
         return "less frequent than in the simulation, and a learned law cannot be freed of it"
     if name == "travel_time_jitter" and any(values[key] < own[key] for key in own if key in values):

@@ -29,6 +29,7 @@ AXES = {
     "run": ("session", 1.0),
     "interval_s": ("time since the previous ping (ms)", 1000.0),
     "temperature_c": ("logged temperature (°C)", 1.0),
+    "range_rate_mps": ("range rate (m/s)", 1.0),
 }
 SHARES = {
     Aspect.DETECTION: "pings with an echo (%)",

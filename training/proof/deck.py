@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 from collections import Counter
@@ -14,6 +15,7 @@ from typing import Any
 from noise.discrepancy.judge.decision import WEIGHTS
 from training.common.commit import ROOT, commit
 from training.diagnosis.generators.ensemble import FAMILIES, PAIR, SAME, SIMULATOR, SINGLE, UNMODELLED, kinds_of
+from training.diagnosis.judging.command import LEFT_OUT
 from training.diagnosis.judging.tasks import HARD_CASE
 from training.proof.chain import sha256
 
@@ -47,12 +49,14 @@ def deck_of(trials: int, pings: int, left_out: int) -> dict[str, Any]:
         left_out: number of single causes that are also diagnosed without the true effect in the catalogue.
     """
     counts = planned(trials)
+    card = json.loads(WEIGHTS.read_text())["card"]
     return {
         "schema": 2,
         "trials": trials,
         "pings": pings,
         "left_out": left_out,
         "planned": [[family, kind, counts[family, kind]] for family, kind in sorted(counts)],
+        "unfitted": list(card.get("families left out", LEFT_OUT)),
         "commit": commit(),
         **hashes(),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},

@@ -16,7 +16,6 @@ from training.proof.work import task_of
 DECK, RESUMED, CLOSED = "deck", "resumed", "closed"
 SEALED, VERDICT, DISCLOSED, SCORED, LEFT_OUT = "sealed", "verdict", "disclosed", "scored", "left_out"
 ORDER = (SEALED, VERDICT, DISCLOSED, SCORED)  # of the events of a trial
-INTERRUPTED = "interrupted before its answer was disclosed"
 
 
 def of_event(lines: Sequence[Line], event: str) -> dict[int, Line]:
@@ -54,9 +53,8 @@ def records_of(lines: Sequence[Line], answers: Mapping[int, dict[str, Any]]) -> 
 def _record(deck: Line, answer: dict[str, Any], verdict: Line, scored: Line | None) -> Record:
     head = {**answer, "id": task_of(answer).id, "trial": verdict["trial"], "commit": deck["commit"]}
     result = {name: verdict[name] for name in ("verdict", "error", "seconds")}
-    content = scored["content"] if scored else None
-    error = result["error"] or (None if content else "the diagnosis was lost before it was scored")
-    return {**head, **result, **(content or {}), "error": error}
+    content = (scored and scored["content"]) or {"error": "the diagnosis was lost before it was scored"}
+    return {**head, **result, **content, "error": result["error"] or content.get("error")}
 
 
 def left_out_trials(lines: Sequence[Line], answers: Mapping[int, dict[str, Any]]) -> list[int]:

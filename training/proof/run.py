@@ -64,7 +64,7 @@ class Args:
     """Settings of `sonar-gym prove`."""
 
     out: Path
-    """Folder of the ledger and the page; an interrupted run goes on."""
+    """Folder of the ledger; an interrupted run goes on."""
     trials: int = 300
     """Number of trials."""
     pings: int = 2000
@@ -77,6 +77,8 @@ class Args:
     """Diagnose and score on a Ray cluster."""
     plan: bool = False
     """Only write the deck, whose hash can then be published before the trials are run."""
+    pages: Path | None = None
+    """Folder of the page, its figures and the table of each family; `out` by default."""
     announce: Path | None = None
     """File to which the hashes of the deck and of the closing line are added, for the repository."""
 
@@ -91,7 +93,7 @@ def main(args: Args) -> None:
             with (on_ray if args.ray else local)(args.workers) as call:
                 Runner(chain, args.out, args.workers, call).run()
             close(chain, args.announce)
-            print(publish(chain.lines, args.out))
+            print(publish(chain.lines, args.pages or args.out))
         print(f"{chain.path}: deck {chain.lines[0]['hash']}, last line {chain.lines[-1]['hash']}")
     finally:
         chain.close()
@@ -107,8 +109,7 @@ def opened(args: Args) -> Chain:
     settings = {"trials": args.trials, "pings": args.pings, "left_out": args.left_out}
     if not chain.lines:
         chain.append((DECK, deck_of(**settings)))
-        announce(args.announce, f"deck {chain.lines[0]['hash']} {args.trials} trials")
-        return chain
+    announce(args.announce, f"deck {chain.lines[0]['hash']} {args.trials} trials")
     for name, value in {**settings, **hashes()}.items():
         if chain.lines[0][name] != value:
             chain.close()
@@ -118,8 +119,8 @@ def opened(args: Args) -> Chain:
 
 
 def announce(path: Path | None, line: str) -> None:
-    """Add a line to the file of published hashes."""
-    if path is not None:
+    """Add a line to the file of published hashes, unless it is there."""
+    if path is not None and not (path.is_file() and line in path.read_text(encoding="utf-8").splitlines()):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             file.write(line + "\n")
@@ -131,7 +132,7 @@ def close(chain: Chain, path: Path | None) -> None:
         answers = answers_of(chain.lines)
         content = {"disclosed": len(answers), "lost": lost_of(chain.lines), "table": table_of(chain.lines, answers)}
         chain.append((CLOSED, content))
-        announce(path, f"closed {chain.lines[0]['hash']} {chain.lines[-1]['hash']}")
+    announce(path, f"closed {chain.lines[0]['hash']} {chain.lines[-1]['hash']}")
 
 
 class Runner:

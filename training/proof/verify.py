@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from random import SystemRandom
 from typing import Annotated, Any
 
 import tyro
@@ -82,6 +83,14 @@ def main(args: Args) -> None:
 
 
 def problems_of(lines: Sequence[Line], args: Args) -> list[str]:
+    """Return what is wrong with a ledger, and what to do where other code than the deck's looks at it."""
+    problems = _problems(lines, args)
+    if problems and lines and lines[0].get("source_sha256") != hashes()["source_sha256"]:
+        problems.append(f"this code is not the deck's: check out commit {lines[0].get('commit')} and verify there")
+    return problems
+
+
+def _problems(lines: Sequence[Line], args: Args) -> list[str]:
     """Return what is wrong with a ledger; a check is made only where those before it hold."""
     try:
         problems = [*order_problems(lines)]
@@ -184,12 +193,10 @@ def regeneration_problems(
     answers, sealed = answers_of(lines), of_event(lines, SEALED)
     jobs = [(answers[t], sealed[t]["files"]) for t in sorted(answers)]
     verdicts, scores = of_event(lines, VERDICT), of_event(lines, SCORED)
-    again = [(answers[t], verdicts[t], scores[t]["content"], diagnose) for t in sorted(answers)[:rediagnose]]
+    chosen = SystemRandom().sample(sorted(answers), min(rediagnose, len(answers)))  # which no forger can foresee
+    again = [(answers[t], verdicts[t], scores[t]["content"], diagnose) for t in chosen]
     found = [*_mapped(regenerated, jobs, workers), *_mapped(rediagnosed, again, workers)]
-    problems = [text for text in found if text]
-    if problems and lines[0]["source_sha256"] != hashes()["source_sha256"]:
-        problems.append(f"this code is not the deck's: check out commit {lines[0]['commit']} and verify there")
-    return problems
+    return [text for text in found if text]
 
 
 def _mapped(function: Callable[..., str], jobs: Sequence[tuple[Any, ...]], workers: int) -> list[str]:

@@ -89,10 +89,19 @@ def environment() -> dict[str, str]:
 def scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:
     """Return evidence, overlap of regions, and scores on the fresh recordings of a disclosed trial, with baselines.
 
+    An error is returned, not raised, and counts against the diagnosis.
+
     Args:
         answer: as it was sealed.
         model: the diagnosis that `diagnosed` returned.
     """
+    try:
+        return _scored(answer, model)
+    except Exception as error:
+        return {"error": f"scoring: {type(error).__name__}: {error}"}
+
+
+def _scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:
     with threadpool_limits(1):
         case, found = case_of(task_of(answer)), pickle.loads(model)
         content = content_of(case, found)

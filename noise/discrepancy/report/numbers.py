@@ -19,7 +19,15 @@ COLUMNS = {
     "interval_s": ("at intervals of", 1000.0, "ms"),
     "temperature_c": ("at temperatures of", 1.0, "°C"),
     "humidity_pct": ("at a humidity of", 1.0, "%"),
+    "abs_angle": ("at angles to either side of", DEG, "°"),
+    "range_rate_mps": ("at range rates of", 1.0, "m/s"),
+    "movement": ("after movements of", 1000.0, "mm"),
+    "order": ("at places in the visit of", 1.0, ""),
+    "run": ("in runs", 1.0, ""),
+    "period_s": ("with a period of", 1.0, "s"),
 }
+# values of the column "previous_reading": what the ping before read
+PREVIOUS = {-2: "nothing", -1: "something before the target", 0: "the target", 1: "something behind the target"}
 
 
 TIMES = ((7200.0, 60.0, "min"), (172_800.0, 3600.0, "h"), (math.inf, 86_400.0, "days"))  # up to s, unit in s, name
@@ -107,6 +115,9 @@ def span(column: str, between: Range) -> str:
     >>> span("distance", (0.7, 2.0)), span("angle", (0.35, float("inf")))
     ('at 0.7 to 2 m', 'at angles of more than 20°')
     """
+    if column == "previous_reading":
+        read = [text for value, text in PREVIOUS.items() if between[0] <= value <= between[1]]
+        return f"after pings that read {' or '.join(read)}"
     words, factor, unit = COLUMNS.get(column, (f"where {column} is", 1.0, ""))
     if column == "time":
         words, (factor, unit) = (

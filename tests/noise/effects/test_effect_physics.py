@@ -187,7 +187,7 @@ def test_ring_down_is_exponential_from_the_end_of_blanking():
 
 
 def test_ring_down_has_no_time_walk():
-    ring = CATALOGUE["ring_down"](probability=1.0, range_m=0.1, decay_m=0.001)
+    ring = CATALOGUE["ring_down"](probability=1.0, range_m=0.1, decay_m=0.01)
     walks = [CATALOGUE["sensitivity"](loss_db=46.0), CATALOGUE["time_walk"](scale=1.0)]
     alone = median([ring], distance=2.0)
     assert median([ring, *walks], distance=2.0) == pytest.approx(alone, abs=1e-4)

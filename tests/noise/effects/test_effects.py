@@ -39,6 +39,7 @@ def conditions(copies=1):
         time=np.linspace(30.0, 2500.0, 8),
         interval_s=[0.065, 0.04, 0.05, 0.06, 0.05, 0.065, 0.0, 0.055],
         temperature_c=[5.0, 12.0, 18.0, 20.0, 24.0, 28.0, 31.0, 35.0],
+        range_rate_mps=[0.1, -0.3, 0.5, -0.2, 0.4, 0.6, -0.5, 0.3],
     )
     past = Reading.of([0.3, 0.0, 1.3, 0.0, 2.5, 3.3, 4.2, 0.0], [1, 0, 1, 2, 1, 1, 1, 0])
     rows = np.repeat(np.arange(8), copies)

@@ -51,7 +51,6 @@ def test_settings_reach_the_diagnosis(finished):
     assert asked["seed"] == 1
     assert asked["simulated"] is None
     assert len(asked["recording"]) == 2
-    assert asked["workers"] >= 1
 
 
 def test_the_verdict_is_of_schema_2(finished):

@@ -30,7 +30,6 @@ def stub_score(answer, model):
     assert model == b"model"
     scores = dict.fromkeys(("before", "again", "corrected", "causes_only", "process", "beam"), 0.01)
     return {
-        "separation_nats": float(answer["seed"] % 97),
         "intervals": {},
         "overlap": [],
         "evidence": {},

@@ -142,6 +142,10 @@ def test_a_process_that_dies_is_an_error_of_the_diagnosis(monkeypatch):
     assert "out of memory" in result["error"]
 
 
+def test_an_error_of_scoring_is_returned():
+    assert work.scored({}, b"")["error"].startswith("scoring: KeyError")
+
+
 @pytest.mark.slow
 def test_a_diagnosis_in_its_own_process_can_be_scored():
     task = Task("beam", "same", 0, 1, 200)

@@ -81,7 +81,7 @@ def better_verdicts(lines):
 def easier_answer(lines):
     """Seal another answer with another key after the verdict."""
     key, head = new_key(), lines[0]["hash"]
-    answer = {**answers_of(lines)[0], "causes": []}
+    answer = {**answers_of(lines)[0], "fault": "another"}
     new = {"sealed": seal(answer, key, f"{head} 0"), "disclosed": {"key": key.hex()}}
     return [{**line, **new.get(line["event"], {})} if line.get("trial") == 0 else line for line in lines]
 
