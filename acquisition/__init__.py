@@ -11,6 +11,10 @@ bench: waveform-level simulation of sonar and laboratory.
 firmware: the sketch of the Arduino bridge.
 """
 
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
 from acquisition.errors import (
     BoardResetError,
     DeviceError,
@@ -27,8 +31,13 @@ from acquisition.errors import (
     UnknownModelError,
     UnpluggedError,
 )
-from acquisition.io.recording import Recording
 from acquisition.ping import EchoStatus, Ping, Reading, previous
+
+if TYPE_CHECKING:
+    from acquisition.io.recording import Recording
+
+# `Recording` needs pandas, which takes longer to import than everything else together
+__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"io.recording": ["Recording"]})
 
 __all__ = [
     "BoardResetError",
