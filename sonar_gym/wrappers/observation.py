@@ -110,7 +110,8 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         self.fleet = fleet_of(env.unwrapped, sonar_settings, sonar)
         if self.fleet is None:
             self.observed = observed_sonars(env.unwrapped, env.observation_space, sonar_settings, sonar, copies=1)
-            self.observation_space = space_of(self.sonar.count, self.observed.source.retained_spaces)
+            self.source = self.observed.source
+            self.observation_space = space_of(self.sonar.count, self.source.retained_spaces)
         else:
             self.observation_space = self.fleet.observation_space
 
@@ -153,7 +154,7 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         info = {**info, "sonar": self.sensing.truth(0)}
         if self.fleet is not None:
             return observation, info
-        return {**self.observed.source.retained(observation), **self.sensing.observation(0)}, info
+        return {**self.source.retained(observation), **self.sensing.observation(0)}, info
 
 
 class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
@@ -184,7 +185,8 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         self.fleet = fleet_of(base, sonar_settings, sonar)
         if self.fleet is None:
             self.observed = observed_sonars(inner, env.single_observation_space, sonar_settings, sonar, env.num_envs)
-            self.single_observation_space = space_of(self.sonar.count, self.observed.source.retained_spaces)
+            self.source = self.observed.source
+            self.single_observation_space = space_of(self.sonar.count, self.source.retained_spaces)
         else:
             self.single_observation_space = self.fleet.observation_space
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
@@ -251,7 +253,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         last, final_obs = [info["final_obs"][i] for i in rows], np.full(self.num_envs, None, dtype=object)
         self.observed.step(rows, stacked(last), rows_of(final, rows))
         for i, one in zip(rows, last, strict=True):
-            final_obs[i] = {**self.observed.source.retained(one), **self.sensing.observation(i)}
+            final_obs[i] = {**self.source.retained(one), **self.sensing.observation(i)}
         truth = masked({"sonar": self.sensing.truth(slice(None))}, np.isin(self._rows, rows))
         return {"final_obs": final_obs, "final_info": {**final, **truth}}
 
@@ -259,7 +261,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         info = {**info, **masked({"sonar": self.sensing.truth(slice(None))}, mask)}
         if self.fleet is not None:
             return observation, info
-        return {**self.observed.source.retained(observation), **self.sensing.observation(slice(None))}, info
+        return {**self.source.retained(observation), **self.sensing.observation(slice(None))}, info
 
 
 def stacked(observations: Sequence[Any]) -> Any:
