@@ -136,18 +136,27 @@ def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool
     return True
 
 
+# The kernels below unpack the named tuples once: each access counts references, which costs more than the work.
+
+
 @compiled
 def measure_ping(
-    p: PingArrays, i: int, s: int, pose: tuple[float, float, float], sent: float, w: WorldArrays, r: StepConstants
-) -> None:
-    """Write the paths of a ping of sonar s of world i with the car at a pose."""
-    mount, c, sn, count = r.mounts[s], math.cos(pose[2]), math.sin(pose[2]), w.counts[i]
-    x, y = pose[0] + c * mount[0] - sn * mount[1], pose[1] + sn * mount[0] + c * mount[1]
-    p.sent[i, s] = sent
-    p.n_paths[i, s] = cast_paths(
-        x, y, pose[2] + mount[2], r.half_angles[s], w.segments[i, :count], w.surface[i], w.owner[i], r.max_range,
-        r.detection, p.paths[i, s],
-    )  # fmt: skip
+    out: Floats,
+    s: int,
+    pose: tuple[float, float, float],
+    mounts: Floats,
+    half_angles: Floats,
+    segments: Floats,
+    surface: Floats,
+    owner: Ints,
+    max_range: float,
+    detection: Floats,
+) -> int:
+    """Write the paths of a ping of sonar s with the car at a pose, (MAX_PATHS, N_PATH), and return their number."""
+    c, sn = math.cos(pose[2]), math.sin(pose[2])
+    x, y = pose[0] + c * mounts[s, 0] - sn * mounts[s, 1], pose[1] + sn * mounts[s, 0] + c * mounts[s, 1]
+    heading = pose[2] + mounts[s, 2]
+    return cast_paths(x, y, heading, half_angles[s], segments, surface, owner, max_range, detection, out)
 
 
 @compiled
@@ -176,10 +185,15 @@ def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int,
 @compiled
 def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
     """Begin episodes in worlds whose car and street are set: all sonars ping, and the reward is zero."""
+    n_paths, paths, mounts, half_angles = p.n_paths, p.paths, r.mounts, r.half_angles
     for i in rows:
         w.steps[i] = 0
-        for s in range(r.half_angles.shape[0]):
-            measure_ping(p, i, s, (w.car[i, 0], w.car[i, 1], w.car[i, 2]), 0.0, w, r)
+        pose, count = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), w.counts[i]
+        segments, surface, owner = w.segments[i, :count], w.surface[i], w.owner[i]
+        for s in range(half_angles.shape[0]):
+            n_paths[i, s] = measure_ping(
+                paths[i, s], s, pose, mounts, half_angles, segments, surface, owner, r.max_range, r.detection
+            )
         w.ended[i] = False
         update_reward(w.terms, w.car, w.task, w.ended, i, r.arc, r.weights)
         w.terms[i] = 0.0
@@ -197,33 +211,43 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
         r: constants.
         p: pings of all worlds.
     """
-    car, ended, dynamics, timing, dt = w.car, w.ended, r.dynamics, r.timing, r.dt
-    h, start, before, delay = dt / PARTS, np.empty(3), np.empty(3), np.empty(timing.shape[0])
+    steps, car, task, counts, faces, surfaces, owners = w.steps, w.car, w.task, w.counts, w.segments, w.surface, w.owner
+    terms, ended, ego, odometry, fired, sent, n_paths, paths = (
+        w.terms, w.ended, w.ego, w.odometry, p.fired, p.sent, p.n_paths, p.paths,
+    )  # fmt: skip
+    dynamics, body, mounts, half_angles, timing = r.dynamics, r.body, r.mounts, r.half_angles, r.timing
+    arc, weights, scale, limits, dt, max_range = r.arc, r.weights, r.scale, r.limits, r.dt, r.max_range
+    detection, count = r.detection, timing.shape[0]
+    h, start, before, delay = dt / PARTS, np.empty(3), np.empty(3), np.empty(count)
     for k in range(rows.shape[0]):
         i = rows[k]
-        begin_s, hit, segments, state = w.steps[i] * dt, NO_HIT, w.segments[i, : w.counts[i]], car[i]
-        w.steps[i] += 1
+        begin_s, hit, state, own_paths = steps[i] * dt, NO_HIT, car[i], paths[i]
+        segments, surface, owner = faces[i, : counts[i]], surfaces[i], owners[i]
+        steps[i] += 1
         start[0], start[1], start[2] = state[0], state[1], state[2]
-        for s in range(timing.shape[0]):
+        for s in range(count):
             delay[s] = firing_delay(begin_s, dt, timing[s, 0], timing[s, 1])
-            p.fired[i, s] = delay[s] > 0.0
+            fired[i, s] = delay[s] > 0.0
         for part in range(PARTS):
             before[0], before[1], before[2] = state[0], state[1], state[2]
             steering, speed = actions[k, 0] * dynamics[5], actions[k, 1] * dynamics[6]
-            hit, curvature = drive_part(state, steering, speed, dynamics, r.body, segments, h)
+            hit, curvature = drive_part(state, steering, speed, dynamics, body, segments, h)
             last = part == PARTS - 1 or hit != NO_HIT
-            for s in range(timing.shape[0]):
+            for s in range(count):
                 since = delay[s] - part * h
                 if delay[s] > 0.0 and since > 0.0 and (last or since <= h):
                     at_end = since >= h - SAME_TIME_S  # at the end of the part, or later if the car was stopped
                     pose = (state[0], state[1], state[2]) if at_end else roll(before, state[3] * since, curvature)
-                    measure_ping(p, i, s, pose, begin_s + delay[s], w, r)
+                    sent[i, s] = begin_s + delay[s]
+                    n_paths[i, s] = measure_ping(
+                        own_paths[s], s, pose, mounts, half_angles, segments, surface, owner, max_range, detection
+                    )
             if last:
                 break
         if hit != NO_HIT:
             state[3] = 0.0
-        ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NO_HIT, state[0] < r.limits[3]
-        ended[i, PARKED] = hit == NO_HIT and is_parked(state, r.body, w.task[i], r.limits)
-        update_odometry(w.odometry[i], start, state[:3])
-        update_reward(w.terms, car, w.task, ended, i, r.arc, r.weights)
-        update_ego(w.ego, car, w.odometry, i, r.scale, dynamics[0], w.steps[i])
+        ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NO_HIT, state[0] < limits[3]
+        ended[i, PARKED] = hit == NO_HIT and is_parked(state, body, task[i], limits)
+        update_odometry(odometry[i], start, state[:3])
+        update_reward(terms, car, task, ended, i, arc, weights)
+        update_ego(ego, car, odometry, i, scale, dynamics[0], steps[i])

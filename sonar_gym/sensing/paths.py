@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.arrays import Floats, Ints
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import detection
-from sonar_gym.sensing.kernels import NO_HIT, clip_half_plane, incidence_cosine
+from sonar_gym.sensing.kernels import NO_HIT, cast_cone, clip_half_plane, incidence_cosine
 
 DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, FACE, X, Y = range(8)
 N_PATH = 8  # columns of a path
@@ -98,6 +98,17 @@ def pieces_in_cone(
 
 
 @compiled
+def sort(values: Floats, count: int) -> None:
+    """Sort the first `count` values by insertion, which is fastest for the few faces in a cone."""
+    for i in range(1, count):
+        value, j = values[i], i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+
+
+@compiled
 def nearest_visible(pieces: Floats, count: int, cuts: Floats, points: Floats) -> None:
     """Write the nearest visible point of each piece: x, y and distance; the distance is infinite for a hidden piece.
 
@@ -106,7 +117,7 @@ def nearest_visible(pieces: Floats, count: int, cuts: Floats, points: Floats) ->
     for k in range(count):
         points[k, 2] = math.inf
         cuts[2 * k], cuts[2 * k + 1] = pieces[k, 4], pieces[k, 5]
-    cuts[: 2 * count].sort()
+    sort(cuts, 2 * count)
     for i in range(2 * count - 1):
         low, high = cuts[i], cuts[i + 1]
         if high - low < MIN_WIDTH:
@@ -206,12 +217,20 @@ def cast_paths(
         table: see `detection_table`; for distances up to `limit`.
         out: the paths, (MAX_PATHS, N_PATH); written.
     """
-    out[0] = 0.0
-    out[0, DISTANCE], out[0, OBSTACLE], out[0, FACE], out[0, X], out[0, Y] = limit, NO_HIT, NO_HIT, x, y
+    distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
+    one = out[0]
+    one[DISTANCE], one[BEARING], one[INCIDENCE], one[REFLECTANCE] = distance, bearing, 0.0, 0.0
+    one[OBSTACLE], one[FACE], one[X], one[Y] = NO_HIT, face, at_x, at_y
+    if face == NO_HIT:
+        return 1
+    one[INCIDENCE], one[REFLECTANCE] = max(incidence - surface[face, 1], 0.0), surface[face, 0]
+    one[OBSTACLE] = owner[face]
+    if detection(table, limit, distance, bearing, one[INCIDENCE], one[REFLECTANCE]) >= CERTAIN:
+        return 1  # the nearest point hides all others
     size = segments.shape[0]
     pieces, faces = np.empty((size, 6)), np.empty(size, np.int64)
     count = pieces_in_cone(x, y, heading, half, segments, limit, pieces, faces)
-    if count == 0:
+    if count <= 1:
         return 1
     points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.empty((count, N_PATH)), 0
     nearest_visible(pieces, count, np.empty(2 * count), points)
@@ -226,4 +245,4 @@ def cast_paths(
         path[REFLECTANCE], path[OBSTACLE], path[FACE] = surface[faces[k], 0], owner[faces[k]], faces[k]
         path[X], path[Y] = x + c * px - s * py, y + s * px + c * py
         kept += 1
-    return select_paths(found, kept, table, limit, out) if kept else 1
+    return select_paths(found, kept, table, limit, out)

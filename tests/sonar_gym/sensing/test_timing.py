@@ -69,7 +69,7 @@ DISTANCES = 1.0 + 0.1 * np.arange(10)  # m, at 0 s, 0.1 s, ...
 def test_without_period_and_latency_readings_are_current():
     ranges, age = observed(Schedule(), DISTANCES)
     assert ranges == pytest.approx(DISTANCES, abs=1e-3)
-    assert np.all(age == 0.0)
+    assert age == pytest.approx(0.0, abs=1e-9)
 
 
 def test_without_a_period_readings_arrive_with_the_observation():
