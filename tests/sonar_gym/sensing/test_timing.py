@@ -175,7 +175,7 @@ def test_many_cars_get_the_same_readings_as_each_car_alone(times):
 def test_invalid_times_raise_an_error():
     with pytest.raises(SettingError, match=r"period_s of 'b' is 0.05 s, less than the 0.1 s from one observation"):
         timing(["a", "b"], STEP, ([0.2, 0.05], 0.0, 0.0), 6.0)
-    with pytest.raises(SettingError, match="latency_s must be finite and >= 0 s, got .*-1"):
+    with pytest.raises(SettingError, match=r"latency_s must be finite and >= 0 s, got .*-1"):
         timing(["a", "b"], STEP, (0.0, 0.0, -1.0), 6.0)
     with pytest.raises(SettingError, match=r"phase_s has shape \(3,\), expected one number or 2, one for each sonar"):
         timing(["a", "b"], STEP, (0.2, [0.0, 0.1, 0.2], 0.0), 6.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from acquisition import Ping, SettingError
+from acquisition import Ping
 from noise import CATALOGUE, GaussianModel, PhysicalModel
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
