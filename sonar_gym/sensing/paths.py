@@ -15,8 +15,8 @@ from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import detection
 from sonar_gym.sensing.kernels import NO_HIT, cast_cone, clip_half_plane, incidence_cosine
 
-DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, FACE, X, Y = range(8)
-N_PATH = 8  # columns of a path
+DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, FACE, X, Y, TEXTURE = range(9)
+N_PATH = 9  # columns of a path
 MAX_PATHS = 4  # paths given to a law at one ping, those detected most often
 MIN_DETECTION = 0.02  # a further path that is detected less often is not given to the law
 CERTAIN = 0.9995  # a path detected more often hides all paths behind it
@@ -220,11 +220,11 @@ def cast_paths(
     distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
     one = out[0]
     one[DISTANCE], one[BEARING], one[INCIDENCE], one[REFLECTANCE] = distance, bearing, 0.0, 0.0
-    one[OBSTACLE], one[FACE], one[X], one[Y] = NO_HIT, face, at_x, at_y
+    one[OBSTACLE], one[FACE], one[X], one[Y], one[TEXTURE] = NO_HIT, face, at_x, at_y, 0.0
     if face == NO_HIT:
         return 1
     one[INCIDENCE], one[REFLECTANCE] = max(incidence - surface[face, 1], 0.0), surface[face, 0]
-    one[OBSTACLE] = owner[face]
+    one[OBSTACLE], one[TEXTURE] = owner[face], surface[face, 1]
     if detection(table, limit, distance, bearing, one[INCIDENCE], one[REFLECTANCE]) >= CERTAIN:
         return 1  # the nearest point hides all others
     size = segments.shape[0]
@@ -243,6 +243,6 @@ def cast_paths(
         path[DISTANCE], path[BEARING] = points[k, 2], math.atan2(py, px) if points[k, 2] > SAME_POINT else 0.0
         path[INCIDENCE] = max(math.acos(cosines[k]) - surface[faces[k], 1], 0.0)
         path[REFLECTANCE], path[OBSTACLE], path[FACE] = surface[faces[k], 0], owner[faces[k]], faces[k]
-        path[X], path[Y] = x + c * px - s * py, y + s * px + c * py
+        path[X], path[Y], path[TEXTURE] = x + c * px - s * py, y + s * px + c * py, surface[faces[k], 1]
         kept += 1
     return select_paths(found, kept, table, limit, out)

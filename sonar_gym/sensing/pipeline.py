@@ -15,6 +15,7 @@ from acquisition.arrays import Floats, Ints, Singles
 from sonar_gym.sensing import paths as columns
 from sonar_gym.sensing import records
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH
+from sonar_gym.sensing.persistence import latents
 from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import Sonar
@@ -78,7 +79,11 @@ class Sensing:
         ping = Ping(
             np.where(in_cone, distance, EMPTY_M), bearing, incidence, reflectance, sent[owner], index[owner]
         )  # fmt: skip
-        drawn = self.sonar.draw(ping, rows, counts, index, first)
+        held = self.sonar.persistence
+        latent = None
+        if held is not None:
+            latent = latents(np.ascontiguousarray(paths), self.sonar.keys(ping.run), held.lasting, held.length_m)
+        drawn = self.sonar.draw(ping, rows, counts, index, first, latent)
         out = np.zeros((len(car), records.N_RECORD))
         out[:, :N_PATH] = paths[drawn.path]
         out[:, records.SENT], out[:, records.SECOND] = sent, drawn.second

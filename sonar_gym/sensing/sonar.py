@@ -16,8 +16,10 @@ from acquisition.arrays import Floats, Ints
 from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.faults import Faulty, FaultyLaw
 from noise.law import UniformSource
+from noise.learned.persistence import Persistence
 from noise.model import StatefulModel
 from sonar_gym.sensing.detection import is_own_echo
+from sonar_gym.sensing.persistence import PersistentStream
 
 SonarChoice = str | os.PathLike[str] | SonarModel
 Copies = Sequence[int] | Ints
@@ -43,6 +45,11 @@ def resolve(sonar: SonarChoice) -> SonarModel:
     if isinstance(sonar, SonarModel):
         return sonar
     raise SettingError(f"sonar is a {type(sonar).__name__}, expected a name, the path of a model, or a SonarModel")
+
+
+def persistence_of(model: Any) -> Persistence | None:
+    """Return the part of a model's spread that persists, also of a model with faults; None if it has none."""
+    return persistence_of(model.model) if isinstance(model, Faulty) else getattr(model, "persistence", None)
 
 
 @lru_cache
@@ -166,6 +173,8 @@ class Sonar:
         self.batched = copies > 1 and listener(shared).law(Ping.of(distance=[1.0]), None).uniform_per_ping
         self.has_credence = True  # updated by each law
         self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
+        self.persistence = persistence_of(shared)
+        self._episodes = np.zeros(copies, dtype=np.int64)  # numbers from which the persisting errors are derived
         self._past = np.zeros(copies * count), np.full(copies * count, EchoStatus.NO_ANSWER, dtype=np.uint8)
         self.sensors = np.arange(copies * count)
         self.clear_memory()
@@ -175,13 +184,23 @@ class Sonar:
         self.rngs[copy] = np.random.default_rng(np.random.SeedSequence([seed, self.tag]))
 
     def clear_memory(self, copies: Copies | None = None) -> None:
-        """Clear the previous readings of all copies, or of some, at the start of an episode."""
+        """Clear the previous readings of all copies, or of some, at the start of an episode; errors are drawn anew."""
+        for copy in range(self.copies) if copies is None else copies:
+            self._episodes[copy] = self.rngs[copy].integers(2**62)
         which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
         if self._stateful is not None:
             self._stateful.reset(None if copies is None else self.sensors.reshape(shape)[which].ravel())
 
-    def draw(self, ping: Ping, copies: Copies, counts: Sequence[int], index: Ints, first: Ints) -> Draw:
+    def draw(
+        self,
+        ping: Ping,
+        copies: Copies,
+        counts: Sequence[int],
+        index: Ints,
+        first: Ints,
+        latent: Floats | None = None,
+    ) -> Draw:
         """Draw the readings of some sonars of some copies; the paths of a ping compete, and the first echo is read.
 
         The last path of a ping is the one detected most often: its law also holds false alarms and silence, which a
@@ -194,17 +213,22 @@ class Sonar:
             counts: number of paths of each of these copies.
             index: number of each ping's sonar among the sonars of all copies, (n,).
             first: number of the first path of each ping, (n,).
+            latent: persisting numbers of the paths, see `persistence.latents`, (LATENTS, m); None to draw all anew.
         """
         sensors = index if len(index) == len(ping) else np.repeat(index, np.diff(first, append=len(ping)))
         past = self._previous(sensors) if self.model.remembers else None
         if self.batched or len(copies) == 1:
-            each = self._draw(ping, past, sensors, self._stream(copies, counts))
+            each = self._draw(ping, past, sensors, self._stream(copies, counts), latent)
         else:
-            each = self._draw_each(ping, past, sensors, copies, counts)
+            each = self._draw_each(ping, past, sensors, copies, counts, latent)
         drawn = self._first_echo(ping, each, first)
         if self.model.remembers:
             self._past[0][index], self._past[1][index] = drawn.reading.range, drawn.reading.status
         return drawn
+
+    def keys(self, index: Ints) -> Ints:
+        """Return the number of the episode and sonar from which persisting errors are derived, (n,)."""
+        return self._episodes[index // self.count] + index % self.count
 
     def _first_echo(self, ping: Ping, each: _PathDraw, first: Ints) -> Draw:
         """Return the first echo of each ping, and the second, among those of its paths."""
@@ -242,7 +266,11 @@ class Sonar:
         rngs = [self.rngs[copy] for copy in copies]
         return rngs[0] if len(rngs) == 1 else CopyStreams(rngs, counts)
 
-    def _draw(self, ping: Ping, past: Reading | None, sensors: Ints, rng: UniformSource) -> _PathDraw:
+    def _draw(
+        self, ping: Ping, past: Reading | None, sensors: Ints, rng: UniformSource, latent: Floats | None
+    ) -> _PathDraw:
+        if latent is not None and self.persistence is not None:
+            rng = PersistentStream(rng, latent, self.persistence)
         law = self._law(ping, past, sensors)
         self.has_credence = law.has_probabilities
         reading, fault = law.draw(rng) if isinstance(law, FaultyLaw) else (law.sample(rng), None)
@@ -259,7 +287,13 @@ class Sonar:
         return None
 
     def _draw_each(
-        self, ping: Ping, past: Reading | None, sensors: Ints, copies: Copies, counts: Sequence[int]
+        self,
+        ping: Ping,
+        past: Reading | None,
+        sensors: Ints,
+        copies: Copies,
+        counts: Sequence[int],
+        latent: Floats | None,
     ) -> _PathDraw:
         """Draw one copy after another, for laws that cannot be sampled from several streams at once."""
         parts, end = [], 0
@@ -267,7 +301,8 @@ class Sonar:
             rows, end = slice(end, end + count), end + count
             if count:
                 before = None if past is None else past[rows]
-                parts.append(self._draw(ping[rows], before, sensors[rows], self.rngs[copy]))
+                own = None if latent is None else latent[:, rows]
+                parts.append(self._draw(ping[rows], before, sensors[rows], self.rngs[copy], own))
         reading = Reading(
             *(np.concatenate([getattr(part.reading, name) for part in parts]) for name in ("range", "status"))
         )
