@@ -106,6 +106,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       of `street` override those of the difficulty.
     - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of the
       odometry in `ego`.
+    - `credence_driver`: "agent" (default), "scripted" or "random": the kind of driver on whose conditions `credence` is
+      calibrated.
     - `render_mode`: None, "rgb_array" or "human".
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
@@ -129,10 +131,11 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
+        credence_driver: str | None = "agent",
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
-        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry)
+        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry, credence_driver)
         self.max_range = MAX_RANGE
         self._streams_seeded = False
         self._renderer: Any = None

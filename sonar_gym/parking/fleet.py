@@ -104,6 +104,7 @@ class Fleet:
         street: settings from which each street is drawn; a mapping replaces fields of the level's settings.
         car, reward: settings, or mappings of their fields.
         odometry: errors of the odometry.
+        credence_driver: kind of driver on whose conditions credence given a reading is calibrated, see `prior.DRIVERS`.
         threads: number of threads.
 
     Attributes:
@@ -121,6 +122,7 @@ class Fleet:
         car: CarSettings | Mapping[str, Any] | None = None,
         reward: RewardWeights | Mapping[str, Any] | None = None,
         odometry: OdometryChoice = "exact",
+        credence_driver: str | None = "agent",
         threads: int = 1,
     ) -> None:
         self.count = count
@@ -131,6 +133,7 @@ class Fleet:
         self.odometer = Odometer(odometry_settings(odometry), count)
         self._make_arrays(count)
         self._threads = threads
+        self._credence_driver = credence_driver
         self._pool: ThreadPoolExecutor | None = None
         self.install(sonar)
 
@@ -146,7 +149,9 @@ class Fleet:
             tag: tag of the random stream of the sonars.
         """
         model, names = resolve(sonar), [mount.name for mount in self.mounts]
-        tables = street_credence(model, self.street_settings, self.car_settings, self.mounts, max_range)
+        tables = street_credence(
+            model, self.street_settings, self.car_settings, self.mounts, max_range, self._credence_driver
+        )
         sonars = Sonar(model, len(names), max_range, tag, tables, self.count)
         when = timing(names, STEP_S, times_of(self.mounts) if times is None else times, max_range)
         self.sensing = Sensing(sonars, when, STEP_S)

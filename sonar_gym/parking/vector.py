@@ -40,7 +40,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, render_mode: see `SonarParkingEnv`.
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, render_mode: see
+            `SonarParkingEnv`.
         max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
         threads: number of threads; default: one per processor.
@@ -63,6 +64,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
+        credence_driver: str | None = "agent",
         max_episode_steps: int | None = MAX_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -86,6 +88,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
             car,
             reward,
             odometry,
+            credence_driver,
             cores() if threads is None else threads,
         )
         self.single_observation_space = self.fleet.observation_space

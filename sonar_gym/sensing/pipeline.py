@@ -79,11 +79,12 @@ class Sensing:
         ping = Ping(
             np.where(in_cone, distance, EMPTY_M), bearing, incidence, reflectance, sent[owner], index[owner]
         )  # fmt: skip
+        faces = paths[:, columns.FACE].astype(np.int64)
         held = self.sonar.persistence
         latent = None
         if held is not None:
             latent = latents(np.ascontiguousarray(paths), self.sonar.keys(ping.run), held.lasting, held.length_m)
-        drawn = self.sonar.draw(ping, rows, counts, index, first, latent)
+        drawn = self.sonar.draw(ping, rows, counts, index, first, faces, latent)
         out = np.zeros((len(car), records.N_RECORD))
         out[:, :N_PATH] = paths[drawn.path]
         out[:, records.SENT], out[:, records.SECOND] = sent, drawn.second

@@ -12,12 +12,13 @@ import numpy as np
 from gymnasium import spaces
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
-from acquisition.arrays import Floats, Ints
+from acquisition.arrays import Bits, Floats, Ints
 from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.faults import Faulty, FaultyLaw
 from noise.law import UniformSource
 from noise.learned.persistence import Persistence
 from noise.model import StatefulModel
+from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import is_own_echo
 from sonar_gym.sensing.persistence import PersistentStream
 
@@ -26,6 +27,8 @@ Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])
 ECHO_CODE = np.array([0.0, 1.0, -1.0], dtype=np.float32)  # by EchoStatus: no echo, echo, no answer
 REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at the earliest (`Unit.rearm` of the rig)
+SLOTS = 4  # faces that a model with a state of its own remembers for each sonar, as many as a ping can have
+NO_FACE = -2  # of an unused place in that memory; an empty cone has face -1
 BINS = 100  # bins of range in tables of credence; the broad prior has two distances per bin, so that none is empty
 BEARINGS_DEG = (0.0, 7.5, 15.0, 22.5, 27.5)  # deg; inside a cone of 55 deg
 
@@ -75,6 +78,30 @@ def broad_table(model: SonarModel, max_range: float) -> CredenceTable:
 def _broad_table(model: Any, max_range: float) -> CredenceTable:
     prior = ConditionPrior(near=0.01, far=max_range, distances=2 * BINS, angles_deg=BEARINGS_DEG)
     return CredenceTable.over(model, prior.grid()[0], bin_edges(max_range))
+
+
+@compiled
+def assign_slots(sensors: Ints, faces: Ints, slot_faces: Ints, slot_used: Ints) -> tuple[Ints, Bits]:
+    """Return the place in memory of each path, and whether its face is new there, both (m,).
+
+    Args:
+        sensors: sonar of each path, those of one ping in sequence, (m,).
+        faces: face of each path, (m,).
+        slot_faces: face at each place of each sonar, (n, k); a new face gets the place used longest ago.
+        slot_used: number of the last use of each place, (n, k); updated.
+    """
+    slots, new = np.empty(len(sensors), np.int64), np.zeros(len(sensors), np.bool_)
+    for i in range(len(sensors)):
+        sensor, place = sensors[i], -1
+        for k in range(slot_faces.shape[1]):
+            if slot_faces[sensor, k] == faces[i]:
+                place = k
+        if place < 0:
+            place, new[i] = int(np.argmin(slot_used[sensor])), True
+            slot_faces[sensor, place] = faces[i]
+        slot_used[sensor, place] = slot_used[sensor].max() + 1
+        slots[i] = sensor * slot_faces.shape[1] + place
+    return slots, new
 
 
 class CopyStreams:
@@ -175,8 +202,13 @@ class Sonar:
         self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
         self.persistence = persistence_of(shared)
         self._episodes = np.zeros(copies, dtype=np.int64)  # numbers from which the persisting errors are derived
-        self._past = np.zeros(copies * count), np.full(copies * count, EchoStatus.NO_ANSWER, dtype=np.uint8)
-        self.sensors = np.arange(copies * count)
+        slots = 1 if self._stateful is None else SLOTS
+        size = copies * count * slots
+        self._past = np.zeros(size), np.full(size, EchoStatus.NO_ANSWER, dtype=np.uint8)
+        if self._stateful is not None:  # makes room for all places, which several threads must not do at once
+            self._stateful.law(Ping.of(distance=[1.0]), None, np.array([size - 1]))
+        self._slot_faces = np.full((copies * count, slots), NO_FACE, dtype=np.int64)
+        self._slot_used = np.zeros((copies * count, slots), dtype=np.int64)
         self.clear_memory()
 
     def seed(self, seed: int, copy: int = 0) -> None:
@@ -187,10 +219,12 @@ class Sonar:
         """Clear the previous readings of all copies, or of some, at the start of an episode; errors are drawn anew."""
         for copy in range(self.copies) if copies is None else copies:
             self._episodes[copy] = self.rngs[copy].integers(2**62)
-        which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
+        which, shape = slice(None) if copies is None else copies, (self.copies, -1)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
+        self._slot_faces.reshape(shape)[which], self._slot_used.reshape(shape)[which] = NO_FACE, 0
         if self._stateful is not None:
-            self._stateful.reset(None if copies is None else self.sensors.reshape(shape)[which].ravel())
+            places = np.arange(len(self._past[0])).reshape(shape)
+            self._stateful.reset(None if copies is None else places[which].ravel())
 
     def draw(
         self,
@@ -199,6 +233,7 @@ class Sonar:
         counts: Sequence[int],
         index: Ints,
         first: Ints,
+        faces: Ints,
         latent: Floats | None = None,
     ) -> Draw:
         """Draw the readings of some sonars of some copies; the paths of a ping compete, and the first echo is read.
@@ -213,9 +248,12 @@ class Sonar:
             counts: number of paths of each of these copies.
             index: number of each ping's sonar among the sonars of all copies, (n,).
             first: number of the first path of each ping, (n,).
+            faces: number of the face of each path, -1 for none, (m,); a stateful model remembers each face by itself.
             latent: persisting numbers of the paths, see `persistence.latents`, (LATENTS, m); None to draw all anew.
         """
         sensors = index if len(index) == len(ping) else np.repeat(index, np.diff(first, append=len(ping)))
+        if self._stateful is not None:
+            sensors = self._memory_slots(sensors, faces)
         past = self._previous(sensors) if self.model.remembers else None
         if self.batched or len(copies) == 1:
             each = self._draw(ping, past, sensors, self._stream(copies, counts), latent)
@@ -223,8 +261,18 @@ class Sonar:
             each = self._draw_each(ping, past, sensors, copies, counts, latent)
         drawn = self._first_echo(ping, each, first)
         if self.model.remembers:
-            self._past[0][index], self._past[1][index] = drawn.reading.range, drawn.reading.status
+            places, said = (index, drawn.reading) if self._stateful is None else (sensors, each.reading)
+            self._past[0][places], self._past[1][places] = said.range, said.status
         return drawn
+
+    def _memory_slots(self, sensors: Ints, faces: Ints) -> Ints:
+        """Return the place in a stateful model's memory of each path, (m,); faces that are new get an empty one."""
+        assert self._stateful is not None
+        slots, new = assign_slots(sensors, faces, self._slot_faces, self._slot_used)
+        if new.any():
+            self._stateful.reset(slots[new])
+            self._past[0][slots[new]], self._past[1][slots[new]] = 0.0, EchoStatus.NO_ANSWER
+        return slots
 
     def keys(self, index: Ints) -> Ints:
         """Return the number of the episode and sonar from which persisting errors are derived, (n,)."""

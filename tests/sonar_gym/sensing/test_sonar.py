@@ -71,7 +71,7 @@ def test_each_sonar_has_its_own_table():
 def test_readings_beyond_the_maximum_range_are_no_echo():
     sonar = Sonar(IdealModel(), 2, 1.0)
     place = np.arange(2)
-    reading = sonar.draw(Ping.of([0.5, 2.0]), [0], [2], place, place).reading
+    reading = sonar.draw(Ping.of([0.5, 2.0]), [0], [2], place, place, place).reading
     assert list(reading.echo) == [True, False]
     assert list(reading.range) == [0.5, 0.0]
 
