@@ -177,6 +177,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a street and place the car at its start; `options` fixes what is normally random."""
+        self.fleet.checked(options)
         super().reset(seed=seed)
         if seed is not None or not self._streams_seeded:
             self.fleet.seed(self.np_random_seed if seed is None else seed)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from gymnasium import spaces
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints, Singles
+from sonar_gym.checks import check_finite, settings_of
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.step_kernel import StepConstants, WorldArrays
@@ -27,7 +28,11 @@ from sonar_gym.parking.street import (
     Street,
     StreetSettings,
     arc_table,
+    check_gap,
     draw_street,
+    placed,
+    replaced,
+    start_of,
     street_of,
     street_settings,
 )
@@ -76,12 +81,9 @@ class RewardWeights:
     off_path: float = 3.0
     off_heading: float = 0.5
 
-
-def as_settings(cls: type, given: Any) -> Any:
-    """Return settings as given, from a mapping of fields, or with their defaults."""
-    if given is None:
-        return cls()
-    return cls(**given) if isinstance(given, Mapping) else given
+    def __post_init__(self) -> None:
+        """Raise SettingError for a weight that is not finite."""
+        check_finite(self)
 
 
 def _empty_faces(n: int, faces: int) -> dict[str, Any]:
@@ -128,8 +130,9 @@ class Fleet:
         self.count = count
         self.mounts = layout(sonar_layout)
         self.street_settings = street_settings(difficulty, street)
-        self.car_settings: CarSettings = as_settings(CarSettings, car)
-        self.reward_weights: RewardWeights = as_settings(RewardWeights, reward)
+        self.car_settings: CarSettings = settings_of(CarSettings, car)
+        check_gap(self.street_settings.gap[0], self.car_settings)
+        self.reward_weights: RewardWeights = settings_of(RewardWeights, reward)
         self.odometer = Odometer(odometry_settings(odometry), count)
         self._make_arrays(count)
         self._threads = threads
@@ -278,22 +281,47 @@ class Fleet:
                 complete settings, or a `Street`; `boxes`, see `street_of`; `start`, x, y, heading of the car in m, m,
                 rad.
         """
+        options = self.checked(options)
+        given = options.get("street")
+        street = given if isinstance(given, Street) else self._street_of(options, given, rng)
+        if "start" not in options:
+            return street
+        return placed(street, options["start"], self.car_settings)
+
+    def checked(self, options: Mapping[str, Any] | None) -> Mapping[str, Any]:
+        """Return the options of a reset; nothing is drawn.
+
+        Raises:
+            SettingError: an option is unknown or invalid.
+        """
         options = options or {}
         for name in options:
             if name not in OPTIONS:
                 raise SettingError(f"reset option {name!r}: unknown option; expected {', '.join(OPTIONS)}")
         given = options.get("street")
-        street = given if isinstance(given, Street) else self._street_of(options, given, rng)
-        if "start" not in options:
-            return street
-        start = np.array(options["start"], dtype=np.float64)
-        if start.shape != (3,) or not np.all(np.isfinite(start)):
-            raise SettingError(f"reset option 'start' must be x, y, heading in m, m, rad, got {options['start']}")
-        return replace(street, start=start)
+        if not isinstance(given, Street):
+            settings = self._settings_of(options, given)
+            check_gap(settings.gap[0], self.car_settings)
+            if "boxes" in options:
+                given = street_of(settings, options["boxes"])
+                check_gap(given.gap[1] - given.gap[0], self.car_settings)
+        if "start" in options:
+            start = start_of(options["start"])
+            if isinstance(given, Street):
+                placed(given, start, self.car_settings)
+        return options
+
+    def _settings_of(self, options: Mapping[str, Any], given: Any) -> StreetSettings:
+        settings = street_settings(options["difficulty"]) if "difficulty" in options else self.street_settings
+        if not (given is None or isinstance(given, (StreetSettings, Mapping))):
+            raise SettingError(
+                "reset option 'street' must be a Street, StreetSettings or a mapping of its fields, "
+                f"got a {type(given).__name__}"
+            )
+        return replaced(settings, given)
 
     def _street_of(self, options: Mapping[str, Any], given: Any, rng: np.random.Generator) -> Street:
-        settings = street_settings(options["difficulty"]) if "difficulty" in options else self.street_settings
-        settings = replace(settings, **given) if isinstance(given, Mapping) else (given or settings)
+        settings = self._settings_of(options, given)
         return street_of(settings, options["boxes"]) if "boxes" in options else draw_street(settings, rng)
 
     def _place_street(self, row: int, street: Street) -> None:

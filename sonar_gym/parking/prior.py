@@ -125,7 +125,11 @@ def _street_credence(
 ) -> tuple[CredenceTable, ...]:
     sampled_only = not listener(model).law(Ping.of(1.0)).has_probabilities
     sonar = "ideal" if sampled_only or driver == "random" else model
-    driven, edges, broad = driven_poses(sonar, streets, car, driver), bin_edges(max_range), broad_table(model, max_range)
+    driven, edges, broad = (
+        driven_poses(sonar, streets, car, driver),
+        bin_edges(max_range),
+        broad_table(model, max_range),
+    )
     sonars = Sonar(model, len(mounts), max_range, tables=[broad] * len(mounts), copies=STREETS)
     for copy in range(STREETS):
         sonars.seed(SEED + copy, copy)

@@ -15,7 +15,9 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from sonar_gym.checks import check_fields, check_finite
 from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.scene import Box, Scene, box_faces
 
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
@@ -64,12 +66,16 @@ class StreetSettings:
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
+        check_finite(self)
         for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
             pair = tuple(getattr(self, name))
             if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
             object.__setattr__(self, name, pair)
         self._check_surfaces()
+        for name in ("line", "depth", "far_side", "tail"):
+            if not getattr(self, name) > 0.0:
+                raise SettingError(f"StreetSettings.{name} must be > 0 m, got {getattr(self, name):g} m")
         if self.gap[0] <= self.decoy[1]:
             raise SettingError(
                 f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
@@ -114,9 +120,25 @@ def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] |
     """
     if difficulty not in LEVELS:
         raise SettingError(f"difficulty {difficulty!r}: unknown level; expected {', '.join(LEVELS)}")
+    return replaced(LEVELS[difficulty], given)
+
+
+def replaced(settings: StreetSettings, given: StreetSettings | Mapping[str, Any] | None) -> StreetSettings:
+    """Return settings with some fields replaced, or complete settings as given.
+
+    Raises:
+        SettingError: a field is unknown or invalid.
+    """
     if isinstance(given, StreetSettings):
         return given
-    return replace(LEVELS[difficulty], **(given or {}))
+    check_fields(StreetSettings, given or {})
+    return replace(settings, **(given or {}))
+
+
+def check_gap(gap: float, car: CarSettings) -> None:
+    """Raise SettingError for a gap that a car does not fit in."""
+    if gap <= car.length:
+        raise SettingError(f"the gap is {gap:g} m long, but the car {car.length:g} m: make the gap longer")
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +240,8 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
         raise SettingError(f"boxes must be two or more, each with begin and length in m, got {list(boxes)}")
     rows = [[box.get(name, default) for name, default in BOX_FIELDS.items()] for box in boxes]
     strip = np.array(sorted(rows), dtype=np.float64)
+    if not np.all(np.isfinite(strip)):
+        raise SettingError(f"boxes must have finite fields, got {list(boxes)}")
     spaces = strip[1:, 0] - strip[:-1, :2].sum(axis=1)
     if np.min(spaces) < 0.0:
         raise SettingError(f"boxes overlap: a space between two of them is {np.min(spaces):g} m long")
@@ -226,6 +250,37 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     street = Street(settings, strip, gap, np.zeros(3))
     _ = street.boxes  # validates the boxes
     return street
+
+
+def start_of(given: Any) -> Floats:
+    """Return x, y, heading of a start, m, m, rad, (3,).
+
+    Raises:
+        SettingError: the start is not three finite numbers.
+    """
+    start = np.array(given, dtype=np.float64)
+    if start.shape != (3,) or not np.all(np.isfinite(start)):
+        raise SettingError(f"reset option 'start' must be x, y, heading in m, m, rad, got {given}")
+    return start
+
+
+def placed(street: Street, start: Any, car: CarSettings) -> Street:
+    """Return a street with another start.
+
+    Raises:
+        SettingError: the start is outside the street, or the car touches an obstacle or stands inside one.
+    """
+    start, low, high = start_of(start), street.kerb, street.settings.far_side
+    x, y = float(start[0]), float(start[1])
+    if not (-BEHIND <= x <= street.end and low <= y <= high):
+        raise SettingError(
+            f"reset option 'start' is at x {x:g} m, y {y:g} m, outside the street: x from {-BEHIND:g} to "
+            f"{street.end:g} m, y from {low:g} to {high:g} m"
+        )
+    inside = any(abs(x - box.x) <= 0.5 * box.length and abs(y - box.y) <= 0.5 * box.width for box in street.boxes)
+    if inside or touches(start, car.body, street.scene.segments) != NO_HIT:
+        raise SettingError(f"reset option 'start': a car at x {x:g} m, y {y:g} m touches an obstacle: move the start")
+    return replace(street, start=start)
 
 
 @dataclass(frozen=True)

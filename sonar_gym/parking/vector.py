@@ -137,9 +137,10 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
                 continues the random streams.
             options: options of `SonarParkingEnv.reset`, and `reset_mask`, bool, (n,).
         """
-        seeds = self._seed_each(seed)
         options = dict(options or {})
         mask = self._mask(options.pop(MASK)) if MASK in options else np.ones(self.num_envs, dtype=np.bool_)
+        self.fleet.checked(options)
+        seeds = self._seed_each(seed)
         rows = self._rows[mask]
         for i in rows:
             self._stream(int(i), seeds[i])

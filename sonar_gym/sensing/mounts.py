@@ -10,6 +10,7 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from sonar_gym.checks import settings_of
 from sonar_gym.sensing.kernels import mounted
 from sonar_gym.sensing.timing import Times
 
@@ -41,7 +42,10 @@ class Mount:
     latency_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise SettingError for an invalid cone or time."""
+        """Raise SettingError for an invalid position, cone or time."""
+        for name in ("x", "y", "heading_deg"):
+            if not np.isfinite(getattr(self, name)):
+                raise SettingError(f"Mount.{name} of {self.name!r} must be finite, got {getattr(self, name)}")
         if not 0.0 < self.cone_deg < 180.0:
             raise SettingError(f"Mount.cone_deg of {self.name!r} must lie in (0, 180) deg, got {self.cone_deg:g} deg")
         for name in ("period_s", "phase_s", "latency_s"):
@@ -97,7 +101,7 @@ def layout(given: Layout) -> tuple[Mount, ...]:
                 f"sonar_layout {given!r}: unknown name; expected {', '.join(LAYOUTS)}, or a list of mounts"
             )
         return LAYOUTS[given]
-    mounts = tuple(mount if isinstance(mount, Mount) else Mount(**mount) for mount in given)
+    mounts = tuple(settings_of(Mount, mount) for mount in given)
     if not mounts:
         raise SettingError("sonar_layout has 0 mounts, expected 1 or more")
     return mounts
