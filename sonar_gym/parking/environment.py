@@ -108,6 +108,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       odometry in `ego`.
     - `credence_driver`: "agent" (default), "scripted" or "random": the kind of driver on whose conditions `credence` is
       calibrated.
+    - `crosstalk`: whether a sonar also receives the bursts of others by way of a face (default). An ideal or Gaussian
+      sonar, which has no beam, hears only itself.
     - `render_mode`: None, "rgb_array" or "human".
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
@@ -132,10 +134,13 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         render_mode: str | None = None,
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
+        crosstalk: bool = True,
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
-        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry, credence_driver)
+        self.fleet = Fleet(
+            1, sonar, sonar_layout, difficulty, street, car, reward, odometry, credence_driver, crosstalk
+        )
         self.max_range = MAX_RANGE
         self._streams_seeded = False
         self._renderer: Any = None

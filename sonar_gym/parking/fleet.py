@@ -38,7 +38,7 @@ from sonar_gym.parking.street import (
 )
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.parking.world import WorldView
-from sonar_gym.sensing.detection import detection_table
+from sonar_gym.sensing.detection import detection_table, has_beam
 from sonar_gym.sensing.mounts import Layout, layout, mount_arrays, times_of
 from sonar_gym.sensing.odometry import Odometer, OdometryChoice
 from sonar_gym.sensing.odometry import odometry as odometry_settings
@@ -107,6 +107,7 @@ class Fleet:
         car, reward: settings, or mappings of their fields.
         odometry: errors of the odometry.
         credence_driver: kind of driver on whose conditions credence given a reading is calibrated, see `prior.DRIVERS`.
+        crosstalk: whether the sonars of a car hear each other's bursts.
         threads: number of threads.
 
     Attributes:
@@ -125,6 +126,7 @@ class Fleet:
         reward: RewardWeights | Mapping[str, Any] | None = None,
         odometry: OdometryChoice = "exact",
         credence_driver: str | None = "agent",
+        crosstalk: bool = True,
         threads: int = 1,
     ) -> None:
         self.count = count
@@ -136,7 +138,7 @@ class Fleet:
         self.odometer = Odometer(odometry_settings(odometry), count)
         self._make_arrays(count)
         self._threads = threads
-        self._credence_driver = credence_driver
+        self._credence_driver, self._crosstalk = credence_driver, crosstalk
         self._pool: ThreadPoolExecutor | None = None
         self.install(sonar)
 
@@ -152,9 +154,8 @@ class Fleet:
             tag: tag of the random stream of the sonars.
         """
         model, names = resolve(sonar), [mount.name for mount in self.mounts]
-        tables = street_credence(
-            model, self.street_settings, self.car_settings, self.mounts, max_range, self._credence_driver
-        )
+        key = self.street_settings, self.car_settings, self.mounts, max_range, self._credence_driver, self._crosstalk
+        tables = street_credence(model, *key)
         sonars = Sonar(model, len(names), max_range, tag, tables, self.count)
         when = timing(names, STEP_S, times_of(self.mounts) if times is None else times, max_range)
         self.sensing = Sensing(sonars, when, STEP_S)
@@ -205,6 +206,7 @@ class Fleet:
             scale=np.array([car.max_speed, car.max_steering, *ODOMETRY_SPAN, MAX_STEPS]),
             limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -BEHIND]),
             detection=detection,
+            crosstalk=self._crosstalk and has_beam(detection),
             dt=STEP_S,
             max_range=self.sonar.max_range,
         )

@@ -21,7 +21,8 @@ from noise.law import CREDENCE_TOLERANCE
 from sonar_gym.parking.street import StreetSettings
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths
-from sonar_gym.sensing.detection import detection_table
+from sonar_gym.sensing.crosstalk import add_crosstalk
+from sonar_gym.sensing.detection import detection_table, has_beam
 from sonar_gym.sensing.kernels import mounted
 from sonar_gym.sensing.mounts import Mount, mount_arrays
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH, cast_paths
@@ -100,6 +101,7 @@ def street_credence(
     mounts: tuple[Mount, ...],
     max_range: float,
     driver: str | None,
+    crosstalk: bool = False,
 ) -> tuple[CredenceTable, ...]:
     """Return the credence given a reading for each sonar of a car on such streets; computed once per model.
 
@@ -110,18 +112,25 @@ def street_credence(
         mounts: sonars on the car.
         max_range: maximum range, m.
         driver: kind of driver, a key of `DRIVERS`; None for the broad prior, without driving.
+        crosstalk: whether the sonars hear each other's bursts; see `crosstalk.add_crosstalk`.
     """
     broad = broad_table(model, max_range)
     if driver is not None:
         driver_of(driver)  # an unknown kind is an error for every model
     if driver is None or np.all(broad.values[broad.share > 0.0] == 1.0):  # a sonar without noise needs no prior
         return (broad,) * len(mounts)
-    return _street_credence(cast(Hashable, model), streets, car, mounts, max_range, driver)
+    return _street_credence(cast(Hashable, model), streets, car, mounts, max_range, driver, crosstalk)
 
 
 @lru_cache(maxsize=16)
 def _street_credence(
-    model: Any, streets: StreetSettings, car: CarSettings, mounts: tuple[Mount, ...], max_range: float, driver: str
+    model: Any,
+    streets: StreetSettings,
+    car: CarSettings,
+    mounts: tuple[Mount, ...],
+    max_range: float,
+    driver: str,
+    crosstalk: bool,
 ) -> tuple[CredenceTable, ...]:
     sampled_only = not listener(model).law(Ping.of(1.0)).has_probabilities
     sonar = "ideal" if sampled_only or driver == "random" else model
@@ -134,6 +143,7 @@ def _street_credence(
     for copy in range(STREETS):
         sonars.seed(SEED + copy, copy)
     detection, (local, half) = detection_table(model, max_range), mount_arrays(mounts)
+    sent = np.array([mount.phase_s if crosstalk and has_beam(detection) else s for s, mount in enumerate(mounts)])
     right, total = np.zeros((2, len(mounts), BINS))
     before = driven.steps[0]
     for k in range(0, STEPS, SAMPLED_ONLY_EVERY if sampled_only else 1 if model.remembers else EVERY):
@@ -141,7 +151,7 @@ def _street_credence(
         before = driven.steps[k]
         if len(begun):
             sonars.clear_memory(begun)
-        faced = [_faced(pose, scene, local, half, max_range, detection)
+        faced = [_faced(pose, scene, local, half, max_range, detection, sent)
                  for pose, scene in zip(driven.poses[k], driven.scenes[k], strict=True)]  # fmt: skip
         _count(sonars, faced, 0.1 * driven.steps[k], edges, right, total)
     share = total / np.maximum(total.sum(axis=1, keepdims=True), 1.0)
@@ -151,14 +161,17 @@ def _street_credence(
 
 
 def _faced(
-    pose: Floats, scene: Scene, local: Floats, half: Floats, limit: float, detection: Floats
+    pose: Floats, scene: Scene, local: Floats, half: Floats, limit: float, detection: Floats, sent: Floats
 ) -> tuple[Floats, Ints]:
-    """Return the paths of a ping of each sonar of a car, (s, MAX_PATHS, N_PATH), and their numbers, (s,)."""
+    """Return the paths of pings of each sonar of a car, sent at times (s,), and their numbers, (s,)."""
     out, counts = np.empty((len(half), MAX_PATHS, N_PATH)), np.empty(len(half), np.int64)
-    for s, (x, y, heading) in enumerate(mounted(local, pose)):
+    sensors, fired = mounted(local, pose), np.ones(len(half), np.bool_)
+    for s, (x, y, heading) in enumerate(sensors):
         counts[s] = cast_paths(
             x, y, heading, half[s], scene.segments, scene.surface, scene.owner, limit, detection, out[s]
         )
+    faces = scene.segments, scene.surface, scene.owner
+    add_crosstalk(sensors, fired, sent, *faces, limit, detection, out, counts)
     return out, counts
 
 
@@ -176,10 +189,12 @@ def _count(
         np.repeat(time_s[index // sonars.count], counts), np.repeat(index, counts),
     )  # fmt: skip
     faces = every[:, paths.FACE].astype(np.int64)
-    drawn = sonars.draw(ping, np.arange(STREETS), [int(count.sum()) for _, count in faced], index, first, faces)
+    cars, numbers = np.arange(STREETS), [int(count.sum()) for _, count in faced]
+    drawn = sonars.draw(ping, cars, numbers, index, first, faces, shift=every[:, paths.SHIFT])
+    truth = np.where(every[drawn.path, paths.SOURCE] > 0.0, first + counts - 1, drawn.path)
     echo, reading = drawn.reading.echo, drawn.reading.range
-    off = np.abs(reading - distance[drawn.path]) <= CREDENCE_TOLERANCE * distance[drawn.path]
+    off = np.abs(reading - distance[truth]) <= CREDENCE_TOLERANCE * distance[truth]
     place = np.minimum(np.searchsorted(edges, reading, side="right") - 1, BINS - 1)
     np.add.at(total, (index[echo] % sonars.count, place[echo]), 1.0)
-    hit = echo & off & in_cone[drawn.path]
+    hit = echo & off & in_cone[truth]
     np.add.at(right, (index[hit] % sonars.count, place[hit]), 1.0)

@@ -12,6 +12,7 @@ import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from sonar_gym.compiled import compiled
+from sonar_gym.sensing.crosstalk import add_crosstalk
 from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 from sonar_gym.sensing.paths import cast_paths
@@ -68,6 +69,7 @@ class StepConstants(NamedTuple):
         scale: scales of `ego`: speed, steering angle, distance along, distance across, steps, (5,).
         limits: limits of `is_parked`: speed, m/s, angle, rad, overhang, m; x of the open end of the street, m.
         detection: see `detection.detection_table`.
+        crosstalk: whether sonars hear each other's bursts.
         dt: duration of a step, s.
         max_range: maximum range, m.
     """
@@ -82,6 +84,7 @@ class StepConstants(NamedTuple):
     scale: Floats
     limits: Floats
     detection: Floats
+    crosstalk: bool
     dt: float
     max_range: float
 
@@ -151,11 +154,13 @@ def measure_ping(
     owner: Ints,
     max_range: float,
     detection: Floats,
+    sensors: Floats,
 ) -> int:
-    """Write the paths of a ping of sonar s with the car at a pose, (MAX_PATHS, N_PATH), and return their number."""
+    """Write the paths of a ping of sonar s with the car at a pose, and its pose; return the number of paths."""
     c, sn = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + c * mounts[s, 0] - sn * mounts[s, 1], pose[1] + sn * mounts[s, 0] + c * mounts[s, 1]
     heading = pose[2] + mounts[s, 2]
+    sensors[s, 0], sensors[s, 1], sensors[s, 2] = x, y, heading
     return cast_paths(x, y, heading, half_angles[s], segments, surface, owner, max_range, detection, out)
 
 
@@ -186,13 +191,18 @@ def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int,
 def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
     """Begin episodes in worlds whose car and street are set: all sonars ping, and the reward is zero."""
     n_paths, paths, mounts, half_angles = p.n_paths, p.paths, r.mounts, r.half_angles
+    sensors = np.empty((half_angles.shape[0], 3))
     for i in rows:
         w.steps[i] = 0
         pose, count = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), w.counts[i]
         segments, surface, owner = w.segments[i, :count], w.surface[i], w.owner[i]
         for s in range(half_angles.shape[0]):
             n_paths[i, s] = measure_ping(
-                paths[i, s], s, pose, mounts, half_angles, segments, surface, owner, r.max_range, r.detection
+                paths[i, s], s, pose, mounts, half_angles, segments, surface, owner, r.max_range, r.detection, sensors
+            )
+        if r.crosstalk:
+            add_crosstalk(
+                sensors, p.fired[i], p.sent[i], segments, surface, owner, r.max_range, r.detection, paths[i], n_paths[i]
             )
         w.ended[i] = False
         update_reward(w.terms, w.car, w.task, w.ended, i, r.arc, r.weights)
@@ -217,7 +227,8 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
     )  # fmt: skip
     dynamics, body, mounts, half_angles, timing = r.dynamics, r.body, r.mounts, r.half_angles, r.timing
     arc, weights, scale, limits, dt, max_range = r.arc, r.weights, r.scale, r.limits, r.dt, r.max_range
-    detection, count = r.detection, timing.shape[0]
+    detection, crosstalk, count = r.detection, r.crosstalk, timing.shape[0]
+    sensors = np.zeros((count, 3))
     h, start, before, delay = dt / PARTS, np.empty(3), np.empty(3), np.empty(count)
     for k in range(rows.shape[0]):
         i = rows[k]
@@ -240,10 +251,24 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
                     pose = (state[0], state[1], state[2]) if at_end else roll(before, state[3] * since, curvature)
                     sent[i, s] = begin_s + delay[s]
                     n_paths[i, s] = measure_ping(
-                        own_paths[s], s, pose, mounts, half_angles, segments, surface, owner, max_range, detection
+                        own_paths[s],
+                        s,
+                        pose,
+                        mounts,
+                        half_angles,
+                        segments,
+                        surface,
+                        owner,
+                        max_range,
+                        detection,
+                        sensors,
                     )
             if last:
                 break
+        if crosstalk:
+            add_crosstalk(
+                sensors, fired[i], sent[i], segments, surface, owner, max_range, detection, own_paths, n_paths[i]
+            )
         if hit != NO_HIT:
             state[3] = 0.0
         ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NO_HIT, state[0] < limits[3]

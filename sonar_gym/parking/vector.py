@@ -40,7 +40,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, render_mode: see
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk, render_mode: see
             `SonarParkingEnv`.
         max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
@@ -65,6 +65,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         render_mode: str | None = None,
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
+        crosstalk: bool = True,
         max_episode_steps: int | None = MAX_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -89,6 +90,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
             reward,
             odometry,
             credence_driver,
+            crosstalk,
             cores() if threads is None else threads,
         )
         self.single_observation_space = self.fleet.observation_space

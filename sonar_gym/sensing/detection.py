@@ -20,6 +20,7 @@ from sonar_gym.compiled import compiled
 SHAPE = (24, 9, 13, 5)  # nodes of distance, bearing, incidence, reflectance
 MAX_BEARING = np.radians(60.0)
 NEAREST = 0.01  # nearest node relative to the farthest
+BEAM_CONTRAST = 0.01  # difference of probabilities that a beam makes at the least
 SEED = 2016  # of the draws from a law without probabilities
 # An echo of the reflector itself is read within 1 % (air 6 K warmer or colder) and 0.07 m (the rise of the burst, which
 # a weak echo takes to cross the threshold); echoes of what stands behind it come later. As 1 and m.
@@ -45,6 +46,11 @@ def _nodes(far: float) -> Ping:
     grid = np.meshgrid(*(np.linspace(*ends, n) for ends, n in zip(axes, SHAPE, strict=True)), indexing="ij")
     distance, bearing, incidence, reflectance = (axis.ravel() for axis in grid)
     return Ping.of(distance, bearing, incidence, reflectance, time=0.0, run=np.arange(distance.size))
+
+
+def has_beam(table: Floats) -> bool:
+    """Return whether a model detects less at greater bearings; one that does not has no beam, and no cross-talk."""
+    return bool(np.any(np.ptp(table, axis=1) > BEAM_CONTRAST))
 
 
 def own_window(distance: Floats) -> Floats:

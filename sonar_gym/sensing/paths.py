@@ -15,11 +15,13 @@ from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import detection
 from sonar_gym.sensing.kernels import NO_HIT, cast_cone, clip_half_plane, incidence_cosine
 
-DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, FACE, X, Y, TEXTURE = range(9)
-N_PATH = 9  # columns of a path
-MAX_PATHS = 4  # paths given to a law at one ping, those detected most often
+# Columns: conditions, face and point; the shift of its reading and the sonar + 1 whose burst it is, 0 for the own one
+DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, FACE, X, Y, TEXTURE, SHIFT, SOURCE = range(11)
+N_PATH = 11
+MAX_OWN_PATHS = 4  # paths of the own burst given to a law at one ping, those detected most often
+MAX_PATHS = MAX_OWN_PATHS + 2  # and those of other sonars' bursts
 MIN_DETECTION = 0.02  # a further path that is detected less often is not given to the law
-CERTAIN = 0.9995  # a path detected more often hides all paths behind it
+CERTAIN = 0.98  # a path detected more often hides all paths behind it: at most 1 in 50 of them would be read
 SAME_POINT = 1e-6  # m
 MIN_WIDTH = 1e-9  # tangent; narrower parts of a cone are empty
 
@@ -167,8 +169,8 @@ def select_paths(found: Floats, count: int, table: Floats, limit: float, out: Fl
         expected[k] = detection(table, limit, path[DISTANCE], path[BEARING], path[INCIDENCE], path[REFLECTANCE])
         if expected[k] >= CERTAIN:
             hidden_from = min(hidden_from, found[k, DISTANCE])
-    chosen, n = np.empty(MAX_PATHS, np.int64), 0
-    while n < min(count, MAX_PATHS):
+    chosen, n = np.empty(MAX_OWN_PATHS, np.int64), 0
+    while n < min(count, MAX_OWN_PATHS):
         best = NO_HIT
         for k in range(count):
             if expected[k] < 0.0 or found[k, DISTANCE] > hidden_from or (n > 0 and expected[k] < MIN_DETECTION):
@@ -218,6 +220,7 @@ def cast_paths(
         out: the paths, (MAX_PATHS, N_PATH); written.
     """
     distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
+    out[:, SHIFT : SOURCE + 1] = 0.0
     one = out[0]
     one[DISTANCE], one[BEARING], one[INCIDENCE], one[REFLECTANCE] = distance, bearing, 0.0, 0.0
     one[OBSTACLE], one[FACE], one[X], one[Y], one[TEXTURE] = NO_HIT, face, at_x, at_y, 0.0
@@ -232,7 +235,7 @@ def cast_paths(
     count = pieces_in_cone(x, y, heading, half, segments, limit, pieces, faces)
     if count <= 1:
         return 1
-    points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.empty((count, N_PATH)), 0
+    points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.zeros((count, N_PATH)), 0
     nearest_visible(pieces, count, np.empty(2 * count), points)
     merge_corners(pieces, count, points, cosines)
     c, s = math.cos(heading), math.sin(heading)

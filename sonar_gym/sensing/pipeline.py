@@ -84,13 +84,16 @@ class Sensing:
         latent = None
         if held is not None:
             latent = latents(np.ascontiguousarray(paths), self.sonar.keys(ping.run), held.lasting, held.length_m)
-        drawn = self.sonar.draw(ping, rows, counts, index, first, faces, latent)
+        drawn = self.sonar.draw(ping, rows, counts, index, first, faces, latent, paths[:, columns.SHIFT])
         out = np.zeros((len(car), records.N_RECORD))
-        out[:, :N_PATH] = paths[drawn.path]
+        source = paths[drawn.path, columns.SOURCE]
+        last = first + n_paths - 1  # the truth about a sonar is its own path, also if it reads another's burst
+        out[:, :N_PATH] = paths[np.where(source > 0.0, last, drawn.path)]
+        out[:, records.BY_CROSSTALK] = source
         out[:, records.SENT], out[:, records.SECOND] = sent, drawn.second
         out[:, records.RANGE], out[:, records.STATUS] = drawn.reading.range, drawn.reading.status
         if drawn.credence_given_condition is not None:
-            out[:, records.GIVEN_CONDITION] = np.where(in_cone[first], drawn.credence_given_condition, 0.0)
+            out[:, records.GIVEN_CONDITION] = np.where(in_cone[last], drawn.credence_given_condition, 0.0)
         if drawn.fault is not None:
             out[:, records.FAULT] = drawn.fault
         records.store(car, sonar, out, p)

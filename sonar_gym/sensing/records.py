@@ -16,13 +16,13 @@ from sonar_gym.compiled import compiled
 from sonar_gym.sensing.paths import DISTANCE, MAX_PATHS, N_PATH, OBSTACLE
 
 # Columns of a record: those of the path that answered, or of the path detected most often, then the reading
-SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT, SECOND = range(N_PATH, N_PATH + 6)
-N_RECORD = N_PATH + 6
+SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT, SECOND, BY_CROSSTALK = range(N_PATH, N_PATH + 7)
+N_RECORD = N_PATH + 7
 SAME_TIME_S = 1e-9  # s; times closer than this are equal
 MAX_AGE_S = 1.0  # upper limit of the age in an observation
 # Causes of readings, by number; the faults of the model follow
-EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, FIRST_FAULT = range(8)
-CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer")
+EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, CROSSTALK, FIRST_FAULT = range(9)
+CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer", "cross-talk")
 _ECHO, _NO_ANSWER = 1, 2  # as acquisition.EchoStatus
 
 
@@ -159,7 +159,7 @@ def bin_of(range_: float, edges: Floats) -> int:
 
 
 @compiled
-def cause_of(fault: float, status: float, obstacle: float, reading: float, true: float) -> int:
+def cause_of(fault: float, status: float, obstacle: float, reading: float, true: float, crosstalk: float = 0.0) -> int:
     """Return the cause of a reading; a right reading is within 10 % of the true distance, as for credence (Esmi 2016).
 
     Args:
@@ -168,6 +168,7 @@ def cause_of(fault: float, status: float, obstacle: float, reading: float, true:
         obstacle: number of the obstacle that answered or could have, -1 for an empty cone.
         reading: reading, m.
         true: distance of that obstacle, m.
+        crosstalk: whether the echo is that of another sonar's burst.
     """
     if fault > 0.0:
         return FIRST_FAULT + int(fault) - 1
@@ -175,6 +176,8 @@ def cause_of(fault: float, status: float, obstacle: float, reading: float, true:
         return NO_ANSWER
     if status != _ECHO:
         return MISSED if obstacle >= 0.0 else EMPTY
+    if crosstalk > 0.0:
+        return CROSSTALK
     if obstacle < 0.0:
         return GHOST
     if abs(reading - true) <= 0.1 * true:
@@ -215,4 +218,4 @@ def update_observation(
                 ranges[i, s], echo[i, s] = min(reading / max_range, 1.0), 1.0
                 credence[i, s] = tables[s, bin_of(reading, edges)]
             age[i, s] = min(max(now[k] - ping[SENT], 0.0), MAX_AGE_S)
-            cause[i, s] = cause_of(ping[FAULT], status, ping[OBSTACLE], reading, ping[DISTANCE])
+            cause[i, s] = cause_of(ping[FAULT], status, ping[OBSTACLE], reading, ping[DISTANCE], ping[BY_CROSSTALK])

@@ -20,6 +20,7 @@ from noise.learned.persistence import Persistence
 from noise.model import StatefulModel
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import is_own_echo
+from sonar_gym.sensing.paths import MAX_PATHS
 from sonar_gym.sensing.persistence import PersistentStream
 
 SonarChoice = str | os.PathLike[str] | SonarModel
@@ -27,7 +28,7 @@ Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])
 ECHO_CODE = np.array([0.0, 1.0, -1.0], dtype=np.float32)  # by EchoStatus: no echo, echo, no answer
 REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at the earliest (`Unit.rearm` of the rig)
-SLOTS = 4  # faces that a model with a state of its own remembers for each sonar, as many as a ping can have
+SLOTS = MAX_PATHS  # faces that a model with a state of its own remembers for each sonar, as many as a ping can have
 NO_FACE = -2  # of an unused place in that memory; an empty cone has face -1
 BINS = 100  # bins of range in tables of credence; the broad prior has two distances per bin, so that none is empty
 BEARINGS_DEG = (0.0, 7.5, 15.0, 22.5, 27.5)  # deg; inside a cone of 55 deg
@@ -235,6 +236,7 @@ class Sonar:
         first: Ints,
         faces: Ints,
         latent: Floats | None = None,
+        shift: Floats | None = None,
     ) -> Draw:
         """Draw the readings of some sonars of some copies; the paths of a ping compete, and the first echo is read.
 
@@ -250,6 +252,7 @@ class Sonar:
             first: number of the first path of each ping, (n,).
             faces: number of the face of each path, -1 for none, (m,); a stateful model remembers each face by itself.
             latent: persisting numbers of the paths, see `persistence.latents`, (LATENTS, m); None to draw all anew.
+            shift: what is added to the reading of each path, m, (m,), for bursts sent at another time; None: nothing.
         """
         sensors = index if len(index) == len(ping) else np.repeat(index, np.diff(first, append=len(ping)))
         if self._stateful is not None:
@@ -259,7 +262,7 @@ class Sonar:
             each = self._draw(ping, past, sensors, self._stream(copies, counts), latent)
         else:
             each = self._draw_each(ping, past, sensors, copies, counts, latent)
-        drawn = self._first_echo(ping, each, first)
+        drawn = self._first_echo(ping, each, first, shift)
         if self.model.remembers:
             places, said = (index, drawn.reading) if self._stateful is None else (sensors, each.reading)
             self._past[0][places], self._past[1][places] = said.range, said.status
@@ -278,7 +281,7 @@ class Sonar:
         """Return the number of the episode and sonar from which persisting errors are derived, (n,)."""
         return self._episodes[index // self.count] + index % self.count
 
-    def _first_echo(self, ping: Ping, each: _PathDraw, first: Ints) -> Draw:
+    def _first_echo(self, ping: Ping, each: _PathDraw, first: Ints, shift: Floats | None) -> Draw:
         """Return the first echo of each ping, and the second, among those of its paths."""
         last = np.append(first[1:], len(ping)) - 1
         if len(first) == len(ping):
@@ -292,7 +295,8 @@ class Sonar:
             counted &= main | (each.fault == 0)
         alone = status == EchoStatus.NO_ANSWER if fault is None else (status == EchoStatus.NO_ANSWER) | (fault > 0)
         counted &= main | ~np.repeat(alone, last - first + 1)
-        echo = np.where(counted, each.reading.range, np.inf)
+        echo = np.where(counted, each.reading.range if shift is None else each.reading.range + shift, np.inf)
+        echo[echo > self.max_range] = np.inf
         nearest = np.minimum.reduceat(echo, first)
         answers = np.isfinite(nearest)
         owner = np.repeat(np.arange(len(first)), last - first + 1)
