@@ -8,7 +8,7 @@ the task are driven by a driver of each kind with ideal sonars, and the model's 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from typing import Any, NamedTuple, cast
 
@@ -18,6 +18,7 @@ from acquisition import Ping, SettingError
 from acquisition.arrays import Floats, Ints
 from noise import CredenceTable, SonarModel, listener
 from noise.law import CREDENCE_TOLERANCE
+from sonar_gym.parking.stored import stored
 from sonar_gym.parking.street import StreetSettings
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths
@@ -30,6 +31,7 @@ from sonar_gym.sensing.scene import EMPTY_M, Scene
 from sonar_gym.sensing.sonar import BINS, Sonar, bin_edges, broad_table
 
 SEED = 2016  # fixed, so that the prior is the same in every environment
+ROUNDS = 1
 STREETS, STEPS = 192, 240  # cars driven at once, and observations of each; episodes that end are followed by others
 EVERY, SAMPLED_ONLY_EVERY = 3, 48  # observations used; a model that can only be sampled takes long
 BROAD_WEIGHT = 0.01  # weight of the broad prior, for readings that the sample never gives
@@ -76,12 +78,23 @@ class DrivenPoses(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def driven_poses(sonar: Any, streets: StreetSettings, car: CarSettings, driver: str) -> DrivenPoses:
-    """Return the poses of cars driven on such streets with eight sonars; computed once per choice."""
+def driven_poses(sonar: Any, streets: StreetSettings, car: CarSettings, driver: str, rounds: int) -> DrivenPoses:
+    """Return the poses of cars driven on such streets with eight sonars; computed once per choice.
+
+    Args:
+        sonar: name or model of the sonars.
+        streets: settings of the streets.
+        car: measures of the car.
+        driver: kind of driver.
+        rounds: 0: the driver observes credence under the broad prior; else that of the round before.
+    """
     from sonar_gym.parking.vector import SonarParkingVectorEnv  # the environment itself uses this module
 
     envs = SonarParkingVectorEnv(STREETS, sonar, street=streets, car=car, credence_driver=None, threads=1)
     act, fleet = driver_of(driver)(STREETS), envs.fleet
+    if rounds > 0:
+        key = streets, car, fleet.mounts, fleet.sonar.max_range, driver, True, rounds - 1
+        fleet.sonar.tables[:] = [table.values for table in _street_credence(sonar, *key)]
     observation, begun = envs.reset(seed=SEED)[0], np.ones(STREETS, dtype=np.bool_)
     poses, scenes, steps = [], [], []
     for _ in range(STEPS):
@@ -119,7 +132,8 @@ def street_credence(
         driver_of(driver)  # an unknown kind is an error for every model
     if driver is None or np.all(broad.values[broad.share > 0.0] == 1.0):  # a sonar without noise needs no prior
         return (broad,) * len(mounts)
-    return _street_credence(cast(Hashable, model), streets, car, mounts, max_range, driver, crosstalk)
+    # what a driver does depends on the credence that it observes, but two rounds agree
+    return _street_credence(cast(Hashable, model), streets, car, mounts, max_range, driver, crosstalk, ROUNDS)
 
 
 @lru_cache(maxsize=16)
@@ -131,18 +145,34 @@ def _street_credence(
     max_range: float,
     driver: str,
     crosstalk: bool,
+    rounds: int,
 ) -> tuple[CredenceTable, ...]:
+    edges = bin_edges(max_range)
+    key = model, streets, car, mounts, max_range, driver, crosstalk, rounds
+    values, share = stored(key, partial(_counted, *key))
+    return tuple(CredenceTable(edges, v, s) for v, s in zip(values, share, strict=True))
+
+
+def _counted(
+    model: Any,
+    streets: StreetSettings,
+    car: CarSettings,
+    mounts: tuple[Mount, ...],
+    max_range: float,
+    driver: str,
+    crosstalk: bool,
+    rounds: int,
+) -> Floats:
+    """Return the credence of each sonar's readings and the probability of each bin, (2, s, BINS)."""
     sampled_only = not listener(model).law(Ping.of(1.0)).has_probabilities
-    sonar = "ideal" if sampled_only or driver == "random" else model
-    driven, edges, broad = (
-        driven_poses(sonar, streets, car, driver),
-        bin_edges(max_range),
-        broad_table(model, max_range),
-    )
+    open_loop = sampled_only or driver == "random"
+    driven = driven_poses("ideal" if open_loop else model, streets, car, driver, 0 if open_loop else rounds)
+    edges, broad = bin_edges(max_range), broad_table(model, max_range)
     sonars = Sonar(model, len(mounts), max_range, tables=[broad] * len(mounts), copies=STREETS)
     for copy in range(STREETS):
         sonars.seed(SEED + copy, copy)
     detection, (local, half) = detection_table(model, max_range), mount_arrays(mounts)
+    # without cross-talk, as if the sonars fired one second after the other
     sent = np.array([mount.phase_s if crosstalk and has_beam(detection) else s for s, mount in enumerate(mounts)])
     right, total = np.zeros((2, len(mounts), BINS))
     before = driven.steps[0]
@@ -156,8 +186,8 @@ def _street_credence(
         _count(sonars, faced, 0.1 * driven.steps[k], edges, right, total)
     share = total / np.maximum(total.sum(axis=1, keepdims=True), 1.0)
     value = np.divide(right, total, out=np.zeros_like(total), where=total > 0.0)
-    own = (CredenceTable(edges, v, s) for v, s in zip(value, share, strict=True))
-    return tuple(table.mixed(broad, BROAD_WEIGHT) for table in own)
+    own = (CredenceTable(edges, v, s).mixed(broad, BROAD_WEIGHT) for v, s in zip(value, share, strict=True))
+    return np.array([(table.values, table.share) for table in own]).swapaxes(0, 1)
 
 
 def _faced(

@@ -18,7 +18,9 @@ from noise import SonarModel, listener
 from sonar_gym.compiled import compiled
 
 SHAPE = (24, 9, 13, 5)  # nodes of distance, bearing, incidence, reflectance
+SAMPLED_SHAPE = (12, 5, 7, 3)  # for a model that can only be sampled, which takes long
 MAX_BEARING = np.radians(60.0)
+MAX_INCIDENCE = np.radians(85.0)  # greatest in the survey of the learned laws
 NEAREST = 0.01  # nearest node relative to the farthest
 BEAM_CONTRAST = 0.01  # difference of probabilities that a beam makes at the least
 SEED = 2016  # of the draws from a law without probabilities
@@ -28,22 +30,23 @@ OWN_ECHO = (0.01, 0.07)
 
 
 def detection_table(model: SonarModel, far: float) -> Floats:
-    """Return the probabilities that a reflector alone in the cone returns an echo of its own, of shape `SHAPE`.
+    """Return the probabilities that a reflector alone in the cone returns an echo of its own, in four dimensions.
 
-    The nodes are uniform: distances up to `far` m, bearings within +-`MAX_BEARING`, incidences up to pi/2, reflectances
-    from 0 to 1. The table is computed once per model and distance.
+    The nodes are uniform: distances up to `far` m, bearings within +-`MAX_BEARING`, incidences up to `MAX_INCIDENCE`,
+    reflectances from 0 to 1. The table is computed once per model and distance.
     """
     return _detection_table(cast(Hashable, model), far)
 
 
 @lru_cache(maxsize=16)
 def _detection_table(model: Any, far: float) -> Floats:
-    return _own_echo(model, _nodes(far)).reshape(SHAPE)
+    shape = SHAPE if listener(model).law(Ping.of(1.0)).has_probabilities else SAMPLED_SHAPE
+    return _own_echo(model, _nodes(far, shape)).reshape(shape)
 
 
-def _nodes(far: float) -> Ping:
-    axes = (NEAREST * far, far), (-MAX_BEARING, MAX_BEARING), (0.0, 0.5 * np.pi), (0.0, 1.0)
-    grid = np.meshgrid(*(np.linspace(*ends, n) for ends, n in zip(axes, SHAPE, strict=True)), indexing="ij")
+def _nodes(far: float, shape: tuple[int, ...]) -> Ping:
+    axes = (NEAREST * far, far), (-MAX_BEARING, MAX_BEARING), (0.0, MAX_INCIDENCE), (0.0, 1.0)
+    grid = np.meshgrid(*(np.linspace(*ends, n) for ends, n in zip(axes, shape, strict=True)), indexing="ij")
     distance, bearing, incidence, reflectance = (axis.ravel() for axis in grid)
     return Ping.of(distance, bearing, incidence, reflectance, time=0.0, run=np.arange(distance.size))
 
@@ -87,7 +90,7 @@ def detection(
     """Return the probability that a reflector alone in the cone returns an echo of its own, by interpolation."""
     i, a = node_below(distance, NEAREST * far, far, table.shape[0])
     j, b = node_below(bearing, -MAX_BEARING, MAX_BEARING, table.shape[1])
-    k, c = node_below(incidence, 0.0, 0.5 * np.pi, table.shape[2])
+    k, c = node_below(incidence, 0.0, MAX_INCIDENCE, table.shape[2])
     m, d = node_below(reflectance, 0.0, 1.0, table.shape[3])
     total = 0.0
     for corner in range(16):
