@@ -11,9 +11,7 @@ bench: waveform-level simulation of sonar and laboratory.
 firmware: the sketch of the Arduino bridge.
 """
 
-from typing import TYPE_CHECKING
-
-import lazy_loader
+from typing import TYPE_CHECKING, Any
 
 from acquisition.errors import (
     BoardResetError,
@@ -36,8 +34,6 @@ from acquisition.ping import EchoStatus, Ping, Reading, previous
 if TYPE_CHECKING:
     from acquisition.io.recording import Recording
 
-# `Recording` needs pandas, which takes longer to import than everything else together
-__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"io.recording": ["Recording"]})
 
 __all__ = [
     "BoardResetError",
@@ -60,3 +56,12 @@ __all__ = [
     "UnpluggedError",
     "previous",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import `Recording` on first use: it needs pandas, which takes longer to import than all the rest."""
+    if name == "Recording":
+        from acquisition.io.recording import Recording
+
+        return Recording
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

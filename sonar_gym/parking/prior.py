@@ -12,6 +12,7 @@ from functools import lru_cache, partial
 from importlib import import_module
 from typing import Any, NamedTuple, cast
 
+import gymnasium
 import numpy as np
 
 from acquisition import Ping, SettingError
@@ -88,9 +89,9 @@ def driven_poses(sonar: Any, streets: StreetSettings, car: CarSettings, driver: 
         driver: kind of driver.
         rounds: 0: the driver observes credence under the broad prior; else that of the round before.
     """
-    from sonar_gym.parking.vector import SonarParkingVectorEnv  # the environment itself uses this module
-
-    envs = SonarParkingVectorEnv(STREETS, sonar, street=streets, car=car, credence_driver=None, threads=1)
+    # by its id, because the environment itself uses this module
+    choice = {"sonar": sonar, "street": streets, "car": car, "credence_driver": None, "threads": 1}
+    envs: Any = gymnasium.make_vec("SonarParking-v0", STREETS, **choice)
     act, fleet = driver_of(driver)(STREETS), envs.fleet
     if rounds > 0:
         key = streets, car, fleet.mounts, fleet.sonar.max_range, driver, True, rounds - 1
