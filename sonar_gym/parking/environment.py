@@ -35,8 +35,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     without touching
     anything: the scenario of S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
 
-    Readings are drawn from the laws of a `noise.SonarModel`, given the true distance, bearing, incidence and reflectance
-    of the nearest visible point of each face in the cone; the first echo is read. Errors persist where the model states
+    Readings are drawn from the laws of a `noise.SonarModel`, given distance, bearing, incidence and reflectance of the
+    nearest visible point of each face in the cone; the first echo is read. Errors persist where the model states
     it, and sonars that fire together hear each other. The street does not depend on the model: the same seed gives the
     same street with every model.
 
@@ -116,7 +116,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
     or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`, `reflectance`,
-    `texture_deg`; `start`, x, y, heading of the car in m, m, rad.
+    `texture_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole", "hedge" or
+    "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
 
     ## Version History
 

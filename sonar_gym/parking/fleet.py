@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from sonar_gym.parking.street import (
     arc_table,
     check_gap,
     draw_street,
+    obstacles_of,
     placed,
     replaced,
     start_of,
@@ -58,7 +59,7 @@ PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's li
 THREAD_ROWS = 64  # worlds per thread below which threads are slower than none
 EGO = 7  # length of `ego`
 REWARD_TERMS = ("progress", "time", "parked", "crashed")
-OPTIONS = ("difficulty", "street", "boxes", "start")
+OPTIONS = ("difficulty", "street", "boxes", "obstacles", "start")
 
 
 @dataclass(frozen=True)
@@ -280,12 +281,14 @@ class Fleet:
         Args:
             rng: generator from which the street is drawn.
             options: what to fix: `difficulty`, name of a level; `street`, a mapping of fields of `StreetSettings`,
-                complete settings, or a `Street`; `boxes`, see `street_of`; `start`, x, y, heading of the car in m, m,
-                rad.
+                complete settings, or a `Street`; `boxes`, see `street_of`; `obstacles`, see `obstacles_of`; `start`, x,
+                y, heading of the car in m, m, rad.
         """
         options = self.checked(options)
         given = options.get("street")
         street = given if isinstance(given, Street) else self._street_of(options, given, rng)
+        if "obstacles" in options:
+            street = replace(street, obstacles=obstacles_of(options["obstacles"]))
         if "start" not in options:
             return street
         return placed(street, options["start"], self.car_settings)
@@ -307,6 +310,7 @@ class Fleet:
             if "boxes" in options:
                 given = street_of(settings, options["boxes"])
                 check_gap(given.gap[1] - given.gap[0], self.car_settings)
+        obstacles_of(options.get("obstacles", ()))
         if "start" in options:
             start = start_of(options["start"])
             if isinstance(given, Street):

@@ -71,7 +71,7 @@ def test_fields_of_the_street_are_replaced():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fog": 1}, "reset option 'fog': unknown option; expected difficulty, street, boxes, start"),
+        ({"fog": 1}, "reset option 'fog': unknown option; expected difficulty, street, boxes, obstacles, start"),
         ({"start": [0, 0]}, "reset option 'start' must be x, y, heading"),
         ({"start": [0, np.nan, 0]}, "reset option 'start' must be x, y, heading"),
         ({"boxes": [{"begin": 1.0, "length": 1.0}]}, "boxes must be two or more"),
@@ -83,6 +83,22 @@ def test_fields_of_the_street_are_replaced():
 def test_invalid_options_raise_an_error(options, message):
     with pytest.raises(SettingError, match=message):
         SonarParkingEnv().reset(seed=0, options=options)
+
+
+def test_further_obstacles_are_heard_by_their_material_and_hit():
+    heard = {}
+    for kind in ("pole", "hedge", "wall"):
+        place = {"kind": kind, "x": 1.2, "y": 0.0, "heading": 0.3} | ({} if kind == "pole" else {"length": 0.3})
+        place |= {"width": 0.2} if kind == "hedge" else {}
+        env = SonarParkingEnv()
+        _, info = env.reset(seed=0, options={"boxes": BOXES, "obstacles": [place]})
+        assert info["obstacle"][0] == len(env.street.boxes) + 3
+        heard[kind] = info["reflectance"][0]
+        ended = [env.step(np.array([0.0, 1.0]))[4]["collision"] for _ in range(25)]
+        assert any(ended)
+    assert heard == {"pole": 0.1, "hedge": 0.2, "wall": 0.9}
+    with pytest.raises(SettingError, match="obstacle of kind 'cloud': unknown kind; expected pole, hedge, wall"):
+        SonarParkingEnv().reset(seed=0, options={"obstacles": [{"kind": "cloud", "x": 1.0, "y": 0.0}]})
 
 
 # ---- difficulty ------------------------------------------------------------------------------------------------------
