@@ -33,7 +33,7 @@ from sonar_gym.sensing.sonar import BINS, Sonar, bin_edges, broad_table
 
 SEED = 2016  # fixed, so that the prior is the same in every environment
 ROUNDS = 1
-STREETS, STEPS = 192, 240  # cars driven at once, and observations of each; episodes that end are followed by others
+STREETS, STEPS = 128, 240  # cars driven at once, and observations of each; episodes that end are followed by others
 EVERY, SAMPLED_ONLY_EVERY = 3, 48  # observations used; a model that can only be sampled takes long
 BROAD_WEIGHT = 0.01  # weight of the broad prior, for readings that the sample never gives
 # Drivers of n cars by kind: functions that return `act(observation, begun)`, (n, 2); imported on demand, since they are
@@ -128,6 +128,7 @@ def street_credence(
         driver: kind of driver, a key of `DRIVERS`; None for the broad prior, without driving.
         crosstalk: whether the sonars hear each other's bursts; see `crosstalk.add_crosstalk`.
     """
+    model = getattr(model, "assumed", model)  # what a driver expects of a sonar that differs from its model
     broad = broad_table(model, max_range)
     if driver is not None:
         driver_of(driver)  # an unknown kind is an error for every model

@@ -224,8 +224,7 @@ class Sonar:
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
         self._slot_faces.reshape(shape)[which], self._slot_used.reshape(shape)[which] = NO_FACE, 0
         if self._stateful is not None:
-            places = np.arange(len(self._past[0])).reshape(shape)
-            self._stateful.reset(None if copies is None else places[which].ravel())
+            self._stateful.reset(np.arange(len(self._past[0])).reshape(shape)[which].ravel())
 
     def draw(
         self,

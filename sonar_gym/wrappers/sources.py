@@ -158,7 +158,8 @@ class RangesSource:
         )
         out = np.zeros((len(rows), self.count, MAX_PATHS, N_PATH))
         one = out[:, :, 0]
-        one[..., paths.DISTANCE], one[..., paths.BEARING] = distance, bearing
+        one[..., paths.DISTANCE] = np.where(np.isinf(distance), self.max_range, distance)
+        one[..., paths.BEARING] = bearing
         one[..., paths.INCIDENCE], one[..., paths.REFLECTANCE] = incidence, reflectance
         one[..., paths.OBSTACLE] = one[..., paths.FACE] = np.where(in_range, np.arange(self.count), -1)
         return Paths(out, np.ones((len(rows), self.count), np.int64))

@@ -45,8 +45,8 @@ def test_points_are_the_nearest_that_can_be_seen(places):
     if len(found) < paths.MAX_PATHS:
         nearest = {int(path[paths.FACE]): path[paths.DISTANCE] for path in found}
         for face, distance in seen.items():  # of two faces that share a corner, one has the point
-            # rays are coarse on a face seen at a grazing angle, whose nearest point is up to 0.1 m nearer
-            others = [d for d in nearest.values() if -1e-3 <= distance - d <= 0.1]
+            # rays are coarse on a face seen at a grazing angle, whose nearest point is up to its length nearer
+            others = [d for d in nearest.values() if -1e-3 <= distance - d <= 0.3]
             assert distance > MAX_RANGE - 0.01 or others, (face, distance)
 
 
