@@ -11,6 +11,8 @@ bench: waveform-level simulation of sonar and laboratory.
 firmware: the sketch of the Arduino bridge.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from acquisition.errors import (
     BoardResetError,
     DeviceError,
@@ -27,8 +29,11 @@ from acquisition.errors import (
     UnknownModelError,
     UnpluggedError,
 )
-from acquisition.io.recording import Recording
 from acquisition.ping import EchoStatus, Ping, Reading, previous
+
+if TYPE_CHECKING:
+    from acquisition.io.recording import Recording
+
 
 __all__ = [
     "BoardResetError",
@@ -51,3 +56,12 @@ __all__ = [
     "UnpluggedError",
     "previous",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import `Recording` on first use: it needs pandas, which takes longer to import than all the rest."""
+    if name == "Recording":
+        from acquisition.io.recording import Recording
+
+        return Recording
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

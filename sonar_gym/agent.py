@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -165,6 +165,17 @@ class AgentDriver:
     def act(self, observation: Observation) -> Singles:
         """Return the steering and speed setpoints as fractions of their maxima, (2,)."""
         return self._agent.act({name: value[None] for name, value in observation.items()}, ONE)[0]
+
+
+def drive_by_agent(count: int, policy: Policy | None = None) -> Callable[[Observation, Ints], Singles]:
+    """Return a driver of n cars by one policy, the shipped one by default: `act(observation, begun)`."""
+    agent = VectorAgent(load_policy("parking") if policy is None else policy, count)
+
+    def act(observation: Observation, begun: Ints) -> Singles:
+        agent.reset(begun)
+        return agent.act(observation)
+
+    return act
 
 
 def agent_names() -> list[str]:

@@ -16,6 +16,7 @@ from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
 StepResult = tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
+SETTABLE = ("max_episode_steps", "render_mode", "pictured")  # attributes that take effect after the environment is made
 OUTCOMES = ("is_success", "collision", "left_street")
 
 
@@ -83,9 +84,17 @@ class SonarVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the vector environment, for all environments."""
+        """Set an attribute of the vector environment, for all environments.
+
+        Raises:
+            SettingError: only some environments are given, or the attribute is none that can be set.
+        """
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise SettingError(f"SonarVecEnv: {attr_name!r} is shared by all environments; set it without indices")
+        if attr_name not in SETTABLE:
+            raise SettingError(
+                f"SonarVecEnv: {attr_name!r} cannot be set; expected {', '.join(SETTABLE)}: make a new environment"
+            )
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **named: Any) -> list[Any]:

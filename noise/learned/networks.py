@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from acquisition import ModelError, Ping, Reading
+from acquisition import ModelError, Ping, Reading, SettingError
 from acquisition.arrays import Floats
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
+from noise.learned.persistence import Persistence
 from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 
 
@@ -37,14 +38,22 @@ class MlpModel:
         layers: weights (out, in) and biases (out,) of each layer; tanh between them.
         about: plain data on the training, stored in model.json.
         card: text of the folder's README.md.
+        persistence: the part of the law's spread that persists from ping to ping; None if unknown.
     """
 
     remembers = False
 
     def __init__(
-        self, inputs: Inputs, head: Head, layers: Layers, about: dict[str, Any] | None = None, card: str = ""
+        self,
+        inputs: Inputs,
+        head: Head,
+        layers: Layers,
+        about: dict[str, Any] | None = None,
+        card: str = "",
+        persistence: Persistence | None = None,
     ) -> None:
         self.inputs, self.head, self.about, self.card = inputs, head, about or {}, card
+        self.persistence = persistence
         self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
 
     @property
@@ -69,6 +78,7 @@ class MlpModel:
             "sizes": self.sizes,
             "inputs": asdict(self.inputs),
             "head": asdict(self.head),
+            "persistence": None if self.persistence is None else self.persistence.to_dict(),
             "about": self.about,
         }
 
@@ -89,7 +99,20 @@ class MlpModel:
         """
         inputs, head, sizes = read_shape(folder, data)
         tensors, text = read_tensors(folder, shapes_of(sizes))
-        return cls(inputs, head, layers_of(tensors, len(sizes) - 1), data.get("about", {}), text)
+        persistence = read_persistence(folder, data)
+        return cls(inputs, head, layers_of(tensors, len(sizes) - 1), data.get("about", {}), text, persistence)
+
+
+def read_persistence(folder: Path, data: dict[str, Any]) -> Persistence | None:
+    """Return the persisting part of the spread from model.json; None if it has none.
+
+    Raises:
+        ModelError: a value is missing, not a number, or outside its limits.
+    """
+    try:
+        return Persistence.from_dict(data.get("persistence"))
+    except (TypeError, ValueError, AttributeError, SettingError) as error:
+        raise ModelError(f"{folder / 'model.json'}: persistence is invalid ({error}); train the model again") from None
 
 
 def read_shape(folder: Path, data: dict[str, Any]) -> tuple[Inputs, Head, list[int]]:

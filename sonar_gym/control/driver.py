@@ -7,7 +7,7 @@ short moves until the episode ends.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import SettingError
-from acquisition.arrays import Floats, Singles
+from acquisition.arrays import Floats, Ints, Singles
 from sonar_gym.control.fusion import StreetFilter
 from sonar_gym.control.perception import Perception, RawPerception
 from sonar_gym.parking.environment import MAX_RANGE, ODOMETRY_SPAN
@@ -301,6 +301,19 @@ def run_episode(env: gymnasium.Env, driver: Controller, seed: int | None = None,
         np.array([o["credence"] for o in observations], dtype=np.float64),
         np.array(truths),
     )
+
+
+def drive_by_script(count: int) -> Callable[[Observation, Ints], Floats]:
+    """Return scripted drivers of n cars: `act(observation, begun)`, with the numbers of cars that begin an episode."""
+    drivers = [ParkingDriver() for _ in range(count)]
+
+    def act(observation: Observation, begun: Ints) -> Floats:
+        for i in begun:
+            drivers[i].reset()
+        own = ({name: value[i] for name, value in observation.items()} for i in range(count))
+        return np.array([driver.act(one) for driver, one in zip(drivers, own, strict=True)], dtype=np.float64)
+
+    return act
 
 
 def _image(env: gymnasium.Env) -> NDArray[np.uint8]:

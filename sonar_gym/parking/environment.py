@@ -35,9 +35,10 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     without touching
     anything: the scenario of S. Esmi, *Sensor modeling ... using neural network* (Chalmers 2016), section 6.1.
 
-    Readings are drawn from the law of a `noise.SonarModel`, given the true distance, bearing, incidence and reflectance
-    of the nearest point in each cone. The street does not depend on the model: the same seed gives the same street with
-    every model.
+    Readings are drawn from the laws of a `noise.SonarModel`, given distance, bearing, incidence and reflectance of the
+    nearest visible point of each face in the cone; the first echo is read. Errors persist where the model states
+    it, and sonars that fire together hear each other. The street does not depend on the model: the same seed gives the
+    same street with every model.
 
     ## Action Space
 
@@ -85,9 +86,10 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     ## Information
 
     `info` holds what the car cannot measure. For the ping of each reading, each (n,): `distance` (m; 3.01 where the
-    cone is empty), `bearing`, `incidence` (rad), `reflectance`, `in_cone`; `cause` of the reading, an index of
-    `env.unwrapped.causes`; `credence_given_condition`, if the model has probabilities. For the car: `is_success`,
-    `collision`, `left_street`, `reward_terms`.
+    cone is empty), `bearing`, `incidence` (rad), `reflectance`, `in_cone`, `obstacle` and `face` (numbers) of the face
+    that answered, or else of that detected most often; `second` (range of the second echo, m, 0 without one); `sent`
+    (s); `cause` of the reading, an index of `env.unwrapped.causes`; `credence_given_condition`, if the model has
+    probabilities. For the car: `is_success`, `collision`, `left_street`, `reward_terms`.
 
     ## Arguments
 
@@ -97,8 +99,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     - `sonar`: "ideal" (default), "gaussian", another name of `noise.model_names()`, the path of a saved model, or a
       `SonarModel`.
-    - `sonar_layout`: "eight" (default; all fire at every observation), "eight in turn" (neighbours never fire together,
-      and readings arrive 20 ms later), "four", or a list of `Mount` or mappings of their fields: position, cone,
+    - `sonar_layout`: "eight" (default; all fire 20 ms before every observation), "eight in turn" (neighbours never fire
+      together), "eight without latency", "four", or a list of `Mount` or mappings of their fields: position, cone,
       period, phase and latency.
     - `difficulty`: "easy", "normal" (default) or "hard": length of the gap, number of spaces that are too short,
       reflectance of the boxes, offset of the start.
@@ -106,11 +108,16 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       of `street` override those of the difficulty.
     - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of the
       odometry in `ego`.
+    - `credence_driver`: "agent" (default), "scripted" or "random": the kind of driver on whose conditions `credence` is
+      calibrated.
+    - `crosstalk`: whether a sonar also receives the bursts of others by way of a face (default). An ideal or Gaussian
+      sonar, which has no beam, hears only itself.
     - `render_mode`: None, "rgb_array" or "human".
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
     or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`, `reflectance`,
-    `texture_deg`; `start`, x, y, heading of the car in m, m, rad.
+    `texture_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole", "hedge" or
+    "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
 
     ## Version History
 
@@ -129,10 +136,14 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
+        credence_driver: str | None = "agent",
+        crosstalk: bool = True,
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
-        self.fleet = Fleet(1, sonar, sonar_layout, difficulty, street, car, reward, odometry)
+        self.fleet = Fleet(
+            1, sonar, sonar_layout, difficulty, street, car, reward, odometry, credence_driver, crosstalk
+        )
         self.max_range = MAX_RANGE
         self._streams_seeded = False
         self._renderer: Any = None
@@ -174,6 +185,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a street and place the car at its start; `options` fixes what is normally random."""
+        self.fleet.checked(options)
         super().reset(seed=seed)
         if seed is not None or not self._streams_seeded:
             self.fleet.seed(self.np_random_seed if seed is None else seed)

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from acquisition import Ping, SettingError
+from acquisition import SettingError
 from acquisition.arrays import Floats, Ints, Singles
+from sonar_gym.checks import check_finite, settings_of
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.step_kernel import StepConstants, WorldArrays
@@ -27,17 +28,25 @@ from sonar_gym.parking.street import (
     Street,
     StreetSettings,
     arc_table,
+    check_gap,
     draw_street,
+    obstacles_of,
+    placed,
+    replaced,
+    start_of,
     street_of,
     street_settings,
 )
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.parking.world import WorldView
-from sonar_gym.sensing.mounts import Layout, layout, mount_arrays, timing_array
+from sonar_gym.sensing.detection import detection_table, has_beam
+from sonar_gym.sensing.mounts import Layout, layout, mount_arrays, times_of
 from sonar_gym.sensing.odometry import Odometer, OdometryChoice
 from sonar_gym.sensing.odometry import odometry as odometry_settings
-from sonar_gym.sensing.scene import EMPTY_M
-from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
+from sonar_gym.sensing.pipeline import Sensing
+from sonar_gym.sensing.records import CAUSES
+from sonar_gym.sensing.sonar import STREAM_TAG, Sonar, SonarChoice, resolve, sonar_spaces
+from sonar_gym.sensing.timing import Times, timing
 
 Observation = dict[str, Singles]
 STEP_S = 0.1  # s; an SRF08 needs 65 ms, several at once after a general call (Devantech)
@@ -50,8 +59,7 @@ PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's li
 THREAD_ROWS = 64  # worlds per thread below which threads are slower than none
 EGO = 7  # length of `ego`
 REWARD_TERMS = ("progress", "time", "parked", "crashed")
-SONAR_KEYS = ("ranges", "credence", "echo", "age")
-OPTIONS = ("difficulty", "street", "boxes", "start")
+OPTIONS = ("difficulty", "street", "boxes", "obstacles", "start")
 
 
 @dataclass(frozen=True)
@@ -74,12 +82,9 @@ class RewardWeights:
     off_path: float = 3.0
     off_heading: float = 0.5
 
-
-def as_settings(cls: type, given: Any) -> Any:
-    """Return settings as given, from a mapping of fields, or with their defaults."""
-    if given is None:
-        return cls()
-    return cls(**given) if isinstance(given, Mapping) else given
+    def __post_init__(self) -> None:
+        """Raise SettingError for a weight that is not finite."""
+        check_finite(self)
 
 
 def _empty_faces(n: int, faces: int) -> dict[str, Any]:
@@ -102,6 +107,8 @@ class Fleet:
         street: settings from which each street is drawn; a mapping replaces fields of the level's settings.
         car, reward: settings, or mappings of their fields.
         odometry: errors of the odometry.
+        credence_driver: kind of driver on whose conditions credence given a reading is calibrated, see `prior.DRIVERS`.
+        crosstalk: whether the sonars of a car hear each other's bursts.
         threads: number of threads.
 
     Attributes:
@@ -119,28 +126,54 @@ class Fleet:
         car: CarSettings | Mapping[str, Any] | None = None,
         reward: RewardWeights | Mapping[str, Any] | None = None,
         odometry: OdometryChoice = "exact",
+        credence_driver: str | None = "agent",
+        crosstalk: bool = True,
         threads: int = 1,
     ) -> None:
         self.count = count
         self.mounts = layout(sonar_layout)
         self.street_settings = street_settings(difficulty, street)
-        self.car_settings: CarSettings = as_settings(CarSettings, car)
-        self.reward_weights: RewardWeights = as_settings(RewardWeights, reward)
-        model = resolve(sonar)
-        tables = street_credence(model, self.street_settings, self.car_settings, self.mounts, MAX_RANGE)
-        self.sonar = Sonar(model, len(self.mounts), MAX_RANGE, tables=tables, copies=count)
+        self.car_settings: CarSettings = settings_of(CarSettings, car)
+        check_gap(self.street_settings.gap[0], self.car_settings)
+        self.reward_weights: RewardWeights = settings_of(RewardWeights, reward)
         self.odometer = Odometer(odometry_settings(odometry), count)
+        self._make_arrays(count)
+        self._threads = threads
+        self._credence_driver, self._crosstalk = credence_driver, crosstalk
+        self._pool: ThreadPoolExecutor | None = None
+        self.install(sonar)
+
+    def install(
+        self, sonar: SonarChoice, max_range: float = MAX_RANGE, times: Times | None = None, tag: int = STREAM_TAG
+    ) -> None:
+        """Replace the sonars on the cars; streets, cars and mounts stay.
+
+        Args:
+            sonar: name, path or model.
+            max_range: maximum range, m.
+            times: period, phase and latency, s, see `timing.timing`; None: those of the mounts.
+            tag: tag of the random stream of the sonars.
+        """
+        model, names = resolve(sonar), [mount.name for mount in self.mounts]
+        key = self.street_settings, self.car_settings, self.mounts, max_range, self._credence_driver, self._crosstalk
+        tables = street_credence(model, *key)
+        sonars = Sonar(model, len(names), max_range, tag, tables, self.count)
+        when = timing(names, STEP_S, times_of(self.mounts) if times is None else times, max_range)
+        self.sensing = Sensing(sonars, when, STEP_S)
         by_name = isinstance(sonar, (str, os.PathLike))
         self.sonar_name = Path(str(sonar)).name if by_name else type(model).__name__
-        parallel = threads > 1 and (count == 1 or self.sonar.batched)
-        self._pool = ThreadPoolExecutor(threads) if parallel else None
-        self._threads = threads if parallel else 1
-        self._make_arrays(count, len(self.mounts))
-        self.constants = self._constants()
+        self.close()
+        if self._threads > 1 and self.count > 1 and sonars.batched:
+            self._pool = ThreadPoolExecutor(self._threads)
+        self.constants = self._constants(detection_table(model, max_range))
 
-    def _make_arrays(self, n: int, s: int) -> None:
+    @property
+    def sonar(self) -> Sonar:
+        """The sonars, which draw the readings."""
+        return self.sensing.sonar
+
+    def _make_arrays(self, n: int) -> None:
         self.streets: list[Street | None] = [None] * n
-        observed: dict[str, Any] = {name: np.zeros((n, s), dtype=np.float32) for name in SONAR_KEYS}
         self.worlds = WorldArrays(
             steps=np.full(n, -1, dtype=np.int64),
             car=np.zeros((n, 5)),
@@ -148,15 +181,9 @@ class Fleet:
             task=np.zeros((n, step_kernel.N_TASK)),
             counts=np.zeros(n, dtype=np.int64),
             **_empty_faces(n, 4 * (self.street_settings.decoys[1] + 2) + 3),
-            last_ping=np.zeros((n, s, step_kernel.N_COLUMNS)),
-            fired=np.zeros((n, s), dtype=np.bool_),
-            in_flight=np.zeros((n, s), dtype=np.bool_),
-            shown=np.zeros((n, s, step_kernel.N_COLUMNS)),
             terms=np.zeros((n, len(REWARD_TERMS))),
             ended=np.zeros((n, 3), dtype=np.bool_),
             ego=np.zeros((n, EGO), dtype=np.float32),
-            cause=np.zeros((n, s), dtype=np.int64),
-            **observed,
         )
 
     def _grow(self, faces: int) -> None:
@@ -167,22 +194,22 @@ class Fleet:
             new[:, : old.shape[1]] = old
         self.worlds = self.worlds._replace(**wider)
 
-    def _constants(self) -> StepConstants:
+    def _constants(self, detection: Floats) -> StepConstants:
         car, (mounts, half_angles) = self.car_settings, mount_arrays(self.mounts)
         return StepConstants(
             dynamics=car.dynamics,
             body=car.body,
             mounts=mounts,
             half_angles=half_angles,
-            timing=timing_array(self.mounts, STEP_S),
+            timing=self.sensing.timing,
             arc=arc_table(car),
             weights=np.array(astuple(self.reward_weights)),
             scale=np.array([car.max_speed, car.max_steering, *ODOMETRY_SPAN, MAX_STEPS]),
             limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -BEHIND]),
-            edges=self.sonar.edges,
-            tables=self.sonar.tables,
+            detection=detection,
+            crosstalk=self._crosstalk and has_beam(detection),
             dt=STEP_S,
-            max_range=MAX_RANGE,
+            max_range=self.sonar.max_range,
         )
 
     @property
@@ -200,7 +227,7 @@ class Fleet:
     @property
     def causes(self) -> tuple[str, ...]:
         """Names of the causes of readings, by number."""
-        return (*step_kernel.CAUSES, *self.sonar.causes)
+        return (*CAUSES, *self.sonar.causes)
 
     # ---- reset and step ----------------------------------------------------------------------------------------------
 
@@ -219,10 +246,10 @@ class Fleet:
         """
         for row, rng in zip(rows, rngs, strict=True):
             self._place_street(int(row), self.street_for(rng, options))
-        self.sonar.clear_memory(rows)
+        self.sensing.begin(rows)
         self.odometer.begin(rows)
-        step_kernel.begin(rows, self.worlds, self.constants)
-        self._measure(rows)
+        step_kernel.begin(rows, self.worlds, self.constants, self.sensing.pings)
+        self._update(rows)
 
     def step(self, rows: Ints, actions: Floats) -> None:
         """Drive the cars of some worlds for 0.1 s and update their observations.
@@ -239,34 +266,12 @@ class Fleet:
             list(self._pool.map(self._step, *parts))
 
     def _step(self, rows: Ints, actions: Floats) -> None:
-        step_kernel.advance(rows, actions, self.worlds, self.constants)
-        self._measure(rows)
+        step_kernel.advance(rows, actions, self.worlds, self.constants, self.sensing.pings)
+        self._update(rows)
 
-    def _measure(self, rows: Ints) -> None:
-        """Draw the readings of the sonars that have fired and update the observations."""
-        fired, s = self.worlds.fired[rows], len(self.mounts)
-        if fired.all():
-            contiguous = rows[-1] - rows[0] + 1 == len(rows)
-            index = slice(rows[0] * s, (rows[-1] + 1) * s) if contiguous else (rows[:, None] * s + np.arange(s)).ravel()
-            self._draw(rows, [s] * len(rows), index)
-        elif fired.any():
-            self._draw(rows, fired.sum(axis=1).tolist(), (rows[:, None] * s + np.arange(s))[fired])
-        step_kernel.update_observation(rows, self.worlds, self.constants)
-
-    def _draw(self, rows: Ints, counts: Sequence[int], index: slice | Ints) -> None:
-        pings = self.worlds.last_ping.reshape(-1, step_kernel.N_COLUMNS)
-        conditions = np.ascontiguousarray(pings[index, : step_kernel.SENT + 1].T)
-        in_cone = conditions[step_kernel.OBSTACLE] >= 0.0
-        sensors = np.arange(index.start, index.stop) if isinstance(index, slice) else index
-        distance, angle, incidence, reflectance = conditions[: step_kernel.OBSTACLE]
-        distance = np.where(in_cone, distance, EMPTY_M)
-        ping = Ping(distance, angle, incidence, reflectance, conditions[step_kernel.SENT], sensors)
-        drawn = self.sonar.draw(ping, rows, counts, index)
-        pings[index, step_kernel.RANGE], pings[index, step_kernel.STATUS] = drawn.reading.range, drawn.reading.status
-        if drawn.credence_given_condition is not None:
-            pings[index, step_kernel.GIVEN_CONDITION] = np.where(in_cone, drawn.credence_given_condition, 0.0)
-        if drawn.fault is not None:
-            pings[index, step_kernel.FAULT] = drawn.fault
+    def _update(self, rows: Ints) -> None:
+        now: Floats = self.worlds.steps[rows] * np.float64(STEP_S)
+        self.sensing.update(rows, now)
 
     # ---- streets -----------------------------------------------------------------------------------------------------
 
@@ -276,25 +281,53 @@ class Fleet:
         Args:
             rng: generator from which the street is drawn.
             options: what to fix: `difficulty`, name of a level; `street`, a mapping of fields of `StreetSettings`,
-                complete settings, or a `Street`; `boxes`, see `street_of`; `start`, x, y, heading of the car in m, m,
-                rad.
+                complete settings, or a `Street`; `boxes`, see `street_of`; `obstacles`, see `obstacles_of`; `start`, x,
+                y, heading of the car in m, m, rad.
+        """
+        options = self.checked(options)
+        given = options.get("street")
+        street = given if isinstance(given, Street) else self._street_of(options, given, rng)
+        if "obstacles" in options:
+            street = replace(street, obstacles=obstacles_of(options["obstacles"]))
+        if "start" not in options:
+            return street
+        return placed(street, options["start"], self.car_settings)
+
+    def checked(self, options: Mapping[str, Any] | None) -> Mapping[str, Any]:
+        """Return the options of a reset; nothing is drawn.
+
+        Raises:
+            SettingError: an option is unknown or invalid.
         """
         options = options or {}
         for name in options:
             if name not in OPTIONS:
                 raise SettingError(f"reset option {name!r}: unknown option; expected {', '.join(OPTIONS)}")
         given = options.get("street")
-        street = given if isinstance(given, Street) else self._street_of(options, given, rng)
-        if "start" not in options:
-            return street
-        start = np.array(options["start"], dtype=np.float64)
-        if start.shape != (3,) or not np.all(np.isfinite(start)):
-            raise SettingError(f"reset option 'start' must be x, y, heading in m, m, rad, got {options['start']}")
-        return replace(street, start=start)
+        if not isinstance(given, Street):
+            settings = self._settings_of(options, given)
+            check_gap(settings.gap[0], self.car_settings)
+            if "boxes" in options:
+                given = street_of(settings, options["boxes"])
+                check_gap(given.gap[1] - given.gap[0], self.car_settings)
+        obstacles_of(options.get("obstacles", ()))
+        if "start" in options:
+            start = start_of(options["start"])
+            if isinstance(given, Street):
+                placed(given, start, self.car_settings)
+        return options
+
+    def _settings_of(self, options: Mapping[str, Any], given: Any) -> StreetSettings:
+        settings = street_settings(options["difficulty"]) if "difficulty" in options else self.street_settings
+        if not (given is None or isinstance(given, (StreetSettings, Mapping))):
+            raise SettingError(
+                "reset option 'street' must be a Street, StreetSettings or a mapping of its fields, "
+                f"got a {type(given).__name__}"
+            )
+        return replaced(settings, given)
 
     def _street_of(self, options: Mapping[str, Any], given: Any, rng: np.random.Generator) -> Street:
-        settings = street_settings(options["difficulty"]) if "difficulty" in options else self.street_settings
-        settings = replace(settings, **given) if isinstance(given, Mapping) else (given or settings)
+        settings = self._settings_of(options, given)
         return street_of(settings, options["boxes"]) if "boxes" in options else draw_street(settings, rng)
 
     def _place_street(self, row: int, street: Street) -> None:
@@ -313,28 +346,18 @@ class Fleet:
 
     def observation(self, which: int | slice | Ints) -> Observation:
         """Return observations: of one world, each (s,) or (7,), or of several, each (r, s) or (r, 7)."""
-        return {name: getattr(self.worlds, name)[which].copy() for name in (*SONAR_KEYS, "ego")}
+        return {**self.sensing.observation(which), "ego": self.worlds.ego[which].copy()}
 
     def truth(self, which: int | slice | Ints) -> dict[str, Any]:
         """Return the info of one world or several: true conditions of the pings shown, and state of the episode."""
-        w = self.worlds
-        shown, ended = w.shown[which], w.ended[which].copy()
-        pings = shown.transpose(shown.ndim - 1, *range(shown.ndim - 1)).copy()
-        out = {
+        ended = self.worlds.ended[which].copy()
+        return {
             "is_success": ended[..., step_kernel.PARKED],
             "collision": ended[..., step_kernel.COLLISION],
             "left_street": ended[..., step_kernel.LEFT_STREET],
-            "distance": pings[step_kernel.DISTANCE],
-            "bearing": pings[step_kernel.BEARING],
-            "incidence": pings[step_kernel.INCIDENCE],
-            "reflectance": pings[step_kernel.REFLECTANCE],
-            "in_cone": pings[step_kernel.OBSTACLE] >= 0.0,
-            "cause": w.cause[which].copy(),
-            "reward_terms": dict(zip(REWARD_TERMS, w.terms[which].copy().T, strict=True)),
+            **self.sensing.truth(which),
+            "reward_terms": dict(zip(REWARD_TERMS, self.worlds.terms[which].copy().T, strict=True)),
         }
-        if self.sonar.has_credence:
-            out["credence_given_condition"] = pings[step_kernel.GIVEN_CONDITION]
-        return out
 
     def close(self) -> None:
         """Stop the threads; later steps run without them."""
@@ -346,4 +369,6 @@ class Fleet:
         """Return a view of one world for display."""
         street = self.streets[row]
         assert street is not None, "world() before the first reset()"
-        return WorldView(self.worlds, row, street, self.car_settings, self.mounts, self.sonar_name, self.causes)
+        return WorldView(
+            self.worlds, self.sensing.pings, row, street, self.car_settings, self.mounts, self.sonar_name, self.causes
+        )

@@ -15,7 +15,9 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from sonar_gym.checks import check_fields, check_finite, settings_of
 from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.scene import Box, Scene, box_faces
 
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
@@ -64,12 +66,16 @@ class StreetSettings:
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
+        check_finite(self)
         for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
             pair = tuple(getattr(self, name))
             if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
             object.__setattr__(self, name, pair)
         self._check_surfaces()
+        for name in ("line", "depth", "far_side", "tail"):
+            if not getattr(self, name) > 0.0:
+                raise SettingError(f"StreetSettings.{name} must be > 0 m, got {getattr(self, name):g} m")
         if self.gap[0] <= self.decoy[1]:
             raise SettingError(
                 f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
@@ -114,9 +120,25 @@ def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] |
     """
     if difficulty not in LEVELS:
         raise SettingError(f"difficulty {difficulty!r}: unknown level; expected {', '.join(LEVELS)}")
+    return replaced(LEVELS[difficulty], given)
+
+
+def replaced(settings: StreetSettings, given: StreetSettings | Mapping[str, Any] | None) -> StreetSettings:
+    """Return settings with some fields replaced, or complete settings as given.
+
+    Raises:
+        SettingError: a field is unknown or invalid.
+    """
     if isinstance(given, StreetSettings):
         return given
-    return replace(LEVELS[difficulty], **(given or {}))
+    check_fields(StreetSettings, given or {})
+    return replace(settings, **(given or {}))
+
+
+def check_gap(gap: float, car: CarSettings) -> None:
+    """Raise SettingError for a gap that a car does not fit in."""
+    if gap <= car.length:
+        raise SettingError(f"the gap is {gap:g} m long, but the car {car.length:g} m: make the gap longer")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +151,14 @@ class Street:
             (k, 5).
         gap: begin and end of the space to park in, x in m.
         start: x, y, heading of the rear axle at the start: m, m, rad, (3,).
+        obstacles: further obstacles.
     """
 
     settings: StreetSettings
     strip: Floats
     gap: tuple[float, float]
     start: Floats
+    obstacles: tuple[Box, ...] = ()
 
     @property
     def end(self) -> float:
@@ -168,14 +192,19 @@ class Street:
 
     @cached_property
     def scene(self) -> Scene:
-        """All obstacles: the boxes, the right kerb, the end wall, the left kerb."""
+        """All obstacles: the boxes, the right kerb, the end wall, the left kerb, and the further ones."""
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
         walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
         surfaces = np.concatenate(
             [np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3]
         )
         owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
-        return Scene.of(np.concatenate([box_faces(self._rectangles()), walls]), surfaces, owner)
+        faces = np.concatenate([box_faces(self._rectangles()), walls])
+        for k, box in enumerate(self.obstacles):
+            faces = np.concatenate([faces, box.faces])
+            surfaces = np.concatenate([surfaces, [[box.reflectance, box.texture_deg]] * 4])
+            owner = np.concatenate([owner, [boxes + 3 + k] * 4])
+        return Scene.of(faces, surfaces, owner)
 
 
 BEHIND = 1.5  # m; length of the street behind the start
@@ -218,6 +247,8 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
         raise SettingError(f"boxes must be two or more, each with begin and length in m, got {list(boxes)}")
     rows = [[box.get(name, default) for name, default in BOX_FIELDS.items()] for box in boxes]
     strip = np.array(sorted(rows), dtype=np.float64)
+    if not np.all(np.isfinite(strip)):
+        raise SettingError(f"boxes must have finite fields, got {list(boxes)}")
     spaces = strip[1:, 0] - strip[:-1, :2].sum(axis=1)
     if np.min(spaces) < 0.0:
         raise SettingError(f"boxes overlap: a space between two of them is {np.min(spaces):g} m long")
@@ -226,6 +257,61 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     street = Street(settings, strip, gap, np.zeros(3))
     _ = street.boxes  # validates the boxes
     return street
+
+
+# Further obstacles by kind. A post 15 mm thick returns 0.11 of a wall's amplitude at 1.3 m (Kuc and Siegel 1987)
+OBSTACLES: dict[str, dict[str, float]] = {
+    "pole": {"length": 0.02, "width": 0.02, "reflectance": 0.1},  # of a parked bicycle
+    "hedge": {"reflectance": 0.2, "texture_deg": 40.0},  # soft and rough
+    "wall": {"width": 0.02, "reflectance": 0.9},  # at any angle, by its heading
+}
+
+
+def obstacles_of(given: Sequence[Mapping[str, Any]]) -> tuple[Box, ...]:
+    """Return obstacles from mappings of the fields of `Box`, with an optional `kind` that sets some of them.
+
+    >>> obstacles_of([{"kind": "pole", "x": 1.0, "y": -0.4}])[0].reflectance
+    0.1
+    """
+    boxes = []
+    for fields in given:
+        own = dict(fields)
+        kind = own.pop("kind", None)
+        if kind is not None and kind not in OBSTACLES:
+            raise SettingError(f"obstacle of kind {kind!r}: unknown kind; expected {', '.join(OBSTACLES)}")
+        boxes.append(settings_of(Box, {**OBSTACLES.get(kind or "", {}), **own}))
+    return tuple(boxes)
+
+
+def start_of(given: Any) -> Floats:
+    """Return x, y, heading of a start, m, m, rad, (3,).
+
+    Raises:
+        SettingError: the start is not three finite numbers.
+    """
+    start = np.array(given, dtype=np.float64)
+    if start.shape != (3,) or not np.all(np.isfinite(start)):
+        raise SettingError(f"reset option 'start' must be x, y, heading in m, m, rad, got {given}")
+    return start
+
+
+def placed(street: Street, start: Any, car: CarSettings) -> Street:
+    """Return a street with another start.
+
+    Raises:
+        SettingError: the start is outside the street, or the car touches an obstacle or stands inside one.
+    """
+    start, low, high = start_of(start), street.kerb, street.settings.far_side
+    x, y = float(start[0]), float(start[1])
+    if not (-BEHIND <= x <= street.end and low <= y <= high):
+        raise SettingError(
+            f"reset option 'start' is at x {x:g} m, y {y:g} m, outside the street: x from {-BEHIND:g} to "
+            f"{street.end:g} m, y from {low:g} to {high:g} m"
+        )
+    inside = any(abs(x - box.x) <= 0.5 * box.length and abs(y - box.y) <= 0.5 * box.width for box in street.boxes)
+    if inside or touches(start, car.body, street.scene.segments) != NO_HIT:
+        raise SettingError(f"reset option 'start': a car at x {x:g} m, y {y:g} m touches an obstacle: move the start")
+    return replace(street, start=start)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, render_mode: see `SonarParkingEnv`.
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk, render_mode: see
+            `SonarParkingEnv`.
         max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
         threads: number of threads; default: one per processor.
@@ -63,6 +64,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
+        credence_driver: str | None = "agent",
+        crosstalk: bool = True,
         max_episode_steps: int | None = MAX_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -86,6 +89,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
             car,
             reward,
             odometry,
+            credence_driver,
+            crosstalk,
             cores() if threads is None else threads,
         )
         self.single_observation_space = self.fleet.observation_space
@@ -134,9 +139,10 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
                 continues the random streams.
             options: options of `SonarParkingEnv.reset`, and `reset_mask`, bool, (n,).
         """
-        seeds = self._seed_each(seed)
         options = dict(options or {})
         mask = self._mask(options.pop(MASK)) if MASK in options else np.ones(self.num_envs, dtype=np.bool_)
+        self.fleet.checked(options)
+        seeds = self._seed_each(seed)
         rows = self._rows[mask]
         for i in rows:
             self._stream(int(i), seeds[i])

@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from sonar_gym.checks import check_finite
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class CarSettings:
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid measures."""
+        check_finite(self)
         for name in ("length", "width", "wheelbase", "max_steering", "max_speed", "steering_rate", "acceleration"):
             if not getattr(self, name) > 0.0:
                 raise SettingError(f"CarSettings.{name} must be > 0, got {getattr(self, name):g}")

@@ -12,7 +12,9 @@ from sonar_gym.parking import step_kernel
 from sonar_gym.parking.step_kernel import WorldArrays
 from sonar_gym.parking.street import Street
 from sonar_gym.parking.vehicle import Car, CarSettings
+from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.mounts import Mount
+from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import Hits
 
 
@@ -35,6 +37,7 @@ class WorldView:
 
     Attributes:
         arrays: arrays of all worlds.
+        pings: pings of all worlds.
         row: number of the world.
         street: street of this episode.
         car_settings: measures of the car.
@@ -44,6 +47,7 @@ class WorldView:
     """
 
     arrays: WorldArrays
+    pings: PingArrays
     row: int
     street: Street
     car_settings: CarSettings
@@ -63,24 +67,24 @@ class WorldView:
 
     @property
     def hits(self) -> Hits:
-        """Nearest points in the cones at the pings whose readings are shown."""
-        ping = self.arrays.shown[self.row].T.copy()
-        obstacle = ping[step_kernel.OBSTACLE].astype(np.int64)
-        point = ping[[step_kernel.X, step_kernel.Y]].T.copy()
-        distance, bearing, incidence, reflectance = ping[: step_kernel.OBSTACLE]
+        """Points that the readings shown come from, or that the sonars face."""
+        ping = self.pings.shown[self.row].T.copy()
+        obstacle = ping[paths.OBSTACLE].astype(np.int64)
+        point = ping[[paths.X, paths.Y]].T.copy()
+        distance, bearing, incidence, reflectance = ping[: paths.OBSTACLE]
         return Hits(distance, bearing, incidence, reflectance, obstacle >= 0, obstacle, point)
 
     @property
     def readings(self) -> SonarReadings:
         """The readings shown."""
-        ping = self.arrays.shown[self.row].T
-        reading = Reading(ping[step_kernel.RANGE].copy(), ping[step_kernel.STATUS].astype(np.uint8))
-        return SonarReadings(reading, self.arrays.credence[self.row].astype(np.float64))
+        ping = self.pings.shown[self.row].T
+        reading = Reading(ping[records.RANGE].copy(), ping[records.STATUS].astype(np.uint8))
+        return SonarReadings(reading, self.pings.credence[self.row].astype(np.float64))
 
     @property
     def causes(self) -> tuple[str, ...]:
         """Name of the cause of each reading."""
-        return tuple(self.cause_names[number] for number in self.arrays.cause[self.row])
+        return tuple(self.cause_names[number] for number in self.pings.cause[self.row])
 
     @property
     def parked(self) -> bool:

@@ -10,7 +10,9 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from sonar_gym.checks import settings_of
 from sonar_gym.sensing.kernels import mounted
+from sonar_gym.sensing.timing import Times
 
 CONE_DEG = 55.0  # full beam of SRF04 and SRF08 at -6 dB; Devantech, Sonar FAQ
 
@@ -24,9 +26,10 @@ class Mount:
         x, y: position before and left of the centre of the rear axle, m.
         heading_deg: direction of the beam axis, anticlockwise from straight ahead, deg.
         cone_deg: full opening angle, deg.
-        period_s: time between pings, s; 0 for one ping at every observation.
+        period_s: time between pings, s; 0 for one ping per observation, sent one latency before it.
         phase_s: time of the first ping in an episode, s; sonars that would disturb each other fire at different times.
-        latency_s: time from a ping to the arrival of its reading, s; at most the period.
+        latency_s: time from a ping to the arrival of its reading, s; at most the period. None: the time that an SRF08
+            needs for the maximum range, 65 ms for 11 m.
     """
 
     name: str
@@ -36,16 +39,20 @@ class Mount:
     cone_deg: float = CONE_DEG
     period_s: float = 0.0
     phase_s: float = 0.0
-    latency_s: float = 0.0
+    latency_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise SettingError for an invalid cone or time."""
+        """Raise SettingError for an invalid position, cone or time."""
+        for name in ("x", "y", "heading_deg"):
+            if not np.isfinite(getattr(self, name)):
+                raise SettingError(f"Mount.{name} of {self.name!r} must be finite, got {getattr(self, name)}")
         if not 0.0 < self.cone_deg < 180.0:
             raise SettingError(f"Mount.cone_deg of {self.name!r} must lie in (0, 180) deg, got {self.cone_deg:g} deg")
         for name in ("period_s", "phase_s", "latency_s"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise SettingError(f"Mount.{name} of {self.name!r} must be >= 0 s, got {getattr(self, name):g} s")
-        if 0.0 < self.period_s < self.latency_s:
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < np.inf:
+                raise SettingError(f"Mount.{name} of {self.name!r} must be >= 0 s, got {value:g} s")
+        if self.latency_s is not None and 0.0 < self.period_s < self.latency_s:
             raise SettingError(
                 f"Mount.latency_s of {self.name!r} is {self.latency_s:g} s, more than its period of {self.period_s:g} "
                 "s: give a shorter latency or a longer period"
@@ -65,14 +72,13 @@ EIGHT = (
 # Firing times of the eight sonars in a cycle of 0.1 s; neighbours never fire together. An SRF08 with a range of 3.01 m
 # needs 17.6 ms for the sound and about 2 ms on the bus (Devantech, SRF08).
 TURN_S = (0.02, 0.04, 0.08, 0.02, 0.06, 0.06, 0.04, 0.08)
-LATENCY_S = 0.020
 
 LAYOUTS: dict[str, tuple[Mount, ...]] = {
     "eight": EIGHT,
     "eight in turn": tuple(
-        replace(mount, period_s=0.1, phase_s=phase, latency_s=LATENCY_S)
-        for mount, phase in zip(EIGHT, TURN_S, strict=True)
+        replace(mount, period_s=0.1, phase_s=phase) for mount, phase in zip(EIGHT, TURN_S, strict=True)
     ),
+    "eight without latency": tuple(replace(mount, latency_s=0.0) for mount in EIGHT),
     "four": (
         Mount("front", 0.36, 0.0, 0.0),
         Mount("right front", 0.26, -0.10, -90.0),
@@ -95,7 +101,7 @@ def layout(given: Layout) -> tuple[Mount, ...]:
                 f"sonar_layout {given!r}: unknown name; expected {', '.join(LAYOUTS)}, or a list of mounts"
             )
         return LAYOUTS[given]
-    mounts = tuple(mount if isinstance(mount, Mount) else Mount(**mount) for mount in given)
+    mounts = tuple(settings_of(Mount, mount) for mount in given)
     if not mounts:
         raise SettingError("sonar_layout has 0 mounts, expected 1 or more")
     return mounts
@@ -107,25 +113,10 @@ def mount_arrays(mounts: Sequence[Mount]) -> tuple[Floats, Floats]:
     return poses, np.radians([0.5 * m.cone_deg for m in mounts])
 
 
-def timing_array(mounts: Sequence[Mount], step_s: float) -> Floats:
-    """Return period, phase and latency of each sonar, s, (s, 3).
-
-    Args:
-        mounts: sonars.
-        step_s: time between observations, s; the shortest possible period.
-    """
-    for mount in mounts:
-        if 0.0 < mount.period_s < step_s:
-            raise SettingError(
-                f"Mount.period_s of {mount.name!r} is {mount.period_s:g} s, less than the {step_s:g} s from one "
-                "observation to the next: give 0 for a ping at every observation"
-            )
-        if mount.period_s == 0.0 and mount.latency_s > step_s:
-            raise SettingError(
-                f"Mount.latency_s of {mount.name!r} is {mount.latency_s:g} s, more than the {step_s:g} s to its next "
-                "ping: give a longer period_s"
-            )
-    return np.array([[m.period_s, m.phase_s, m.latency_s] for m in mounts])
+def times_of(mounts: Sequence[Mount]) -> Times:
+    """Return period, phase and latency of sonars, s; NaN is the latency of the real sensor, see `timing.timing`."""
+    latency = [np.nan if m.latency_s is None else m.latency_s for m in mounts]
+    return [m.period_s for m in mounts], [m.phase_s for m in mounts], latency
 
 
 def in_world(poses: Floats, car: Floats) -> Floats:

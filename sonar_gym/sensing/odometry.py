@@ -17,6 +17,7 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from sonar_gym.checks import settings_of
 from sonar_gym.compiled import compiled
 
 ODOMETRY_TAG = 0x57E9  # a random stream apart from those of the streets and of the sonars
@@ -71,7 +72,7 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
         if given not in ODOMETRIES:
             raise SettingError(f"odometry {given!r}: unknown name; expected {', '.join(ODOMETRIES)}, or settings")
         return ODOMETRIES[given]
-    return given if isinstance(given, OdometrySettings) else OdometrySettings(**given)
+    return settings_of(OdometrySettings, given)
 
 
 X, Y, HEADING, SCALE, PULL, SLIP, WANDER = range(7)  # columns of `Odometer.state`

@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition import Ping, SettingError
 from acquisition.arrays import Bits, Floats, Ints
+from sonar_gym.checks import check_finite
 from sonar_gym.sensing import kernels
 
 CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # of a square with sides of 2 m
@@ -73,6 +74,7 @@ class Box:
 
     def __post_init__(self) -> None:
         """Raise SettingError for sides that are not positive and for an invalid surface."""
+        check_finite(self)
         if self.length <= 0.0 or self.width <= 0.0:
             raise SettingError(f"Box sides must be > 0 m, got {self.length:g} m x {self.width:g} m")
         check_surface("Box", self.reflectance, self.texture_deg)

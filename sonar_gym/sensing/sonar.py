@@ -6,22 +6,30 @@ import os
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from gymnasium import spaces
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
-from acquisition.arrays import Floats, Ints
+from acquisition.arrays import Bits, Floats, Ints
 from noise import ConditionPrior, CredenceTable, EchoLaw, SonarModel, listener, load_model, model_names
 from noise.faults import Faulty, FaultyLaw
 from noise.law import UniformSource
+from noise.learned.persistence import Persistence
 from noise.model import StatefulModel
+from sonar_gym.compiled import compiled
+from sonar_gym.sensing.detection import is_own_echo
+from sonar_gym.sensing.paths import MAX_PATHS
+from sonar_gym.sensing.persistence import PersistentStream
 
 SonarChoice = str | os.PathLike[str] | SonarModel
 Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])
 ECHO_CODE = np.array([0.0, 1.0, -1.0], dtype=np.float32)  # by EchoStatus: no echo, echo, no answer
+REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at the earliest (`Unit.rearm` of the rig)
+SLOTS = MAX_PATHS  # faces that a model with a state of its own remembers for each sonar, as many as a ping can have
+NO_FACE = -2  # of an unused place in that memory; an empty cone has face -1
 BINS = 100  # bins of range in tables of credence; the broad prior has two distances per bin, so that none is empty
 BEARINGS_DEG = (0.0, 7.5, 15.0, 22.5, 27.5)  # deg; inside a cone of 55 deg
 
@@ -41,6 +49,11 @@ def resolve(sonar: SonarChoice) -> SonarModel:
     if isinstance(sonar, SonarModel):
         return sonar
     raise SettingError(f"sonar is a {type(sonar).__name__}, expected a name, the path of a model, or a SonarModel")
+
+
+def persistence_of(model: Any) -> Persistence | None:
+    """Return the part of a model's spread that persists, also of a model with faults; None if it has none."""
+    return persistence_of(model.model) if isinstance(model, Faulty) else getattr(model, "persistence", None)
 
 
 @lru_cache
@@ -66,6 +79,30 @@ def broad_table(model: SonarModel, max_range: float) -> CredenceTable:
 def _broad_table(model: Any, max_range: float) -> CredenceTable:
     prior = ConditionPrior(near=0.01, far=max_range, distances=2 * BINS, angles_deg=BEARINGS_DEG)
     return CredenceTable.over(model, prior.grid()[0], bin_edges(max_range))
+
+
+@compiled
+def assign_slots(sensors: Ints, faces: Ints, slot_faces: Ints, slot_used: Ints) -> tuple[Ints, Bits]:
+    """Return the place in memory of each path, and whether its face is new there, both (m,).
+
+    Args:
+        sensors: sonar of each path, those of one ping in sequence, (m,).
+        faces: face of each path, (m,).
+        slot_faces: face at each place of each sonar, (n, k); a new face gets the place used longest ago.
+        slot_used: number of the last use of each place, (n, k); updated.
+    """
+    slots, new = np.empty(len(sensors), np.int64), np.zeros(len(sensors), np.bool_)
+    for i in range(len(sensors)):
+        sensor, place = sensors[i], -1
+        for k in range(slot_faces.shape[1]):
+            if slot_faces[sensor, k] == faces[i]:
+                place = k
+        if place < 0:
+            place, new[i] = int(np.argmin(slot_used[sensor])), True
+            slot_faces[sensor, place] = faces[i]
+        slot_used[sensor, place] = slot_used[sensor].max() + 1
+        slots[i] = sensor * slot_faces.shape[1] + place
+    return slots, new
 
 
 class CopyStreams:
@@ -103,13 +140,25 @@ class Draw:
 
     Attributes:
         reading: readings; an echo beyond the maximum range is no echo.
-        credence_given_condition: probability of a reading within 10 % of the truth, (n,); None if the model has no
-            probabilities.
+        credence_given_condition: probability of a reading within 10 % of a reflector in the cone, (n,); None if the
+            model has no probabilities.
         fault: number of the model's fault that affects each reading, 0 for none, (n,); None if the model has no faults.
+        path: number of the path that answered, or else of the last path of the ping, (n,).
+        second: range of the second echo, m, (n,); 0 without one.
     """
 
     reading: Reading
     credence_given_condition: Floats | None
+    fault: Ints | None
+    path: Ints
+    second: Floats
+
+
+class _PathDraw(NamedTuple):
+    """Readings of m paths, each as if it were alone in the cone; see `Draw`."""
+
+    reading: Reading
+    credence: Floats | None
     fault: Ints | None
 
 
@@ -152,8 +201,15 @@ class Sonar:
         self.batched = copies > 1 and listener(shared).law(Ping.of(distance=[1.0]), None).uniform_per_ping
         self.has_credence = True  # updated by each law
         self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
-        self._past = np.zeros(copies * count), np.full(copies * count, EchoStatus.NO_ANSWER, dtype=np.uint8)
-        self._sensors = np.arange(copies * count)
+        self.persistence = persistence_of(shared)
+        self._episodes = np.zeros(copies, dtype=np.int64)  # numbers from which the persisting errors are derived
+        slots = 1 if self._stateful is None else SLOTS
+        size = copies * count * slots
+        self._past = np.zeros(size), np.full(size, EchoStatus.NO_ANSWER, dtype=np.uint8)
+        if self._stateful is not None:  # makes room for all places, which several threads must not do at once
+            self._stateful.law(Ping.of(distance=[1.0]), None, np.array([size - 1]))
+        self._slot_faces = np.full((copies * count, slots), NO_FACE, dtype=np.int64)
+        self._slot_used = np.zeros((copies * count, slots), dtype=np.int64)
         self.clear_memory()
 
     def seed(self, seed: int, copy: int = 0) -> None:
@@ -161,44 +217,120 @@ class Sonar:
         self.rngs[copy] = np.random.default_rng(np.random.SeedSequence([seed, self.tag]))
 
     def clear_memory(self, copies: Copies | None = None) -> None:
-        """Clear the previous readings of all copies, or of some, at the start of an episode."""
-        which, shape = slice(None) if copies is None else copies, (self.copies, self.count)
+        """Clear the previous readings of all copies, or of some, at the start of an episode; errors are drawn anew."""
+        for copy in range(self.copies) if copies is None else copies:
+            self._episodes[copy] = self.rngs[copy].integers(2**62)
+        which, shape = slice(None) if copies is None else copies, (self.copies, -1)
         self._past[0].reshape(shape)[which], self._past[1].reshape(shape)[which] = 0.0, EchoStatus.NO_ANSWER
+        self._slot_faces.reshape(shape)[which], self._slot_used.reshape(shape)[which] = NO_FACE, 0
         if self._stateful is not None:
-            self._stateful.reset(None if copies is None else self._sensors.reshape(shape)[which].ravel())
+            self._stateful.reset(np.arange(len(self._past[0])).reshape(shape)[which].ravel())
 
-    def draw(self, ping: Ping, copies: Copies, counts: Sequence[int], index: slice | Ints) -> Draw:
-        """Draw the readings of some sonars of some copies.
+    def draw(
+        self,
+        ping: Ping,
+        copies: Copies,
+        counts: Sequence[int],
+        index: Ints,
+        first: Ints,
+        faces: Ints,
+        latent: Floats | None = None,
+        shift: Floats | None = None,
+    ) -> Draw:
+        """Draw the readings of some sonars of some copies; the paths of a ping compete, and the first echo is read.
+
+        The last path of a ping is the one detected most often: its law also holds false alarms and silence, which a
+        sensor has once per ping. Each other path adds an echo of its own reflector, so that a reflector masks another
+        only by an echo that is received.
 
         Args:
-            ping: conditions of the pings, copy by copy, (n,).
+            ping: conditions of the paths, ping by ping and copy by copy, (m,).
             copies: numbers of the copies.
-            counts: number of pings of each of these copies.
+            counts: number of paths of each of these copies.
             index: number of each ping's sonar among the sonars of all copies, (n,).
+            first: number of the first path of each ping, (n,).
+            faces: number of the face of each path, -1 for none, (m,); a stateful model remembers each face by itself.
+            latent: persisting numbers of the paths, see `persistence.latents`, (LATENTS, m); None to draw all anew.
+            shift: what is added to the reading of each path, m, (m,), for bursts sent at another time; None: nothing.
         """
-        past, sensors = self._previous(index) if self.model.remembers else None, self._sensors[index]
+        sensors = index if len(index) == len(ping) else np.repeat(index, np.diff(first, append=len(ping)))
+        if self._stateful is not None:
+            sensors = self._memory_slots(sensors, faces)
+        past = self._previous(sensors) if self.model.remembers else None
         if self.batched or len(copies) == 1:
-            drawn = self._draw(ping, past, sensors, self._stream(copies, counts))
+            each = self._draw(ping, past, sensors, self._stream(copies, counts), latent)
         else:
-            drawn = self._draw_each(ping, past, sensors, copies, counts)
+            each = self._draw_each(ping, past, sensors, copies, counts, latent)
+        drawn = self._first_echo(ping, each, first, shift)
         if self.model.remembers:
-            self._past[0][index], self._past[1][index] = drawn.reading.range, drawn.reading.status
+            places, said = (index, drawn.reading) if self._stateful is None else (sensors, each.reading)
+            self._past[0][places], self._past[1][places] = said.range, said.status
         return drawn
+
+    def _memory_slots(self, sensors: Ints, faces: Ints) -> Ints:
+        """Return the place in a stateful model's memory of each path, (m,); faces that are new get an empty one."""
+        assert self._stateful is not None
+        slots, new = assign_slots(sensors, faces, self._slot_faces, self._slot_used)
+        if new.any():
+            self._stateful.reset(slots[new])
+            self._past[0][slots[new]], self._past[1][slots[new]] = 0.0, EchoStatus.NO_ANSWER
+        return slots
+
+    def keys(self, index: Ints) -> Ints:
+        """Return the number of the episode and sonar from which persisting errors are derived, (n,)."""
+        return self._episodes[index // self.count] + index % self.count
+
+    def _first_echo(self, ping: Ping, each: _PathDraw, first: Ints, shift: Floats | None) -> Draw:
+        """Return the first echo of each ping, and the second, among those of its paths."""
+        last = np.append(first[1:], len(ping)) - 1
+        if len(first) == len(ping):
+            return Draw(each.reading, each.credence, each.fault, last, np.zeros(len(ping)))
+        main = np.zeros(len(ping), dtype=np.bool_)
+        main[last] = True
+        counted = each.reading.echo & (main | is_own_echo(ping.distance, each.reading))
+        status, fault = each.reading.status[last], None
+        if each.fault is not None:
+            fault = each.fault[last]
+            counted &= main | (each.fault == 0)
+        alone = status == EchoStatus.NO_ANSWER if fault is None else (status == EchoStatus.NO_ANSWER) | (fault > 0)
+        counted &= main | ~np.repeat(alone, last - first + 1)
+        echo = np.where(counted, each.reading.range if shift is None else each.reading.range + shift, np.inf)
+        echo[echo > self.max_range] = np.inf
+        nearest = np.minimum.reduceat(echo, first)
+        answers = np.isfinite(nearest)
+        owner = np.repeat(np.arange(len(first)), last - first + 1)
+        path = last.copy()
+        hit = np.flatnonzero(counted & (echo == nearest[owner]))[::-1]  # of equal echoes, that of the first path
+        path[owner[hit]] = hit
+        rest = np.where(echo > nearest[owner] + REARM_M, echo, np.inf)
+        second = np.minimum.reduceat(rest, first)
+        kind = np.where(answers, np.uint8(EchoStatus.ECHO), status)
+        reading = Reading(np.where(answers, nearest, 0.0), kind.astype(np.uint8))
+        second = np.where(np.isfinite(second), second, 0.0)
+        return Draw(reading, self._any_right(each.credence, first), fault, path, second)
+
+    def _any_right(self, credence: Floats | None, first: Ints) -> Floats | None:
+        """Return P(a reflector in the cone gives an echo within 10 %), (n,), from that of each path alone."""
+        return None if credence is None else 1.0 - np.multiply.reduceat(1.0 - credence, first)
 
     def _stream(self, copies: Copies, counts: Sequence[int]) -> UniformSource:
         rngs = [self.rngs[copy] for copy in copies]
         return rngs[0] if len(rngs) == 1 else CopyStreams(rngs, counts)
 
-    def _draw(self, ping: Ping, past: Reading | None, sensors: Ints, rng: UniformSource) -> Draw:
+    def _draw(
+        self, ping: Ping, past: Reading | None, sensors: Ints, rng: UniformSource, latent: Floats | None
+    ) -> _PathDraw:
+        if latent is not None and self.persistence is not None:
+            rng = PersistentStream(rng, latent, self.persistence)
         law = self._law(ping, past, sensors)
         self.has_credence = law.has_probabilities
         reading, fault = law.draw(rng) if isinstance(law, FaultyLaw) else (law.sample(rng), None)
-        return Draw(self._in_range(reading), law.credence() if self.has_credence else None, fault)
+        return _PathDraw(self._in_range(reading), law.credence() if self.has_credence else None, fault)
 
     def _law(self, ping: Ping, past: Reading | None, sensors: Ints) -> EchoLaw:
         return self.model.law(ping, past) if self._stateful is None else self._stateful.law(ping, past, sensors)
 
-    def _previous(self, index: slice | Ints) -> Reading | None:
+    def _previous(self, index: Ints) -> Reading | None:
         """Return the previous readings; None if there are none and the model keeps no state of its own."""
         status = self._past[1][index]
         if self._stateful is not None or np.any(status != EchoStatus.NO_ANSWER):
@@ -206,21 +338,30 @@ class Sonar:
         return None
 
     def _draw_each(
-        self, ping: Ping, past: Reading | None, sensors: Ints, copies: Copies, counts: Sequence[int]
-    ) -> Draw:
+        self,
+        ping: Ping,
+        past: Reading | None,
+        sensors: Ints,
+        copies: Copies,
+        counts: Sequence[int],
+        latent: Floats | None,
+    ) -> _PathDraw:
         """Draw one copy after another, for laws that cannot be sampled from several streams at once."""
         parts, end = [], 0
         for copy, count in zip(copies, counts, strict=True):
             rows, end = slice(end, end + count), end + count
             if count:
                 before = None if past is None else past[rows]
-                parts.append(self._draw(ping[rows], before, sensors[rows], self.rngs[copy]))
+                own = None if latent is None else latent[:, rows]
+                parts.append(self._draw(ping[rows], before, sensors[rows], self.rngs[copy], own))
         reading = Reading(
             *(np.concatenate([getattr(part.reading, name) for part in parts]) for name in ("range", "status"))
         )
-        credence = [part.credence_given_condition for part in parts if part.credence_given_condition is not None]
+        credence = [part.credence for part in parts if part.credence is not None]
         fault = [part.fault for part in parts if part.fault is not None]
-        return Draw(reading, np.concatenate(credence) if credence else None, np.concatenate(fault) if fault else None)
+        return _PathDraw(
+            reading, np.concatenate(credence) if credence else None, np.concatenate(fault) if fault else None
+        )
 
     def credence(self, reading: Reading) -> Floats:
         """Return the credence given each sonar's reading, (copies * count,); 0 without an echo."""

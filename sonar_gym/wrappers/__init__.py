@@ -2,6 +2,6 @@
 
 `observation`: the wrappers `SonarObservation` and `SonarVectorObservation`.
 `settings`: their settings, and the prior over the conditions of a ping.
-`sources`: conditions of the pings from observed ranges, or from the parking street.
-`highway`: conditions of the pings from the roads of highway-env.
+`sources`: paths of the pings from observed ranges.
+`highway`: paths of the pings from the roads of highway-env.
 """

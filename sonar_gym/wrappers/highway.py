@@ -15,13 +15,14 @@ from gymnasium import spaces
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints
 from noise import CredenceTable, SonarModel
-from sonar_gym.sensing import kernels
-from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays
+from sonar_gym.sensing.detection import detection_table
+from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays, times_of
+from sonar_gym.sensing.paths import MAX_PATHS, N_PATH, cast_paths
 from sonar_gym.sensing.scene import box_faces
 from sonar_gym.sensing.sonar import broad_table
-from sonar_gym.sensing.timing import PingConditions, Times
+from sonar_gym.sensing.timing import Times
 from sonar_gym.wrappers.settings import DEFAULT_MAX_RANGE, SonarSettings
-from sonar_gym.wrappers.sources import Generators
+from sonar_gym.wrappers.sources import Generators, Paths
 
 BASE = "base"  # key of the retained observation, if it is not a Dict
 EGO_FIRST_TYPES = ("Kinematics", "ExitObservation")  # observations whose first row is the controlled vehicle
@@ -68,19 +69,21 @@ class RoadSource:
     Args:
         base: the environment.
         space: its observation space, after any inner wrappers.
+        model: model of the sonars, which decides on the paths worth a law.
         settings: layout, scale, range and times of the sonars, and the part of the observation to retain.
     """
 
-    def __init__(self, base: Any, space: spaces.Space[Any], settings: SonarSettings) -> None:
+    def __init__(self, base: Any, space: spaces.Space[Any], settings: SonarSettings, model: SonarModel) -> None:
         if isinstance(space, spaces.Tuple):
             raise SettingError("SonarObservation supports one vehicle, but this environment observes several")
         self.base, self.scale = base, settings.metres_per_unit
         self.max_range = settings.max_range or DEFAULT_MAX_RANGE
         self.mounts = layout(ROAD_LAYOUT if settings.sonar_layout is None else settings.sonar_layout)
-        self.count, self.step_s = len(self.mounts), settings.step_s or 1.0 / base.config["policy_frequency"]
-        period, phase, latency = np.array([[m.period_s, m.phase_s, m.latency_s] for m in self.mounts]).T
-        timed = bool(period.any() or latency.any())
-        self.times: Times = (period, phase, latency) if timed else settings.times
+        self.names = tuple(mount.name for mount in self.mounts)
+        self.step_s = settings.step_s or 1.0 / base.config["policy_frequency"]
+        timed = any(mount.period_s or mount.latency_s is not None for mount in self.mounts)
+        self.times: Times = times_of(self.mounts) if timed else settings.times
+        self._detection = detection_table(model, self.max_range)
         self._poses, self._half = mount_arrays(self.mounts)
         self._reflectance: dict[int, tuple[Any, float]] = {}  # by id; the reference keeps the id from being reused
         self._filter = RetainedObservation(base, space, settings.keep)
@@ -88,26 +91,28 @@ class RoadSource:
 
     def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
         """Return the credence given a reading under the broad prior, one table per sonar."""
-        return [broad_table(model, self.max_range)] * self.count
+        return [broad_table(model, self.max_range)] * len(self.mounts)
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
         """Begin an episode with new reflectances."""
         self._reflectance.clear()
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
-        """Cast the cones on the current road."""
-        ego, limit = pose_of(self.base.vehicle), self.max_range / self.scale
+    def paths(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Paths:
+        """Cast the cones on the current road, in metres of the sonar."""
+        ego = pose_of(self.base.vehicle)
         things = solid_things(self.base.road, self.base.vehicle)
         boxes = boxes_of(things)
+        limit = self.max_range / self.scale
         reach = limit + np.hypot(self._poses[:, 0], self._poses[:, 1]).max() + 0.5 * np.hypot(boxes[:, 2], boxes[:, 3])
         near = np.flatnonzero(np.hypot(boxes[:, 0] - ego[0], boxes[:, 1] - ego[1]) <= reach)
-        cones = in_world(self._poses, ego), self._half
-        distance, bearing, incidence, face, _ = kernels.cast_cones(*cones, box_faces(boxes[near]), limit)
-        material = np.array([*(self._reflectance_of(things[k], rngs[0]) for k in near), 0.0])
-        reflectance = material[np.where(face >= 0, face // 4, -1)]
-        return PingConditions(
-            distance[None] * self.scale, bearing[None], incidence[None], reflectance[None], (face >= 0)[None]
-        )
+        surface = np.array([[self._reflectance_of(things[k], rngs[0]), 0.0] for k in near]).reshape(-1, 2)
+        poses = in_world(self._poses, ego) * [self.scale, self.scale, 1.0]
+        out, counts = np.zeros((len(poses), MAX_PATHS, N_PATH)), np.empty(len(poses), np.int64)
+        faces = self.scale * box_faces(boxes[near]), np.repeat(surface, 4, axis=0), np.repeat(near, 4)
+        for i, pose in enumerate(poses):
+            x, y, heading = pose
+            counts[i] = cast_paths(x, y, heading, self._half[i], *faces, self.max_range, self._detection, out[i])
+        return Paths(out[None], counts[None])
 
     def _reflectance_of(self, thing: Any, rng: np.random.Generator) -> float:
         """Return the reflectance of an object, drawn at its first use in the episode."""

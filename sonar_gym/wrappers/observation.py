@@ -17,12 +17,13 @@ from gymnasium.vector.utils import batch_space
 from acquisition import SettingError
 from acquisition.arrays import Bits, Ints
 from sonar_gym.parking.environment import SonarParkingEnv
+from sonar_gym.parking.fleet import MAX_RANGE, Fleet
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
+from sonar_gym.sensing.pipeline import Sensing
 from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
-from sonar_gym.sensing.timing import PingSchedule, timing
 from sonar_gym.wrappers.highway import RoadSource, is_road
 from sonar_gym.wrappers.settings import SonarSettings
-from sonar_gym.wrappers.sources import ConditionSource, RangesSource, StreetSource
+from sonar_gym.wrappers.sources import ObservedSonars, PathSource, RangesSource
 
 WRAPPER_TAG = 0x5EA2  # of the random stream; differs from that of the sonars inside the environment
 GOAL_REWARD = "compute_reward"
@@ -40,36 +41,41 @@ def json_value(value: Any) -> Any:
     return [json_value(item) for item in value] if isinstance(value, (list, tuple, range)) else value
 
 
-def source_of(base: Any, space: spaces.Space[Any], settings: SonarSettings, copies: int) -> ConditionSource:
-    """Return the source of the conditions: observed ranges if `key` or `indices` is set."""
-    explicit = settings.key is not None or settings.indices is not None
-    if not explicit and isinstance(base, (SonarParkingEnv, SonarParkingVectorEnv)):
-        return StreetSource(base.fleet, settings)
-    if not explicit and is_road(base):
-        return RoadSource(base, space, settings)
-    return RangesSource(space, settings, base, copies)
-
-
-def timed_sonars(source: ConditionSource, sonar: SonarChoice, copies: int) -> PingSchedule:
-    """Return sonars with the range, credence tables and ping times of a source."""
+def observed_sonars(
+    base: Any, space: spaces.Space[Any], settings: SonarSettings, sonar: SonarChoice, copies: int
+) -> ObservedSonars:
+    """Return the sonars of an environment that has none: on its road, or by observed ranges if `key` is set."""
     model = resolve(sonar)
-    sonars = Sonar(model, source.count, source.max_range, WRAPPER_TAG, source.tables(model), copies)
-    return PingSchedule(sonars, timing(source.count, source.step_s, source.times), source.step_s)
+    on_road = is_road(base) and not settings.explicit
+    source: PathSource = (
+        RoadSource(base, space, settings, model) if on_road else RangesSource(space, settings, base, copies)
+    )
+    sonars = Sonar(model, len(source.names), source.max_range, WRAPPER_TAG, source.tables(model), copies)
+    return ObservedSonars(source, sonars)
 
 
-def space_of(source: ConditionSource) -> spaces.Dict:
+def space_of(count: int, retained: dict[str, spaces.Space[Any]]) -> spaces.Dict:
     """Return the observation space of one environment with sonars."""
-    age = spaces.Box(0.0, 1.0, (source.count,), np.float32)
-    return spaces.Dict({**source.retained_spaces, **sonar_spaces(source.count), "age": age})
+    age = spaces.Box(0.0, 1.0, (count,), np.float32)
+    return spaces.Dict({**retained, **sonar_spaces(count), "age": age})
+
+
+def fleet_of(base: Any, settings: SonarSettings, sonar: SonarChoice) -> Fleet | None:
+    """Return the cars of a parking environment with their sonars replaced, or None for another environment."""
+    if settings.explicit or not isinstance(base, (SonarParkingEnv, SonarParkingVectorEnv)):
+        return None
+    times = settings.times if settings.timed else None
+    base.fleet.install(sonar, settings.max_range or MAX_RANGE, times, WRAPPER_TAG)
+    return base.fleet
 
 
 class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
     """Replaces ideal ranges by readings drawn from a sonar model, each with its credence.
 
-    Three kinds of environment are supported. In `SonarParking-v0` the true conditions are used, whatever sonar the
-    environment itself has. In highway-env cones are cast on `road.vehicles` and `road.objects`. Elsewhere the ranges
-    are read from the observation: a `Box`, or the `Box` at `key` of a `Dict`; the other conditions come from the
-    environment if it provides them, else from a prior.
+    Three kinds of environment are supported. In `SonarParking-v0` the sonars of the environment are replaced. In
+    highway-env cones are cast on `road.vehicles` and `road.objects`. Elsewhere the ranges are read from the
+    observation: a `Box`, or the `Box` at `key` of a `Dict`; the other conditions come from the environment if it
+    provides them, else from a prior.
 
     The new observation is a `Dict` of `ranges` (fraction of the maximum range, 1 without an echo), `credence` (given
     the reading), `echo` (1 echo, 0 no echo, -1 no answer), `age` (time since the ping, s, at most 1) and the retained
@@ -101,14 +107,23 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
         gymnasium.Wrapper.__init__(self, env)
-        self.source = source_of(env.unwrapped, env.observation_space, sonar_settings, copies=1)
-        self.timed_sonars = timed_sonars(self.source, sonar, copies=1)
-        self.observation_space = space_of(self.source)
+        self.fleet = fleet_of(env.unwrapped, sonar_settings, sonar)
+        if self.fleet is None:
+            self.observed = observed_sonars(env.unwrapped, env.observation_space, sonar_settings, sonar, copies=1)
+            self.source = self.observed.source
+            self.observation_space = space_of(self.sonar.count, self.source.retained_spaces)
+        else:
+            self.observation_space = self.fleet.observation_space
+
+    @property
+    def sensing(self) -> Sensing:
+        """The sensing pipeline."""
+        return self.observed.sensing if self.fleet is None else self.fleet.sensing
 
     @property
     def sonar(self) -> Sonar:
         """The sonars, which draw the readings."""
-        return self.timed_sonars.sonar
+        return self.sensing.sonar
 
     def __getattr__(self, name: str) -> Any:
         """Provide `compute_reward` of a goal environment, which hindsight experience replay calls on the wrapper."""
@@ -120,25 +135,26 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Clear the memory of the sonars, reset the environment, and ping."""
-        self.sonar.clear_memory()
         if seed is not None:
             self.sonar.seed(seed)
         observation, info = self.env.reset(seed=seed, options=options)
-        self.source.begin(ONE, observation, info, self.sonar.rngs)
-        self.timed_sonars.begin(ONE, self.source.conditions(ONE, observation, info, self.sonar.rngs))
+        if self.fleet is None:
+            self.observed.begin(ONE, observation, info)
         return self._output(observation, info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment, then ping."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self.timed_sonars.step(ONE, self.source.conditions(ONE, observation, info, self.sonar.rngs))
+        if self.fleet is None:
+            self.observed.step(ONE, observation, info)
         observation, info = self._output(observation, info)
         return observation, reward, terminated, truncated, info
 
     def _output(self, observation: Any, info: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        readings = {name: value[0] for name, value in self.timed_sonars.observation().items()}
-        truth = {name: value[0] for name, value in self.timed_sonars.truth().items()}
-        return {**self.source.retained(observation), **readings}, {**info, "sonar": truth}
+        info = {**info, "sonar": self.sensing.truth(0)}
+        if self.fleet is not None:
+            return observation, info
+        return {**self.source.retained(observation), **self.sensing.observation(0)}, info
 
 
 class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
@@ -166,19 +182,27 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
                 "SonarVectorObservation does not support highway-env: wrap each environment alone, "
                 "with make_vec(..., wrappers=[SonarObservation])"
             )
-        sample = base if isinstance(base, SonarParkingVectorEnv) else inner
-        self.source = source_of(sample, env.single_observation_space, sonar_settings, env.num_envs)
-        self.timed_sonars = timed_sonars(self.source, sonar, env.num_envs)
-        self.single_observation_space = space_of(self.source)
+        self.fleet = fleet_of(base, sonar_settings, sonar)
+        if self.fleet is None:
+            self.observed = observed_sonars(inner, env.single_observation_space, sonar_settings, sonar, env.num_envs)
+            self.source = self.observed.source
+            self.single_observation_space = space_of(self.sonar.count, self.source.retained_spaces)
+        else:
+            self.single_observation_space = self.fleet.observation_space
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self.autoreset_mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self._rows = np.arange(env.num_envs)
         self._done = np.zeros(env.num_envs, dtype=np.bool_)
 
     @property
+    def sensing(self) -> Sensing:
+        """The sensing pipeline."""
+        return self.observed.sensing if self.fleet is None else self.fleet.sensing
+
+    @property
     def sonar(self) -> Sonar:
         """The sonars, which draw the readings."""
-        return self.timed_sonars.sonar
+        return self.sensing.sonar
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -213,31 +237,31 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         return observation, rewards, terminated, truncated, info
 
     def _begin(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
-        if len(rows):
-            part = rows_of(observation, rows), rows_of(info, rows), self.sonar.rngs
-            self.source.begin(rows, *part)
-            self.timed_sonars.begin(rows, self.source.conditions(rows, *part))
+        if len(rows) and self.fleet is None:
+            self.observed.begin(rows, rows_of(observation, rows), rows_of(info, rows))
 
     def _step(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
-        if len(rows):
-            self._ping(rows, rows_of(observation, rows), rows_of(info, rows))
-
-    def _ping(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
-        self.timed_sonars.step(rows, self.source.conditions(rows, observation, info, self.sonar.rngs))
+        if len(rows) and self.fleet is None:
+            self.observed.step(rows, rows_of(observation, rows), rows_of(info, rows))
 
     def _finals(self, rows: Ints, info: Mapping[str, Any]) -> dict[str, Any]:
         """Return the final observations and infos of the episodes that have ended, with their readings."""
+        final = info["final_info"]
+        if self.fleet is not None:
+            truth = {name: value for name, value in final.items() if name in self.sensing.truth(0)}
+            return {"final_info": {**final, **masked({"sonar": truth}, np.isin(self._rows, rows))}}
         last, final_obs = [info["final_obs"][i] for i in rows], np.full(self.num_envs, None, dtype=object)
-        self._ping(rows, stacked(last), rows_of(info["final_info"], rows))
-        readings = self.timed_sonars.observation()
+        self.observed.step(rows, stacked(last), rows_of(final, rows))
         for i, one in zip(rows, last, strict=True):
-            final_obs[i] = {**self.source.retained(one), **{name: value[i].copy() for name, value in readings.items()}}
-        truth = masked({"sonar": self.timed_sonars.truth()}, np.isin(self._rows, rows))
-        return {"final_obs": final_obs, "final_info": {**info["final_info"], **truth}}
+            final_obs[i] = {**self.source.retained(one), **self.sensing.observation(i)}
+        truth = masked({"sonar": self.sensing.truth(slice(None))}, np.isin(self._rows, rows))
+        return {"final_obs": final_obs, "final_info": {**final, **truth}}
 
     def _output(self, observation: Any, info: dict[str, Any], mask: Bits) -> tuple[dict[str, Any], dict[str, Any]]:
-        out = {**self.source.retained(observation), **self.timed_sonars.observation()}
-        return out, {**info, **masked({"sonar": self.timed_sonars.truth()}, mask)}
+        info = {**info, **masked({"sonar": self.sensing.truth(slice(None))}, mask)}
+        if self.fleet is not None:
+            return observation, info
+        return {**self.source.retained(observation), **self.sensing.observation(slice(None))}, info
 
 
 def stacked(observations: Sequence[Any]) -> Any:

@@ -1,13 +1,13 @@
-"""Sources of the conditions of pings: ranges that an environment observes, or the true state of the parking street.
+"""Sources of the paths of pings, and the sonars that hear them: here, ranges that an environment observes.
 
 A source serves one environment or n of them. Its inputs have a leading axis of n, which a single environment may omit.
-`sonar_gym.wrappers.highway` contains the third source.
+`sonar_gym.wrappers.highway` contains the other source. `SonarParking-v0` needs none: its own sonars are replaced.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -15,10 +15,11 @@ from gymnasium import spaces
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints
 from noise import CredenceTable, SonarModel
-from sonar_gym.parking.fleet import MAX_RANGE, STEP_S, Fleet
-from sonar_gym.parking.prior import street_credence
-from sonar_gym.sensing.sonar import bin_edges
-from sonar_gym.sensing.timing import PingConditions, Times
+from sonar_gym.sensing import paths, records
+from sonar_gym.sensing.paths import MAX_PATHS, N_PATH
+from sonar_gym.sensing.pipeline import Sensing
+from sonar_gym.sensing.sonar import Sonar, bin_edges
+from sonar_gym.sensing.timing import Times, timing
 from sonar_gym.wrappers.settings import (
     CONDITION_NAMES,
     DEFAULT_MAX_RANGE,
@@ -32,18 +33,30 @@ Generators = Sequence[np.random.Generator]
 REST = "rest"  # key of the numbers that are not ranges, if the observation was a single array
 
 
-class ConditionSource(Protocol):
-    """Source of the conditions of pings.
+class Paths(NamedTuple):
+    """Paths of a ping of each of s sonars in r environments.
 
     Attributes:
-        count: number of sonars.
+        paths: the paths that a law is given, see `paths.cast_paths`, (r, s, MAX_PATHS, N_PATH).
+        counts: number of paths, (r, s).
+    """
+
+    paths: Floats
+    counts: Ints
+
+
+class PathSource(Protocol):
+    """Source of the paths of pings.
+
+    Attributes:
+        names: names of the sonars.
         max_range: maximum range, m.
         step_s: time between observations, s.
         times: period, phase and latency of the pings, s.
         retained_spaces: spaces of the retained parts of an observation, for one environment.
     """
 
-    count: int
+    names: tuple[str, ...]
     max_range: float
     step_s: float
     times: Times
@@ -57,8 +70,8 @@ class ConditionSource(Protocol):
         """Begin episodes in some environments, given their observations and infos."""
         ...
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
-        """Return the conditions of pings sent now in some environments."""
+    def paths(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Paths:
+        """Return the paths of pings sent now in some environments."""
         ...
 
     def retained(self, observation: Any) -> dict[str, Any]:
@@ -83,6 +96,7 @@ class RangesSource:
         box = self._box()
         self._shape, self._mask = box.shape, self._range_mask(box)
         self.count = int(self._mask.sum())
+        self.names = tuple(f"range {i}" for i in range(self.count))
         self.retained_spaces = self._retained_spaces(box)
         self._sources: dict[str, ConditionSetting] = {name: getattr(settings, name) for name in CONDITION_NAMES}
         self._reflectance = np.ones((copies, self.count))
@@ -128,8 +142,8 @@ class RangesSource:
         """Draw the reflectances of the episode."""
         self._reflectance[rows] = self._values("reflectance", rows, observation, info, rngs)
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
-        """Return the observed ranges with the other conditions, from their keys, constants or priors."""
+    def paths(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Paths:
+        """Return one path per sonar: the observed range, and the other conditions by keys, constants or priors."""
         ranges = self._flat(observation)[..., self._mask].reshape(len(rows), self.count)
         distance = ranges * self.settings.metres_per_unit
         if self.settings.empty is not None:
@@ -142,7 +156,13 @@ class RangesSource:
         reflectance = (
             self._values("reflectance", rows, observation, info, rngs) if every_step else self._reflectance[rows]
         )
-        return PingConditions(distance, bearing, incidence, reflectance, in_range)
+        out = np.zeros((len(rows), self.count, MAX_PATHS, N_PATH))
+        one = out[:, :, 0]
+        one[..., paths.DISTANCE] = np.where(np.isinf(distance), self.max_range, distance)
+        one[..., paths.BEARING] = bearing
+        one[..., paths.INCIDENCE], one[..., paths.REFLECTANCE] = incidence, reflectance
+        one[..., paths.OBSTACLE] = one[..., paths.FACE] = np.where(in_range, np.arange(self.count), -1)
+        return Paths(out, np.ones((len(rows), self.count), np.int64))
 
     def retained(self, observation: Any) -> dict[str, Any]:
         """Return the other keys, and the numbers that are not ranges."""
@@ -173,41 +193,38 @@ class RangesSource:
         return value.reshape(shape)
 
 
-class StreetSource:
-    """True conditions of SonarParking-v0, whatever the sonar inside the environment.
+class ObservedSonars:
+    """Sonars in environments that are known only at their observations.
 
     Args:
-        fleet: state of the environments, one or many.
-        settings: maximum range and times; the other settings are not used.
+        source: paths of the pings.
+        sonar: sonars, with one copy per environment.
     """
 
-    def __init__(self, fleet: Fleet, settings: SonarSettings) -> None:
-        self.fleet, self.count, self.step_s, self.times = fleet, len(fleet.mounts), STEP_S, settings.times
-        self.max_range = settings.max_range or MAX_RANGE
-        if any(mount.period_s or mount.latency_s for mount in fleet.mounts):
-            raise SettingError(
-                "SonarObservation needs the true conditions at every step, but the sonars of this layout have periods "
-                "or latencies: make the environment with sonar_layout='eight', and give the times to the wrapper"
-            )
-        self.retained_spaces = {"ego": fleet.observation_space.spaces["ego"]}
-
-    def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading in streets of the task, one table per sonar."""
-        return street_credence(
-            model, self.fleet.street_settings, self.fleet.car_settings, self.fleet.mounts, self.max_range
+    def __init__(self, source: PathSource, sonar: Sonar) -> None:
+        self.source, self.step_s = source, source.step_s
+        self.sensing = Sensing(
+            sonar, timing(source.names, source.step_s, source.times, source.max_range), source.step_s
         )
+        self._before = np.zeros_like(self.sensing.pings.paths), np.ones_like(self.sensing.pings.n_paths)
+        self._steps = np.zeros(sonar.copies, np.int64)
 
-    def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
-        """Do nothing: no condition is drawn per episode."""
+    def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
+        """Begin episodes in some environments: all sonars ping, and their readings are shown at once."""
+        rngs, pings = self.sensing.sonar.rngs, self.sensing.pings
+        self.source.begin(rows, observation, info, rngs)
+        now = self.source.paths(rows, observation, info, rngs)
+        self._steps[rows] = 0
+        self.sensing.begin(rows)
+        pings.paths[rows], pings.n_paths[rows] = now
+        self._before[0][rows], self._before[1][rows] = now
+        self.sensing.update(rows, np.zeros(len(rows)))
 
-    def conditions(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> PingConditions:
-        """Return the true conditions in `info`."""
-        parts = (info[name] for name in ("distance", "bearing", "incidence", "reflectance", "in_cone"))
-        distance, bearing, incidence, reflectance, in_cone = (
-            np.asarray(part).reshape(len(rows), self.count) for part in parts
-        )
-        return PingConditions(distance, bearing, incidence, reflectance, in_cone & (distance < self.max_range))
-
-    def retained(self, observation: Any) -> dict[str, Any]:
-        """Return the odometry and the elapsed time."""
-        return {"ego": observation["ego"]}
+    def step(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
+        """Advance some environments by one observation."""
+        now = self.source.paths(rows, observation, info, self.sensing.sonar.rngs)
+        begin: Floats = self._steps[rows] * np.float64(self.step_s)
+        self._steps[rows] += 1
+        end: Floats = self._steps[rows] * np.float64(self.step_s)
+        records.fire(rows, begin, self.step_s, self.sensing.timing, *now, *self._before, self.sensing.pings)
+        self.sensing.update(rows, end)

@@ -41,8 +41,9 @@ def test_foam_is_detected_less_often_than_steel(capsys):
 def test_sonars_of_the_layout_example_alternate(capsys):
     lines = printed("own_layout.py", capsys)
     ages = [[int(part.split(" ms")[0].split()[-1]) for part in line.split(";")[:3]] for line in lines]
-    # after the first step the readings are those of the reset; later ones arrive 25 ms after every second observation
-    assert ages == [[0, 100, 100], [0, 200, 100], [0, 100, 200], [0, 200, 100], [0, 100, 200]]
+    # the nose pings 20 ms before each observation; after the first step the other readings are those of the reset, and
+    # later ones arrive 25 ms after every second observation
+    assert ages == [[20, 100, 100], [20, 200, 100], [20, 100, 200], [20, 200, 100], [20, 100, 200]]
 
 
 def test_every_example_is_tested():

@@ -15,6 +15,8 @@ import pandas as pd
 from acquisition import Recording
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
+from noise.learned.networks import MlpModel
+from noise.learned.persistence import survey_persistence
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, IdealModel, SonarModel
 from noise.store import save_model
@@ -91,6 +93,8 @@ def make(settings: TrainArgs, data: Path, report: Report = no_report) -> Path:
             save_model(_train(base_settings, load_data(data, "mlp", n_sensors)), base)
         train, validation = load_data(data, settings.law, n_sensors)
         model = _train(replace(settings, base=str(base)), (train, validation), report)
+    if isinstance(model, MlpModel):  # laws with memory learn what persists
+        model.persistence = survey_persistence(model, train.ping, train.reading)
     scores = score(model, train, Recording.load(data / "sensors.csv"))
     commands = ["sonar-gym make-noise"]
     model.about |= {"commands": commands, "seed": settings.seed, "scores": scores_as_numbers(scores)}

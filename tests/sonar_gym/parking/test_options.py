@@ -15,6 +15,7 @@ from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.scene import Scene, WallSegment
+from sonar_gym.sensing.timing import sensor_latency
 
 BOXES = [{"begin": 0.6, "length": 0.3}, {"begin": 1.9, "length": 0.3, "reflectance": 0.8, "texture_deg": 5.0}]
 NO_LAG = {"acceleration": 1e9, "speed_lag": 0.0}  # the car reaches 0.5 m/s at once
@@ -70,7 +71,7 @@ def test_fields_of_the_street_are_replaced():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fog": 1}, "reset option 'fog': unknown option; expected difficulty, street, boxes, start"),
+        ({"fog": 1}, "reset option 'fog': unknown option; expected difficulty, street, boxes, obstacles, start"),
         ({"start": [0, 0]}, "reset option 'start' must be x, y, heading"),
         ({"start": [0, np.nan, 0]}, "reset option 'start' must be x, y, heading"),
         ({"boxes": [{"begin": 1.0, "length": 1.0}]}, "boxes must be two or more"),
@@ -82,6 +83,22 @@ def test_fields_of_the_street_are_replaced():
 def test_invalid_options_raise_an_error(options, message):
     with pytest.raises(SettingError, match=message):
         SonarParkingEnv().reset(seed=0, options=options)
+
+
+def test_further_obstacles_are_heard_by_their_material_and_hit():
+    heard = {}
+    for kind in ("pole", "hedge", "wall"):
+        place = {"kind": kind, "x": 1.2, "y": 0.0, "heading": 0.3} | ({} if kind == "pole" else {"length": 0.3})
+        place |= {"width": 0.2} if kind == "hedge" else {}
+        env = SonarParkingEnv()
+        _, info = env.reset(seed=0, options={"boxes": BOXES, "obstacles": [place]})
+        assert info["obstacle"][0] == len(env.street.boxes) + 3
+        heard[kind] = info["reflectance"][0]
+        ended = [env.step(np.array([0.0, 1.0]))[4]["collision"] for _ in range(25)]
+        assert any(ended)
+    assert heard == {"pole": 0.1, "hedge": 0.2, "wall": 0.9}
+    with pytest.raises(SettingError, match="obstacle of kind 'cloud': unknown kind; expected pole, hedge, wall"):
+        SonarParkingEnv().reset(seed=0, options={"obstacles": [{"kind": "cloud", "x": 1.0, "y": 0.0}]})
 
 
 # ---- difficulty ------------------------------------------------------------------------------------------------------
@@ -134,7 +151,8 @@ def test_texture_reduces_the_incidence_given_to_the_model():
 
 def test_info_has_the_cause_of_every_reading():
     sonar = Faulty(GaussianModel(sigma=1e-4, sigma_per_metre=0.0, miss=0.3), [Constant(rate=0.25, value=0.5)])
-    env, readings = SonarParkingEnv(sonar=sonar), []
+    narrow = [{**nose()[0], "name": str(k), "heading_deg": 45.0 * k} for k in range(8)]  # at most one reflector each
+    env, readings = SonarParkingEnv(sonar=sonar, sonar_layout=narrow), []
     observation, info = env.reset(seed=0)
     for _ in range(300):
         readings += [(env.causes[k], float(r)) for k, r in zip(info["cause"], observation["ranges"], strict=True)]
@@ -168,13 +186,23 @@ def test_readings_belong_to_the_time_of_their_pings_and_arrive_after_the_latency
         observation, _, _, _, info = env.step(np.array([0.0, 1.0]))
 
 
-def test_without_a_period_every_reading_is_current():
-    env = SonarParkingEnv(sonar_layout=nose(), car=NO_LAG)
+@pytest.mark.parametrize("latency_s", [0.0, 0.03])
+def test_without_a_period_readings_arrive_with_the_observation(latency_s):
+    env = SonarParkingEnv(sonar_layout=nose(latency_s=latency_s), car=NO_LAG)
     env.reset(seed=0, options={"boxes": BOXES})
     for step in range(1, 6):
         observation, _, _, _, info = env.step(np.array([0.0, 1.0]))
-        assert observation["age"][0] == 0.0
-        assert info["distance"][0] == pytest.approx(3.2 - 0.36 - 0.05 * step, abs=1e-9)
+        assert observation["age"][0] == pytest.approx(latency_s, abs=1e-6)
+        assert info["distance"][0] == pytest.approx(3.2 - 0.36 - 0.5 * (0.1 * step - latency_s), abs=1e-9)
+
+
+def test_the_default_latency_is_that_of_an_srf08():
+    # 65 ms for 11 m (Devantech, SRF08); 3.01 m there and back at 343 m/s takes 17.6 ms, and the bus 2 ms
+    env = SonarParkingEnv(sonar_layout=nose())
+    env.reset(seed=0)
+    assert env.step(np.zeros(2))[0]["age"][0] == pytest.approx(0.0196, abs=2e-4)
+    assert sensor_latency(11.0) == pytest.approx(0.065, abs=2e-3)
+    assert SonarParkingEnv(sonar_layout="eight without latency").fleet.sensing.timing[:, 2].max() == 0.0
 
 
 def test_neighbours_never_fire_together_in_turn():
@@ -191,7 +219,6 @@ def test_neighbours_never_fire_together_in_turn():
     ("timing", "message"),
     [
         ({"period_s": 0.05}, "period_s of 'nose' is 0.05 s, less than the 0.1 s"),
-        ({"latency_s": 0.2}, "latency_s of 'nose' is 0.2 s, more than the 0.1 s to its next ping"),
         ({"period_s": 0.2, "latency_s": 0.3}, "more than its period of 0.2 s"),
         ({"phase_s": -1.0}, "phase_s of 'nose' must be >= 0 s"),
     ],

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.street import Goal, StreetSettings, arc_table, draw_street, reference_path
 from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing import records
 
 STREET = draw_street(StreetSettings(), np.random.default_rng(3))
 CAR = CarSettings()
@@ -53,7 +54,7 @@ def test_cost_off_the_lane_is_that_of_the_refracted_path():
 def test_every_ping_of_a_period_is_fired_once_at_its_time(period, phase):
     fired = []
     for step in range(40):
-        since = step_kernel.firing_delay(step * 0.1, 0.1, period, phase)
+        since = records.firing_delay(step * 0.1, 0.1, period, phase)
         assert since == -1.0 or 0.0 < since <= 0.1 + 1e-12
         if since > 0.0:
             fired.append(step * 0.1 + since)
@@ -62,30 +63,26 @@ def test_every_ping_of_a_period_is_fired_once_at_its_time(period, phase):
     assert fired == pytest.approx(expected, abs=1e-8)
 
 
-def test_without_a_period_every_step_ends_with_a_ping():
-    assert all(step_kernel.firing_delay(step * 0.1, 0.1, 0.0, 0.0) == 0.1 for step in range(5))
-
-
 @pytest.mark.parametrize(
     ("status", "reading", "true", "fault", "cause"),
     [
-        (0, 0.0, None, 0, step_kernel.EMPTY),
-        (1, 1.05, 1.0, 0, step_kernel.TARGET),
-        (1, 0.85, 1.0, 0, step_kernel.EARLY),
-        (1, 1.15, 1.0, 0, step_kernel.LATE),
-        (1, 2.0, None, 0, step_kernel.GHOST),
-        (0, 0.0, 1.0, 0, step_kernel.MISSED),
-        (2, 0.0, 1.0, 0, step_kernel.NO_ANSWER),
-        (1, 1.0, 1.0, 2, step_kernel.FIRST_FAULT + 1),
+        (0, 0.0, None, 0, records.EMPTY),
+        (1, 1.05, 1.0, 0, records.TARGET),
+        (1, 0.85, 1.0, 0, records.EARLY),
+        (1, 1.15, 1.0, 0, records.LATE),
+        (1, 2.0, None, 0, records.GHOST),
+        (0, 0.0, 1.0, 0, records.MISSED),
+        (2, 0.0, 1.0, 0, records.NO_ANSWER),
+        (1, 1.0, 1.0, 2, records.FIRST_FAULT + 1),
     ],
 )
 def test_cause_of_each_kind_of_reading(status, reading, true, fault, cause):
     obstacle, distance = (-1.0, 3.01) if true is None else (0.0, true)
-    assert step_kernel.cause_of(fault, status, obstacle, reading, distance) == cause
+    assert records.cause_of(fault, status, obstacle, reading, distance) == cause
 
 
 @settings(deadline=None)  # the first call compiles
 @given(st.floats(0.0, 4.0))
 def test_bin_agrees_with_a_search(reading):
     edges = np.linspace(0.0, 3.3, 101)
-    assert step_kernel.bin_of(reading, edges) == min(int(np.searchsorted(edges, reading, side="right")) - 1, 99)
+    assert records.bin_of(reading, edges) == min(int(np.searchsorted(edges, reading, side="right")) - 1, 99)

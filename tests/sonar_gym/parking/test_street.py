@@ -101,7 +101,10 @@ def test_layouts_by_name_by_mounts_and_by_mappings():
     assert len(layout("eight")) == 8
     assert layout([{"name": "nose", "x": 0.3, "y": 0.0, "heading_deg": 0.0}])[0] == Mount("nose", 0.3, 0.0, 0.0)
     assert layout(LAYOUTS["four"]) == LAYOUTS["four"]
-    with pytest.raises(SettingError, match="sonar_layout 'five': unknown name; expected eight, eight in turn, four"):
+    with pytest.raises(
+        SettingError,
+        match="sonar_layout 'five': unknown name; expected eight, eight in turn, eight without latency, four",
+    ):
         layout("five")
     with pytest.raises(SettingError, match="sonar_layout has 0 mounts"):
         layout([])

@@ -8,8 +8,9 @@ from shapely.geometry import box as rectangle
 
 from acquisition import SettingError
 from sonar_gym import SonarObservation, SonarVectorObservation
+from sonar_gym.sensing import paths
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
-from sonar_gym.sensing.scene import box_faces
+from sonar_gym.sensing.scene import Hits, box_faces
 from sonar_gym.wrappers.highway import ROAD_LAYOUT, boxes_of, pose_of, solid_things
 
 highway_env = pytest.importorskip("highway_env")
@@ -24,9 +25,11 @@ def parking(sonar="ideal", **settings):
 
 
 def cast(env):
-    """Return the conditions of pings on the current road, (s,) each."""
-    hits = env.source.conditions(ROW, None, {}, env.sonar.rngs)
-    return hits._replace(**{name: part[0] for name, part in hits._asdict().items()})
+    """Return the conditions of pings on the current road, (s,) each; an ideal sonar has one path per ping."""
+    found = env.source.paths(ROW, None, {}, env.sonar.rngs)
+    assert np.all(found.counts == 1)
+    path = found.paths[0, :, 0].T
+    return Hits(*path[:4], path[paths.OBSTACLE] >= 0.0, path[paths.OBSTACLE], path[paths.X :].T)
 
 
 def bodies_of(things):
@@ -148,7 +151,7 @@ def test_time_step_is_that_of_the_policy():
     env = parking(sonar_layout=AHEAD)
     env.reset(seed=0)
     assert env.source.step_s == pytest.approx(0.2)  # 5 Hz
-    slow = parking(sonar_layout=[{**vars(mount), "period_s": 0.5} for mount in AHEAD])
+    slow = parking(sonar_layout=[{**vars(mount), "period_s": 0.5, "latency_s": 0.0} for mount in AHEAD])
     slow.reset(seed=0)
     age = [slow.step(np.zeros(2))[0]["age"][0] for _ in range(5)]
     assert age == pytest.approx([0.2, 0.4, 0.1, 0.3, 0.0], abs=1e-6)

@@ -274,7 +274,7 @@ def test_path_of_a_model_survives_spec_and_json(tmp_path):
 
 def test_conditions_come_from_info_constants_and_priors():
     model = recorder()
-    env = rays(model, incidence="tilt", bearing=0.05, reflectance=(0.2, 0.4))
+    env = rays(model, incidence="tilt", bearing=0.05, reflectance=(0.2, 0.4), latency_s=0.0)
     env.reset(seed=0)
     step(env)
     (first, _), (second, _) = model.asked

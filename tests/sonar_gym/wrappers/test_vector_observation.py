@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from acquisition import Ping, SettingError
+from acquisition import Ping
 from noise import CATALOGUE, GaussianModel, PhysicalModel
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
@@ -157,10 +157,15 @@ def test_a_list_of_seeds():
     same_row(first, 1, alone)
 
 
-def test_a_layout_with_periods_raises():
-    inner = gymnasium.make_vec("SonarParking-v0", 2, sonar_layout="eight in turn")
-    with pytest.raises(SettingError, match="needs the true conditions at every step"):
-        SonarVectorObservation(inner)
+def test_the_times_of_a_layout_are_those_of_the_wrapper_unless_set():
+    def age(**times):
+        inner = gymnasium.make_vec("SonarParking-v0", 2, sonar_layout="eight in turn")
+        envs = SonarVectorObservation(inner, **times)
+        envs.reset(seed=0)
+        return envs.step(np.zeros((2, 2), dtype=np.float32))[0]["age"][0]
+
+    assert len(set(age())) == 4  # four groups of sonars fire in turn
+    assert set(age(latency_s=0.0)) == {0.0}
 
 
 def test_spec_of_a_single_wrapper_makes_vector_environments():

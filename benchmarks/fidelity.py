@@ -1,0 +1,261 @@
+"""Fidelity of the sonar models along the trajectories of cars, against the waveform rig.
+
+    python -m benchmarks.fidelity
+
+The same cars drive the same streets; their sonars are simulated by the rig, with several units, and drawn from each
+model. Every score of a model is set against the same score between one unit of the rig and the others, the best that a
+law can do which does not know the unit. Prints Markdown for docs/environment.md and writes docs/images/fidelity.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from acquisition import Ping, Reading
+from acquisition.arrays import Bits, Floats, Ints
+from acquisition.bench import Rig, Setup, Unit
+from noise import load_model
+from noise.rig import SIMULATED, RigLaw, RigModel
+from sonar_gym.agent import drive_by_agent
+from sonar_gym.parking.fleet import MAX_RANGE
+from sonar_gym.parking.vector import SonarParkingVectorEnv
+from sonar_gym.sensing.detection import own_window
+from sonar_gym.sensing.mounts import LAYOUTS
+from sonar_gym.sensing.sonar import SonarChoice
+from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
+
+MODELS = ("ideal", "gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
+UNITS, STREETS, STEPS, STAND_PINGS = 5, 8, 130, 8
+FIRST_UNIT, SEED = 301, 2_000_000  # serial numbers that no model was trained on; streets that no agent was trained on
+TEMPERATURE_C = (14.0, 26.0)  # of the survey
+MOVED_M = {"1 cm": (0.005, 0.015), "5 cm": (0.04, 0.06), "20 cm": (0.17, 0.23)}
+TOSS = (0.1, 0.9)  # share of echoes of identical pings within which a condition is a coin toss
+
+
+@dataclass(frozen=True)
+class Heard:
+    """Readings along trajectories: of k draws, t observations, n cars and s sonars, each (k, t, n, s).
+
+    Attributes:
+        reading: m; the maximum range without an echo.
+        echo: whether there was one.
+        distance: of the face that answered, or could have, m.
+        face: its number.
+        in_cone: whether there is one.
+        travelled: way of each car, m, (t, n).
+        stood: share of echoes of identical pings of standing cars, (k, n, s).
+    """
+
+    reading: Floats
+    echo: Bits
+    distance: Floats
+    face: Ints
+    in_cone: Bits
+    travelled: Floats
+    stood: Floats
+
+
+@dataclass(frozen=True)
+class SurveyedRig(RigModel):
+    """A unit of the rig whose reflectors stand as in the survey: turned towards the axis, and placed with an error.
+
+    Attributes:
+        placed: error of the reflectors' distance, bearing and orientation, the same along a drive, m, rad, rad.
+    """
+
+    placed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def law(self, ping: Ping, past: Reading | None = None) -> RigLaw:
+        """Return the law of n pings."""
+        along, aside, turn = self.placed
+        distance = np.maximum(ping.distance + along, 0.0)
+        angle, incidence = np.abs(ping.angle) + aside, np.abs(ping.incidence) + turn
+        return RigLaw(self, replace(ping, distance=distance, angle=angle, incidence=incidence))
+
+
+def rig_unit(k: int) -> RigModel:
+    """Return a unit of the rig in air of its own temperature, before reflectors with an error of their own."""
+    rng, usual = np.random.default_rng(k), Setup()
+    temperature = float(rng.uniform(*TEMPERATURE_C))
+    sd = usual.placement_m, np.radians(usual.placement_deg), np.radians(usual.tilt_deg)
+    along, aside, turn = (float(error) for error in rng.normal(size=3) * sd)
+    rig = Rig(Unit.draw(FIRST_UNIT + k), replace(SIMULATED, temperature_c=temperature))
+    return SurveyedRig(rig, k, placed=(along, aside, turn))
+
+
+def make(sonar: SonarChoice) -> SonarParkingVectorEnv:
+    """Return environments whose sonars do not hear each other, as the rig's units do not."""
+    return SonarParkingVectorEnv(STREETS, sonar, credence_driver=None, crosstalk=False, threads=1)
+
+
+def actions() -> Floats:
+    """Return the actions of the shipped agent with ideal sonars, (t, n, 2)."""
+    envs = make("ideal")
+    act, begun, out = drive_by_agent(STREETS), np.ones(STREETS, dtype=np.bool_), []
+    observation = envs.reset(seed=SEED)[0]
+    for _ in range(STEPS):
+        out.append(act(observation, np.flatnonzero(begun)))
+        observation = envs.step(out[-1])[0]
+        begun = envs.fleet.worlds.steps == 0
+    return np.array(out, dtype=np.float64)
+
+
+def drive(sonar: SonarChoice, course: Floats, draw: int) -> tuple[Floats, ...]:
+    """Return what the sonars read on one drive, and of standing cars; `draw` seeds the sonars alone."""
+    envs, rows = make(sonar), []
+    envs.reset(seed=SEED)
+    reseed(envs, draw)
+    envs.fleet.sensing.begin(np.arange(STREETS))  # new persisting errors
+    car = envs.fleet.worlds.car[:, :2].copy()
+    way = np.zeros(STREETS)
+    for action in course:
+        _, _, _, _, info = envs.step(action)
+        now = envs.fleet.worlds.car[:, :2].copy()
+        way, car = way + np.minimum(np.hypot(*(now - car).T), 1.0), now
+        rows.append((*readings(envs), info["distance"], info["face"], info["in_cone"], way.copy()))
+    stood = np.mean([readings(stand(envs, k))[1] for k in range(STAND_PINGS)], axis=0)
+    return *(np.array(column) for column in zip(*rows, strict=True)), stood
+
+
+def reseed(envs: SonarParkingVectorEnv, draw: int) -> None:
+    """Restart the streams of the sonars."""
+    for i in range(STREETS):
+        envs.fleet.sonar.seed(100 * draw + i, i)
+
+
+def stand(envs: SonarParkingVectorEnv, k: int) -> SonarParkingVectorEnv:
+    """Ping once more where the cars stand; the first time, stop them."""
+    if k == 0:
+        envs.fleet.worlds.car[:, 3:] = 0.0
+    envs.step(np.zeros((STREETS, 2)))
+    return envs
+
+
+def readings(envs: SonarParkingVectorEnv) -> tuple[Floats, Bits]:
+    """Return the readings shown, m, and whether they are echoes, (n, s) each."""
+    observation = envs.fleet.observation(slice(None))
+    return MAX_RANGE * observation["ranges"].astype(np.float64), observation["echo"] == 1
+
+
+def hear(sonars: list[SonarChoice], course: Floats) -> Heard:
+    """Return the readings of several draws of a model, or of several units."""
+    columns = [np.array(column) for column in zip(*(drive(s, course, k) for k, s in enumerate(sonars)), strict=True)]
+    return Heard(*columns[:5], columns[5][0], columns[6])
+
+
+def crps(forecast: Floats, observed: Floats, same: bool) -> Floats:
+    """Return the mean CRPS of an ensemble for each sonar, m, (s,): fair for its size (Ferro 2014).
+
+    Args:
+        forecast: readings of k members, (k, t, n, s).
+        observed: readings of u units, (u, t, n, s).
+        same: whether the members are the units, so that each is scored by the others.
+    """
+    scores = []
+    for u, truth in enumerate(observed):
+        members = np.delete(forecast, u, axis=0) if same else forecast[: len(observed) - 1]
+        k = len(members)
+        spread = np.abs(members[:, None] - members[None]).sum(axis=(0, 1)) / (k * (k - 1))
+        scores.append((np.abs(members - truth).mean(axis=0) - 0.5 * spread).mean(axis=(0, 1)))
+    return np.mean(scores, axis=0)
+
+
+def own_errors(heard: Heard) -> Floats:
+    """Return the errors of echoes of the face itself, m; NaN for others."""
+    error = heard.reading - heard.distance
+    own = heard.echo & heard.in_cone & (np.abs(error) <= own_window(heard.distance))
+    return np.where(own, error, np.nan)
+
+
+def autocorrelation(heard: Heard, low: float, high: float) -> float:
+    """Return the correlation of the errors of one face, of pings with a car's way between them in a range of m."""
+    error, pairs = own_errors(heard), []
+    for lag in range(1, 13):
+        way = np.abs(heard.travelled[lag:] - heard.travelled[:-lag])
+        moved = ((way >= low) & (way <= high))[None, :, :, None] & (heard.face[:, lag:] == heard.face[:, :-lag])
+        pairs.append(np.stack([error[:, :-lag][moved], error[:, lag:][moved]]))
+    first, second = np.concatenate(pairs, axis=1)
+    known = np.isfinite(first) & np.isfinite(second)
+    return float(np.corrcoef(first[known], second[known])[0, 1]) if np.std(first[known]) > 0.0 else 1.0
+
+
+def scores(heard: Heard, rig: Heard) -> dict[str, float | Floats]:
+    """Return all scores of one model."""
+    wrong = heard.echo & ~(heard.in_cone & (np.abs(heard.reading - heard.distance) <= 0.1 * heard.distance))
+    return {
+        "crps": crps(heard.reading, rig.reading, heard is rig),
+        "echo": heard.echo.mean(axis=(0, 1, 2)),
+        "false": wrong.mean(axis=(0, 1, 2)),
+        "toss": float(np.mean((heard.stood > TOSS[0]) & (heard.stood < TOSS[1]))),
+        **{name: autocorrelation(heard, *limits) for name, limits in MOVED_M.items()},
+    }
+
+
+def table(results: dict[str, dict[str, float | Floats]]) -> str:
+    """Return the scores as Markdown."""
+    names = [mount.name for mount in LAYOUTS["eight"]]
+    base = results["rig"]
+    lines = [
+        "| model | CRPS relative to rig-versus-rig: mean | " + " | ".join(names) + " |",
+        "|---|---|" + "---|" * len(names),
+    ]
+    for model, one in results.items():
+        each = np.asarray(one["crps"]) / np.asarray(base["crps"])
+        mean = float(np.mean(one["crps"]) / np.mean(base["crps"]))
+        lines.append(f"| {model} | {mean:.2f} | " + " | ".join(f"{ratio:.2f}" for ratio in each) + " |")
+    moved = " | ".join(f"autocorrelation after {name}" for name in MOVED_M)
+    lines += [
+        "",
+        f"| model | CRPS, mm | echoes | wrong echoes | coin tosses | {moved} |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for model, one in results.items():
+        rates = (f"{100.0 * np.mean(one[key]):.1f} %" for key in ("echo", "false", "toss"))
+        lags = " | ".join(f"{one[name]:.2f}" for name in MOVED_M)
+        lines.append(f"| {model} | {1000.0 * np.mean(one['crps']):.1f} | {' | '.join(rates)} | {lags} |")
+    return "\n".join(lines)
+
+
+def _bars(results: dict[str, dict[str, float | Floats]], axes: Axes) -> None:
+    names = [name for name in results if name != "rig"]
+    for k, name in enumerate(names):
+        ratio = np.asarray(results[name]["crps"]) / np.asarray(results["rig"]["crps"])
+        colour = SOFT if name in ("ideal", "gaussian") else (AFTER, BEFORE, INK)[k % 3]
+        axes.plot(range(len(ratio)), ratio, "o-", color=colour, alpha=0.5 + 0.1 * k, label=name)
+    axes.axhline(1.0, color=INK, linewidth=1.0)
+    axes.set_xticks(range(8), [mount.name for mount in LAYOUTS["eight"]], rotation=35, ha="right")
+    axes.set_title("CRPS relative to rig-versus-rig")
+    axes.legend()
+
+
+def _lags(results: dict[str, dict[str, float | Floats]], axes: Axes) -> None:
+    for k, (name, one) in enumerate(results.items()):
+        axes.plot(range(len(MOVED_M)), [one[lag] for lag in MOVED_M], "o-", label=name, linewidth=3 if k == 0 else 1.2)
+    axes.set_xticks(range(len(MOVED_M)), list(MOVED_M))
+    axes.set_ylim(-0.1, 1.05)
+    axes.set_title("autocorrelation of errors after movement")
+    axes.legend()
+
+
+def main() -> None:
+    """Measure, print the tables and write the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--figure", type=Path, default=Path("docs/images/fidelity.png"))
+    parser.add_argument("--models", nargs="*", default=MODELS)
+    options = parser.parse_args()
+    course = actions()
+    rig = hear([rig_unit(k) for k in range(UNITS)], course)
+    results = {"rig": scores(rig, rig)}
+    for name in options.models:
+        results[name] = scores(hear([load_model(name)] * UNITS, course), rig)
+    print(table(results))
+    options.figure.write_bytes(panels([partial(_bars, results), partial(_lags, results)], (12.0, 4.4)))
+
+
+if __name__ == "__main__":
+    main()

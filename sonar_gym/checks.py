@@ -1,0 +1,47 @@
+"""Checks of settings that are given as mappings or numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from acquisition import SettingError
+
+Settings = TypeVar("Settings")
+
+
+def settings_of(cls: type[Settings], given: Any) -> Settings:
+    """Return settings as given, from a mapping of their fields, or with their defaults for None.
+
+    Raises:
+        SettingError: a field is unknown or missing, or `given` is neither settings nor a mapping.
+    """
+    if given is None or isinstance(given, Mapping):
+        check_fields(cls, given or {})
+        try:
+            return cls(**(given or {}))
+        except TypeError as error:  # a missing field, or a value of a wrong type
+            raise SettingError(f"{cls.__name__}: {error}") from None
+    if not isinstance(given, cls):
+        raise SettingError(f"expected {cls.__name__} or a mapping of its fields, got a {type(given).__name__}")
+    return given
+
+
+def check_fields(cls: type, given: Iterable[str]) -> None:
+    """Raise SettingError for a name that is no field of a dataclass."""
+    known = [field.name for field in fields(cls)]
+    for name in given:
+        if name not in known:
+            raise SettingError(f"{cls.__name__}: unknown field {name!r}; expected {', '.join(known)}")
+
+
+def check_finite(settings: Any) -> None:
+    """Raise SettingError for a field that is no finite number, or has a member that is none; others are not checked."""
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        members = value if isinstance(value, (tuple, list)) else (value,)
+        for member in members:
+            if isinstance(member, (int, float)) and not math.isfinite(member):
+                raise SettingError(f"{type(settings).__name__}.{field.name} must be finite, got {member}")

@@ -1,0 +1,221 @@
+"""Pings of the sonars of n cars as arrays: what they face, their readings in flight, and the readings shown.
+
+A ping is a record in columns. Its reading is shown from the first observation at or after its arrival until the next
+one arrives. Rows are independent, so they can be updated in any order and in several threads.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from acquisition.arrays import Bits, Floats, Ints, Singles
+from sonar_gym.compiled import compiled
+from sonar_gym.sensing.paths import DISTANCE, MAX_PATHS, N_PATH, OBSTACLE
+
+# Columns of a record: those of the path that answered, or of the path detected most often, then the reading
+SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT, SECOND, BY_CROSSTALK = range(N_PATH, N_PATH + 7)
+N_RECORD = N_PATH + 7
+SAME_TIME_S = 1e-9  # s; times closer than this are equal
+MAX_AGE_S = 1.0  # upper limit of the age in an observation
+# Causes of readings, by number; the faults of the model follow
+EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, CROSSTALK, FIRST_FAULT = range(9)
+CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer", "cross-talk")
+_ECHO, _NO_ANSWER = 1, 2  # as acquisition.EchoStatus
+
+
+class PingArrays(NamedTuple):
+    """Pings and readings of n cars with s sonars each, modified at every observation.
+
+    Attributes:
+        paths: paths of the last ping of each sonar, see `paths.cast_paths`, (n, s, MAX_PATHS, N_PATH).
+        n_paths: number of these paths, (n, s).
+        sent: time of the last ping, s, (n, s).
+        fired: whether that ping was sent since the last observation, (n, s).
+        in_flight: records of the last pings, (n, s, d, N_RECORD).
+        slot: place of the next record in `in_flight`, (n, s).
+        shown: records whose readings arrived last, (n, s, N_RECORD).
+        ranges, credence, echo, age: observation of the sonars, (n, s).
+        cause: cause of each reading, (n, s).
+    """
+
+    paths: Floats
+    n_paths: Ints
+    sent: Floats
+    fired: Bits
+    in_flight: Floats
+    slot: Ints
+    shown: Floats
+    ranges: Singles
+    credence: Singles
+    echo: Singles
+    age: Singles
+    cause: Ints
+
+    @classmethod
+    def of(cls, n: int, s: int, depth: int) -> PingArrays:
+        """Return empty arrays.
+
+        Args:
+            n: number of cars.
+            s: number of sonars on each.
+            depth: greatest number of readings in flight, and one.
+        """
+        observed = {name: np.zeros((n, s), np.float32) for name in ("ranges", "credence", "echo", "age")}
+        return cls(
+            paths=np.zeros((n, s, MAX_PATHS, N_PATH)),
+            n_paths=np.ones((n, s), np.int64),
+            sent=np.zeros((n, s)),
+            fired=np.zeros((n, s), np.bool_),
+            in_flight=np.zeros((n, s, depth, N_RECORD)),
+            slot=np.zeros((n, s), np.int64),
+            shown=np.zeros((n, s, N_RECORD)),
+            cause=np.zeros((n, s), np.int64),
+            **observed,
+        )
+
+
+@compiled
+def firing_delay(begin: float, dt: float, period: float, phase: float) -> float:
+    """Return the delay from `begin` to the last ping of a sonar within dt, s, in (0, dt]; -1 if it does not fire.
+
+    Args:
+        begin: time in the episode, s.
+        dt: duration, s.
+        period: time between pings, s.
+        phase: time of the first ping, s.
+    """
+    last = phase + math.floor((begin + dt - phase + SAME_TIME_S) / period) * period
+    return min(last - begin, dt) if last > begin + SAME_TIME_S and last >= phase - SAME_TIME_S else -1.0
+
+
+@compiled
+def fire(
+    rows: Ints,
+    begin: Floats,
+    dt: float,
+    timing: Floats,
+    now: Floats,
+    n_now: Ints,
+    before: Floats,
+    n_before: Ints,
+    p: PingArrays,
+) -> None:
+    """Set the last pings of cars that are known only at their observations, from the state nearest in time.
+
+    Args:
+        rows: numbers of the cars, (r,).
+        begin: times of their previous observations, s, (r,).
+        dt: time between observations, s.
+        timing: period, phase and latency of each sonar, s, (s, 3).
+        now: paths at this observation, (r, s, MAX_PATHS, N_PATH).
+        n_now: number of these paths, (r, s).
+        before: paths at the previous observation, (n, s, MAX_PATHS, N_PATH); replaced.
+        n_before: number of these paths, (n, s); replaced.
+        p: arrays of all cars.
+    """  # fmt: skip
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        for s in range(timing.shape[0]):
+            delay = firing_delay(begin[k], dt, timing[s, 0], timing[s, 1])
+            p.fired[i, s] = delay > 0.0
+            if delay > 0.0:
+                p.sent[i, s] = begin[k] + delay
+                late = delay > 0.5 * dt + SAME_TIME_S
+                p.paths[i, s] = now[k, s] if late else before[i, s]
+                p.n_paths[i, s] = n_now[k, s] if late else n_before[i, s]
+            before[i, s], n_before[i, s] = now[k, s], n_now[k, s]
+
+
+@compiled
+def store(car: Ints, sonar: Ints, records: Floats, p: PingArrays) -> None:
+    """Store new records as in flight, in place of the oldest ones: of the sonars (car, sonar), (m, N_RECORD)."""
+    depth = p.in_flight.shape[2]
+    for k in range(car.shape[0]):
+        i, s = car[k], sonar[k]
+        p.in_flight[i, s, p.slot[i, s]] = records[k]
+        p.slot[i, s] = (p.slot[i, s] + 1) % depth
+
+
+@compiled
+def clear(rows: Ints, p: PingArrays) -> None:
+    """Begin episodes of some cars: nothing is in flight, and all sonars ping now."""
+    for i in rows:
+        p.fired[i], p.sent[i] = True, 0.0
+        p.in_flight[i, :, :, SENT] = np.inf
+        p.shown[i, :, SENT] = -np.inf
+
+
+@compiled
+def bin_of(range_: float, edges: Floats) -> int:
+    """Return the bin of a range in m; the bins have equal widths, and larger ranges are in the last bin."""
+    last = edges.shape[0] - 2
+    place = min(int((range_ - edges[0]) / (edges[1] - edges[0])), last)
+    if range_ < edges[place]:  # the division may be wrong by rounding
+        return place - 1
+    return place + 1 if place < last and range_ >= edges[place + 1] else place
+
+
+@compiled
+def cause_of(fault: float, status: float, obstacle: float, reading: float, true: float, crosstalk: float = 0.0) -> int:
+    """Return the cause of a reading; a right reading is within 10 % of the true distance, as for credence (Esmi 2016).
+
+    Args:
+        fault: number of the model's fault that affects the reading, 0 for none.
+        status: status of the reading, an `EchoStatus`.
+        obstacle: number of the obstacle that answered or could have, -1 for an empty cone.
+        reading: reading, m.
+        true: distance of that obstacle, m.
+        crosstalk: whether the echo is that of another sonar's burst.
+    """
+    if fault > 0.0:
+        return FIRST_FAULT + int(fault) - 1
+    if status == _NO_ANSWER:
+        return NO_ANSWER
+    if status != _ECHO:
+        return MISSED if obstacle >= 0.0 else EMPTY
+    if crosstalk > 0.0:
+        return CROSSTALK
+    if obstacle < 0.0:
+        return GHOST
+    if abs(reading - true) <= 0.1 * true:
+        return TARGET
+    return EARLY if reading < true else LATE
+
+
+@compiled
+def update_observation(
+    rows: Ints, now: Floats, latency: Floats, edges: Floats, tables: Floats, max_range: float, p: PingArrays
+) -> None:
+    """Show the readings that have arrived and write the observations of some cars.
+
+    Args:
+        rows: numbers of the cars, (r,).
+        now: times of their observations, s, (r,); at 0 the first readings are shown at once.
+        latency: latency of each sonar, s, (s,).
+        edges: edges of the bins of credence given a reading, m, (b + 1,).
+        tables: credence given a reading, one table per sonar, (s, b).
+        max_range: maximum range, m.
+        p: arrays of all cars.
+    """
+    in_flight, shown, ranges, credence, echo, age, cause = (
+        p.in_flight, p.shown, p.ranges, p.credence, p.echo, p.age, p.cause,
+    )  # fmt: skip
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        for s in range(latency.shape[0]):
+            for place in range(in_flight.shape[2]):
+                sent = in_flight[i, s, place, SENT]
+                arrived = now[k] == 0.0 or sent + latency[s] <= now[k] + SAME_TIME_S
+                if arrived and shown[i, s, SENT] < sent < np.inf:
+                    shown[i, s] = in_flight[i, s, place]
+            ping = shown[i, s]
+            reading, status = ping[RANGE], ping[STATUS]
+            ranges[i, s], credence[i, s], echo[i, s] = 1.0, 0.0, -1.0 if status == _NO_ANSWER else 0.0
+            if status == _ECHO:
+                ranges[i, s], echo[i, s] = min(reading / max_range, 1.0), 1.0
+                credence[i, s] = tables[s, bin_of(reading, edges)]
+            age[i, s] = min(max(now[k] - ping[SENT], 0.0), MAX_AGE_S)
+            cause[i, s] = cause_of(ping[FAULT], status, ping[OBSTACLE], reading, ping[DISTANCE], ping[BY_CROSSTALK])
