@@ -128,8 +128,10 @@ def test_every_step_of_the_register_has_its_probability():
     assert total + law.no_echo[0] + law.no_answer[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_every_effect_of_the_catalogue_is_composed_or_warned_of():
+def test_every_effect_of_the_catalogue_but_that_of_a_log_is_composed():
     for name, kind in CATALOGUE.items():
+        if name == "latency":  # of a log: see the next test
+            continue
         starts = {p.name: p.starts[0] for p in kind.parameters if p.starts}
         composed = compose(LEARNED, diagnosed(**{name: starts}))
         assert name in [each.name for each in composed.after.effects]
