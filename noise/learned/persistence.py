@@ -99,8 +99,8 @@ def share_of_range(law: EchoLaw, first: Floats, second: Floats) -> float:
     return float(np.clip(np.corrcoef(scores[0], scores[1])[0, 1], 0.0, MAX_SHARE))
 
 
-def survey_persistence(model: Any, ping: Ping, reading: Reading) -> Persistence:
-    """Estimate the persisting shares from the first two pings of each visit of a survey.
+def survey_persistence(model: Any, ping: Ping, reading: Reading) -> Persistence | None:
+    """Estimate the persisting shares from the first two pings of each visit of a survey; None with too few visits.
 
     How they decay with movement cannot be seen in visits; it is that of the rig.
 
@@ -108,15 +108,10 @@ def survey_persistence(model: Any, ping: Ping, reading: Reading) -> Persistence:
         model: a law of single pings.
         ping: conditions of a recording, (n,); a visit is a series of pings of one run with equal conditions.
         reading: readings, (n,).
-
-    Raises:
-        SettingError: the recording has too few visits of two pings.
     """
     first = _pairs(ping)
     if len(first) < MIN_PAIRS:
-        raise SettingError(
-            f"{len(first)} visits have two pings, but the estimate needs {MIN_PAIRS}: record more visits"
-        )
+        return None
     law = model.law(ping[first])
     echo = reading.echo[first], reading.echo[first + 1]
     both = echo[0] & echo[1]

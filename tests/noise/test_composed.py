@@ -168,7 +168,7 @@ def test_a_saved_model_has_the_same_law_and_drives(tmp_path, name):
     np.testing.assert_array_equal(one.range, two.range)
     assert np.mean(np.diff(one.range) == 0) > 0.05
     for sonar in (composed, str(tmp_path / "composed")):
-        environment = gymnasium.make("SonarParking-v0", sonar=sonar)
+        environment = gymnasium.make("SonarParking-v0", sonar=sonar, credence_driver=None)
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
         environment.close()

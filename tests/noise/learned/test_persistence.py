@@ -35,8 +35,7 @@ def test_share_of_range_is_recovered(share):
 
 def test_a_survey_needs_visits_of_two_pings():
     ping = Ping.of(np.linspace(1.0, 2.0, 40))
-    with pytest.raises(SettingError, match="0 visits have two pings, but the estimate needs 50"):
-        survey_persistence(GaussianModel(), ping, Reading.of(np.full(40, 1.0)))
+    assert survey_persistence(GaussianModel(), ping, Reading.of(np.full(40, 1.0))) is None
 
 
 def test_the_shipped_law_has_its_split_and_keeps_it_on_disk(tmp_path):
