@@ -210,7 +210,8 @@ def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) ->
     after, left_out = dict(before), dict[str, str]()
     for cause in diagnosis.verdict.causes:
         name, own = cause.effect, known.get(cause.effect, {})
-        values = {**own, **found.get(name, {}), **{key: each.value for key, each in cause.parameters.items()}}
+        stated = {key: each.value for key, each in cause.parameters.items()}
+        values = {**own, **stated, **found.get(name, {})}  # stated values of an offset are differences
         if reason := _obstacle(name, own, values):
             left_out[name] = reason
         else:

@@ -52,8 +52,8 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     """Return the interval of every parameter of the effects.
 
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
-    the simulation is known no better than its readings allow. What a two-sided parameter would be in the simulation's
-    own readings is subtracted, because only the difference is the recording's.
+    the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, is that of the
+    difference: what the law of the simulation has, and what its own readings would add, are subtracted.
     """
     known = np.sqrt(np.diag(covariance(final.single, final.batch)))
     out = {}
@@ -61,8 +61,8 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
         if key in NUISANCES and key[0] not in final.effects:
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
-        shift, own_error = _in_simulation(search, key)
-        value = float(np.clip(value - shift, p.low, p.high))
+        base, own_error = _in_simulation(search, key)
+        value = float(np.clip(value - base, p.low, p.high))
         spread = Z * float(np.hypot(error, own_error))
         low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
         out[key] = Interval(value, low, high, p.unit)
@@ -70,12 +70,12 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
 
 
 def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
-    """Return by how much the simulation's readings move a parameter from the common law, and the standard error."""
+    """Return how far a two-sided parameter lies from its null value in the simulation, and the standard error."""
     p = search.common.parameter(key)
     if search.simulated is None or not p.low < p.null < p.high:
         return 0.0, 0.0
     fitted = maximise(search.common, (key, *NUISANCES), search.simulated, 40, FINE)
-    return fitted.stack.get(key) - search.common.get(key), float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
+    return fitted.stack.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
 
 
 def statement(search: Search, name: str, values: Sequence[tuple[Key, Interval]]) -> str:
