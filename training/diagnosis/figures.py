@@ -204,7 +204,8 @@ def _shown(verdict: Verdict, whole: Compared) -> list[Location | None]:
     found: dict[tuple[Aspect | None, str | None], Location | None] = {}
     every: list[Location | None] = [*verdict.where, *verdict.unexplained.where]
     for each in every or [None]:
-        key = (each.aspect if each else None, along(each, whole.before.batch))
+        drawn = each.aspect if each and each.aspect in SHARES else None  # all others show the errors of echoes
+        key = (drawn, along(each, whole.before.batch))
         if key[1] is not None and (whole.has_errors or key[0] in SHARES):
             found.setdefault(key, each)
     return list(found.values())[:MAX_SHOWN]

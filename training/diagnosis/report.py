@@ -132,7 +132,11 @@ def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     if verdict.verdict in (Kind.NONE, Kind.TOO_LITTLE_DATA):
         return [
             ("Mean prediction error", before, "of your simulation on this recording"),
-            ("The recording repeats itself to", quantity(test.repeatability_m, "m"), "the least error possible"),
+            (
+                "Predicted from its own visits",
+                quantity(test.repeatability_m, "m"),
+                "by the nearest other positions of the recording",
+            ),
             ("Pings", f"{len(diagnosis.recorded):,}", "in the recording"),
         ]
     after = f" → {quantity(test.after.crps_m, 'm')}" if diagnosis.corrected is not None else ""
@@ -142,7 +146,11 @@ def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     return [
         ("Mean prediction error", before + after, f"{note}, on {test.n_pings:,} unseen pings"),
         (shown[0], quantity(shown[1], "1"), "of the difference"),
-        ("The recording repeats itself to", quantity(test.repeatability_m, "m"), "the least error possible"),
+        (
+            "Predicted from its own visits",
+            quantity(test.repeatability_m, "m"),
+            "by the nearest other positions of the recording",
+        ),
     ]
 
 

@@ -37,12 +37,15 @@ class _Found:
 def locate(tested: Tested) -> tuple[Location, ...]:
     """Return the located mismatches, the strongest first; empty where the test does not reject at `LEVEL`.
 
-    Of those that no draw of the bootstrap reaches, a difference of lower order comes first: echoes that read long also
-    look wider and lopsided.
+    Of those that no draw of the bootstrap reaches, a difference of lower order comes first, and with a bias that is
+    certain, spread and skew are left out: echoes that read long also look wider and lopsided.
     """
     out = []
+    shifted = any(_is_certain(tested, group) for group in tested.groups)
     for group in tested.groups:
         for j, a in enumerate(group.aspects):
+            if shifted and ASPECTS[a] in (Aspect.SPREAD, Aspect.SKEW):
+                continue
             for found in _steps(tested, group, j):
                 size = size_of(tested, group, j, found.regressor)
                 region = _region(tested, found.regressor)
@@ -50,6 +53,16 @@ def locate(tested: Tested) -> tuple[Location, ...]:
                 order = -ORDER.get(ASPECTS[a], 0) if certain else -max(ORDER.values()) - 1
                 out.append(((order, found.strength), Location(ASPECTS[a], region, size, found.p_value)))
     return tuple(location for _, location in sorted(out, key=lambda pair: pair[0], reverse=True))
+
+
+def _is_certain(tested: Tested, group: Group) -> bool:
+    """Return whether no draw of the bootstrap reaches the bias, if the group holds it."""
+    held = [a for a in group.aspects if ASPECTS[a] is Aspect.BIAS]
+    return bool(held) and bool(np.isfinite(tested.z[held[0]]).any()) and _top(tested, held[0]).at_end
+
+
+def _top(tested: Tested, a: int) -> PValue:
+    return tested.p_of(float(np.nanmax(np.abs(tested.z[a]))))
 
 
 def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:

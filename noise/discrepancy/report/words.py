@@ -230,7 +230,8 @@ def fit_line(verdict: Verdict) -> str:
     corrected = f", corrected model {after}" if test.after != test.before else ""
     limit = quantity(test.repeatability_m, "m")
     pings = f"{test.n_pings:,} unseen pings"
-    return f"Mean prediction error on {pings}: simulation {before}{corrected}; the recording repeats itself to {limit}."
+    own = f"{limit} if predicted from its own nearest positions"
+    return f"Mean prediction error on {pings}: simulation {before}{corrected}; {own}."
 
 
 def one_line(diagnosis: Diagnosis) -> str:
