@@ -208,7 +208,8 @@ def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) ->
     known, found = (_values(each) for each in (diagnosis.emulator, diagnosis.causes_only))
     before = {name: values for name, values in known.items() if not _adds(name)}
     after, left_out = dict(before), dict[str, str]()
-    for cause in diagnosis.verdict.causes:
+    causes = [cause for cause in diagnosis.verdict.causes if cause.believed]
+    for cause in causes:
         name, own = cause.effect, known.get(cause.effect, {})
         stated = {key: each.value for key, each in cause.parameters.items()}
         values = {**own, **stated, **found.get(name, {})}  # stated values of an offset are differences
@@ -216,7 +217,7 @@ def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) ->
             left_out[name] = reason
         else:
             after[name] = _known(name, _added(own, values) if _adds(name) else values)
-    if left_out or not diagnosis.verdict.causes:
+    if left_out or not causes:
         reasons = "; ".join(f"{name} ({reason})" for name, reason in left_out.items()) or "the diagnosis names no cause"
         warnings.warn(f"compose: not added to the model: {reasons}", stacklevel=2)
     return ComposedModel(base, _built(before), _built(after))

@@ -191,7 +191,8 @@ def _different(
     data.tell("correcting", 0.9)
     causes_only, corrected = corrected_models(data, recorded, judged)
     rest = judged.rest(data, search.common)
-    kind = kind_of(judged.causes, judged.together, rest)
+    believed = [cause for cause in judged.causes if cause.effect in judged.believed]
+    kind = kind_of(believed, judged.together, rest)
     places = [place for place in judged.places if place.effect in {cause.effect for cause in judged.causes}]
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, rest, causes_only, corrected, places
@@ -210,8 +211,9 @@ class Judged:
     """Causes with their probabilities, and the law with those that are believed.
 
     Attributes:
-        causes: believed causes, the greatest share first.
-        final: the hypothesis with these causes, fitted to both folds.
+        causes: selected effects, the believed ones and the greatest shares first.
+        believed: ids of those that are believed.
+        final: the hypothesis with the believed causes, fitted to both folds.
         places: selected effects and their alternatives.
         evidence: by selected effect.
         together: share of the believed causes.
@@ -220,6 +222,7 @@ class Judged:
     """
 
     causes: tuple[Cause, ...]
+    believed: tuple[str, ...]
     final: Final
     places: tuple[Place, ...]
     evidence: Mapping[str, Evidence]
@@ -247,6 +250,7 @@ def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, teste
     model = decision_model()
     likely = {place.effect: place.probabilities(model.temperature) for place in places}
     certain = {name: model.probability(each) for name, each in evidence.items()}
+    full, selected, known = final, found, intervals(search, final)
     believed = [name for name in found.effects if certain[name] >= BELIEVED]
     first = max(found.effects, key=lambda name: divided.causes[name].value, default="")
     kept = [name for name in believed if name == first or divided.causes[name].value >= MIN_SHARE]
@@ -257,9 +261,10 @@ def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, teste
         after = orthogonal_test(final.stack, search.common, data.sample, data.rng("rest"))
     together = max(0.0, divided.together.value - sum(divided.causes[n].value for n in places_left(places, kept)))
     rest = divided.rest if together == divided.together.value else _complement(together, divided.together)
-    known = intervals(search, final)
+    if final is not full:
+        known |= intervals(search, final)
     causes = []
-    for name in kept:
+    for name in selected.effects:
         own = [(key, value) for key, value in known.items() if key[0] == name]
         alternatives = tuple(
             Alternative(other, certain[name] * p) for other, p in likely[name].items() if other != name
@@ -277,8 +282,8 @@ def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, teste
                 statement(search, name, own),
             )
         )
-    causes.sort(key=lambda cause: -cause.share.value)
-    return Judged(tuple(causes), final, places, evidence, together, rest, after)
+    causes.sort(key=lambda cause: (cause.effect not in kept, -cause.share.value))
+    return Judged(tuple(causes), tuple(kept), final, places, evidence, together, rest, after)
 
 
 def places_left(places: Sequence[Place], kept: Sequence[str]) -> list[str]:
@@ -320,7 +325,7 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     correction is offered only if it beats the user's simulation on unseen visits.
     """
     stack = judged.final.single.stack
-    causes_only = offered(stack, recorded) if judged.causes else None
+    causes_only = offered(stack, recorded) if judged.believed else None
     options = [] if causes_only is None else [causes_only]
     if judged.after.p_value.value < FALSE_ALARM:
         learned = empirical_term(judged.final.stack, judged.final.batch, data.rng("empirical"))
@@ -353,7 +358,7 @@ def _diagnosis(
     scores = held_out(base.before, base.emulator, corrected or base.before, folds.both, folds.unseen)
     verdict = Verdict(
         kind,
-        summary_of(kind, causes, where, rest, visible, len(data.batch)),
+        summary_of(kind, [cause for cause in causes if cause.believed], where, rest, visible, len(data.batch)),
         tested.p_value,
         where,
         causes,

@@ -42,36 +42,12 @@ class Evidence:
     catch_all: bool
 
     def features(self) -> Floats:
-        """Return the features of the decision model, on scales on which a unit matters."""
-        return np.array(
-            [
-                np.log1p(max(self.gain, 0.0)),
-                np.clip(self.gain / max(self.gain_error, 1e-9), -3.0, 12.0),
-                np.log10(max(self.gain, 1e-3) / self.n_pings),
-                self.share,
-                self.rest,
-                np.tanh(self.lead / 10.0),
-                self.prior,
-                np.log10(max(self.p_before, 1e-4)),
-                np.log10(max(self.p_after, 1e-4)),
-                float(self.n_effects - 1),
-                float(self.catch_all),
-                np.log10(self.n_visits),
-            ]
-        )
+        """Return the features of the decision model.
+
+        They are few, because wrong causes are few in an ensemble: what decides is whether the corrected law leaves
+        anything, on a scale that tells 0.1 from 1 and not 0.0001 from 0.001, and how much the effect explains.
+        """
+        return np.array([np.sqrt(np.clip(self.p_after, 0.0, 1.0)), self.share])
 
 
-FEATURES = (
-    "log_gain",
-    "gain_in_errors",
-    "log10_gain_per_ping",
-    "share",
-    "rest",
-    "lead",
-    "prior",
-    "log10_p_before",
-    "log10_p_after",
-    "other_effects",
-    "catch_all",
-    "log10_visits",
-)
+FEATURES = ("root_p_after", "share")

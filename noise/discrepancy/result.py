@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.presented import Presented
+from noise.discrepancy.thresholds import BELIEVED
 from noise.fitting.batch import Batch
 from noise.model import SonarModel
 
@@ -146,6 +147,11 @@ class Cause:
     gain_se: float
     parameters: Mapping[str, Interval]
     statement: str
+
+    @property
+    def believed(self) -> bool:
+        """Whether this effect or one of its alternatives is more likely a cause than not."""
+        return self.probability + sum(each.probability for each in self.alternatives) >= BELIEVED
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,11 @@ FAR = Ping.of(distance=np.linspace(0.4, 3.0, 200), angle=0.1)
 def diagnosed(simulated=(), **causes):
     """Return the parts of a diagnosis that a composition needs; causes are given as effect -> parameters."""
     named = [
-        SimpleNamespace(effect=name, parameters={key: SimpleNamespace(value=value) for key, value in values.items()})
+        SimpleNamespace(
+            effect=name,
+            believed=True,
+            parameters={key: SimpleNamespace(value=value) for key, value in values.items()},
+        )
         for name, values in causes.items()
     ]
     verdict = SimpleNamespace(causes=named)
@@ -59,6 +63,13 @@ def test_ranges_are_changed_as_the_formula_says(cause, values, expected):
     distance = np.array([0.52, 1.21, 2.43])
     median = composed.law(Ping.of(distance=distance, angle=0.1)).quantile(0.5)
     np.testing.assert_allclose(median, expected(distance), atol=0.0016)
+
+
+def test_a_cause_that_is_not_believed_is_not_added():
+    doubtful = diagnosed(zero_offset={"offset_m": 0.05})
+    doubtful.verdict.causes[0].believed = False
+    with pytest.warns(UserWarning, match="names no cause"):
+        assert not compose(LEARNED, doubtful).after.effects
 
 
 def test_what_the_simulation_already_has_is_not_added_again():

@@ -142,7 +142,9 @@ def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     after = f" → {quantity(test.after.crps_m, 'm')}" if diagnosis.corrected is not None else ""
     note = "simulation → corrected model" if after else "no correction beats your simulation"
     rest = verdict.unexplained.share.value
-    shown = ("Explained", max(0.0, 1.0 - rest)) if verdict.causes else ("Unexplained", rest)
+    shown = (
+        ("Explained", max(0.0, 1.0 - rest)) if any(each.believed for each in verdict.causes) else ("Unexplained", rest)
+    )
     return [
         ("Mean prediction error", before + after, f"{note}, on {test.n_pings:,} unseen pings"),
         (shown[0], quantity(shown[1], "1"), "of the difference"),
