@@ -118,7 +118,9 @@ def wall_with_kerbs(sonar, episodes=600):
     return heard / episodes, float(alone[0])
 
 
-@pytest.mark.parametrize("sonar", ["srf08-mlp", "srf08-lstm", "srf08-hybrid"])
+@pytest.mark.parametrize(
+    "sonar", ["srf08-mlp", *(pytest.param(name, marks=pytest.mark.slow) for name in ("srf08-lstm", "srf08-hybrid"))]
+)
 def test_a_wall_with_kerbs_beside_the_lane_is_heard_as_by_the_law_alone(sonar):
     heard, alone = wall_with_kerbs(sonar)
     standard_error = math.sqrt(alone * (1.0 - alone) / 600)

@@ -20,12 +20,12 @@ TEMPERATURE = 3.0
 
 @pytest.fixture
 def records(record):
-    """Trials in which a true cause has odds exp(2 log(gain) - 8), and posteriors overstate evidence three times."""
+    """Trials in which a true cause has odds exp(8 sqrt(p_after) - 4), and posteriors overstate evidence three times."""
     rng = np.random.default_rng(0)
     made = []
     for k in range(900):
-        gain = float(np.exp(rng.uniform(1.0, 7.0)))
-        true = rng.random() < 1.0 / (1.0 + np.exp(8.0 - 2.0 * np.log(gain)))
+        root = float(rng.uniform())
+        true = rng.random() < 1.0 / (1.0 + np.exp(4.0 - 8.0 * root))
         lead = float(rng.normal(0.0, 8.0))
         swapped = true and rng.random() < 1.0 / (1.0 + np.exp(lead / TEMPERATURE))
         selected = "spike" if swapped or not true else "zero_offset"
@@ -36,7 +36,7 @@ def records(record):
                 number=k,
                 causes=(OFFSET,) if true else (),
                 named=[cause(selected)],
-                evidence={selected: EVIDENCE | {"gain": gain, "lead": lead}},
+                evidence={selected: EVIDENCE | {"p_after": root**2, "lead": lead}},
                 posteriors={selected: {other: -lead}},
             )
         )
@@ -49,11 +49,11 @@ def test_the_temperature_is_recovered(records):
 
 def test_probabilities_of_families_left_out_are_calibrated(records):
     model, card, _ = fitted(records)
-    gains = np.exp([3.0, 4.0, 5.0])
-    stated = [model.probability(Evidence(**(EVIDENCE | {"gain": float(gain), "lead": 0.0}))) for gain in gains]
+    roots = (0.25, 0.5, 0.75)
+    stated = [model.probability(Evidence(**(EVIDENCE | {"p_after": root**2, "lead": 0.0}))) for root in roots]
     assert stated == pytest.approx([0.12, 0.5, 0.88], abs=0.12)
     assert card["ece"] < 0.05
-    assert card["brier"] < 0.12
+    assert card["brier"] < 0.14  # of the true probabilities 0.12
     assert card["families used"] == ["beam", "rig", "ruler"]
     assert card["families left out"] == ["fixed", "driving"]
 
