@@ -259,7 +259,9 @@ def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, teste
     if set(kept) != set(final.effects):
         final = conclude(search, found)
         after = orthogonal_test(final.stack, search.common, data.sample, data.rng("rest"))
-    together = max(0.0, divided.together.value - sum(divided.causes[n].value for n in places_left(places, kept)))
+    together = max(
+        0.0, divided.together.value - sum(divided.causes[n].value for n in selected.effects if n not in kept)
+    )
     rest = divided.rest if together == divided.together.value else _complement(together, divided.together)
     if final is not full:
         known |= intervals(search, final)
@@ -284,11 +286,6 @@ def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, teste
         )
     causes.sort(key=lambda cause: (cause.effect not in kept, -cause.share.value))
     return Judged(tuple(causes), tuple(kept), final, places, evidence, together, rest, after)
-
-
-def places_left(places: Sequence[Place], kept: Sequence[str]) -> list[str]:
-    """Return the selected effects that are not believed."""
-    return [place.effect for place in places if place.effect not in kept]
 
 
 def _complement(together: float, interval: Interval) -> Interval:

@@ -23,7 +23,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from noise.effects import Effect, Parameter, Stage, State
@@ -112,16 +111,6 @@ def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
 
 
-def sequential(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
-    """Return the law of each ping given the earlier readings of its visit, one for each bank."""
-    return [shifted(law, *offset) for offset in zip(*predicted_offset(law, visits, batch), strict=True)]
-
-
-def marginal(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> list[PhysicalLaw]:
-    """Return the law of the first ping of a visit, one for each bank."""
-    return [shifted(law, *prior_offset(visits, batch, wider)) for wider, _ in BANKS]
-
-
 def single_ping_law(law: PhysicalLaw, visits: VisitEffects, scale_sd: float = 0.0) -> PhysicalLaw:
     """Return the law of a ping whose visit has no other readings, which is what a simulator samples.
 
@@ -194,13 +183,6 @@ def log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
     own = _own(law, visits, batch)
     each = with_floor_and_urn(own, visits, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
-
-
-def bank_weights(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> NDArray[np.float64]:
-    """Return the probability of each bank given the earlier readings of the visit, (banks, n)."""
-    with torch.no_grad():
-        own = _own(law, visits, batch)
-        return torch.exp(log_weights(with_floor_and_urn(own, visits, batch, law.last_step), batch)).numpy()
 
 
 def placement_scatter(placement_m: float) -> float:

@@ -26,7 +26,6 @@ from sonar_gym.sensing.persistence import PersistentStream
 SonarChoice = str | os.PathLike[str] | SonarModel
 Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])
-ECHO_CODE = np.array([0.0, 1.0, -1.0], dtype=np.float32)  # by EchoStatus: no echo, echo, no answer
 REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at the earliest (`Unit.rearm` of the rig)
 SLOTS = MAX_PATHS  # faces that a model with a state of its own remembers for each sonar, as many as a ping can have
 NO_FACE = -2  # of an unused place in that memory; an empty cone has face -1

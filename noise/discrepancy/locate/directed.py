@@ -90,7 +90,7 @@ def directions(
         if name in TIMED or not _shown(name, pairs[0][1]):
             continue
         for change in changes(law_recorded, name):
-            nats = np.concatenate([_log_prob(_changed(law, change), batch) for law, batch in pairs])
+            nats = np.concatenate([_log_prob(law.at(change), batch) for law, batch in pairs])
             ratio = np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)
             if np.ptp(ratio) > 1e-6:
                 names.append(name)
@@ -124,10 +124,6 @@ def changes(law: Stack, name: str) -> list[dict[Key, float]]:
     for p in places[:1]:  # where a reflector may stand
         out += [{key: value, **beside, (name, p.name): start} for value in inside for start in p.starts[1:]]
     return out
-
-
-def _changed(law: Stack, change: dict[Key, float]) -> Stack:
-    return law.at(change)
 
 
 def _log_prob(law: Stack, batch: Batch) -> Floats:

@@ -17,7 +17,6 @@ MAX_POSITIONS = 200  # of a survey; the rig computes each anew
 FRESH_SHARE = 3  # a fresh recording has a third of the pings
 TEMPERATURE = "temperature_c"
 WIDE = {"angle_deg": tuple(float(a) for a in range(-40, 41, 5))}  # a survey in which targets leave the beam
-MISSING = {"reflectance": 0.25, "incidence_deg": 0.3, "time_s": 0.15}  # share of the surveys without a column
 
 
 @dataclass(frozen=True)
