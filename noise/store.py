@@ -29,6 +29,7 @@ KINDS = {
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.fitting.empirical", "EmpiricalModel"),
     "beam": ("noise.beam", "BeamModel"),
+    "table": ("noise.table", "TableModel"),
     "mlp": ("noise.learned.networks", "MlpModel"),
     "ideal": ("noise.model", "IdealModel"),
     "gaussian": ("noise.model", "GaussianModel"),

@@ -135,7 +135,9 @@ class SessionAgent:
     def observation(self, now: float) -> dict[str, Singles]:
         """Return the observation of `SonarParking-v0` at a time, s since 1970; see its observation space."""
         age = now - self._at
-        echo = (age >= -STEP_S) & (age <= self.options.silent_after_s) & (self._range > 0.0) & (self._range <= MAX_RANGE)
+        echo = (
+            (age >= -STEP_S) & (age <= self.options.silent_after_s) & (self._range > 0.0) & (self._range <= MAX_RANGE)
+        )
         range_ = np.where(echo, self._range, 0.0)
         reading = Reading(range_, np.where(echo, EchoStatus.ECHO, EchoStatus.NO_ECHO).astype(np.uint8))
         values = {

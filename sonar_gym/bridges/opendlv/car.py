@@ -8,6 +8,7 @@ step the car drives one step for each new pedal request, with the last steering 
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,11 +16,13 @@ import numpy as np
 
 from acquisition import EchoStatus, NoAnswerError, SettingError
 from sonar_gym.bridges.opendlv.messages import FRAME, KINEMATICS, PEDAL, READING, STEERING, Time
-from sonar_gym.bridges.opendlv.session import Session
+from sonar_gym.bridges.opendlv.session import Session, time_of
 from sonar_gym.bridges.opendlv.wire import Envelope
 from sonar_gym.checks import check_finite
 from sonar_gym.parking.environment import MAX_STEPS, STEP_S, SonarParkingEnv
 from sonar_gym.sensing import records
+
+REMEMBERED = 64  # Frames
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ class SessionCar:
         self.session, self.env, self.options = session, env, options or CarOptions()
         self._steering = self._pedal = 0.0
         self._sampled: Time | None = None  # of the last pedal request
+        self._frames: deque[Time] = deque(maxlen=REMEMBERED)  # sample times of the last Frames
         self._obeyed = 0.0  # when it came, s
         self._ended = -np.inf  # simulated end of the last drive, s since 1970
         self._published = np.full(len(env.mounts), -np.inf)  # time of the last published ping of each sonar, s
@@ -142,8 +146,12 @@ class SessionCar:
     # ---- in ----------------------------------------------------------------------------------------------------------
 
     def _take(self, envelope: Envelope) -> bool:
-        """Obey a request; return whether it is a new pedal request. Others' messages and doubled ones are ignored."""
-        if envelope.sender_stamp != self.options.request_id:
+        """Obey a request; return whether it is a new pedal request.
+
+        Requests to others are ignored, and in lock step answers to earlier Frames, which bear their sample times.
+        """
+        late = self.options.lock_step and envelope.sampled in list(self._frames)[:-1]
+        if late or envelope.sender_stamp != self.options.request_id:
             return False
         if envelope.message == STEERING and np.isfinite(envelope.fields["groundSteering"]):
             self._steering = envelope.fields["groundSteering"]
@@ -195,5 +203,7 @@ class SessionCar:
             KINEMATICS: {"vx": car.speed, "yawRate": turn},
             FRAME: {"x": x, "y": y, "yaw": yaw},
         }
+        if time_of(now) not in self._frames:
+            self._frames.append(time_of(now))
         for message, fields in states.items():
             self.session.send(message, fields, self.options.frame_id, now)

@@ -68,6 +68,11 @@ def read_rec(path: Path) -> Iterator[Envelope]:
         at = end
 
 
+def first_stamp(path: Path) -> float:
+    """Return the time of the first reading of a file, s since 1970, from which `time_s` of a table counts."""
+    return min((seconds_of(e.sampled) for e in read_rec(path) if e.message == READING), default=0.0)
+
+
 def recording_of(
     path: Path,
     truth: Geometry | TimeSeries | None = None,
@@ -99,7 +104,7 @@ def recording_of(
     else:
         stamp = pings["stamp_s"].to_numpy()
         known = pd.DataFrame({} if truth is None else truth.interpolate(stamp, longest_gap_s), index=pings.index)
-    table = pings.assign(**{"angle_deg": 0.0}, **{name: known[name] for name in known}, **constants)
+    table = pings.assign(**{"angle_deg": 0.0}, **{str(name): known[name] for name in known}, **constants)
     table = table[np.isfinite(table["distance_mm"].to_numpy()) & np.isfinite(table["angle_deg"].to_numpy())]
     if table.empty:
         raise RecordingError(f"{path}: no reading lies within {longest_gap_s:g} s of a true distance; check the clocks")

@@ -98,9 +98,7 @@ def _envelope(data: bytes) -> Envelope:
         elif field.number == STAMP:
             stamp = field.value & MASK32
     name = NAMES.get(number, "")
-    return Envelope(
-        name, _fields(name, payload), stamp, times[SENT], times[RECEIVED], times[SAMPLED], number, payload
-    )
+    return Envelope(name, _fields(name, payload), stamp, times[SENT], times[RECEIVED], times[SAMPLED], number, payload)
 
 
 def _fields(name: str, payload: bytes) -> dict[str, float]:

@@ -1,0 +1,166 @@
+"""Recordings as ROS 2 bags, MCAP or SQLite, by rosbags; `acquisition.io.bags` reads them back.
+
+The readings of a sensor are on `/sonar/NAME`, the true distances on `/sonar/NAME/true`, and the credence, if a model is
+given, on `/sonar/NAME/credence`; see `messages`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from acquisition import EchoStatus, MissingExtraError, Reading, Recording, RecordingError, SettingError
+from acquisition.arrays import Floats
+from noise import CredenceTable
+from sonar_gym.bridges.ros.messages import (
+    CREDENCE_TOPIC,
+    DIAGNOSTIC_TYPE,
+    RANGE_TYPE,
+    ULTRASOUND,
+    diagnostics,
+    range_values,
+)
+from sonar_gym.sensing.mounts import CONE_DEG
+from sonar_gym.sensing.sonar import SonarChoice, broad_table, resolve
+
+ROOT = "/sonar"
+TRUE_TOPIC = "true"
+MIN_RANGE = 0.03  # m; SRF08 (Devantech)
+BAG_VERSION: Literal[9] = 9
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An open bag and the types of its messages."""
+
+    writer: Any
+    store: Any
+    connections: dict[str, Any]
+
+    def write(self, topic: str, kind: str, message: Any, stamp_ns: int) -> None:
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        self.writer.write(self.connections[topic], stamp_ns, self.store.serialize_cdr(message, kind))
+
+    def header(self, stamp_ns: int, frame: str) -> Any:
+        types = self.store.types
+        time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+        return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def write_bag(
+    recording: Recording,
+    folder: Path,
+    model: SonarChoice | None = None,
+    max_range: float = 6.0,
+    sqlite: bool = False,
+    start_s: float = 1_600_000_000.0,
+) -> int:
+    """Write the readings of a recording and return their number.
+
+    Args:
+        recording: the recording.
+        folder: of the new bag.
+        model: sonar model by which the credence of the readings is computed; None for no credence.
+        max_range: of the messages, m.
+        sqlite: SQLite in place of MCAP.
+        start_s: time of `time_s` = 0, s since 1970; a recording does not state it.
+
+    Raises:
+        SettingError: the folder exists.
+        MissingExtraError: rosbags is not installed.
+    """
+    if folder.exists():
+        raise SettingError(f"{folder}: exists; give the name of a new folder")
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError:
+        raise MissingExtraError("writing bags needs the package rosbags: pip install 'sonar-gym[ros]'") from None
+    table = None if model is None else broad_table(resolve(model), max_range)
+    plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
+        fresh = Path(beside) / folder.name
+        with Writer(fresh, version=BAG_VERSION, storage_plugin=plugin) as writer:
+            _write(_Bag(writer, get_typestore(Stores.ROS2_HUMBLE), {}), recording, table, max_range, start_s)
+        os.replace(fresh, folder)
+    return len(recording)
+
+
+def _write(bag: _Bag, recording: Recording, table: CredenceTable | None, max_range: float, start_s: float) -> None:
+    ping, reading = recording.ping, recording.reading
+    names = recording.table["sensor"].astype(str).to_numpy() if recording.has("sensor") else np.full(len(ping), "0")
+    credence = np.zeros(len(ping)) if table is None else table.given(reading)
+    values, states = range_values(reading, MIN_RANGE), diagnostics(reading, credence)
+    for k in np.argsort(ping.time, kind="stable"):
+        stamp, topic = round((start_s + float(ping.time[k])) * 1e9), f"{ROOT}/{_topic(names[k])}"
+        bag.write(topic, RANGE_TYPE, _range(bag, stamp, names[k], float(values[k]), max_range), stamp)
+        true = _range(bag, stamp, names[k], float(ping.distance[k]), np.inf)
+        bag.write(f"{topic}/{TRUE_TOPIC}", RANGE_TYPE, true, stamp)
+        if table is not None:
+            bag.write(f"{topic}/{CREDENCE_TOPIC}", DIAGNOSTIC_TYPE, _array(bag, stamp, names[k], states[k]), stamp)
+
+
+def _topic(name: str) -> str:
+    """Return a name as part of a topic: letters, digits and underscores."""
+    return re.sub(r"\W", "_", name, flags=re.ASCII) or "_"
+
+
+def _range(bag: _Bag, stamp_ns: int, frame: str, value: float, max_range: float) -> Any:
+    return bag.store.types[RANGE_TYPE](
+        header=bag.header(stamp_ns, frame),
+        radiation_type=ULTRASOUND,
+        field_of_view=float(np.radians(CONE_DEG)),
+        min_range=MIN_RANGE if np.isfinite(max_range) else 0.0,
+        max_range=max_range,
+        range=value,
+    )
+
+
+def _array(bag: _Bag, stamp_ns: int, frame: str, state: tuple[int, str, dict[str, str]]) -> Any:
+    types, (level, text, values) = bag.store.types, state
+    pairs = [types["diagnostic_msgs/msg/KeyValue"](key=key, value=value) for key, value in values.items()]
+    status = types["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=level, name=frame, message=text, hardware_id="sonar", values=pairs
+    )
+    return types[DIAGNOSTIC_TYPE](header=bag.header(stamp_ns, frame), status=[status])
+
+
+def read_credence(path: Path) -> tuple[pd.DataFrame, Reading, Floats]:
+    """Return time stamps and sensors, readings, and credence of a bag that `write_bag` has written with a model.
+
+    Raises:
+        RecordingError: the bag is unreadable or has no credence.
+    """
+    from rosbags.highlevel import AnyReader
+
+    from sonar_gym.bridges.ros.messages import STATUS
+
+    rows: list[tuple[float, str, float, int, float]] = []
+    try:
+        with AnyReader([path]) as reader:
+            chosen = [c for c in reader.connections if c.msgtype == DIAGNOSTIC_TYPE]
+            for connection, stamp, raw in reader.messages(chosen):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                for status in message.status:
+                    values = {pair.key: pair.value for pair in status.values}
+                    kind = int(STATUS[values["status"]])
+                    rows.append(
+                        (stamp * 1e-9, status.name, float(values["range_m"]), kind, float(values["credence"]))
+                    )  # fmt: skip
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        raise RecordingError(f"{path}: not a bag with credence: {error}") from error
+    if not rows:
+        raise RecordingError(f"{path}: has no {DIAGNOSTIC_TYPE} with credence")
+    stamp_s, sensor, range_, status_, credence = zip(*rows, strict=True)
+    kinds = np.array(status_, dtype=np.uint8)
+    reading = Reading(np.where(kinds == EchoStatus.ECHO, range_, 0.0), kinds)
+    return pd.DataFrame({"stamp_s": stamp_s, "sensor": sensor}), reading, np.array(credence)

@@ -1,0 +1,75 @@
+"""Readings of ideal ranges and laser scans, without ROS: what the node does with each message."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acquisition import Ping, Reading, SettingError
+from acquisition.arrays import Floats
+from sonar_gym.bridges.server.sensors import Sensors
+from sonar_gym.sensing.scene import EMPTY_M
+from sonar_gym.sensing.sonar import SonarChoice, resolve
+
+
+class HeardRanges:
+    """The sonars of a robot whose simulator gives ideal ranges.
+
+    Args:
+        model: name, path or model of the sonars.
+        max_range: maximum range, m.
+        reflectance: of everything, 0..1; a range does not state it.
+        seed: of the random numbers.
+    """
+
+    def __init__(self, model: SonarChoice, max_range: float, reflectance: float, seed: int) -> None:
+        if not 0.0 <= reflectance <= 1.0:
+            raise SettingError(f"reflectance must lie in [0, 1], got {reflectance:g}")
+        self._sensors, self._reflectance = Sensors(resolve(model), max_range, seed), reflectance
+        self._numbers: dict[str, int] = {}
+
+    def hear(
+        self, sensors: list[str], distance: Floats, bearing: Floats, time_s: float
+    ) -> tuple[list[str], Reading, Floats]:
+        """Return the names of the sensors with a measurement, their readings, and the credence of each.
+
+        Args:
+            sensors: names of the sensors, (n,).
+            distance: true distances, m, (n,): infinite for nothing in range, NaN for no measurement.
+            bearing: of what is nearest off the beam axis, which is also taken for its incidence, rad, (n,).
+            time_s: time of the pings, s.
+        """
+        rows = np.flatnonzero(~np.isnan(distance))
+        names = [sensors[row] for row in rows]
+        run = np.array([self._numbers.setdefault(name, len(self._numbers)) for name in names], dtype=np.int64)
+        true = np.where(np.isinf(distance[rows]), EMPTY_M, distance[rows])
+        ping = Ping.of(true, bearing[rows], reflectance=self._reflectance, time=time_s, run=run)
+        return names, *self._sensors.answer(ping)
+
+
+def scan_sectors(
+    ranges: Floats, angle_min: float, angle_increment: float, range_max: float, count: int
+) -> tuple[Floats, Floats]:
+    """Return distance and bearing of the nearest return in each sector of a scan, m and rad, (count,) each.
+
+    The sectors divide the scan equally; the bearing counts from the middle of the sector. A sector without a return
+    within `range_max` is infinitely far, one whose returns all are NaN is NaN.
+
+    Args:
+        ranges: of a `sensor_msgs/LaserScan`, m, (n,).
+        angle_min: angle of the first, rad.
+        angle_increment: between two, rad.
+        range_max: maximum range of the scan, m.
+        count: number of sectors, at most n.
+    """
+    if not 1 <= count <= len(ranges):
+        raise SettingError(f"scan: expected 1 to {len(ranges)} sectors, got {count}")
+    angles = angle_min + angle_increment * np.arange(len(ranges))
+    distance, bearing = np.full(count, np.nan), np.zeros(count)
+    for k, rows in enumerate(np.array_split(np.arange(len(ranges)), count)):
+        value = np.where(np.isnan(ranges[rows]), np.inf, ranges[rows])
+        nearest = int(np.argmin(value))
+        seen = np.isfinite(value[nearest]) and value[nearest] < range_max
+        if not np.all(np.isnan(ranges[rows])):
+            distance[k] = max(float(value[nearest]), 0.0) if seen else np.inf
+            bearing[k] = angles[rows[nearest]] - 0.5 * (angles[rows[0]] + angles[rows[-1]]) if seen else 0.0
+    return distance, bearing

@@ -1,0 +1,48 @@
+"""The sonar nearest to a model that Webots or Gazebo can hold, and the error that it leaves (docs/bridges.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from acquisition.io.files import write_text
+from noise import load_model
+from sonar_gym.bridges.simulators import gazebo, webots
+from sonar_gym.sensing.mounts import CONE_DEG
+
+EXPORTS = {"webots": webots.export, "gazebo": gazebo.export}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym export`."""
+
+    simulator: Annotated[Literal["webots", "gazebo"], tyro.conf.Positional]
+    """webots: a DistanceSensor with a lookup table. gazebo: an SDF sensor with Gaussian noise."""
+    model: Annotated[Path, tyro.conf.Positional]
+    """Sonar: a name (srf08-mlp, ...) or the folder of a saved model."""
+    out: Path
+    """File to write."""
+    max_range: float = 6.0
+    """Maximum range, m, which the simulator returns without an echo."""
+    aperture_deg: float = CONE_DEG
+    """Full opening angle of the beam, deg."""
+    seed: int = 0
+    """Seed of the model's readings to which the sonar is fitted."""
+
+
+def main(args: Args) -> None:
+    """Write the sensor and print what it leaves."""
+    text, nearest = EXPORTS[args.simulator](load_model(args.model), args.max_range, args.aperture_deg, args.seed)
+    write_text(args.out, text)
+    print(
+        f"{args.out}: {nearest.crps_mm:.0f} mm CRPS against readings of {args.model}; the model itself: "
+        f"{nearest.model_crps_mm:.0f} mm; left by the simulator: {nearest.left_mm:.0f} mm"
+    )
+    if nearest.silent > 0.0:
+        print(
+            f"{100 * nearest.silent:.0f} % of the readings have no echo, which {args.simulator} cannot draw by chance"
+        )

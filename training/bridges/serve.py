@@ -1,0 +1,41 @@
+"""A sonar that other programs ask over TCP: batches of pings in, readings with credence out (docs/bridges.md)."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sonar_gym.bridges.server.server import PORT, ServerSettings, SonarServer
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym serve`."""
+
+    model: Annotated[Path, tyro.conf.Positional] = Path("srf08-mlp")
+    """Sonar: a name (ideal, gaussian, srf08-mlp, ...) or the folder of a saved model."""
+    host: str = "127.0.0.1"
+    """Address to bind. By default only programs on this machine can connect."""
+    port: int = PORT
+    """TCP port; 0 for any free one."""
+    max_range: float = 6.0
+    """Maximum range, m; an echo beyond it is no echo."""
+    seed: int = 0
+    """Seed of every client's readings, unless it sends its own."""
+    max_clients: int = 64
+    """Number of clients at a time."""
+
+
+def main(args: Args) -> None:
+    """Serve until interrupted."""
+    settings = ServerSettings(args.host, args.port, args.max_range, args.seed, args.max_clients)
+    server = SonarServer(args.model, settings)
+
+    def ready() -> None:
+        print(f"{args.model} at tcp://{server.address[0]}:{server.address[1]}; stop with Ctrl-C", flush=True)
+
+    asyncio.run(server.run(ready))
