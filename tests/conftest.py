@@ -43,6 +43,12 @@ def thesis_files() -> Path:
 
 
 @pytest.fixture(scope="session")
+def opendlv_vectors() -> Path:
+    """Folder of datagrams written by libcluon."""
+    return shared_folder("opendlv", "reference datagrams")
+
+
+@pytest.fixture(scope="session")
 def retry():
     """Run a test body that depends on the host's clock up to four times, since a busy machine may be late."""
 

@@ -16,6 +16,7 @@ from acquisition import Recording, SettingError
 from noise.discrepancy import diagnose
 from noise.discrepancy.inputs import Progress, Simulator, as_model
 from noise.discrepancy.result import Diagnosis
+from sonar_gym.bridges.server.client import address_of, simulator_at
 from training.common.progress import bars
 
 
@@ -30,8 +31,8 @@ class Args:
     model: str = "ideal"
     """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""
     simulated: Path | None = None
-    """Simulator in place of the model: its readings in the recording format, or module:function, which is called as
-    function(pings, rng) and returns readings."""
+    """Simulator in place of the model: its readings in the recording format; module:function, which is called as
+    function(pings, rng) and returns readings; or tcp://HOST:PORT of a server that answers pings (docs/bridges.md)."""
     seed: int = 0
     """Seed; the same seed gives the same verdict."""
 
@@ -57,11 +58,17 @@ def examine(args: Args) -> Diagnosis:
 
 
 def simulator_of(given: Path) -> Simulator | None:
-    """Return the function `module:function`, also from the working directory; None if a file is given.
+    """Return the function `module:function`, also from the working directory, or one that asks the server tcp://...
+
+    Returns:
+        The function; None if a file is given.
 
     Raises:
         SettingError: the module or function does not exist.
     """
+    server = address_of(str(given))
+    if server is not None:
+        return simulator_at(*server)
     module, _, function = str(given).partition(":")
     if given.exists() or not function.isidentifier():
         return None

@@ -96,8 +96,8 @@ def encode(
     Raises:
         SettingError: the message or a field is unknown, or a number does not fit its field.
 
-    >>> encode(READING, {"distance": 0.03}, sent=(1700000000, 123456), sampled=(1700000000, 100000)).hex()[:32]
-    '0da42a0000089e1012050d8fc2f53c1a'
+    >>> encode(READING, {"distance": 1.0}, sender_stamp=2, sent=(1, 2), sampled=(1, 0)).hex()
+    '0da41e0000089e1012050d0000803f1a04080210042204080010002a04080210003002'
     """
     classes = _classes()
     stamps = {"sent": sent, "received": received, "sampled": sampled}

@@ -49,7 +49,9 @@ def ping_message(ping: Ping) -> bytes:
     Raises:
         SettingError: the pings are too many, or have a covariate that cannot be named.
     """
-    names = ",".join(ping.covariates).encode("ascii", "replace")
+    if any("," in name or not name.isascii() or not name for name in ping.covariates):
+        raise SettingError(f"request: covariates {list(ping.covariates)}: expected ASCII names without commas")
+    names = ",".join(ping.covariates).encode("ascii")
     if len(ping) > MAX_PINGS or len(names) > MAX_NAMES:
         raise SettingError(f"request: at most {MAX_PINGS} pings and {MAX_NAMES} bytes of names, got {len(ping)} pings")
     columns = [ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.time, ping.run]
@@ -75,7 +77,7 @@ def ping_of(body: bytes) -> Ping:
             f"PING: {n} pings (at most {MAX_PINGS}) with {len(covariates)} covariates need {start + size} bytes, "
             f"got {len(body)}"
         )
-    if len(set(covariates)) != len(covariates) or not all(name.isidentifier() for name in covariates):
+    if len(set(covariates)) != len(covariates) or "" in covariates:
         raise SettingError(f"PING: covariates {names!r}: expected different names separated by commas")
     rows = np.frombuffer(body, DOUBLE, offset=start).reshape(n, -1).astype(np.float64)
     return _checked(rows, covariates)
