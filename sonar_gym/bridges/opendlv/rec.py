@@ -104,7 +104,8 @@ def recording_of(
     else:
         stamp = pings["stamp_s"].to_numpy()
         known = pd.DataFrame({} if truth is None else truth.interpolate(stamp, longest_gap_s), index=pings.index)
-    table = pings.assign(**{"angle_deg": 0.0}, **{str(name): known[name] for name in known}, **constants)
+    columns = {"angle_deg": 0.0, **{str(name): known[name] for name in known}, **constants}
+    table = pings.assign(**columns)
     table = table[np.isfinite(table["distance_mm"].to_numpy()) & np.isfinite(table["angle_deg"].to_numpy())]
     if table.empty:
         raise RecordingError(f"{path}: no reading lies within {longest_gap_s:g} s of a true distance; check the clocks")

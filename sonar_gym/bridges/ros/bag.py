@@ -148,7 +148,7 @@ def read_credence(path: Path) -> tuple[pd.DataFrame, Reading, Floats]:
     try:
         with AnyReader([path]) as reader:
             chosen = [c for c in reader.connections if c.msgtype == DIAGNOSTIC_TYPE]
-            for connection, stamp, raw in reader.messages(chosen):
+            for connection, stamp, raw in reader.messages(chosen) if chosen else ():  # of no connections, all messages
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 for status in message.status:
                     values = {pair.key: pair.value for pair in status.values}

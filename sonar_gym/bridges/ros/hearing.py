@@ -42,7 +42,8 @@ class HeardRanges:
         names = [sensors[row] for row in rows]
         run = np.array([self._numbers.setdefault(name, len(self._numbers)) for name in names], dtype=np.int64)
         true = np.where(np.isinf(distance[rows]), EMPTY_M, distance[rows])
-        ping = Ping.of(true, bearing[rows], reflectance=self._reflectance, time=time_s, run=run)
+        reflectance, time = (np.full(len(rows), value) for value in (self._reflectance, time_s))
+        ping = Ping.of(true, bearing[rows], reflectance=reflectance, time=time, run=run)
         return names, *self._sensors.answer(ping)
 
 

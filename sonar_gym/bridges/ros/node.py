@@ -103,6 +103,8 @@ class HeardNode:
     ) -> None:
         now = header.stamp.sec + 1e-9 * header.stamp.nanosec
         names, reading, credence = self.heard.hear(frames, distance, bearing, now)
+        if not names:
+            return
         array = self.types.array()
         array.header = header
         values = range_values(reading, MIN_RANGE)

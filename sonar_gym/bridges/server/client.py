@@ -65,23 +65,27 @@ class SonarClient:
         return reading, credence
 
     def _exchange(self, message: bytes) -> tuple[Reading, Floats]:
-        try:
-            self._socket.sendall(message)
-            (length,) = protocol.HEAD.unpack(self._read(protocol.HEAD.size))
-            if not 4 <= length <= protocol.MAX_BODY:
-                raise GarbledError(f"{self.name}: announced {length} bytes; is it a sonar server?")
-            answer = self._read(length)
-        except TimeoutError:
-            raise NoAnswerError(f"{self.name}: no answer within {self._timeout_s:g} s") from None
-        except ConnectionError as error:
-            raise UnpluggedError(f"{self.name}: the connection ended ({error.strerror or error})") from None
+        (length,) = protocol.HEAD.unpack(self._read(protocol.HEAD.size, message))
+        if not 4 <= length <= protocol.MAX_BODY:
+            raise GarbledError(f"{self.name}: announced {length} bytes; is it a sonar server?")
+        answer = self._read(length)
         if answer[:4] == protocol.FAIL:
             raise SettingError(f"{self.name}: {answer[4:].decode('utf-8', 'replace')}")
         if answer[:4] != protocol.READ:
             raise GarbledError(f"{self.name}: answered {answer[:4]!r}, expected READ; is it a sonar server?")
         return protocol.reading_of(answer[4:])
 
-    def _read(self, size: int) -> bytes:
+    def _read(self, size: int, request: bytes = b"") -> bytes:
+        """Send a request, if there is one, and return exactly so many bytes."""
+        try:
+            self._socket.sendall(request)
+            return self._receive(size)
+        except TimeoutError:
+            raise NoAnswerError(f"{self.name}: no answer within {self._timeout_s:g} s") from None
+        except ConnectionError as error:
+            raise UnpluggedError(f"{self.name}: the connection ended ({error.strerror or error})") from None
+
+    def _receive(self, size: int) -> bytes:
         parts, left = [], size
         while left:
             part = self._socket.recv(min(left, 65_536))

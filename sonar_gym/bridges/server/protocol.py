@@ -79,7 +79,7 @@ def ping_of(body: bytes) -> Ping:
         )
     if len(set(covariates)) != len(covariates) or "" in covariates:
         raise SettingError(f"PING: covariates {names!r}: expected different names separated by commas")
-    rows = np.frombuffer(body, DOUBLE, offset=start).reshape(n, -1).astype(np.float64)
+    rows = np.frombuffer(body, DOUBLE, offset=start).reshape(n, len(CONDITIONS) + len(covariates)).astype(np.float64)
     return _checked(rows, covariates)
 
 
