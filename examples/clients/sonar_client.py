@@ -1,11 +1,13 @@
 """Ask a running `sonar-gym serve` for readings, with the standard library alone: sonar_client.py [HOST PORT]."""
 
+from __future__ import annotations
+
 import socket
 import struct
 import sys
 
 
-def ask(server, pings):
+def ask(server: socket.socket, pings: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
     """Return (range in m, status, credence) of pings (distance, bearing, incidence, reflectance, time, sensor)."""
     body = struct.pack("<4sII", b"PING", len(pings), 0) + b"".join(struct.pack("<6d", *ping) for ping in pings)
     server.sendall(struct.pack("<I", len(body)) + body)
@@ -15,7 +17,7 @@ def ask(server, pings):
     return list(struct.iter_unpack("<3d", answer[8:]))
 
 
-def receive(server, size):
+def receive(server: socket.socket, size: int) -> bytes:
     """Return exactly so many bytes."""
     data = b""
     while len(data) < size:

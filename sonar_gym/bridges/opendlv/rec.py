@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -104,7 +105,7 @@ def recording_of(
     else:
         stamp = pings["stamp_s"].to_numpy()
         known = pd.DataFrame({} if truth is None else truth.interpolate(stamp, longest_gap_s), index=pings.index)
-    columns = {"angle_deg": 0.0, **{str(name): known[name] for name in known}, **constants}
+    columns: dict[str, Any] = {"angle_deg": 0.0, **{str(name): known[name] for name in known}, **constants}
     table = pings.assign(**columns)
     table = table[np.isfinite(table["distance_mm"].to_numpy()) & np.isfinite(table["angle_deg"].to_numpy())]
     if table.empty:

@@ -42,7 +42,8 @@ class Sensors:
         """
         range_, status = np.zeros(len(ping)), np.zeros(len(ping), np.uint8)
         # of a model with memory, the k-th pings of all sensors are drawn together
-        for rows in steps(ping.run) if self._model.remembers else [np.arange(len(ping))]:
+        repeats = self._model.remembers and len(set(ping.run.tolist())) < len(ping)
+        for rows in steps(ping.run) if repeats else [np.arange(len(ping))]:
             drawn = self._draw(ping[rows]) if len(rows) else Reading.of([])
             range_[rows], status[rows] = drawn.range, drawn.status
         reading = self._in_range(Reading(range_, status))
