@@ -16,7 +16,7 @@ from acquisition.io.bags import TimeSeries, read_table
 from acquisition.io.foreign import parse_constants
 from noise import save_model
 from sonar_gym.bridges.opendlv.agent import AgentOptions, SessionAgent
-from sonar_gym.bridges.opendlv.car import CarOptions, SessionCar
+from sonar_gym.bridges.opendlv.car import CarOptions, Controls, SessionCar
 from sonar_gym.bridges.opendlv.rec import Geometry, first_stamp, recording_of, write_rec
 from sonar_gym.bridges.opendlv.session import Session
 from sonar_gym.bridges.opendlv.sonar import KIWI, HeardWalls, SensorSettings, SonarService
@@ -94,6 +94,12 @@ class OpendlvAgent:
     """senderStamp of the requests."""
     model: str = "srf08-mlp"
     """Sonar model by which the credence of the readings is computed."""
+    max_steering_deg: float = 30.0
+    """Steering angle of the car at full lock, deg; about 17 for the Kiwi car."""
+    max_speed: float = 0.5
+    """Speed of the car at full pedal, m/s."""
+    wheelbase: float = 0.26
+    """Distance between the axles of the car, m."""
     duration_s: float = np.inf
     """Time to run, s."""
     ttl: int = 0
@@ -221,7 +227,10 @@ def _car(args: OpendlvCar) -> None:
 
 def _agent(args: OpendlvAgent) -> None:
     with Session.join(args.cid, args.ttl) as session:
-        options = AgentOptions(args.frame_id, args.request_id, sonar=args.model)
+        controls = Controls(
+            max_steering=float(np.radians(args.max_steering_deg)), max_speed=args.max_speed, wheelbase=args.wheelbase
+        )
+        options = AgentOptions(args.frame_id, args.request_id, sonar=args.model, controls=controls)
         agent = SessionAgent(session, options=options)
         print(f"session {args.cid}: agent drives car {args.frame_id}; stop with Ctrl-C", flush=True)
         agent.run(args.duration_s)

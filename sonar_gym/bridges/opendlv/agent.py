@@ -48,7 +48,7 @@ class AgentOptions:
     request_id: int = 0
     first_sensor: int = 0
     silent_after_s: float = 0.15
-    patience_s: float = 10.0
+    patience_s: float = 60.0
     sonar: SonarChoice = "srf08-mlp"
     controls: Controls = field(default_factory=Controls)
 

@@ -11,11 +11,11 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from acquisition import DeviceError, SettingError
-from sonar_gym.bridges.opendlv.messages import MAX_DATAGRAM, Time, encode
+from sonar_gym.bridges.opendlv.messages import MAX_DATAGRAM, MESSAGES, Time, encode
 from sonar_gym.bridges.opendlv.wire import Envelope, decode
 
 PORT = 12175
@@ -218,8 +218,8 @@ class Session:
             received = time_of(self.clock())
             found = decode(datagram)
             self.refused += not found
-            if found and found[0].message:
-                return replace(found[0], received=received)
+            if found and found[0].message in MESSAGES:
+                return found[0]._replace(received=received)
             if time.monotonic() >= end:
                 return None
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sonar_gym.bridges.opendlv.messages import HEADER, HEADER_SIZE, MESSAGES, NAMES, NO_TIME, Time
@@ -24,17 +23,14 @@ TYPE, DATA, SENT, RECEIVED, SAMPLED, STAMP = range(1, 7)  # field numbers of an 
 STAMPS = (SENT, RECEIVED, SAMPLED)
 
 
-@dataclass(frozen=True)
-class Envelope:
+class Envelope(NamedTuple):
     """One message with its envelope.
 
     Attributes:
-        message: full name; empty where the bridge does not know the id.
+        message: full name, or the id as text where the bridge does not know it.
         fields: values by name; empty for an unknown message.
         sender_stamp: number of the sensor, actuator or frame.
         sent, received, sampled: seconds and microseconds since 1970, UTC; (0, 0) where not stated.
-        data_type: id of the message.
-        payload: the encoded message.
     """
 
     message: str
@@ -43,8 +39,6 @@ class Envelope:
     sent: Time
     received: Time
     sampled: Time
-    data_type: int = 0
-    payload: bytes = b""
 
 
 class _Overrun(ValueError):
@@ -97,13 +91,13 @@ def _envelope(data: bytes) -> Envelope:
             times[field.number] = _time(_text(field), times[field.number])
         elif field.number == STAMP:
             stamp = field.value & MASK32
-    name = NAMES.get(number, "")
-    return Envelope(name, _fields(name, payload), stamp, times[SENT], times[RECEIVED], times[SAMPLED], number, payload)
+    name = NAMES.get(number, str(number))
+    return Envelope(name, _fields(name, payload), stamp, times[SENT], times[RECEIVED], times[SAMPLED])
 
 
 def _fields(name: str, payload: bytes) -> dict[str, float]:
     """Return the fields of a message: of a repeated field the first, of a field of another type 0."""
-    if not name:
+    if name not in MESSAGES:
         return {}
     names = MESSAGES[name][1]
     found = [0.0] * len(names)

@@ -6,6 +6,7 @@ import time
 import pytest
 
 from acquisition import SettingError
+from sonar_gym.bridges.opendlv import encode
 from sonar_gym.bridges.opendlv.messages import FRAME, READING
 from sonar_gym.bridges.opendlv.session import MulticastLink, seconds_of, time_of
 
@@ -62,7 +63,8 @@ def test_strangers_and_noise_are_dropped(pair):
     one, two = pair
     stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     one.send(FRAME, {"x": 1.0})
-    stranger.sendto(two.receive(5.0).payload, two.link.address)
+    two.receive(5.0)
+    stranger.sendto(encode(FRAME, {"x": 2.0}, sent=(1, 0), sampled=(1, 0)), two.link.address)
     one.link.send(b"noise")
     assert two.receive(0.2) is None
     assert two.refused == 1
