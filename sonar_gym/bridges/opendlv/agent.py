@@ -27,6 +27,7 @@ from sonar_gym.sensing.timing import sensor_latency
 
 US_S = 1e-6  # step of a time stamp, s
 JUMP_SPEEDS, JUMP_M = 3.0, 0.05  # a Frame further away than so many times the maximum speed, and m, begins a new drive
+MAX_GAP_S = 1.0  # longest time between two Frames of one drive
 MIN_SPEED = 0.02  # m/s, above which the steering angle follows from the yaw rate
 
 
@@ -128,7 +129,9 @@ class SessionAgent:
         self.session.send(PEDAL, {"position": controls.pedal_of(self._last[1])}, stamp, now)
 
     def _jumped(self, pose: Floats, now: float) -> bool:
-        """Return whether a car cannot have driven to a pose: it has been put there, for a new drive."""
+        """Return whether a new drive begins: after a pause, or at a pose to which the car cannot have driven."""
+        if abs(now - self._seen) > MAX_GAP_S:
+            return True
         reach = JUMP_SPEEDS * self.options.controls.max_speed * max(now - self._seen, 0.0) + JUMP_M
         return not np.hypot(*(pose - self._pose)[:2]) <= reach
 

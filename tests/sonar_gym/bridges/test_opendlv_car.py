@@ -14,7 +14,8 @@ from sonar_gym.agent import load_agent
 from sonar_gym.bridges.opendlv.agent import AgentOptions, SessionAgent
 from sonar_gym.bridges.opendlv.car import CarOptions, Controls, SessionCar
 from sonar_gym.bridges.opendlv.messages import FRAME, KINEMATICS, PEDAL, READING, STEERING
-from sonar_gym.bridges.opendlv.session import Session, seconds_of
+from sonar_gym.bridges.opendlv.session import Session, seconds_of, time_of
+from sonar_gym.bridges.opendlv.wire import Envelope
 from sonar_gym.parking.environment import STEP_S, SonarParkingEnv
 
 SEED = 0
@@ -153,6 +154,15 @@ def test_an_agent_without_a_car_stops(pair):
     agent = SessionAgent(pair[0], options=AgentOptions(patience_s=0.2))
     with pytest.raises(NoAnswerError, match=r"no opendlv\.sim\.Frame with senderStamp 0"):
         agent.run()
+
+
+@pytest.mark.parametrize(("later_s", "x", "clock_s"), [(0.1, 0.05, 0.1), (0.1, 2.0, 0.0), (5.0, 0.05, 0.0)])
+def test_a_pause_or_a_jump_begins_a_new_drive(pair, later_s, x, clock_s):
+    agent = SessionAgent(pair[0])
+    for seconds, at in ((1000.0, 0.0), (1000.0 + later_s, x)):
+        stamp = time_of(seconds)
+        assert agent.take(Envelope(FRAME, {"x": at, "y": 0.0, "yaw": 0.0}, 0, stamp, stamp, stamp))
+    assert agent.observation(1000.0 + later_s)["ego"][6] * 40.0 == pytest.approx(clock_s, abs=1e-4)
 
 
 @given(st.floats(-1.0, 1.0))
