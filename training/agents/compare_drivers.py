@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import pandas as pd
 
 from acquisition import SettingError
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFile
+from acquisition.limits import Count, Seed, Share
 from noise import Faulty, SonarModel, load_model
 from noise.faults import Noise, Short
 from training.agents.evaluate import Outcomes, ScriptedPool, evaluate
@@ -33,17 +34,17 @@ class Args:
 
     sonars: tuple[str, ...] = ("srf08-mlp",)
     """Names or folders of the sonar models to compare with the ideal one."""
-    faults: float = 0.0
+    faults: Share = 0.0
     """Share of readings that are arbitrary; an equal share has 0.1 m of scatter."""
     difficulty: str = "normal"
     """Difficulty of the streets: easy, normal, hard."""
     odometry: str = "wheels"
     """Error of the odometry: exact, wheels, worn."""
-    episodes: int = 200
+    episodes: Count = 200
     """Number of streets; the same streets for all."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first street; the others follow."""
-    out: Path | None = None
+    out: OutputFile | None = None
     """CSV file for all episodes, one per row."""
 
 

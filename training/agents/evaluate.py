@@ -18,6 +18,8 @@ import sonar_gym
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFile
+from acquisition.limits import Count, Seed
 from noise.credence import wilson
 from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
 from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
@@ -206,13 +208,13 @@ class Args:
     """Error of the odometry: exact, wheels, worn."""
     difficulty: str = "normal"
     """Difficulty of the streets: easy, normal, hard."""
-    episodes: int = 500
+    episodes: Count = 500
     """Number of streets; the same streets for every agent and sonar."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first street; the others follow. No agent was trained on seeds below 2147483648."""
-    out: Path | None = None
+    out: OutputFile | None = None
     """JSON file for the results."""
-    film: Path | None = None
+    film: OutputFile | None = None
     """GIF file for a film of the first agent on the first street with each sonar."""
     render: bool = False
     """Show the first agent on the first street in a window, with each sonar."""

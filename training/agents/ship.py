@@ -13,6 +13,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Seed
 from sonar_gym.agent import WEIGHTS, Policy, load_policy
 from training.agents.evaluate import Outcomes, evaluate, pool_of
 from training.agents.sonars import has_probabilities, mismatched
@@ -42,7 +44,7 @@ class Args:
 
     agent: Annotated[Path, tyro.conf.Positional]
     """Folder of a trained agent."""
-    out: Path = WEIGHTS / "parking"
+    out: OutputFolder = WEIGHTS / "parking"
     """Folder for the agent and its card."""
     sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "rig")
     """Names of the sonar models."""
@@ -52,9 +54,9 @@ class Args:
     """Errors of the odometry: exact, wheels, worn."""
     difficulty: tuple[str, ...] = ("normal", "hard")
     """Difficulties of the streets: easy, normal, hard."""
-    episodes: int = 500
+    episodes: Count = 500
     """Number of streets for each combination."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first street."""
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
 import ray
@@ -17,6 +17,8 @@ from ray import tune
 
 from acquisition import SettingError
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Limit, Seed, Workers
 from noise.fitting.threads import one_thread
 from training.agents import train
 
@@ -28,21 +30,21 @@ VARIED = ("seed", "learning_rate", "sonar")
 class Args:
     """Settings of `sonar-gym sweep`."""
 
-    out: Path = Path("runs/sweep")
+    out: OutputFolder = Path("runs/sweep")
     """Folder for trials and results; on a cluster, one that all machines share."""
-    seeds: tuple[int, ...] = (0, 1, 2)
+    seeds: tuple[Seed, ...] = (0, 1, 2)
     """Seeds of training."""
-    learning_rates: tuple[float, ...] = (1e-4,)
+    learning_rates: tuple[Annotated[float, Limit(0.0, 1.0, open_low=True)], ...] = (1e-4,)
     """Learning rates of PPO."""
     sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
     """Names or folders of sonar models; each agent trains with one."""
-    lessons: int = 1000
+    lessons: Annotated[int, Limit(0, 1_000_000)] = 1000
     """Rounds of imitation of each agent."""
-    steps: int = 1_000_000
+    steps: Annotated[int, Limit(0, 10**12)] = 1_000_000
     """Environment steps of PPO of each agent."""
-    num_envs: int = 128
+    num_envs: Annotated[int, Limit(1, 65_536)] = 128
     """Number of cars of each agent."""
-    workers: int = 2
+    workers: Workers = 2
     """Number of trials that run at the same time, one processor each."""
     address: str | None = None
     """Address of a Ray cluster, e.g. auto; by default Ray starts on this machine."""

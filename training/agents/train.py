@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from rich.console import Console
@@ -24,6 +24,8 @@ from torch import nn
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Limit, Seed
 from noise.credence import wilson
 from noise.fitting.threads import one_thread
 from sonar_gym.agent import Layer, Policy
@@ -44,7 +46,7 @@ MILLION = 1e6
 class Args:
     """Settings of `sonar-gym train-agent`."""
 
-    out: Path
+    out: OutputFolder
     """Folder for checkpoint.safetensors, tensorboard/, and agent/, which `sonar_gym.agent.load_agent` reads."""
     sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Names or folders of sonar models; the cars are divided evenly among them."""
@@ -54,21 +56,21 @@ class Args:
     """Errors of the odometry: exact, wheels, worn; each with each sonar."""
     difficulty: tuple[str, ...] = ("normal",)
     """Difficulties of the streets: easy, normal, hard; each with each sonar."""
-    lessons: int = 2000
+    lessons: Annotated[int, Limit(0, 1_000_000)] = 2000
     """Rounds of imitation, each one decision of every car; 0 for PPO alone."""
-    steps: int = 0
+    steps: Annotated[int, Limit(0, 10**12)] = 0
     """Environment steps (0.1 s) of PPO after imitation: faster agents, less reliable with other sonars; 0 for none."""
-    num_envs: int = 256
+    num_envs: Annotated[int, Limit(1, 65_536)] = 256
     """Number of cars."""
-    repeat: int = 2
+    repeat: Annotated[int, Limit(1, 1000)] = 2
     """Steps for which an action holds."""
-    hidden: tuple[int, ...] = (256, 128)
+    hidden: tuple[Annotated[int, Limit(1, 4096)], ...] = (256, 128)
     """Widths of the hidden layers."""
-    learning_rate: float = 1e-4
+    learning_rate: Annotated[float, Limit(0.0, 1.0, open_low=True)] = 1e-4
     """Initial learning rate of PPO; it decays linearly."""
     credence: bool = True
     """Whether the agent observes credence; without it all echoes have equal weight."""
-    seed: int = 0
+    seed: Seed = 0
     """The same seed gives the same agent."""
 
     def __post_init__(self) -> None:

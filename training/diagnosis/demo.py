@@ -10,6 +10,8 @@ from rich.console import Console
 
 from acquisition import Recording, SettingError
 from acquisition.bench import Rig, Setup, Unit
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Seed
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from acquisition.survey.sources import RigSource
@@ -36,9 +38,9 @@ AGENT = "srf08-mlp, trained agent"
 class Args:
     """Settings of `sonar-gym demo`."""
 
-    out: Path = Path("demo")
+    out: OutputFolder = Path("demo")
     """Output folder: report.html, parking.gif, both recordings, the diagnosis, the corrected model."""
-    seed: int = 12
+    seed: Seed = 12
     """Seed; the same seed gives the same demonstration."""
     conceal: str | None = None
     """Effect to conceal (sound_speed, zero_offset, dropped_reading); drawn from the seed by default."""

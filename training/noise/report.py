@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_bytes, write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count
 from noise import CredenceTable, SonarModel, follow, load_model
 from noise.learned.networks import MlpModel
 from noise.learned.recent import RecentCredence
@@ -57,13 +59,13 @@ MIN_BIN_PINGS = 20  # of a bin in the reliability diagrams
 class Args:
     """Settings of `sonar-gym noise-report`."""
 
-    data: Path = Path("corpus")
+    data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
-    docs: Path = Path("docs")
+    docs: OutputFolder = Path("docs")
     """Folder to write noise-models.md and images/noise-credence.png to."""
     models: tuple[str, ...] = SHIPPED
     """Models to compare with the baselines, by name or folder; a perceptron first."""
-    sessions: int = 40
+    sessions: Count = 40
     """Number of sessions per scenario in which the gain of memory is measured."""
 
 

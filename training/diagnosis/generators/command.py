@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from acquisition import SettingError
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Seed, Workers
 from training.common.progress import bar
 from training.diagnosis.generators.ensemble import FAMILIES, KINDS, kinds_of, make_trial
 from training.diagnosis.generators.trial import save
@@ -32,13 +34,13 @@ class Args:
         workers: number of processes.
     """
 
-    out: Path
-    n: int = 70
+    out: OutputFolder
+    n: Count = 70
     families: tuple[str, ...] = FAMILIES
     kinds: tuple[str, ...] = KINDS
-    pings: int = 2000
-    seed: int = 0
-    workers: int = 1
+    pings: Count = 2000
+    seed: Seed = 0
+    workers: Workers = 1
 
 
 def mix(families: tuple[str, ...], kinds: tuple[str, ...]) -> list[tuple[str, str]]:
