@@ -10,15 +10,15 @@ import difflib
 import math
 import numbers
 import types
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt
+from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MinLen
 
-from acquisition.errors import SettingError
+from acquisition.errors import SettingError, SonarError
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,40 @@ class Limit(GroupedMetadata):
         return f"{noun} {' and '.join(parts)}{unit}" if parts else noun.replace("a number", "a finite number")
 
 
+@dataclass(frozen=True)
+class OneOf:
+    """Marks text that is one of a few names."""
+
+    names: Collection[str]
+
+    def __call__(self, name: str, value: str) -> None:
+        """Raise SettingError for another name."""
+        check_choice(name, value, list(self.names))
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.names))
+
+
+@dataclass(frozen=True)
+class Loadable:
+    """Marks text that names something to load, or its place; `load` raises SonarError where there is nothing."""
+
+    load: Callable[[str], object]
+
+    def __call__(self, name: str, value: str) -> None:
+        """Raise SettingError where nothing can be loaded."""
+        try:
+            self.load(value)
+        except SonarError as error:
+            raise SettingError(f"{name}: {error}") from None
+
+
 Finite = Annotated[float, Limit()]
 Seed = Annotated[int, Limit(0, 2**32 - 1)]
 Workers = Annotated[int, Limit(1, 256)]
 Count = Annotated[int, Limit(1, 1_000_000)]
 Share = Annotated[float, Limit(0.0, 1.0)]
+Rate = Annotated[float, Limit(0.0, 1.0, open_low=True)]
 Metres = Annotated[float, Limit(0.0, 1000.0, "m")]
 PositiveMetres = Annotated[float, Limit(0.0, 1000.0, "m", open_low=True)]
 ANY_NUMBER = Limit()
@@ -108,7 +137,7 @@ def check_settings(settings: Any, name: Callable[[str], str] | None = None) -> N
     Raises:
         SettingError: a field is not of its type or outside its limits.
     """
-    cls = type(settings)
+    cls: type = type(settings)
     for field, hint in hints_of(cls):
         _check(f"{cls.__name__}.{field}" if name is None else name(field), getattr(settings, field), hint)
 
@@ -134,6 +163,12 @@ def _check(name: str, value: Any, hint: Any) -> None:
     if get_origin(hint) is Annotated:
         hint, *extras = get_args(hint)
         limit = next((extra for extra in extras if isinstance(extra, Limit)), ANY_NUMBER)
+        _check(name, value, hint if limit is ANY_NUMBER else Any)
+        for extra in extras:
+            if isinstance(extra, OneOf | Loadable):
+                extra(name, value)
+            elif isinstance(extra, MinLen) and len(value) < extra.min_length:
+                raise SettingError(f"{name}: expected at least {extra.min_length} value, got {len(value)}")
     if hint in (int, float):
         check_number(name, value, limit, whole=hint is int)
     elif hint is bool or hint is str:

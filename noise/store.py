@@ -10,10 +10,11 @@ import importlib
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from acquisition import ModelError, UnknownModelError
-from acquisition.io.files import whole_folder
+from acquisition.io.files import is_folder, whole_folder
+from acquisition.limits import Loadable, near
 from noise.model import SonarModel
 
 FORMAT = 1
@@ -54,12 +55,16 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
     if str(name) in BUILT_IN:
         module, attribute = BUILT_IN[str(name)]
         return getattr(importlib.import_module(module), attribute)()
-    shipped = WEIGHTS / str(name)
-    folder = shipped if (shipped / "model.json").is_file() else Path(name)
-    if not folder.is_dir():
+    folder = WEIGHTS / str(name) if str(name) in model_names() else Path(name)
+    if not is_folder(folder):
         known = ", ".join(model_names())
-        raise UnknownModelError(f"model {str(name)!r}: no such name or folder; known names: {known}")
+        raise UnknownModelError(
+            f"model {str(name)!r}: no such name or folder{near(name, model_names())}; known names: {known}"
+        )
     return _of_kind(folder, _read(folder))
+
+
+ModelName = Annotated[str, Loadable(load_model)]  # of settings: a name or a folder
 
 
 def _of_kind(folder: Path, data: Any) -> SonarModel:

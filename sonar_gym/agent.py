@@ -14,7 +14,8 @@ import numpy as np
 
 from acquisition import ModelError, UnknownModelError
 from acquisition.arrays import Ints, Singles
-from acquisition.io.files import whole_folder
+from acquisition.io.files import is_folder, whole_folder
+from acquisition.limits import near
 from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 from sonar_gym.control.memory import MemorySettings, Observation, ObservationMemory
 
@@ -190,10 +191,10 @@ def load_policy(name: str | os.PathLike[str]) -> Policy:
         UnknownModelError: `name` is neither a shipped agent nor a folder.
         ModelError: the folder does not contain an agent that this version can read.
     """
-    shipped = WEIGHTS / str(name)
-    folder = shipped if (shipped / DESCRIPTION).is_file() else Path(name)
-    if not folder.is_dir():
-        raise UnknownModelError(f"agent {str(name)!r}: no such name or folder; known names: {', '.join(agent_names())}")
+    folder = WEIGHTS / str(name) if str(name) in agent_names() else Path(name)
+    if not is_folder(folder):
+        hint = near(name, agent_names()) or f"; known names: {', '.join(agent_names())}"
+        raise UnknownModelError(f"agent {str(name)!r}: no such name or folder{hint}")
     return Policy.load(folder)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -31,7 +32,8 @@ def check_places(settings: Any) -> None:
     Raises:
         SettingError: see `check_output`.
     """
-    for field, hint in hints_of(type(settings)):
+    cls: type = type(settings)
+    for field, hint in hints_of(cls):
         for part in (hint, *get_args(hint)):
             kind = next((extra.kind for extra in get_args(part) if isinstance(extra, Output)), None)
             if get_origin(part) is Annotated and kind is not None and getattr(settings, field) is not None:
@@ -50,6 +52,8 @@ def check_output(path: Path, kind: Literal["file", "folder"], name: str = "--out
         SettingError: it is a link to nothing, of the other kind, below a file, not writable, or inside a result.
     """
     try:
+        if "\0" in str(path):
+            raise SettingError(f"{name} {path}: contains a null character; give another path")
         path = Path(os.path.abspath(path))
         _check_itself(path, kind, name)
         _check_parents(path, kind, name)
@@ -80,8 +84,10 @@ def _check_parents(path: Path, kind: str, name: str) -> None:
     nearest = path if kind == "folder" and path.exists() else next(p for p in parents if p.exists())
     if not nearest.is_dir():
         raise SettingError(f"{name} {path}: {nearest} is a file; give a path below a folder")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise SettingError(f"{name} {path}: the folder {nearest} is read-only; give another path")
+    try:
+        tempfile.TemporaryFile(dir=nearest).close()  # permissions alone do not say whether a disk can be written
+    except OSError as error:
+        raise SettingError(f"{name} {path}: {nearest} cannot be written: {error.strerror}; give another path") from None
     found = [parent for parent in parents[:2] if kind == "folder" and any((parent / r).is_file() for r in RESULTS)]
     if found:
         raise SettingError(f"{name} {path}: lies inside the result {found[0]}; give a folder beside it")

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from acquisition.limits import OneOf, check_choice
 from sonar_gym.checks import check_fields, check_finite, settings_of
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import NO_HIT, touches
@@ -112,14 +113,16 @@ LEVELS: dict[str, StreetSettings] = {
 }
 
 
+Difficulty = Annotated[str, OneOf(LEVELS)]
+
+
 def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
     """Return the settings of a level, with some fields replaced, or complete settings as given.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap
     (0.75, 0.85)
     """
-    if difficulty not in LEVELS:
-        raise SettingError(f"difficulty {difficulty!r}: unknown level; expected {', '.join(LEVELS)}")
+    check_choice("difficulty", difficulty, list(LEVELS))
     return replaced(LEVELS[difficulty], given)
 
 

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from acquisition.limits import OneOf, check_choice
 from sonar_gym.checks import settings_of
 from sonar_gym.compiled import compiled
 
@@ -59,6 +60,7 @@ ODOMETRIES: dict[str, OdometrySettings] = {
     "wheels": OdometrySettings(scale=0.02, pull=float(np.radians(1.5)), slip=0.005, wander=float(np.radians(0.5))),
     "worn": OdometrySettings(scale=0.04, pull=float(np.radians(3.0)), slip=0.01, wander=float(np.radians(1.0))),
 }
+OdometryName = Annotated[str, OneOf(ODOMETRIES)]
 OdometryChoice = str | OdometrySettings | Mapping[str, Any]
 
 
@@ -69,8 +71,7 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
     True
     """
     if isinstance(given, str):
-        if given not in ODOMETRIES:
-            raise SettingError(f"odometry {given!r}: unknown name; expected {', '.join(ODOMETRIES)}, or settings")
+        check_choice("odometry", given, list(ODOMETRIES))
         return ODOMETRIES[given]
     return settings_of(OdometrySettings, given)
 

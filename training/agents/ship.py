@@ -12,10 +12,14 @@ from textwrap import fill
 from typing import Annotated, Any
 
 import tyro
+from annotated_types import MinLen
 
 from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, Seed
+from noise.store import ModelName
 from sonar_gym.agent import WEIGHTS, Policy, load_policy
+from sonar_gym.parking.street import Difficulty
+from sonar_gym.sensing.odometry import OdometryName
 from training.agents.evaluate import Outcomes, evaluate, pool_of
 from training.agents.sonars import has_probabilities, mismatched
 from training.common.progress import bar
@@ -46,13 +50,13 @@ class Args:
     """Folder of a trained agent."""
     out: OutputFolder = WEIGHTS / "parking"
     """Folder for the agent and its card."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "rig")
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp", "rig")
     """Names of the sonar models."""
-    believed: str = "srf08-mlp"
+    believed: ModelName = "srf08-mlp"
     """Name of the model from which credence is computed with a sonar model without probabilities, such as the rig."""
-    odometry: tuple[str, ...] = ("exact", "wheels")
+    odometry: Annotated[tuple[OdometryName, ...], MinLen(1)] = ("exact", "wheels")
     """Errors of the odometry: exact, wheels, worn."""
-    difficulty: tuple[str, ...] = ("normal", "hard")
+    difficulty: Annotated[tuple[Difficulty, ...], MinLen(1)] = ("normal", "hard")
     """Difficulties of the streets: easy, normal, hard."""
     episodes: Count = 500
     """Number of streets for each combination."""

@@ -13,13 +13,15 @@ from typing import Annotated, Any
 
 import pandas as pd
 import ray
+from annotated_types import MinLen
 from ray import tune
 
 from acquisition import SettingError
 from acquisition.io.files import write_text
 from acquisition.io.places import OutputFolder
-from acquisition.limits import Limit, Seed, Workers
+from acquisition.limits import Limit, Rate, Seed, Workers
 from noise.fitting.threads import one_thread
+from noise.store import ModelName
 from training.agents import train
 
 NAME = "tune"  # folder of Ray Tune's own state
@@ -32,11 +34,11 @@ class Args:
 
     out: OutputFolder = Path("runs/sweep")
     """Folder for trials and results; on a cluster, one that all machines share."""
-    seeds: tuple[Seed, ...] = (0, 1, 2)
+    seeds: Annotated[tuple[Seed, ...], MinLen(1)] = (0, 1, 2)
     """Seeds of training."""
-    learning_rates: tuple[Annotated[float, Limit(0.0, 1.0, open_low=True)], ...] = (1e-4,)
+    learning_rates: Annotated[tuple[Rate, ...], MinLen(1)] = (1e-4,)
     """Learning rates of PPO."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp")
     """Names or folders of sonar models; each agent trains with one."""
     lessons: Annotated[int, Limit(0, 1_000_000)] = 1000
     """Rounds of imitation of each agent."""
@@ -48,13 +50,6 @@ class Args:
     """Number of trials that run at the same time, one processor each."""
     address: str | None = None
     """Address of a Ray cluster, e.g. auto; by default Ray starts on this machine."""
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        if self.workers < 1 or not (self.seeds and self.learning_rates and self.sonars):
-            raise SettingError(
-                f"give at least one worker (got {self.workers}), one seed, one learning rate and one sonar"
-            )
 
     @property
     def space(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from acquisition import Recording, SettingError
+from acquisition import Recording
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFolder
@@ -73,13 +73,6 @@ class Args:
     """Number of processes."""
     seed: Seed = 0
     """Seed of recordings and agents."""
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        if min(self.seeds, self.episodes, self.workers) < 1:
-            raise SettingError(
-                f"seeds {self.seeds}, episodes {self.episodes} and workers {self.workers} must be 1 or more"
-            )
 
 
 # ---- sonars of training and test -------------------------------------------------------------------------------------

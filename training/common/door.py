@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import itertools
 import os
 import platform
 import sys
@@ -20,7 +21,8 @@ from importlib.metadata import PackageNotFoundError, version
 from acquisition import SonarError
 
 USAGE_ERROR, CRASHED, INTERRUPTED = 2, 1, 130
-MAX_LINE, MAX_WORD = 300, 160  # characters of a message, and of a path in it
+MAX_LINE, MAX_PATH, MAX_WORD = 300, 160, 60  # characters of a message, and of a path or another word in it
+BORDER = "│╭╮╰╯─|+- \t"  # of the box around an error of the parser, also in plain ASCII
 GAP = "..."  # in place of words that are left out
 PACKAGES = ("sonar-gym", "numpy", "pandas", "torch", "gymnasium", "numba", "scipy")  # whose versions explain a crash
 ADVICE = {
@@ -119,7 +121,8 @@ def _printable(character: str) -> str:
 
 def _shortened(word: str) -> str:
     """Return a word of limited length, without its middle: the end of a path is its name."""
-    return word if len(word) <= MAX_WORD else f"{word[: MAX_WORD // 2 - 3]}...{word[-MAX_WORD // 2 :]}"
+    longest = MAX_PATH if os.sep in word else MAX_WORD
+    return word if len(word) <= longest else f"{word[: longest // 2 - 3]}...{word[-longest // 2 :]}"
 
 
 def crash_file(argv: Sequence[str], error: BaseException) -> str:
@@ -162,8 +165,9 @@ def parsing(command: str) -> Iterator[None]:
 
 def _unboxed(text: str) -> str:
     """Return the first paragraph inside a box, and the option nearest to an unknown one."""
-    rows = [line.strip("│╭╮╰╯─ \t") for line in text.splitlines()]
-    rules = [k for k, line in enumerate(text.splitlines()) if line.strip("│ ") and not line.strip("│╭╮╰╯─ ")]
-    first = [row for row in rows[1 : rules[0] if rules else None] if row]
-    hint = next((rows[k + 1] for k, row in enumerate(rows[:-1]) if row.startswith("Perhaps you meant")), "")
-    return " ".join(first) + (f"; did you mean {hint.split()[0]}?" if hint else "")
+    rows = [line.strip(BORDER) for line in text.splitlines()][1:]
+    first = list(itertools.takewhile(bool, itertools.dropwhile(lambda row: not row, rows)))
+    hint = next((row for before, row in itertools.pairwise(rows) if before.startswith("Perhaps you meant")), "")
+    return " ".join(first).removeprefix("Error parsing Args: ").rstrip(".") + (
+        f"; did you mean {hint.split()[0]}?" if hint else ""
+    )

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+from annotated_types import MinLen
 
 from acquisition import Recording
 from acquisition.io.places import OutputFolder
@@ -56,7 +57,7 @@ class Args:
     """Folder to write the models to, one subfolder each."""
     data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
-    laws: tuple[Law, ...] = ("mlp", "lstm", "hybrid")
+    laws: Annotated[tuple[Law, ...], MinLen(1)] = ("mlp", "lstm", "hybrid")
     """Laws to make."""
     jobs: Workers = 1
     """Number of parallel processes that record."""

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from string import Template
+from typing import Annotated
 
 import numpy as np
+from annotated_types import MinLen
 from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
@@ -19,6 +21,7 @@ from noise import CredenceTable, SonarModel, follow, load_model
 from noise.learned.networks import MlpModel
 from noise.learned.recent import RecentCredence
 from noise.metrics import Reliability, credence_reliability
+from noise.store import ModelName
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 from training.common.commit import commit
 from training.common.progress import bar
@@ -63,7 +66,7 @@ class Args:
     """Folder of the recordings; missing ones are recorded."""
     docs: OutputFolder = Path("docs")
     """Folder to write noise-models.md and images/noise-credence.png to."""
-    models: tuple[str, ...] = SHIPPED
+    models: Annotated[tuple[ModelName, ...], MinLen(1)] = SHIPPED
     """Models to compare with the baselines, by name or folder; a perceptron first."""
     sessions: Count = 40
     """Number of sessions per scenario in which the gain of memory is measured."""

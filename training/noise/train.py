@@ -17,7 +17,7 @@ from rich.console import Console
 
 from acquisition import Ping, Reading, Recording, SettingError
 from acquisition.io.places import OutputFolder
-from acquisition.limits import Count, Limit, PositiveMetres, Seed, Share
+from acquisition.limits import Count, Limit, PositiveMetres, Rate, Seed, Share
 from noise import load_model
 from noise.fitting.threads import one_thread
 from noise.fitting.visits import visits_of
@@ -27,7 +27,7 @@ from noise.learned.networks import MlpModel
 from noise.learned.recurrent import LstmModel
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
-from noise.store import check_model_folder, save_model
+from noise.store import ModelName, check_model_folder, save_model
 from training.common.progress import bars
 from training.noise.baselines import fit_gaussian
 from training.noise.card import card, score_table, scores_as_numbers
@@ -60,7 +60,7 @@ class Args:
     """Folder to write the model to: model.json, weights.safetensors, README.md."""
     law: Law = "mlp"
     """mlp: no memory. lstm: memory of the pings of a run. hybrid: an LSTM that corrects the perceptron `base`."""
-    base: str = "srf08-mlp"
+    base: ModelName = "srf08-mlp"
     """hybrid: perceptron to correct, by name or folder; its weights are fixed."""
     hidden: Annotated[int, Limit(1, 4096)] = 64
     """Width of each hidden layer."""
@@ -83,7 +83,7 @@ class Args:
     """Number of passes without a better validation score after which training stops."""
     batch: Count = 512
     """Pings per step."""
-    learning_rate: Annotated[float, Limit(0.0, 1.0, open_low=True)] = 4e-3
+    learning_rate: Rate = 4e-3
     """Initial learning rate of AdamW, annealed to a hundredth along a cosine."""
     weight_decay: Share = 1e-3
     """Weight decay of AdamW."""

@@ -16,7 +16,6 @@ from pathlib import Path
 from threading import Lock
 from typing import Annotated, Any
 
-from acquisition import SettingError
 from acquisition.io.files import write_bytes
 from acquisition.io.places import OutputFile, OutputFolder
 from acquisition.limits import Count, Limit, Workers
@@ -87,8 +86,6 @@ class Args:
 
 def main(args: Args) -> None:
     """Run what is missing, close the ledger and write the page."""
-    if args.trials < 1 or args.workers < 1:
-        raise SettingError(f"--trials and --workers must be at least 1, got {args.trials} and {args.workers}")
     chain = opened(args)
     try:
         if not args.plan:

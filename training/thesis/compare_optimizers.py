@@ -13,10 +13,11 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from annotated_types import MinLen
 
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_bytes, write_text
-from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, Limit, Seed, Share
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, Draw, panels
 from training.common.progress import bars
@@ -57,11 +58,11 @@ class Args:
     """Recording of the thesis's survey (CSV); recorded with the rig if the file does not exist."""
     out: OutputFolder
     """Folder for networks, tables and figures."""
-    page: OutputFile | None = None
+    page: OutputFolder | None = None
     """Folder for tables and figures, if different from OUT."""
     seeds: Annotated[int, Limit(1, 1000)] = 5
     """Number of trainings of each network; each has its own split, initial weights and order."""
-    sizes: tuple[Annotated[int, Limit(1, 4096)], ...] = (10, 15, 20)
+    sizes: Annotated[tuple[Annotated[int, Limit(1, 4096)], ...], MinLen(1)] = (10, 15, 20)
     """Hidden neurons of the tables."""
     epochs: Count = 15
     """Passes over the training pings; figure A.1 uses a third more."""

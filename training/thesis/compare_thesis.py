@@ -17,7 +17,7 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes, write_text
-from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, Limit, Seed
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, panels
 from training.common.progress import progress_bars
@@ -62,7 +62,7 @@ class Args:
     """Folder with the networks that the thesis's author published (*.h5, *.hdf5)."""
     out: OutputFolder
     """Folder for trained networks, tables and figure."""
-    page: OutputFile | None = None
+    page: OutputFolder | None = None
     """Folder for tables and figure, if different from OUT."""
     trials: Count = 40
     """Number of units to try at each gain; 0 does not tune the electronics."""

@@ -12,9 +12,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from annotated_types import MinLen
 
 from acquisition.io.places import OutputFile, OutputFolder
-from acquisition.limits import Count, Seed, Workers
+from acquisition.limits import Count, OneOf, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS
 from training.common.commit import commit
 from training.diagnosis.generators.ensemble import FAMILIES, KINDS
@@ -45,8 +48,8 @@ class Args:
 
     out: OutputFolder = Path("runs/judge")
     n: Count = 10
-    families: tuple[str, ...] = FAMILIES
-    kinds: tuple[str, ...] = KINDS
+    families: Annotated[tuple[Annotated[str, OneOf(FAMILIES)], ...], MinLen(1)] = FAMILIES
+    kinds: Annotated[tuple[Annotated[str, OneOf(KINDS)], ...], MinLen(1)] = KINDS
     pings: Count = 2000
     seed: Seed = 0
     workers: Workers = 1

@@ -8,10 +8,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from acquisition import SettingError
 from acquisition.io.places import OutputFile, OutputFolder
-from acquisition.limits import Count, Seed, Workers
+from acquisition.limits import Count, Limit, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
 from noise.metrics import Reliability
 from training.common.canvas import AFTER, SOFT, Axes, panels
@@ -47,7 +48,7 @@ class Args:
     """
 
     out: OutputFolder = Path("runs/decision")
-    n: Count = 20
+    n: Annotated[int, Limit(0, 1_000_000)] = 20
     pings: Count = 2000
     seed: Seed = 1
     workers: Workers = 1
