@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
+from acquisition.errors import RecordingError, SettingError
 from acquisition.io.recording import ECHO_COLUMN, TEXT, Recording
+from acquisition.io.tables import COMMAS, Dialect, read_text_table
 
 MICROSECONDS_PER_CM = 58.0  # round trip; the constant in the data sheets of the HC-SR04 family
 UNITS: Mapping[str, float] = {  # factor to the unit in the name of the recording's column
@@ -92,6 +93,7 @@ def import_table(
     constants: Mapping[str, float | str],
     no_echo: float | None = None,
     skip_bad_rows: bool = False,
+    dialect: Dialect = COMMAS,
 ) -> Recording:
     """Read a CSV log of another program as a recording.
 
@@ -101,18 +103,14 @@ def import_table(
         constants: columns with one value in all rows.
         no_echo: value, in the log's unit, that means no echo in addition to 0.
         skip_bad_rows: omit faulty rows (listed in `rejected`) instead of rejecting the file.
+        dialect: delimiter and decimal point of the file.
 
     Raises:
         RecordingNotFoundError: the file does not exist.
         RecordingError: a mapped column is missing, or a value violates the format; the message names the place.
     """
     path = Path(path)
-    if not path.is_file():
-        raise RecordingNotFoundError(f"{path}: no such file; give the path of a CSV file")
-    try:
-        log = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig")
-    except (pd.errors.EmptyDataError, pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not a table of comma-separated values: {str(error).strip()}") from None
+    log = read_text_table(path, dialect)
     for mapping in columns:
         if mapping.source not in log.columns:
             found = ", ".join(log.columns)

@@ -7,7 +7,6 @@ complete numeric column is a covariate.
 
 from __future__ import annotations
 
-import io
 import os
 import re
 from collections.abc import Sequence
@@ -20,8 +19,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from acquisition.errors import RecordingError, RecordingNotFoundError
+from acquisition.errors import RecordingError
 from acquisition.io.files import write_atomic
+from acquisition.io.tables import parse_table, read_bytes
 from acquisition.ping import EchoStatus, Ping, Reading, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
@@ -89,31 +89,10 @@ def unfinished_path(path: Path) -> Path:
     return path.with_name(path.name + ".unfinished")
 
 
-def _complete_lines(path: Path) -> Path | io.BytesIO:
-    """Return the file or, for an unfinished session, its complete lines: a power cut may have truncated the last."""
-    if not unfinished_path(path).exists():
-        return path
-    data = path.read_bytes()
-    return io.BytesIO(data[: data.rfind(b"\n") + 1])
-
-
 def _read_text(path: Path) -> pd.DataFrame:
-    if not path.exists():
-        raise RecordingNotFoundError(f"{path}: no such file; give the path of a recording (CSV, one row per ping)")
-    if path.is_dir():
-        raise RecordingError(f"{path}: is a folder, expected a recording (CSV, one row per ping)")
-    try:
-        return pd.read_csv(
-            _complete_lines(path), dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig"
-        )
-    except pd.errors.EmptyDataError:
-        raise RecordingError(
-            f"{path}, line 1: the file is empty, expected a header with {', '.join(REQUIRED)}"
-        ) from None
-    except pd.errors.ParserError as error:
-        raise RecordingError(f"{path}: not a table of comma-separated values: {str(error).strip()}") from None
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not UTF-8 text (byte {error.start}); expected a CSV file") from None
+    """Return the fields of a file; of an unfinished session, those of its complete lines, as a power cut may end any."""
+    data = read_bytes(path)
+    return parse_table(data[: data.rfind(b"\n") + 1] if unfinished_path(path).exists() else data, str(path))
 
 
 def _check_header(name: str, columns: Sequence[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -12,6 +12,7 @@ from acquisition import EchoStatus, Recording, SettingError
 from acquisition.io.bags import GroundTruthSource, import_bag, is_bag
 from acquisition.io.foreign import ColumnMap, import_table, parse_constants
 from acquisition.io.places import OutputFile
+from acquisition.io.tables import Dialect
 from acquisition.limits import Finite, Limit
 from training.common.progress import bar
 
@@ -36,6 +37,10 @@ class Args:
     """Columns with one value in every row: name=value, for example angle_deg=0."""
     no_echo: Finite | None = None
     """CSV: value in the source's unit that means no echo, besides 0; for example 400 for full scale."""
+    delimiter: str = ","
+    """CSV: character between two columns, for example ; or tab."""
+    decimal: Literal[".", ","] = "."
+    """CSV: decimal point or comma of the numbers."""
     skip_bad_rows: bool = False
     """CSV: omit and list invalid rows instead of rejecting the file."""
     topics: tuple[str, ...] = ()
@@ -68,9 +73,10 @@ def _table(args: Args) -> tuple[Recording, list[str]]:
         raise SettingError(
             f"{args.source}: --columns is required, for example distance_mm=true_cm:cm reading_mm=got:cm"
         )
+    dialect = Dialect("\t" if args.delimiter in ("tab", "\\t") else args.delimiter, args.decimal)
     columns = [ColumnMap.parse(text) for text in args.columns]
     constants = parse_constants(args.constants)
-    recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows)
+    recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows, dialect)
     return recording, [f"omitted: {fault}" for fault in recording.rejected]
 
 
