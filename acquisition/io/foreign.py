@@ -16,6 +16,7 @@ import pandas as pd
 from acquisition.errors import RecordingError, SettingError
 from acquisition.io.recording import ECHO_COLUMN, TEXT, Recording
 from acquisition.io.tables import COMMAS, Dialect, read_text_table
+from acquisition.limits import near
 
 MICROSECONDS_PER_CM = 58.0  # round trip; the constant in the data sheets of the HC-SR04 family
 UNITS: Mapping[str, float] = {  # factor to the unit in the name of the recording's column
@@ -110,11 +111,12 @@ def import_table(
         RecordingError: a mapped column is missing, or a value violates the format; the message names the place.
     """
     path = Path(path)
-    log = read_text_table(path, dialect)
+    log = read_text_table(path, dialect, number_twins=True)
     for mapping in columns:
         if mapping.source not in log.columns:
             found = ", ".join(log.columns)
-            raise RecordingError(f"{path}, line 1: column {mapping.source!r} is missing, found {found}")
+            hint = near(mapping.source, log.columns)
+            raise RecordingError(f"{path}, line 1: column {mapping.source!r} is missing, found {found}{hint}")
     table = pd.DataFrame({m.name: _column(log[m.source], m, no_echo) for m in columns})
     table = table.assign(**constants)
     named = [c for c in map(str, log.columns) if not c.startswith("Unnamed: ")]  # pandas' name for an empty header

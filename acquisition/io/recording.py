@@ -29,6 +29,7 @@ TEXT = ("session", "sensor")
 CONDITION = ("time_s", "distance_mm", "angle_deg", "incidence_deg", "reflectance")
 ECHO_COLUMN = re.compile(r"echo_(?:[2-9]|1[0-7])_mm")
 LIMITS = {
+    "time_s": (-1e12, 1e12),
     "distance_mm": (0.0, 100_000.0),
     "angle_deg": (-180.0, 180.0),
     "incidence_deg": (-180.0, 180.0),
@@ -36,6 +37,7 @@ LIMITS = {
     "reading_mm": (0.0, 1_700_000.0),  # any 16-bit count, also in inches: transmission errors can set every bit
 }
 MM, DEG = 1e-3, np.pi / 180.0
+MAX_COVARIATE = 1e100  # larger numbers are text: their squares overflow
 MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
 
 
@@ -90,7 +92,7 @@ def unfinished_path(path: Path) -> Path:
 
 
 def _read_text(path: Path) -> pd.DataFrame:
-    """Return the fields of a file; of an unfinished session, those of its complete lines, as a power cut may end any."""
+    """Return the fields of a file; of an unfinished session, only of complete lines: a power cut may end any."""
     data = read_bytes(path)
     return parse_table(data[: data.rfind(b"\n") + 1] if unfinished_path(path).exists() else data, str(path))
 
@@ -208,18 +210,16 @@ class Recording:
         angle = self.table["angle_deg"].to_numpy() * DEG
         column = self.table.get
         table = self._with_interval()
-        return Ping.of(
+        ping = Ping.of(
             distance=self.table["distance_mm"].to_numpy() * MM,
             angle=angle,
             incidence=angle if not self.has("incidence_deg") else self.table["incidence_deg"].to_numpy() * DEG,
             reflectance=column("reflectance", pd.Series(1.0, self.table.index)).to_numpy(),
             time=column("time_s", pd.Series(np.arange(len(self)), dtype=np.float64)).to_numpy(),
             run=self.run,
-            **{
-                name: table[name].to_numpy()
-                for name in (*self.covariates, *table.columns.difference(self.table.columns))
-            },
         )
+        names = (*self.covariates, *table.columns.difference(self.table.columns))
+        return replace(ping, covariates={name: table[name].to_numpy(np.float64) for name in names})
 
     @cached_property
     def reading(self) -> Reading:
@@ -314,6 +314,6 @@ def _convert(file: str, text: pd.DataFrame) -> tuple[pd.DataFrame, list[RowFault
             columns[name] = number
         else:
             empty = text[name] == ""
-            is_number = name not in TEXT and not empty.all() and bool(np.isfinite(number[~empty]).all())
+            is_number = name not in TEXT and not empty.all() and bool((number[~empty].abs() <= MAX_COVARIATE).all())
             columns[name] = number if is_number else text[name]
     return pd.DataFrame(columns), sorted(faults, key=lambda fault: fault.line)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import itertools
+import re
+import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,18 +46,19 @@ class Dialect:
 COMMAS = Dialect()
 
 
-def read_text_table(path: Path, dialect: Dialect = COMMAS) -> pd.DataFrame:
+def read_text_table(path: Path, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
     """Return the fields of a CSV file as text; gzip, a byte order mark and any line ends are read.
 
     Args:
         path: of the file.
         dialect: its delimiter and decimal point; the latter becomes a point.
+        number_twins: number columns of the same name ("x", "x.1") instead of rejecting the file.
 
     Raises:
         RecordingNotFoundError: the file does not exist.
         RecordingError: it is no file, is not text, or is no table with unique names of columns.
     """
-    return parse_table(read_bytes(path), str(path), dialect)
+    return parse_table(read_bytes(path), str(path), dialect, number_twins)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -74,7 +78,7 @@ def read_bytes(path: Path) -> bytes:
             packed = raw.read(len(GZIP)) == GZIP
         with gzip.open(path) if packed else path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
-    except (EOFError, gzip.BadGzipFile) as error:
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RecordingError(f"{path}: damaged gzip file: {error}; copy or record it again") from None
     except OSError as error:
         if isinstance(error, RecordingNotFoundError):
@@ -85,9 +89,10 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS) -> pd.DataFrame:
+def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
     """Return the fields of CSV text; see `read_text_table`."""
-    columns = _checked_header(_decoded(data, name), name, dialect)
+    columns = _header(_decoded(data, name), name, dialect)
+    _check_header(columns, name, number_twins)
     try:
         table = pd.read_csv(
             io.BytesIO(data),
@@ -101,7 +106,7 @@ def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS) -> pd.DataFra
     except (pd.errors.ParserError, ValueError) as error:
         reason = " ".join(str(error).replace("Error tokenizing data. C error:", "").split())
         raise RecordingError(f"{name}: not a table of separated values: {reason}") from None
-    table.columns = pd.Index(columns)
+    table.columns = pd.Index(_numbered(columns))
     if dialect.decimal == ",":
         table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
     return table
@@ -124,25 +129,46 @@ def _decoded(data: bytes, name: str) -> str:
     return text
 
 
-def _checked_header(text: str, name: str, dialect: Dialect) -> list[str]:
-    """Return the names of the columns, which are unique; an empty name becomes `Unnamed: k`, as in pandas."""
-    first = next((line for line in io.StringIO(text[:HEADER_BYTES]) if line.strip()), "")
+def _header(text: str, name: str, dialect: Dialect) -> list[str]:
+    """Return the names of the columns; an empty one becomes `Unnamed: k`, as in pandas."""
+    first = re.split(r"[\r\n]", text[:HEADER_BYTES].lstrip(), maxsplit=1)[0]
     if not first:
         raise RecordingError(f"{name}, line 1: the file is empty, expected a header with the names of the columns")
     if first.count(dialect.delimiter) >= MAX_COLUMNS:
         raise RecordingError(f"{name}, line 1: has more than {MAX_COLUMNS} columns; keep those that are needed")
     if len(first) > MAX_FIELD:
         raise RecordingError(f"{name}, line 1: has more than {MAX_FIELD:,} characters, expected a header")
-    header = next(csv.reader(io.StringIO(text[:HEADER_BYTES].lstrip("\r\n")), delimiter=dialect.delimiter))
-    columns = [column.lstrip() or f"Unnamed: {k}" for k, column in enumerate(header)]
-    double = [column for column, count in Counter(columns).items() if count > 1]
-    if double:
-        raise RecordingError(f"{name}, line 1: column {double[0]!r} is given twice; rename or remove one")
-    other = next((mark for mark in (";", "\t", "|") if len(columns) == 1 and mark in first), None)
-    if other is not None:
-        shown = "tab" if other == "\t" else other
+    try:
+        header = next(csv.reader([first], delimiter=dialect.delimiter))
+    except csv.Error as error:
+        raise RecordingError(f"{name}, line 1: not a table of separated values: {error}") from None
+    return [column.strip() or f"Unnamed: {k}" for k, column in enumerate(header)]
+
+
+def _check_header(columns: list[str], name: str, number_twins: bool) -> None:
+    twin = next((column for column, count in Counter(columns).items() if count > 1), None)
+    if twin is not None and not number_twins:
+        raise RecordingError(f"{name}, line 1: column {twin!r} is given twice; rename or remove one")
+    mark = next((mark for mark in (";", "\t", "|") if len(columns) == 1 and mark in columns[0]), None)
+    if mark is not None:
+        shown = "tab" if mark == "\t" else mark
         raise RecordingError(
             f"{name}, line 1: seems to separate columns by {shown!r}: `sonar-gym import` reads it with "
             f"--delimiter {shown!r}, and with --decimal ',' where numbers have a decimal comma"
         )
-    return columns
+
+
+def _numbered(columns: list[str]) -> list[str]:
+    """Return unique names: the k-th repetition of x becomes x.k.
+
+    >>> _numbered(["x", "y", "x", "x"])
+    ['x', 'y', 'x.1', 'x.2']
+    """
+    seen, taken, out = Counter[str](), set(columns), []
+    for column in columns:
+        name, seen[column] = column, seen[column] + 1
+        if seen[column] > 1:
+            name = next(f"{column}.{k}" for k in itertools.count(seen[column] - 1) if f"{column}.{k}" not in taken)
+            taken.add(name)
+        out.append(name)
+    return out

@@ -52,7 +52,5 @@ def test_the_shipped_law_has_its_split_and_keeps_it_on_disk(tmp_path):
 def test_invalid_values_raise():
     with pytest.raises(SettingError, match=r"Persistence.range: expected a number from 0 to 1, got 1.5"):
         Persistence(0.5, 1.5)
-    with pytest.raises(
-        SettingError, match=r"Persistence.length_m: expected a number above 0 and at most 1000 m, got 0 m"
-    ):
+    with pytest.raises(SettingError, match=r"Persistence.length_m: expected a number above 0 .* m, got 0 m"):
         Persistence(0.5, 0.5, length_m=0.0)
