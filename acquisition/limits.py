@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MinLen
 
+from acquisition.arrays import Floats
 from acquisition.errors import SettingError, SonarError
 
 
@@ -97,7 +98,19 @@ Share = Annotated[float, Limit(0.0, 1.0)]
 Rate = Annotated[float, Limit(0.0, 1.0, open_low=True)]
 Metres = Annotated[float, Limit(0.0, 1000.0, "m")]
 PositiveMetres = Annotated[float, Limit(0.0, 1000.0, "m", open_low=True)]
-ANY_NUMBER = Limit()
+ANY_NUMBER, SEEDS = Limit(), Limit(0, 2**63 - 1)
+
+
+def as_numbers(name: str, value: Any) -> Floats:
+    """Return an array of floats.
+
+    Raises:
+        SettingError: the value cannot be one, such as text or rows of unequal lengths.
+    """
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (OverflowError, TypeError, ValueError):
+        raise SettingError(f"{name}: expected numbers, got {shown(value)}") from None
 
 
 def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool = False) -> None:
@@ -182,7 +195,7 @@ def _check(name: str, value: Any, hint: Any) -> None:
 
 
 def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:
-    _expect(isinstance(value, Sequence) and not isinstance(value, str), name, "a list", value)
+    _expect(isinstance(value, Sequence | np.ndarray) and not isinstance(value, str), name, "a list", value)
     if items[-1] is Ellipsis:
         items = (items[0],) * len(value)
     _expect(len(value) == len(items), name, f"{len(items)} values", value)

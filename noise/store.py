@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from acquisition import ModelError, SonarError, UnknownModelError
 from acquisition.io.files import is_folder, whole_folder
 from acquisition.io.schema import read_json
-from acquisition.limits import Loadable, near
+from acquisition.limits import Loadable, near, shown
 from noise.model import SonarModel
 from noise.schema import Model
 
@@ -54,6 +54,8 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
         UnknownModelError: neither a known name nor a folder.
         ModelError: the folder does not contain a model that this version can read.
     """
+    if not isinstance(name, str | os.PathLike):
+        raise UnknownModelError(f"model: expected a name or the path of a folder, got {shown(name)}")
     if str(name) in BUILT_IN:
         module, attribute = BUILT_IN[str(name)]
         return getattr(importlib.import_module(module), attribute)()

@@ -7,6 +7,7 @@ import gzip
 import io
 import itertools
 import re
+import warnings
 import zlib
 from collections import Counter
 from dataclasses import dataclass
@@ -94,15 +95,19 @@ def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins:
     columns = _header(_decoded(data, name), name, dialect)
     _check_header(columns, name, number_twins)
     try:
-        table = pd.read_csv(
-            io.BytesIO(data),
-            dtype=str,
-            keep_default_na=False,
-            skipinitialspace=True,
-            encoding="utf-8-sig",
-            sep=dialect.delimiter,
-            index_col=False,
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # of a row with more fields than the header
+            table = pd.read_csv(
+                io.BytesIO(data),
+                dtype=str,
+                keep_default_na=False,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+                sep=dialect.delimiter,
+                index_col=False,
+            )
+    except pd.errors.ParserWarning:
+        raise RecordingError(f"{name}: the rows have more fields than the header; give each column a name") from None
     except (pd.errors.ParserError, ValueError) as error:
         reason = " ".join(str(error).replace("Error tokenizing data. C error:", "").split())
         raise RecordingError(f"{name}: not a table of separated values: {reason}") from None

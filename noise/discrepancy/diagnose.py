@@ -6,11 +6,13 @@ import os
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
 from acquisition import Recording, SettingError
+from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.evidence import Evidence
@@ -112,9 +114,10 @@ def diagnose(
         RecordingError: the recording holds no answered ping.
         SettingError: `without` names an unknown effect, or an input has a wrong type.
     """
-    unknown = [name for name in without if name not in CATALOGUE]
-    if unknown:
-        raise SettingError(f"without: {unknown[0]!r} is not in the catalogue: {', '.join(CATALOGUE)}")
+    check_value("without", without, tuple[Annotated[str, OneOf(CATALOGUE)], ...])
+    check_value("seed", seed, Seed)
+    if progress is not None and not callable(progress):
+        raise SettingError(f"progress: expected a function (message, share), got {shown(progress)}")
     recorded = as_recording(recording)
     data = _prepared(
         model, recorded, None if simulated is None else as_recording(simulated, "simulation"), seed, progress

@@ -26,11 +26,10 @@ CELLS = (
     '"',
     "\x1b[2J",
 )
-NAMES = (
-    "distance", "angle", "incidence", "reflectance", "run", "time", "range", "interval_s", "status", "reading", "self", "cls",
-    "time_s", "session", "sensor", "echo_2_mm", "echo_18_mm", "incidence_deg", "condition", "temperature_c", "humidity_pct",
-    "covariates", "name", "index", "", " ", "a,b", "💥", "x" * 300, "\u202e", "gain", "visit", "level_0", "Unnamed: 0",
-)  # fmt: skip
+WORDS = """distance angle incidence reflectance run time range interval_s status reading self cls covariates name
+time_s session
+sensor echo_2_mm echo_18_mm incidence_deg condition temperature_c humidity_pct gain index visit level_0"""
+NAMES = (*WORDS.split(), "Unnamed: 0", "", " ", "a,b", "💥", "x" * 300, "\u202e")
 BASE = ("time_s", "distance_mm", "angle_deg", "reflectance", "reading_mm")
 
 
