@@ -16,7 +16,7 @@ from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.evidence import Evidence
-from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
+from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, check_conditions, warnings_of
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.held_out import crps, held_out
 from noise.discrepancy.judge.shares import Shares, shares
@@ -119,6 +119,7 @@ def diagnose(
     if progress is not None and not callable(progress):
         raise SettingError(f"progress: expected a function (message, share), got {shown(progress)}")
     recorded = as_recording(recording)
+    check_conditions(recorded)
     data = _prepared(
         model, recorded, None if simulated is None else as_recording(simulated, "simulation"), seed, progress
     )
