@@ -61,7 +61,7 @@ def use_temporary_cache() -> tempfile.TemporaryDirectory[str] | None:
         njit(cache=True)(_probe)
     except RuntimeError:  # "cannot cache function: no locator available"
         folder = tempfile.TemporaryDirectory(prefix="sonar-gym-numba-")
-        config.CACHE_DIR = folder.name
+        config.CACHE_DIR = folder.name  # type: ignore[attr-defined]
         warnings.warn(
             f"neither {PACKAGE} nor the home folder can be written: kernels are compiled again at every start, which "
             "takes a minute; set NUMBA_CACHE_DIR to a folder of your own to keep them",
