@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 from acquisition import SettingError
+from acquisition.errors import UnknownFieldError
 from acquisition.limits import near, shown
 
 Settings = TypeVar("Settings")
@@ -34,6 +35,6 @@ def check_fields(cls: type, given: Iterable[str]) -> None:
     known = [field.name for field in fields(cls)]
     for name in given:
         if name not in known:
-            raise SettingError(
+            raise UnknownFieldError(
                 f"{cls.__name__}: unknown field {name!r}; expected {', '.join(known)}{near(name, known)}"
             )

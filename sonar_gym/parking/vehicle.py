@@ -34,9 +34,9 @@ class CarSettings:
     rear_overhang: Annotated[float, Limit(-100.0, 100.0, "m")] = 0.09
     max_steering: Annotated[float, Limit(0.01, np.pi / 2, "rad", open_high=True)] = np.radians(30.0)
     max_speed: Annotated[float, Limit(0.0, 100.0, "m/s", open_low=True)] = 0.5
-    steering_rate: Annotated[float, Limit(0.0, 1e4, "rad/s", open_low=True)] = np.radians(240.0)
+    steering_rate: Annotated[float, Limit(0.0, 1e12, "rad/s", open_low=True)] = np.radians(240.0)
     steering_lag: Annotated[float, Limit(0.0, 60.0, "s")] = 0.05
-    acceleration: Annotated[float, Limit(0.0, 1e4, "m/s^2", open_low=True)] = 2.0
+    acceleration: Annotated[float, Limit(0.0, 1e12, "m/s^2", open_low=True)] = 2.0
     speed_lag: Annotated[float, Limit(0.0, 60.0, "s")] = 0.05
 
     def __post_init__(self) -> None:
