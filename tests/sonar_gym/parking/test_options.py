@@ -242,5 +242,5 @@ def test_the_world_does_not_depend_on_layout_or_timing():
 def test_invalid_street_settings_raise_an_error():
     with pytest.raises(SettingError, match="texture_deg: expected a number of at least 0 and below 90 deg"):
         StreetSettings(texture_deg=(0.0, 95.0))
-    with pytest.raises(SettingError, match=r"kerb_reflectance must lie in \[0, 1\], got 1.2"):
+    with pytest.raises(SettingError, match=r"kerb_reflectance: expected a number from 0 to 1, got 1.2"):
         StreetSettings(kerb_reflectance=1.2)

@@ -78,7 +78,7 @@ def test_reflectance_outside_its_limits_raises_an_error(make):
 
 
 def test_box_without_extent_raises_an_error():
-    with pytest.raises(SettingError, match="Box.length: expected a number above 0"):
+    with pytest.raises(SettingError, match=r"Box\.length: expected a number above 0"):
         Box(0, 0, 0.0, 1.0)
 
 
@@ -108,7 +108,9 @@ def test_layouts_by_name_by_mounts_and_by_mappings():
         layout("five")
     with pytest.raises(SettingError, match="sonar_layout has 0 mounts"):
         layout([])
-    with pytest.raises(SettingError, match=r"cone_deg of 'x' must lie in \(0, 180\) deg, got 180 deg"):
+    with pytest.raises(
+        SettingError, match=r"cone_deg of 'x': expected a number above 0 and below 180 deg, got 180 deg"
+    ):
         Mount("x", 0, 0, 0, 180.0)
 
 

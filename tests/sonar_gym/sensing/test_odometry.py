@@ -110,5 +110,5 @@ def test_settings_by_name_mapping_and_error():
     assert odometry({"scale": 0.1}) == OdometrySettings(scale=0.1)
     with pytest.raises(SettingError, match="odometry: expected one of exact, wheels, worn, got 'gps'"):
         odometry("gps")
-    with pytest.raises(SettingError, match=r"OdometrySettings.pull must be finite and >= 0, got -1"):
+    with pytest.raises(SettingError, match=r"OdometrySettings.pull: expected a number from 0 to 10, got -1"):
         OdometrySettings(pull=-1.0)
