@@ -5,9 +5,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TRIALS ?= 10
 WORKERS ?= 2
+FUZZ_SECONDS ?= 600
+EXAMPLES ?= 20
 ANNOUNCED := benchmarks/records/proof/announced.txt
 
-.PHONY: help demo test check install benchmarks judge proof firmware clean
+.PHONY: help demo test check audit fuzz install benchmarks judge proof firmware clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -32,6 +34,14 @@ check: $(STAMP)  ## lint, types and import contracts only
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
+
+audit: $(STAMP)  ## known vulnerabilities of the pinned dependencies (needs the network), and their licences
+	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
+	$(BIN)/pip-licenses --format markdown --order license
+
+fuzz: $(STAMP)  ## ten minutes of bad files, options and values; a failure prints what repeats it
+	@end=$$(( $$(date +%s) + $(FUZZ_SECONDS) )); while [ $$(date +%s) -lt $$end ]; do \
+		SONAR_GYM_FUZZ=$(EXAMPLES) $(BIN)/python -m pytest tests/fuzz -n 2 -q --hypothesis-seed=$$(date +%s) || exit 1; done
 
 benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
 	$(BIN)/python -m pytest benchmarks -m '' -q -s

@@ -24,6 +24,10 @@ class SettingError(SonarError, ValueError):
     """A setting lies outside its limits."""
 
 
+class UnknownFieldError(SettingError, TypeError):
+    """A setting, or a parameter of an effect, does not exist."""
+
+
 class ModelError(SonarError, ValueError):
     """The files or parameters of a model are invalid."""
 

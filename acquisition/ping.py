@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.errors import SettingError
+from acquisition.limits import as_numbers
 
 
 class EchoStatus(IntEnum):
@@ -29,9 +30,17 @@ class EchoStatus(IntEnum):
 _ECHO = int(EchoStatus.ECHO)  # looking up an enum member takes longer than comparing eight readings
 
 
-def _row(value: ArrayLike, n: int | None = None) -> Floats:
-    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    return np.ascontiguousarray(array if n is None else np.broadcast_to(array, (n,)))
+def _broadcast(name: str, array: Floats, n: int) -> Floats:
+    try:
+        return np.ascontiguousarray(np.broadcast_to(array, (n,)))
+    except ValueError:
+        raise SettingError(f"{name} has shape {array.shape}, expected {(n,)}: pass one value per ping") from None
+
+
+def _whole(name: str, row: Floats) -> Ints:
+    if not np.all(np.abs(row) < 2**53):  # also not NaN
+        raise SettingError(f"{name} must hold whole numbers: give the number of the run of each ping")
+    return row.astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -72,17 +81,19 @@ class Ping:
         >>> Ping.of(distance=[1.0, 2.0], angle=0.1).incidence
         array([0.1, 0.1])
         """
-        parts = [distance, angle, reflectance, run, *covariates.values()]
-        parts += [x for x in (incidence, time) if x is not None]
-        n = max(np.atleast_1d(np.asarray(x)).shape[0] for x in parts)
+        given = {"distance": distance, "angle": angle, "reflectance": reflectance, "run": run, **covariates}
+        given |= {name: x for name, x in (("incidence", incidence), ("time", time)) if x is not None}
+        short = {name: np.atleast_1d(as_numbers(f"Ping.{name}", x)) for name, x in given.items()}
+        n = max(x.shape[0] for x in short.values())
+        row = {name: _broadcast(f"Ping.{name}", x, n) for name, x in short.items()}
         return cls(
-            distance=_row(distance, n),
-            angle=_row(angle, n),
-            incidence=_row(angle if incidence is None else incidence, n),
-            reflectance=_row(reflectance, n),
-            time=np.arange(n, dtype=np.float64) if time is None else _row(time, n),
-            run=np.broadcast_to(np.atleast_1d(np.asarray(run, dtype=np.int64)), (n,)).copy(),
-            covariates={name: _row(value, n) for name, value in covariates.items()},
+            distance=row["distance"],
+            angle=row["angle"],
+            incidence=row.get("incidence", row["angle"]),
+            reflectance=row["reflectance"],
+            time=row.get("time", np.arange(n, dtype=np.float64)),
+            run=_whole("Ping.run", row["run"]),
+            covariates={name: row[name] for name in covariates},
         )
 
     def __post_init__(self) -> None:
@@ -93,9 +104,12 @@ class Ping:
             if value.shape != n or value.ndim != 1:
                 raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value per ping")
             # a finite sum of squares implies finite terms, and is one fast call: simulators build a Ping every step
-            if not math.isfinite(value @ value) and not np.all(np.isfinite(value)):
+            with np.errstate(over="ignore"):
+                finite = math.isfinite(value @ value)
+            if not finite:
                 raise SettingError(
-                    f"Ping.{name} holds a value that is not finite: give the true condition of every ping"
+                    f"Ping.{name} holds a value that is not finite, or is too large: give the true condition of every "
+                    "ping"
                 )
         if n[0] and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
@@ -132,9 +146,12 @@ class Reading:
         >>> Reading.of([0.0, 1.5]).echo
         array([False,  True])
         """
-        value = _row(range_)
-        code = np.where(value > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO) if status is None else np.asarray(status)
-        more = np.empty((len(value), 0)) if echoes is None else np.asarray(echoes, dtype=np.float64)
+        value = np.ascontiguousarray(np.atleast_1d(as_numbers("Reading.range", range_)))
+        own = np.where(value > 0, EchoStatus.ECHO, EchoStatus.NO_ECHO)
+        code = own if status is None else np.atleast_1d(as_numbers("Reading.status", status))
+        if not ((code >= 0) & (code <= max(EchoStatus))).all():
+            raise SettingError("Reading.status must hold values of EchoStatus: 0 no echo, 1 echo, 2 no answer")
+        more = np.empty((len(value), 0)) if echoes is None else as_numbers("Reading.echoes", echoes)
         return cls(value, code.astype(np.uint8), more)
 
     def __post_init__(self) -> None:

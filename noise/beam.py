@@ -7,15 +7,17 @@ and truncated at the true distance; a maximum-range reading, which a sonar repor
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE, from_numbers, plain_numbers
+from noise.schema import Resolution
 
 MIN_SIGMA = 1e-3  # m; keeps the likelihood of a hit bounded
 TINY = 1e-300
@@ -69,25 +71,22 @@ class BeamModel:
         max_range: range of the register's last step, m.
     """
 
-    hit: float = 0.8
-    short: float = 0.05
-    silent: float = 0.1
-    random: float = 0.05
-    sigma: float = 0.05
-    short_rate: float = 1.0
-    resolution: float = 0.001
-    max_range: float = MAX_RANGE
+    hit: Share = 0.8
+    short: Share = 0.05
+    silent: Share = 0.1
+    random: Share = 0.05
+    sigma: PositiveMetres = 0.05
+    short_rate: Annotated[float, Limit(0.0, 1e6, "1/m", open_low=True)] = 1.0
+    resolution: Resolution = 0.001
+    max_range: PositiveMetres = MAX_RANGE
     remembers: bool = False
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
         weights = (self.hit, self.short, self.silent, self.random)
-        if min(weights) < 0 or abs(sum(weights) - 1.0) > 1e-9:
-            raise SettingError(f"BeamModel: hit, short, silent, random must be >= 0 and sum to 1, got {weights}")
-        if self.sigma <= 0 or self.short_rate <= 0:
-            raise SettingError(
-                f"BeamModel.sigma and short_rate must be > 0, got {self.sigma:g} m and {self.short_rate:g} per m"
-            )
+        check_settings(self)
+        if abs(sum(weights) - 1.0) > 1e-9:
+            raise SettingError(f"BeamModel: hit, short, silent and random must sum to 1, got {weights}")
 
     @property
     def echo_weights(self) -> Floats:

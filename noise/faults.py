@@ -12,13 +12,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
+from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from noise.law import EchoLaw, Floats, UniformSource
 from noise.model import MAX_RANGE, SonarModel, StatefulModel, follow, listener
 
@@ -31,12 +32,11 @@ class Fault(ABC):
         rate: probability that a ping is affected, 0..1.
     """
 
-    rate: float = 0.0
+    rate: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Raise SettingError for an invalid rate."""
-        if not 0 <= self.rate <= 1:
-            raise SettingError(f"{type(self).__name__}.rate must lie in [0, 1], got {self.rate:g}")
+        """Raise SettingError for invalid values."""
+        check_settings(self)
 
     @abstractmethod
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
@@ -114,22 +114,11 @@ class CalibratedLaw(ReplacedLaw):
         return self.inner.between((low - self.offset) / self.scale, (high - self.offset) / self.scale)
 
 
-def _positive(fault: Fault, name: str, unit: str = " m") -> None:
-    value = getattr(fault, name)
-    if not (math.isfinite(value) and value > 0):
-        raise SettingError(f"{type(fault).__name__}.{name} must be > 0{unit}, got {value:g}{unit}")
-
-
 @dataclass(frozen=True)
 class Short(Fault):
     """SHORT: the reading is uniform up to `span` m, regardless of the target."""
 
-    span: float = MAX_RANGE
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        super().__post_init__()
-        _positive(self, "span")
+    span: PositiveMetres = MAX_RANGE
 
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
         """Return a uniform law."""
@@ -140,12 +129,7 @@ class Short(Fault):
 class Noise(Fault):
     """NOISE: echoes have normal errors of standard deviation `sigma` m; pings without an echo are unchanged."""
 
-    sigma: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        super().__post_init__()
-        _positive(self, "sigma")
+    sigma: PositiveMetres = 0.1
 
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
         """Return a wide normal law."""
@@ -156,12 +140,7 @@ class Noise(Fault):
 class Constant(Fault):
     """CONSTANT: the reading is `value` m, rounded to the register, regardless of the target."""
 
-    value: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        super().__post_init__()
-        _positive(self, "value")
+    value: PositiveMetres = 1.0
 
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
         """Return the law of a constant reading."""
@@ -178,16 +157,9 @@ class Calibration(Fault):
         drift: change of the offset with the time of the ping, m/s.
     """
 
-    scale: float = 1.0
-    offset: float = 0.0
-    drift: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        super().__post_init__()
-        _positive(self, "scale", "")
-        if not (math.isfinite(self.offset) and math.isfinite(self.drift)):
-            raise SettingError(f"Calibration needs finite offset and drift, got {self.offset:g} m, {self.drift:g} m/s")
+    scale: Annotated[float, Limit(0.0, 1000.0, open_low=True)] = 1.0
+    offset: Annotated[float, Limit(-1000.0, 1000.0, "m")] = 0.0
+    drift: Annotated[float, Limit(-1000.0, 1000.0, "m/s")] = 0.0
 
     def law(self, law: EchoLaw, ping: Ping) -> EchoLaw:
         """Return the scaled and shifted law."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from acquisition import ModelError, Ping, Reading, SettingError, previous
+from acquisition import ModelError, Ping, Reading, previous
+from acquisition.limits import Limit, Metres, PositiveMetres, Share, check_settings
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, UniformSource
+from noise.schema import Resolution
 
 MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
 
@@ -132,9 +134,13 @@ class IdealModel:
     array([1., 1.])
     """
 
-    resolution: float = 0.001
-    max_range: float = MAX_RANGE
+    resolution: Resolution = 0.001
+    max_range: PositiveMetres = MAX_RANGE
     remembers: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for invalid values."""
+        check_settings(self)
 
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the deterministic law of n pings."""
@@ -163,19 +169,16 @@ class GaussianModel:
         max_range: range beyond which there is no echo, m.
     """
 
-    sigma: float = 0.01
-    sigma_per_metre: float = 0.005
-    miss: float = 0.0
-    resolution: float = 0.001
-    max_range: float = MAX_RANGE
+    sigma: Metres = 0.01
+    sigma_per_metre: Annotated[float, Limit(0.0, 10.0, "m per m")] = 0.005
+    miss: Share = 0.0
+    resolution: Resolution = 0.001
+    max_range: PositiveMetres = MAX_RANGE
     remembers: bool = False
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
-        if self.sigma < 0 or self.sigma_per_metre < 0:
-            raise SettingError(f"GaussianModel.sigma must be >= 0 m, got {self.sigma:g} m")
-        if not 0 <= self.miss <= 1:
-            raise SettingError(f"GaussianModel.miss must lie in [0, 1], got {self.miss:g}")
+        check_settings(self)
 
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the law of n pings."""

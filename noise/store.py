@@ -10,11 +10,14 @@ import importlib
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from acquisition import ModelError, UnknownModelError
-from acquisition.io.files import whole_folder
+from acquisition import ModelError, SonarError, UnknownModelError
+from acquisition.io.files import is_folder, whole_folder
+from acquisition.io.schema import read_json
+from acquisition.limits import Loadable, near, shown
 from noise.model import SonarModel
+from noise.schema import Model
 
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
@@ -52,15 +55,27 @@ def load_model(name: str | os.PathLike[str]) -> SonarModel:
         UnknownModelError: neither a known name nor a folder.
         ModelError: the folder does not contain a model that this version can read.
     """
+    if not isinstance(name, str | os.PathLike):
+        raise UnknownModelError(f"model: expected a name or the path of a folder, got {shown(name)}")
     if str(name) in BUILT_IN:
         module, attribute = BUILT_IN[str(name)]
         return getattr(importlib.import_module(module), attribute)()
-    shipped = WEIGHTS / str(name)
-    folder = shipped if (shipped / "model.json").is_file() else Path(name)
-    if not folder.is_dir():
+    folder = WEIGHTS / str(name) if str(name) in model_names() else Path(name)
+    if not is_folder(folder):
         known = ", ".join(model_names())
-        raise UnknownModelError(f"model {str(name)!r}: no such name or folder; known names: {known}")
-    return _of_kind(folder, _read(folder))
+        raise UnknownModelError(
+            f"model {str(name)!r}: no such name or folder{near(name, model_names())}; known names: {known}"
+        )
+    data = _read(folder)
+    try:
+        return _of_kind(folder, data)
+    except (SonarError, ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        # the schema fits, but the parts do not fit each other
+        where = "" if str(folder) in str(error) else f"{folder / 'model.json'}: "
+        raise ModelError(f"{where}{error}") from None
+
+
+ModelName = Annotated[str, Loadable(load_model)]  # of settings: a name or a folder
 
 
 def _of_kind(folder: Path, data: Any) -> SonarModel:
@@ -77,14 +92,9 @@ def _of_kind(folder: Path, data: Any) -> SonarModel:
 
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / "model.json"
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ModelError(f"{folder}: contains no model.json; give the folder of a saved model") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: not a model file ({error}); it may be damaged") from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("kind") not in KINDS:
-        raise ModelError(f"{path}: not a model of format {FORMAT} and kind {', '.join(KINDS)}")
+    data = read_json(path, Model)
+    if "format" not in data:
+        raise ModelError(f"{path}: has no format, expected {FORMAT}; it is of another version")
     return data
 
 

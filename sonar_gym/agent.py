@@ -8,14 +8,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from acquisition import ModelError, UnknownModelError
 from acquisition.arrays import Ints, Singles
-from acquisition.io.files import whole_folder
+from acquisition.io.files import is_folder, whole_folder
+from acquisition.io.schema import Schema, read_json
+from acquisition.limits import Limit, near
 from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
+from noise.schema import Sizes
 from sonar_gym.control.memory import MemorySettings, Observation, ObservationMemory
 
 Layer = tuple[Singles, Singles]
@@ -25,6 +29,27 @@ WEIGHTS = Path(__file__).parent / "weights"
 DESCRIPTION = "agent.json"
 ACTIONS = 2
 ONE = np.zeros(1, dtype=np.int64)  # row index of a single car
+
+
+class MemorySchema(Schema):
+    """Schema of the settings of the observation memory."""
+
+    lags: Annotated[int, Limit(1, 64)]
+    behind: Annotated[float, Limit(0.0, 5.0, "m")]
+    ahead: Annotated[float, Limit(0.0, 5.0, "m")]
+    coarse: Annotated[int, Limit(1, 1024)]
+    credence: bool
+
+
+class AgentSchema(Schema):
+    """Schema of agent.json."""
+
+    format: Literal[1]
+    kind: Literal["parking-agent"]
+    sizes: Sizes
+    repeat: Annotated[int, Limit(1, 1000)]
+    memory: MemorySchema
+    about: dict[str, Any] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,26 +125,10 @@ class Policy:
             ModelError: the folder is damaged or does not contain an agent.
         """
         folder = Path(folder)
-        description = _read_description(folder / DESCRIPTION)
-        try:
-            memory, repeat = MemorySettings(**description["memory"]), int(description["repeat"])
-            sizes = list(map(int, description["sizes"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"{folder / DESCRIPTION}: does not describe an agent ({error}); retrain it") from None
+        description = read_json(folder / DESCRIPTION, AgentSchema)
+        memory, repeat, sizes = MemorySettings(**description["memory"]), description["repeat"], description["sizes"]
         tensors, card = read_tensors(folder, shapes_of(sizes))
         return cls(layers_of(tensors, len(sizes) - 1), memory, repeat, description.get("about", {}), card)
-
-
-def _read_description(path: Path) -> dict[str, Any]:
-    try:
-        description = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ModelError(f"{path.parent}: contains no {DESCRIPTION}; give the folder of a saved agent") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: cannot be read as JSON ({error}); the file is damaged") from None
-    if not isinstance(description, dict) or description.get("format") != FORMAT or description.get("kind") != KIND:
-        raise ModelError(f"{path}: is not an agent of format {FORMAT}; it has another kind or another format version")
-    return description
 
 
 class VectorAgent:
@@ -190,10 +199,10 @@ def load_policy(name: str | os.PathLike[str]) -> Policy:
         UnknownModelError: `name` is neither a shipped agent nor a folder.
         ModelError: the folder does not contain an agent that this version can read.
     """
-    shipped = WEIGHTS / str(name)
-    folder = shipped if (shipped / DESCRIPTION).is_file() else Path(name)
-    if not folder.is_dir():
-        raise UnknownModelError(f"agent {str(name)!r}: no such name or folder; known names: {', '.join(agent_names())}")
+    folder = WEIGHTS / str(name) if str(name) in agent_names() else Path(name)
+    if not is_folder(folder):
+        hint = near(name, agent_names()) or f"; known names: {', '.join(agent_names())}"
+        raise UnknownModelError(f"agent {str(name)!r}: no such name or folder{hint}")
     return Policy.load(folder)
 
 

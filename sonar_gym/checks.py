@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
 from acquisition import SettingError
+from acquisition.errors import UnknownFieldError
+from acquisition.limits import near, shown
 
 Settings = TypeVar("Settings")
 
@@ -25,7 +26,7 @@ def settings_of(cls: type[Settings], given: Any) -> Settings:
         except TypeError as error:  # a missing field, or a value of a wrong type
             raise SettingError(f"{cls.__name__}: {error}") from None
     if not isinstance(given, cls):
-        raise SettingError(f"expected {cls.__name__} or a mapping of its fields, got a {type(given).__name__}")
+        raise SettingError(f"expected {cls.__name__} or a mapping of its fields, got {shown(given)}")
     return given
 
 
@@ -34,14 +35,6 @@ def check_fields(cls: type, given: Iterable[str]) -> None:
     known = [field.name for field in fields(cls)]
     for name in given:
         if name not in known:
-            raise SettingError(f"{cls.__name__}: unknown field {name!r}; expected {', '.join(known)}")
-
-
-def check_finite(settings: Any) -> None:
-    """Raise SettingError for a field that is no finite number, or has a member that is none; others are not checked."""
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        members = value if isinstance(value, (tuple, list)) else (value,)
-        for member in members:
-            if isinstance(member, (int, float)) and not math.isfinite(member):
-                raise SettingError(f"{type(settings).__name__}.{field.name} must be finite, got {member}")
+            raise UnknownFieldError(
+                f"{cls.__name__}: unknown field {name!r}; expected {', '.join(known)}{near(name, known)}"
+            )

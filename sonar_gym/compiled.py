@@ -7,12 +7,14 @@ than the newest source file with kernels is removed on import.
 
 from __future__ import annotations
 
+import tempfile
 import time
+import warnings
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from numba import njit
+from numba import config, njit
 
 PACKAGE = Path(__file__).parent
 
@@ -46,5 +48,34 @@ def _modified(files: Iterable[Path]) -> list[float]:
     return found
 
 
+def use_temporary_cache() -> tempfile.TemporaryDirectory[str] | None:
+    """Let Numba write its cache to a private temporary folder where it can write to no other, and warn.
+
+    The folder is new for each process and removed at its end: Numba runs what it finds in its cache, so the folder must
+    not be one that another user can prepare.
+
+    Returns:
+        The folder, None if it is not needed.
+    """
+    try:
+        njit(cache=True)(_probe)
+    except RuntimeError:  # "cannot cache function: no locator available"
+        folder = tempfile.TemporaryDirectory(prefix="sonar-gym-numba-")
+        config.CACHE_DIR = folder.name  # type: ignore[attr-defined]
+        warnings.warn(
+            f"neither {PACKAGE} nor the home folder can be written: kernels are compiled again at every start, which "
+            "takes a minute; set NUMBA_CACHE_DIR to a folder of your own to keep them",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return folder
+    return None
+
+
+def _probe() -> int:
+    return 0
+
+
 drop_stale(PACKAGE)
+TEMPORARY_CACHE = use_temporary_cache()
 compiled = njit(cache=True, nogil=True)

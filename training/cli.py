@@ -10,8 +10,11 @@ from typing import Any
 
 import tyro
 
-from acquisition import MissingExtraError, SonarError
+from acquisition import MissingExtraError, SettingError
+from acquisition.io.places import check_places
+from acquisition.limits import check_settings, near, shown
 from acquisition.name_check import check_noise
+from training.common.door import door, parsing
 
 # subcommand -> (module below `training` with `Args` and `main(args)`, summary). A module is imported only when its
 # command runs, so that recording on a small machine needs none of the heavy packages.
@@ -43,40 +46,47 @@ COMMANDS = {
     "judge": ("diagnosis.judging.command", "measure the diagnosis on labelled trials and on real recordings"),
     "fit-decision": ("diagnosis.judging.fit_command", "fit the probabilities of causes on labelled trials"),
 }
-USAGE_ERROR, INTERRUPTED = 2, 130
+FOOT = "`sonar-gym COMMAND --help` lists the options of each; --debug shows the traceback of a failure."
+DEBUG = "--debug"  # of every command: shows the traceback of a failure
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run one subcommand. An error that the user can correct is one line on stderr and exit code 2."""
-    argv = list(sys.argv[1:] if argv is None else argv)
-    if not argv or argv[0] in ("-h", "--help"):
-        print(overview())
-    elif argv[0] == "--version":
-        print(f"sonar-gym {version('sonar-gym')}")
-    elif argv[0] not in COMMANDS:
-        _stop(f"{argv[0]!r} is not a command. Commands: {', '.join(COMMANDS)}. See `sonar-gym --help`")
-    else:
-        _run(argv[0], argv[1:])
+    """Run one subcommand. A failure is one line on stderr; exit code 2 if the user can correct it, else 1."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    argv = [word for word in given if word != DEBUG]
+    with door(given, debug=DEBUG in given):
+        if not argv or argv[0] in ("-h", "--help"):
+            print(overview())
+        elif argv[0] == "--version":
+            print(f"sonar-gym {version('sonar-gym')}")
+        elif argv[0] not in COMMANDS:
+            hint = near(argv[0], COMMANDS) or f"; commands: {', '.join(COMMANDS)}"
+            raise SettingError(f"{shown(argv[0])} is not a command{hint} See `sonar-gym --help`")
+        else:
+            _run(argv[0], argv[1:])
 
 
 def overview() -> str:
     """Return the help text: one line per command."""
     lines = [f"  {name:<19} {summary}" for name, (_, summary) in COMMANDS.items()]
     head = "sonar-gym: realistic sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]\n\ncommands:"
-    return "\n".join([head, *lines, "\n`sonar-gym COMMAND --help` lists the options of each."])
+    return "\n".join(
+        [
+            head,
+            *lines,
+            "\n" + FOOT,
+        ]
+    )
 
 
 def _run(name: str, argv: Sequence[str]) -> None:
-    try:
-        check_noise()
-        module = _load(name)
+    check_noise()
+    module = _load(name)
+    with parsing(name):
         args = tyro.cli(module.Args, prog=f"sonar-gym {name}", description=module.__doc__, args=argv)
-        module.main(args)
-    except SonarError as error:
-        _stop(str(error))
-    except KeyboardInterrupt:
-        print("sonar-gym: interrupted; all files written so far are complete", file=sys.stderr)
-        raise SystemExit(INTERRUPTED) from None
+    check_settings(args, lambda field: f"--{field.replace('_', '-')}")
+    check_places(args)
+    module.main(args)
 
 
 def _load(name: str) -> Any:  # a module with Args and main
@@ -85,11 +95,6 @@ def _load(name: str) -> Any:  # a module with Args and main
     except ModuleNotFoundError as error:
         hint = "pip install 'sonar-gym[all]'"
         raise MissingExtraError(f"`sonar-gym {name}` needs the package {error.name!r}: {hint}") from None
-
-
-def _stop(message: str) -> None:
-    print(f"sonar-gym: {' '.join(message.split())}", file=sys.stderr)
-    raise SystemExit(USAGE_ERROR)
 
 
 if __name__ == "__main__":

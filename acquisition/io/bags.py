@@ -26,6 +26,7 @@ import pandas as pd
 from acquisition.arrays import Bits, Floats
 from acquisition.errors import MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.io.recording import Recording
+from acquisition.io.tables import read_text_table
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 RANGE_TYPE = "sensor_msgs/msg/Range"
@@ -180,12 +181,7 @@ def read_table(path: Path, first_stamp: float) -> TimeSeries:
         RecordingNotFoundError: the file does not exist.
         RecordingError: a column is missing, a value is not a number, or time does not increase.
     """
-    if not path.is_file():
-        raise RecordingNotFoundError(f"{path}: no such file; give a CSV with time_s and distance_m")
-    try:
-        table = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig")
-    except (pd.errors.EmptyDataError, pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not a table of comma-separated values: {str(error).strip()}") from None
+    table = read_text_table(path)
     time = next((name for name in TIME_COLUMNS if name in table), None)
     known = [name for name in TRUTH_COLUMNS if name in table]
     if time is None or not known:

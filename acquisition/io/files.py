@@ -34,6 +34,14 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
     return path
 
 
+def is_folder(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a folder; False also for text that cannot be a path."""
+    try:
+        return Path(path).is_dir()
+    except (OSError, ValueError):  # too long, or with a null character
+        return False
+
+
 def write_text(path: Path, text: str) -> Path:
     """Write text atomically."""
     return write_atomic(path, lambda file: file.write(text))

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
+from acquisition.errors import RecordingError, SettingError
 from acquisition.io.recording import ECHO_COLUMN, TEXT, Recording
+from acquisition.io.tables import COMMAS, Dialect, read_text_table
+from acquisition.limits import near
 
 MICROSECONDS_PER_CM = 58.0  # round trip; the constant in the data sheets of the HC-SR04 family
 UNITS: Mapping[str, float] = {  # factor to the unit in the name of the recording's column
@@ -92,6 +94,7 @@ def import_table(
     constants: Mapping[str, float | str],
     no_echo: float | None = None,
     skip_bad_rows: bool = False,
+    dialect: Dialect = COMMAS,
 ) -> Recording:
     """Read a CSV log of another program as a recording.
 
@@ -101,22 +104,19 @@ def import_table(
         constants: columns with one value in all rows.
         no_echo: value, in the log's unit, that means no echo in addition to 0.
         skip_bad_rows: omit faulty rows (listed in `rejected`) instead of rejecting the file.
+        dialect: delimiter and decimal point of the file.
 
     Raises:
         RecordingNotFoundError: the file does not exist.
         RecordingError: a mapped column is missing, or a value violates the format; the message names the place.
     """
     path = Path(path)
-    if not path.is_file():
-        raise RecordingNotFoundError(f"{path}: no such file; give the path of a CSV file")
-    try:
-        log = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig")
-    except (pd.errors.EmptyDataError, pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not a table of comma-separated values: {str(error).strip()}") from None
+    log = read_text_table(path, dialect, number_twins=True)
     for mapping in columns:
         if mapping.source not in log.columns:
             found = ", ".join(log.columns)
-            raise RecordingError(f"{path}, line 1: column {mapping.source!r} is missing, found {found}")
+            hint = near(mapping.source, log.columns)
+            raise RecordingError(f"{path}, line 1: column {mapping.source!r} is missing, found {found}{hint}")
     table = pd.DataFrame({m.name: _column(log[m.source], m, no_echo) for m in columns})
     table = table.assign(**constants)
     named = [c for c in map(str, log.columns) if not c.startswith("Unnamed: ")]  # pandas' name for an empty header

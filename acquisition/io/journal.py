@@ -160,6 +160,8 @@ def _open(path: Path, resume: bool) -> int:
     try:
         with contextlib.suppress(FileExistsError):  # a file at the folder's path: os.open reports it better
             path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not path.is_file():  # reading /dev/full would never end
+            raise RecordingError(f"{path}: is no file on a disk; give another path")
         handle = os.open(path, flags, 0o644)
         sync_folder(path.parent)
         return handle

@@ -7,7 +7,6 @@ complete numeric column is a covariate.
 
 from __future__ import annotations
 
-import io
 import os
 import re
 from collections.abc import Sequence
@@ -20,8 +19,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from acquisition.errors import RecordingError, RecordingNotFoundError
+from acquisition.errors import RecordingError
 from acquisition.io.files import write_atomic
+from acquisition.io.tables import parse_table, read_bytes
 from acquisition.ping import EchoStatus, Ping, Reading, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
@@ -29,6 +29,7 @@ TEXT = ("session", "sensor")
 CONDITION = ("time_s", "distance_mm", "angle_deg", "incidence_deg", "reflectance")
 ECHO_COLUMN = re.compile(r"echo_(?:[2-9]|1[0-7])_mm")
 LIMITS = {
+    "time_s": (-1e12, 1e12),
     "distance_mm": (0.0, 100_000.0),
     "angle_deg": (-180.0, 180.0),
     "incidence_deg": (-180.0, 180.0),
@@ -36,6 +37,7 @@ LIMITS = {
     "reading_mm": (0.0, 1_700_000.0),  # any 16-bit count, also in inches: transmission errors can set every bit
 }
 MM, DEG = 1e-3, np.pi / 180.0
+MAX_COVARIATE = 1e100  # larger numbers are text: their squares overflow
 MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
 
 
@@ -89,31 +91,10 @@ def unfinished_path(path: Path) -> Path:
     return path.with_name(path.name + ".unfinished")
 
 
-def _complete_lines(path: Path) -> Path | io.BytesIO:
-    """Return the file or, for an unfinished session, its complete lines: a power cut may have truncated the last."""
-    if not unfinished_path(path).exists():
-        return path
-    data = path.read_bytes()
-    return io.BytesIO(data[: data.rfind(b"\n") + 1])
-
-
 def _read_text(path: Path) -> pd.DataFrame:
-    if not path.exists():
-        raise RecordingNotFoundError(f"{path}: no such file; give the path of a recording (CSV, one row per ping)")
-    if path.is_dir():
-        raise RecordingError(f"{path}: is a folder, expected a recording (CSV, one row per ping)")
-    try:
-        return pd.read_csv(
-            _complete_lines(path), dtype=str, keep_default_na=False, skipinitialspace=True, encoding="utf-8-sig"
-        )
-    except pd.errors.EmptyDataError:
-        raise RecordingError(
-            f"{path}, line 1: the file is empty, expected a header with {', '.join(REQUIRED)}"
-        ) from None
-    except pd.errors.ParserError as error:
-        raise RecordingError(f"{path}: not a table of comma-separated values: {str(error).strip()}") from None
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not UTF-8 text (byte {error.start}); expected a CSV file") from None
+    """Return the fields of a file; of an unfinished session, only of complete lines: a power cut may end any."""
+    data = read_bytes(path)
+    return parse_table(data[: data.rfind(b"\n") + 1] if unfinished_path(path).exists() else data, str(path))
 
 
 def _check_header(name: str, columns: Sequence[str]) -> None:
@@ -229,18 +210,16 @@ class Recording:
         angle = self.table["angle_deg"].to_numpy() * DEG
         column = self.table.get
         table = self._with_interval()
-        return Ping.of(
+        ping = Ping.of(
             distance=self.table["distance_mm"].to_numpy() * MM,
             angle=angle,
             incidence=angle if not self.has("incidence_deg") else self.table["incidence_deg"].to_numpy() * DEG,
             reflectance=column("reflectance", pd.Series(1.0, self.table.index)).to_numpy(),
             time=column("time_s", pd.Series(np.arange(len(self)), dtype=np.float64)).to_numpy(),
             run=self.run,
-            **{
-                name: table[name].to_numpy()
-                for name in (*self.covariates, *table.columns.difference(self.table.columns))
-            },
         )
+        names = (*self.covariates, *table.columns.difference(self.table.columns))
+        return replace(ping, covariates={name: table[name].to_numpy(np.float64) for name in names})
 
     @cached_property
     def reading(self) -> Reading:
@@ -335,6 +314,6 @@ def _convert(file: str, text: pd.DataFrame) -> tuple[pd.DataFrame, list[RowFault
             columns[name] = number
         else:
             empty = text[name] == ""
-            is_number = name not in TEXT and not empty.all() and bool(np.isfinite(number[~empty]).all())
+            is_number = name not in TEXT and not empty.all() and bool((number[~empty].abs() <= MAX_COVARIATE).all())
             columns[name] = number if is_number else text[name]
     return pd.DataFrame(columns), sorted(faults, key=lambda fault: fault.line)

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby, product
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 
 from acquisition.errors import SettingError
+from acquisition.limits import Limit, Seed, check_settings, check_value, near, shown
 from acquisition.ping import Ping
 from acquisition.survey.quantities import CONDITION_QUANTITIES, QUANTITIES, SWEEPS
 
 Order = Literal["random", "walk", "grid"]
 # quantities from the most to the least laborious to change; distance comes last, alternately up and down
 WALK_LEVELS = (*(n for n, q in SWEEPS.items() if q.by_hand), "reflectance", "angle_deg", "incidence_deg")
-LIMITS = {"pings": (1, 1_000_000), "interval_s": (0.0, 3600.0), "move_s": (0.0, 86_400.0)}
 MAX_CONDITIONS = 1_000_000
 
 
@@ -79,27 +80,27 @@ class SurveyPlan:
     angles_deg: tuple[float, ...]
     distances_mm: tuple[float, ...]
     reflectances: tuple[float, ...] = (0.1, 0.9)
-    pings: int = 50
-    interval_s: float = 2.4
-    move_s: float = 20.0
+    pings: Annotated[int, Limit(1, 1_000_000)] = 50
+    interval_s: Annotated[float, Limit(0.0, 3600.0, "s")] = 2.4
+    move_s: Annotated[float, Limit(0.0, 86_400.0, "s")] = 20.0
     facing: bool = False
     incidences_deg: tuple[float, ...] = ()
     order: Order = "random"
-    seed: int = 0
+    seed: Seed = 0
     sweep: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raise SettingError for an empty plan and for values outside their limits."""
+        check_settings(self, lambda field: field)
+        if not isinstance(self.sweep, Mapping):
+            raise SettingError(f"sweep: expected quantities with their values, got {shown(self.sweep)}")
         if min(len(self.angles_deg), len(self.distances_mm), len(self.reflectances)) < 1:
             raise SettingError("a plan needs at least one angle, distance and reflectance")
-        for name, (low, high) in LIMITS.items():
-            if not low <= getattr(self, name) <= high:
-                raise SettingError(f"{name}: expected a number from {low:g} to {high:g}, got {getattr(self, name):g}")
-        if self.order not in get_args(Order):
-            raise SettingError(f"order: expected one of {', '.join(get_args(Order))}, got {self.order!r}")
         for name in self.sweep:
             if name not in SWEEPS:
-                raise SettingError(f"sweep.{name}: no such quantity, expected one of {', '.join(SWEEPS)}")
+                expected = f"{', '.join(SWEEPS)}{near(name, SWEEPS)}"
+                raise SettingError(f"sweep.{name}: no such quantity, expected one of {expected}")
+            check_value(f"sweep.{name}", self.sweep[name], tuple[float, ...])
         for key, column, values in self._axes():
             _check_axis(key, column, values)
         if len(self) > MAX_CONDITIONS:
@@ -134,7 +135,7 @@ class SurveyPlan:
     def __len__(self) -> int:
         """Return the number of conditions."""
         axes = (self.angles_deg, self.distances_mm, self.reflectances, *self.sweep.values())
-        return int(np.prod([len(axis) for axis in axes])) * max(len(self.incidences_deg), 1)
+        return math.prod(len(axis) for axis in axes) * max(len(self.incidences_deg), 1)
 
     @property
     def seconds(self) -> float:

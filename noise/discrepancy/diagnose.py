@@ -6,15 +6,17 @@ import os
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
 from acquisition import Recording, SettingError
+from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.evidence import Evidence
-from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
+from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, check_conditions, warnings_of
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.held_out import crps, held_out
 from noise.discrepancy.judge.shares import Shares, shares
@@ -112,10 +114,12 @@ def diagnose(
         RecordingError: the recording holds no answered ping.
         SettingError: `without` names an unknown effect, or an input has a wrong type.
     """
-    unknown = [name for name in without if name not in CATALOGUE]
-    if unknown:
-        raise SettingError(f"without: {unknown[0]!r} is not in the catalogue: {', '.join(CATALOGUE)}")
+    check_value("without", without, tuple[Annotated[str, OneOf(CATALOGUE)], ...])
+    check_value("seed", seed, Seed)
+    if progress is not None and not callable(progress):
+        raise SettingError(f"progress: expected a function (message, share), got {shown(progress)}")
     recorded = as_recording(recording)
+    check_conditions(recorded)
     data = _prepared(
         model, recorded, None if simulated is None else as_recording(simulated, "simulation"), seed, progress
     )

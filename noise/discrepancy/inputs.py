@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from acquisition import Ping, Reading, Recording, SettingError
+from acquisition import Ping, Reading, Recording, RecordingError, SettingError
 from acquisition.arrays import Floats
 from noise.model import SonarModel
 from noise.store import load_model
@@ -18,6 +18,7 @@ Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 Progress = Callable[[str, float], None]
 MIN_RANGE_MM = 20.0  # least range of an HC-SR04 by its data sheet; no ultrasonic ranger here measures less
 MAX_RATIO_ERROR = 0.15  # relative deviation of reading / distance from a power of ten; more than any scale error
+MIN_CONDITIONS = 5  # as many as `name.folds` deals at a time
 MIN_OVERLAP = 0.5  # share of recorded pings within the simulated conditions, below which a warning is due
 
 
@@ -59,6 +60,20 @@ def as_model(given: Any) -> SonarModel | Simulator:
     raise SettingError(
         f"model: is a {type(given).__name__}, expected a name, a folder, a SonarModel or a function (pings, rng)"
     )
+
+
+def check_conditions(recording: Recording) -> None:
+    """Check that a recording has enough conditions for two folds and an unseen part.
+
+    Raises:
+        RecordingError: fewer than `MIN_CONDITIONS` conditions have an answered ping.
+    """
+    found = len(np.unique(recording.condition[recording.reading.answered]))
+    if found < MIN_CONDITIONS:
+        raise RecordingError(
+            f"{recording.name}: has answered pings under {found} different conditions (distance, angle, reflectance), "
+            f"a diagnosis needs {MIN_CONDITIONS} or more; record more distances"
+        )
 
 
 def warnings_of(recorded: Recording, simulated: Recording | None = None) -> tuple[str, ...]:

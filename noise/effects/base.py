@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition import SettingError
+from acquisition.errors import UnknownFieldError
+from acquisition.limits import Limit, check_number, near
 from noise.effects.state import State, number
 
 NEAR, NEAR_M = 0.1, 0.05  # tolerance of the target's own echoes: share of the distance, plus m; chosen here
@@ -116,13 +118,14 @@ class Effect(ABC):
         """Set parameters by name; the others take their null values.
 
         Raises:
-            TypeError: unknown parameter.
+            UnknownFieldError: unknown parameter.
             SettingError: a value outside its bounds.
         """
         known = {p.name: p for p in self.parameters}
         for name, value in values.items():
             if name not in known:
-                raise TypeError(f"{self.name} has no parameter {name!r}; it has {', '.join(known)}")
+                hint = near(name, known)
+                raise UnknownFieldError(f"{self.name} has no parameter {name!r}; it has {', '.join(known)}{hint}")
             _check_bounds(self.name, known[name], value)
         for p in self.parameters:
             setattr(self, p.name, number(values.get(p.name, p.null)))
@@ -156,6 +159,8 @@ class Effect(ABC):
 
 
 def _check_bounds(effect: str, p: Parameter, value: float | Tensor) -> None:
+    if not isinstance(value, Tensor):
+        check_number(f"{effect}.{p.name}", value, Limit(unit=p.unit))
     plain = float(value.detach()) if isinstance(value, Tensor) else float(value)
     slack = 1e-9 * (p.high - p.low)
     inside = p.low - slack <= plain <= p.high + slack

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, log_expit, logit
 
-from acquisition import EchoStatus, Reading, SettingError
+from acquisition import EchoStatus, Reading
+from acquisition.limits import Limit, PositiveMetres, check_settings
 from noise.law import EchoLaw, Floats, UniformSource
 from noise.learned.inputs import FeatureBatch
+from noise.schema import Resolution
 
 FLOOR = 1e-5  # smallest probability of each outcome
 # as integers, since looking up a member of an enum takes longer than drawing eight numbers
@@ -120,20 +123,17 @@ class Head:
         fails: whether the network has an output for the probability of no answer.
     """
 
-    near: int
-    fixed: int
-    resolution: float
-    max_range: float
-    no_answer: float = 0.0
-    anchored: int = 0
+    near: Annotated[int, Limit(1, 1024)]
+    fixed: Annotated[int, Limit(0, 1024)]
+    resolution: Resolution
+    max_range: PositiveMetres
+    no_answer: Annotated[float, Limit(0.0, 1.0, open_high=True)] = 0.0
+    anchored: Annotated[int, Limit(0, 1024)] = 0
     fails: bool = False
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
-        if self.near < 1 or self.fixed < 0 or self.anchored < 0:
-            raise SettingError(f"Head needs at least one near component, got {self.near} near and {self.fixed} fixed")
-        if not 0 <= self.no_answer < 1:
-            raise SettingError(f"Head.no_answer must lie in [0, 1), got {self.no_answer:g}")
+        check_settings(self)
 
     @property
     def components(self) -> int:

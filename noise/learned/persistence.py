@@ -16,8 +16,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from acquisition import Ping, Reading, SettingError
+from acquisition import Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.limits import PositiveMetres, Share, check_settings
 from noise.law import EchoLaw
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(64)  # of an average over g
@@ -39,18 +40,14 @@ class Persistence:
         length_m: correlation length of the other part, m of movement of the reflector relative to the sensor.
     """
 
-    detection: float
-    range: float
-    lasting: float = LASTING
-    length_m: float = LENGTH_M
+    detection: Share
+    range: Share
+    lasting: Share = LASTING
+    length_m: PositiveMetres = LENGTH_M
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
-        for name in ("detection", "range", "lasting"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise SettingError(f"Persistence.{name} must lie in [0, 1], got {getattr(self, name):g}")
-        if not 0.0 < self.length_m < np.inf:
-            raise SettingError(f"Persistence.length_m must be > 0 m, got {self.length_m:g} m")
+        check_settings(self)
 
     def to_dict(self) -> dict[str, float]:
         """Return plain data."""

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from acquisition import ModelError, Ping, Reading
 from acquisition.arrays import Floats
+from acquisition.io.schema import read_json
 from noise.learned.networks import dense
 from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 from noise.model import steps
+from noise.schema import Credence
 
 ABOUT_FILE = "credence.json"
 N_FEATURES = 7  # per reading
@@ -138,20 +140,9 @@ class RecentCredence:
             ModelError: the folder contains no learned credence, or a damaged one.
         """
         path = Path(folder) / ABOUT_FILE
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-            depth, sizes = int(data["depth"]), [int(size) for size in data["sizes"]]
-        except FileNotFoundError:
-            raise ModelError(f"{folder}: contains no {ABOUT_FILE}; give the folder of a learned credence") from None
-        except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"{path}: does not describe a learned credence ({error}); it may be damaged") from None
-        if (
-            data.get("format") != FORMAT
-            or len(sizes) < 2
-            or sizes[0] != depth * N_FEATURES
-            or sizes[-1] != 1
-            or depth < 1
-        ):
+        data = read_json(path, Credence)
+        depth, sizes = data["depth"], data["sizes"]
+        if sizes[0] != depth * N_FEATURES or sizes[-1] != 1:
             raise ModelError(f"{path}: layers {sizes} do not map {depth} readings to one output; train the model again")
         tensors, card = read_tensors(Path(folder), shapes_of(sizes))
         return cls(depth, layers_of(tensors, len(sizes) - 1), data.get("about", {}), card)

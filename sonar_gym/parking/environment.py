@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
+from acquisition.limits import SEEDS, as_numbers, check_number
 from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
 from sonar_gym.parking.street import Street, StreetSettings
 from sonar_gym.parking.vehicle import Car, CarSettings
@@ -186,6 +187,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a street and place the car at its start; `options` fixes what is normally random."""
         self.fleet.checked(options)
+        if seed is not None:
+            check_number("seed", seed, SEEDS, whole=True)
         super().reset(seed=seed)
         if seed is not None or not self._streams_seeded:
             self.fleet.seed(self.np_random_seed if seed is None else seed)
@@ -207,7 +210,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
             raise gymnasium.error.ResetNeeded(f"SonarParking-v0: {call}() before the first reset(); call reset() first")
 
     def _valid_action(self, action: ArrayLike) -> NDArray[np.float64]:
-        value = np.asarray(action, dtype=np.float64)
+        value = as_numbers("action", action)
         if value.shape != (2,):
             raise SettingError(f"action has shape {value.shape}, expected (2,): steering and speed")
         steering, speed = value.tolist()

@@ -11,14 +11,15 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from gymnasium import spaces
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints, Singles
-from sonar_gym.checks import check_finite, settings_of
+from acquisition.limits import Limit, check_settings, check_value, near, shown
+from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.step_kernel import StepConstants, WorldArrays
@@ -62,6 +63,9 @@ REWARD_TERMS = ("progress", "time", "parked", "crashed")
 OPTIONS = ("difficulty", "street", "boxes", "obstacles", "start")
 
 
+Weight = Annotated[float, Limit(-1e6, 1e6)]
+
+
 @dataclass(frozen=True)
 class RewardWeights:
     """Weights of the reward terms.
@@ -75,16 +79,16 @@ class RewardWeights:
         off_heading: cost of a deviation of 1 rad from its heading, in metres of cost to go.
     """
 
-    progress: float = 1.0
-    time: float = -0.01
-    parked: float = 10.0
-    crashed: float = -10.0
-    off_path: float = 3.0
-    off_heading: float = 0.5
+    progress: Weight = 1.0
+    time: Weight = -0.01
+    parked: Weight = 10.0
+    crashed: Weight = -10.0
+    off_path: Weight = 3.0
+    off_heading: Weight = 0.5
 
     def __post_init__(self) -> None:
         """Raise SettingError for a weight that is not finite."""
-        check_finite(self)
+        check_settings(self)
 
 
 def _empty_faces(n: int, faces: int) -> dict[str, Any]:
@@ -131,6 +135,8 @@ class Fleet:
         threads: int = 1,
     ) -> None:
         self.count = count
+        check_value("crosstalk", crosstalk, bool)
+        check_value("threads", threads, Annotated[int, Limit(1, 1024)])
         self.mounts = layout(sonar_layout)
         self.street_settings = street_settings(difficulty, street)
         self.car_settings: CarSettings = settings_of(CarSettings, car)
@@ -300,9 +306,13 @@ class Fleet:
             SettingError: an option is unknown or invalid.
         """
         options = options or {}
+        if not isinstance(options, Mapping):
+            raise SettingError(f"reset options: expected a mapping, got {shown(options)}")
         for name in options:
             if name not in OPTIONS:
-                raise SettingError(f"reset option {name!r}: unknown option; expected {', '.join(OPTIONS)}")
+                raise SettingError(
+                    f"reset option {name!r}: unknown option; expected {', '.join(OPTIONS)}{near(name, OPTIONS)}"
+                )
         given = options.get("street")
         if not isinstance(given, Street):
             settings = self._settings_of(options, given)

@@ -9,21 +9,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
-from sonar_gym.checks import check_fields, check_finite, settings_of
+from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_settings, shown
+from sonar_gym.checks import check_fields, settings_of
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import NO_HIT, touches
-from sonar_gym.sensing.scene import Box, Scene, box_faces
+from sonar_gym.sensing.scene import Box, Scene, Texture, box_faces
 
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
 TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
 PATH_STEP = 0.01  # m; distance between poses of the reference path
+
+
+Length = Annotated[float, Limit(0.0, 100.0, "m")]
+SomeLength = Annotated[float, Limit(0.0, 100.0, "m", open_low=True)]
 
 
 @dataclass(frozen=True)
@@ -48,46 +53,35 @@ class StreetSettings:
         start_heading_deg: largest heading error of the start, deg.
     """
 
-    gap: tuple[float, float] = (0.85, 1.15)
-    decoy: tuple[float, float] = (0.15, 0.45)
-    decoys: tuple[int, int] = (0, 2)
-    box: tuple[float, float] = (0.30, 0.70)
-    recess: tuple[float, float] = (0.0, 0.03)
-    reflectance: tuple[float, float] = (0.1, 0.9)
-    texture_deg: tuple[float, float] = (0.0, 10.0)
-    kerb_reflectance: float = 0.4
-    line: float = 0.30
-    depth: float = 0.35
-    far_side: float = 0.75
-    lead: float = 0.60
-    tail: float = 1.00
-    start_offset: float = 0.03
-    start_heading_deg: float = 3.0
+    gap: tuple[Length, Length] = (0.85, 1.15)
+    decoy: tuple[Length, Length] = (0.15, 0.45)
+    decoys: tuple[Annotated[int, Limit(0, 100)], Annotated[int, Limit(0, 100)]] = (0, 2)
+    box: tuple[Length, Length] = (0.30, 0.70)
+    recess: tuple[Length, Length] = (0.0, 0.03)
+    reflectance: tuple[Share, Share] = (0.1, 0.9)
+    texture_deg: tuple[Texture, Texture] = (0.0, 10.0)
+    kerb_reflectance: Share = 0.4
+    line: SomeLength = 0.30
+    depth: SomeLength = 0.35
+    far_side: SomeLength = 0.75
+    lead: Length = 0.60
+    tail: SomeLength = 1.00
+    start_offset: Annotated[float, Limit(0.0, 10.0, "m")] = 0.03
+    start_heading_deg: Annotated[float, Limit(0.0, 180.0, "deg")] = 3.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
-        check_finite(self)
+        check_settings(self)
         for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
             pair = tuple(getattr(self, name))
-            if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
+            if pair[0] > pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
             object.__setattr__(self, name, pair)
-        self._check_surfaces()
-        for name in ("line", "depth", "far_side", "tail"):
-            if not getattr(self, name) > 0.0:
-                raise SettingError(f"StreetSettings.{name} must be > 0 m, got {getattr(self, name):g} m")
         if self.gap[0] <= self.decoy[1]:
             raise SettingError(
                 f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
                 f"longest decoy {self.decoy[1]:g} m"
             )
-
-    def _check_surfaces(self) -> None:
-        for name, value in (("reflectance", self.reflectance[1]), ("kerb_reflectance", self.kerb_reflectance)):
-            if not 0.0 <= value <= 1.0:
-                raise SettingError(f"StreetSettings.{name} must lie in [0, 1], got {value:g}")
-        if self.texture_deg[1] >= 90.0:
-            raise SettingError(f"StreetSettings.texture_deg must be < 90 deg, got {self.texture_deg[1]:g} deg")
 
 
 LEVELS: dict[str, StreetSettings] = {
@@ -112,14 +106,16 @@ LEVELS: dict[str, StreetSettings] = {
 }
 
 
+Difficulty = Annotated[str, OneOf(LEVELS)]
+
+
 def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
     """Return the settings of a level, with some fields replaced, or complete settings as given.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap
     (0.75, 0.85)
     """
-    if difficulty not in LEVELS:
-        raise SettingError(f"difficulty {difficulty!r}: unknown level; expected {', '.join(LEVELS)}")
+    check_choice("difficulty", difficulty, list(LEVELS))
     return replaced(LEVELS[difficulty], given)
 
 
@@ -240,13 +236,15 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     >>> street.gap
     (1.0, 2.0)
     """
+    _check_mappings("boxes", boxes)
     unknown = [name for box in boxes for name in box if name not in BOX_FIELDS]
     if unknown:
         raise SettingError(f"boxes: unknown field {unknown[0]!r}; expected {', '.join(BOX_FIELDS)}")
     if len(boxes) < 2 or any(name not in box for box in boxes for name in ("begin", "length")):
         raise SettingError(f"boxes must be two or more, each with begin and length in m, got {list(boxes)}")
     rows = [[box.get(name, default) for name, default in BOX_FIELDS.items()] for box in boxes]
-    strip = np.array(sorted(rows), dtype=np.float64)
+    strip = as_numbers("boxes", rows)
+    strip = strip[np.lexsort(strip.T[::-1])]
     if not np.all(np.isfinite(strip)):
         raise SettingError(f"boxes must have finite fields, got {list(boxes)}")
     spaces = strip[1:, 0] - strip[:-1, :2].sum(axis=1)
@@ -257,6 +255,12 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     street = Street(settings, strip, gap, np.zeros(3))
     _ = street.boxes  # validates the boxes
     return street
+
+
+def _check_mappings(name: str, given: Any) -> None:
+    """Raise SettingError for anything but a list of mappings."""
+    if not isinstance(given, Sequence) or not all(isinstance(each, Mapping) for each in given):
+        raise SettingError(f"reset option {name!r}: expected a list of mappings, got {shown(given)}")
 
 
 # Further obstacles by kind. A post 15 mm thick returns 0.11 of a wall's amplitude at 1.3 m (Kuc and Siegel 1987)
@@ -274,11 +278,12 @@ def obstacles_of(given: Sequence[Mapping[str, Any]]) -> tuple[Box, ...]:
     0.1
     """
     boxes = []
+    _check_mappings("obstacles", given)
     for fields in given:
         own = dict(fields)
         kind = own.pop("kind", None)
-        if kind is not None and kind not in OBSTACLES:
-            raise SettingError(f"obstacle of kind {kind!r}: unknown kind; expected {', '.join(OBSTACLES)}")
+        if kind is not None:
+            check_choice("obstacle of kind", kind, list(OBSTACLES))
         boxes.append(settings_of(Box, {**OBSTACLES.get(kind or "", {}), **own}))
     return tuple(boxes)
 
@@ -289,7 +294,7 @@ def start_of(given: Any) -> Floats:
     Raises:
         SettingError: the start is not three finite numbers.
     """
-    start = np.array(given, dtype=np.float64)
+    start = as_numbers("reset option 'start'", given).copy()
     if start.shape != (3,) or not np.all(np.isfinite(start)):
         raise SettingError(f"reset option 'start' must be x, y, heading in m, m, rad, got {given}")
     return start

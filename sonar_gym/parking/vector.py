@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
+from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation, RewardWeights
 from sonar_gym.parking.street import StreetSettings
@@ -71,12 +72,14 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         threads: int | None = None,
         pictured: Sequence[int] = (0,),
     ) -> None:
-        if num_envs < 1:
-            raise SettingError(f"num_envs must be >= 1, got {num_envs}")
+        check_value("num_envs", num_envs, Annotated[int, Limit(1, 1_000_000)])
+        check_value("max_episode_steps", max_episode_steps, Annotated[int, Limit(1, 10**9)] | None)
         check_render_mode(render_mode)
+        check_value("pictured", pictured, tuple[int, ...])
         if not all(0 <= i < num_envs for i in pictured):
             raise SettingError(f"pictured must contain numbers of environments below {num_envs}, got {list(pictured)}")
         self.num_envs, self.render_mode, self.pictured = num_envs, render_mode, tuple(pictured)
+        check_choice("autoreset_mode", autoreset_mode, [*AutoresetMode, *(mode.value for mode in AutoresetMode)])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.max_episode_steps = max_episode_steps
@@ -153,11 +156,15 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
     def _seed_each(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
+        if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
+            check_number("seed", seed, SEEDS, whole=True)
             return [int(seed) + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise SettingError(f"seed has {len(seed)} items, expected {self.num_envs}: one per environment")
-        return seed
+        for i, each in enumerate(seed):
+            if each is not None:
+                check_number(f"seed of environment {i}", each, SEEDS, whole=True)
+        return [each if each is None else int(each) for each in seed]
 
     def _mask(self, given: Any) -> Bits:
         mask = np.asarray(given)
@@ -193,7 +200,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     def _valid_actions(self, actions: ArrayLike, running: Ints) -> Floats:
         """Return the actions of the running environments, clipped to -1..1."""
-        value = np.asarray(actions, dtype=np.float64)
+        value = as_numbers("actions", actions)
         if value.shape != (self.num_envs, 2):
             raise SettingError(f"actions have shape {value.shape}, expected ({self.num_envs}, 2): steering and speed")
         value = value[running]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
-from acquisition import SettingError
 from acquisition.arrays import Floats
-from sonar_gym.checks import check_finite
+from acquisition.limits import Limit, check_settings
 
 
 @dataclass(frozen=True)
@@ -28,25 +28,20 @@ class CarSettings:
         speed_lag: time constant of the motor, s.
     """
 
-    length: float = 0.45
-    width: float = 0.20
-    wheelbase: float = 0.26
-    rear_overhang: float = 0.09
-    max_steering: float = np.radians(30.0)
-    max_speed: float = 0.5
-    steering_rate: float = np.radians(240.0)
-    steering_lag: float = 0.05
-    acceleration: float = 2.0
-    speed_lag: float = 0.05
+    length: Annotated[float, Limit(0.0, 100.0, "m", open_low=True)] = 0.45
+    width: Annotated[float, Limit(0.0, 100.0, "m", open_low=True)] = 0.20
+    wheelbase: Annotated[float, Limit(0.0, 100.0, "m", open_low=True)] = 0.26
+    rear_overhang: Annotated[float, Limit(-100.0, 100.0, "m")] = 0.09
+    max_steering: Annotated[float, Limit(0.01, np.pi / 2, "rad", open_high=True)] = np.radians(30.0)
+    max_speed: Annotated[float, Limit(0.0, 100.0, "m/s", open_low=True)] = 0.5
+    steering_rate: Annotated[float, Limit(0.0, 1e12, "rad/s", open_low=True)] = np.radians(240.0)
+    steering_lag: Annotated[float, Limit(0.0, 60.0, "s")] = 0.05
+    acceleration: Annotated[float, Limit(0.0, 1e12, "m/s^2", open_low=True)] = 2.0
+    speed_lag: Annotated[float, Limit(0.0, 60.0, "s")] = 0.05
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid measures."""
-        check_finite(self)
-        for name in ("length", "width", "wheelbase", "max_steering", "max_speed", "steering_rate", "acceleration"):
-            if not getattr(self, name) > 0.0:
-                raise SettingError(f"CarSettings.{name} must be > 0, got {getattr(self, name):g}")
-        if self.max_steering >= np.pi / 2:
-            raise SettingError(f"CarSettings.max_steering must be < pi/2 rad, got {self.max_steering:g} rad")
+        check_settings(self)
 
     @property
     def turning_radius(self) -> float:

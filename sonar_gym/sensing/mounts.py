@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from acquisition.limits import Limit, check_choice, check_settings, shown
 from sonar_gym.checks import settings_of
 from sonar_gym.sensing.kernels import mounted
 from sonar_gym.sensing.timing import Times
 
+MAX_MOUNTS = 256
 CONE_DEG = 55.0  # full beam of SRF04 and SRF08 at -6 dB; Devantech, Sonar FAQ
+
+
+Place = Annotated[float, Limit(-100.0, 100.0, "m")]
+Time = Annotated[float, Limit(0.0, 3600.0, "s")]
 
 
 @dataclass(frozen=True)
@@ -33,25 +39,17 @@ class Mount:
     """
 
     name: str
-    x: float
-    y: float
-    heading_deg: float
-    cone_deg: float = CONE_DEG
-    period_s: float = 0.0
-    phase_s: float = 0.0
-    latency_s: float | None = None
+    x: Place
+    y: Place
+    heading_deg: Annotated[float, Limit(-3600.0, 3600.0, "deg")]
+    cone_deg: Annotated[float, Limit(0.0, 180.0, "deg", open_low=True, open_high=True)] = CONE_DEG
+    period_s: Time = 0.0
+    phase_s: Time = 0.0
+    latency_s: Time | None = None
 
     def __post_init__(self) -> None:
         """Raise SettingError for an invalid position, cone or time."""
-        for name in ("x", "y", "heading_deg"):
-            if not np.isfinite(getattr(self, name)):
-                raise SettingError(f"Mount.{name} of {self.name!r} must be finite, got {getattr(self, name)}")
-        if not 0.0 < self.cone_deg < 180.0:
-            raise SettingError(f"Mount.cone_deg of {self.name!r} must lie in (0, 180) deg, got {self.cone_deg:g} deg")
-        for name in ("period_s", "phase_s", "latency_s"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 <= value < np.inf:
-                raise SettingError(f"Mount.{name} of {self.name!r} must be >= 0 s, got {value:g} s")
+        check_settings(self, lambda field: f"Mount.{field} of {shown(self.name)}")
         if self.latency_s is not None and 0.0 < self.period_s < self.latency_s:
             raise SettingError(
                 f"Mount.latency_s of {self.name!r} is {self.latency_s:g} s, more than its period of {self.period_s:g} "
@@ -96,14 +94,13 @@ def layout(given: Layout) -> tuple[Mount, ...]:
     ['front', 'right front', 'right rear', 'rear']
     """
     if isinstance(given, str):
-        if given not in LAYOUTS:
-            raise SettingError(
-                f"sonar_layout {given!r}: unknown name; expected {', '.join(LAYOUTS)}, or a list of mounts"
-            )
+        check_choice("sonar_layout", given, list(LAYOUTS))
         return LAYOUTS[given]
+    if not isinstance(given, Iterable) or isinstance(given, Mapping):
+        raise SettingError(f"sonar_layout: expected the name of a layout or a list of mounts, got {shown(given)}")
     mounts = tuple(settings_of(Mount, mount) for mount in given)
-    if not mounts:
-        raise SettingError("sonar_layout has 0 mounts, expected 1 or more")
+    if not 1 <= len(mounts) <= MAX_MOUNTS:
+        raise SettingError(f"sonar_layout has {len(mounts)} mounts, expected 1 to {MAX_MOUNTS}")
     return mounts
 
 

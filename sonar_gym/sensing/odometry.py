@@ -10,17 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
-from acquisition import SettingError
 from acquisition.arrays import Floats
+from acquisition.limits import Limit, OneOf, check_choice, check_settings
 from sonar_gym.checks import settings_of
 from sonar_gym.compiled import compiled
 
 ODOMETRY_TAG = 0x57E9  # a random stream apart from those of the streets and of the sonars
+
+
+Deviation = Annotated[float, Limit(0.0, 10.0)]
 
 
 @dataclass(frozen=True)
@@ -34,17 +37,14 @@ class OdometrySettings:
         wander: random error of the heading, rad per square root of a metre.
     """
 
-    scale: float = 0.0
-    pull: float = 0.0
-    slip: float = 0.0
-    wander: float = 0.0
+    scale: Deviation = 0.0
+    pull: Deviation = 0.0
+    slip: Deviation = 0.0
+    wander: Deviation = 0.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for values that are no standard deviations."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SettingError(f"OdometrySettings.{field.name} must be finite and >= 0, got {value:g}")
+        check_settings(self)
 
     @property
     def exact(self) -> bool:
@@ -59,6 +59,7 @@ ODOMETRIES: dict[str, OdometrySettings] = {
     "wheels": OdometrySettings(scale=0.02, pull=float(np.radians(1.5)), slip=0.005, wander=float(np.radians(0.5))),
     "worn": OdometrySettings(scale=0.04, pull=float(np.radians(3.0)), slip=0.01, wander=float(np.radians(1.0))),
 }
+OdometryName = Annotated[str, OneOf(ODOMETRIES)]
 OdometryChoice = str | OdometrySettings | Mapping[str, Any]
 
 
@@ -69,8 +70,7 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
     True
     """
     if isinstance(given, str):
-        if given not in ODOMETRIES:
-            raise SettingError(f"odometry {given!r}: unknown name; expected {', '.join(ODOMETRIES)}, or settings")
+        check_choice("odometry", given, list(ODOMETRIES))
         return ODOMETRIES[given]
     return settings_of(OdometrySettings, given)
 

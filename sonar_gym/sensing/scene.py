@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from acquisition import Ping, SettingError
+from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
-from sonar_gym.checks import check_finite
+from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from sonar_gym.sensing import kernels
 
 CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])  # of a square with sides of 2 m
 EMPTY_M = 20.0  # m; distance given to a model for an empty cone: beyond the range of every sonar
 
 
-def check_surface(name: str, reflectance: float, texture_deg: float) -> None:
-    """Raise SettingError for an invalid reflectance or slope of facets."""
-    if not 0.0 <= reflectance <= 1.0:
-        raise SettingError(f"{name}.reflectance must lie in [0, 1], got {reflectance:g}")
-    if not 0.0 <= texture_deg < 90.0:
-        raise SettingError(f"{name}.texture_deg must lie in [0, 90) deg, got {texture_deg:g} deg")
+Place = Annotated[float, Limit(-1e5, 1e5, "m")]
+Texture = Annotated[float, Limit(0.0, 90.0, "deg", open_high=True)]
 
 
 @dataclass(frozen=True)
@@ -35,16 +32,16 @@ class WallSegment:
             like a smooth face at normal incidence.
     """
 
-    x1: float
-    y1: float
-    x2: float
-    y2: float
-    reflectance: float = 0.9
-    texture_deg: float = 0.0
+    x1: Place
+    y1: Place
+    x2: Place
+    y2: Place
+    reflectance: Share = 0.9
+    texture_deg: Texture = 0.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for an invalid surface."""
-        check_surface("WallSegment", self.reflectance, self.texture_deg)
+        check_settings(self)
 
     @property
     def faces(self) -> Floats:
@@ -64,20 +61,17 @@ class Box:
         texture_deg: slope of the facets, deg; see `WallSegment`.
     """
 
-    x: float
-    y: float
-    length: float
-    width: float
-    heading: float = 0.0
-    reflectance: float = 0.5
-    texture_deg: float = 0.0
+    x: Place
+    y: Place
+    length: PositiveMetres
+    width: PositiveMetres
+    heading: Annotated[float, Limit(-1e3, 1e3, "rad")] = 0.0
+    reflectance: Share = 0.5
+    texture_deg: Texture = 0.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for sides that are not positive and for an invalid surface."""
-        check_finite(self)
-        if self.length <= 0.0 or self.width <= 0.0:
-            raise SettingError(f"Box sides must be > 0 m, got {self.length:g} m x {self.width:g} m")
-        check_surface("Box", self.reflectance, self.texture_deg)
+        check_settings(self)
 
     @property
     def corners(self) -> Floats:

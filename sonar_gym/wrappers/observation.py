@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Ints
+from sonar_gym.checks import settings_of
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE, Fleet
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
@@ -103,7 +104,7 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
     """
 
     def __init__(self, env: gymnasium.Env, sonar: SonarChoice = "ideal", **settings: Any) -> None:
-        sonar_settings = SonarSettings(**settings)
+        sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
         gymnasium.Wrapper.__init__(self, env)
@@ -171,7 +172,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
     """
 
     def __init__(self, env: VectorEnv, sonar: SonarChoice = "ideal", **settings: Any) -> None:
-        sonar_settings = SonarSettings(**settings)
+        sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
         VectorWrapper.__init__(self, env)

@@ -2,33 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from acquisition import Ping, SettingError
+from acquisition.limits import Limit, check_number, check_settings, check_value
 from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.sonar import BEARINGS_DEG, BINS
 from sonar_gym.sensing.timing import Times
 
 ConditionSetting = float | tuple[float, float] | str  # a constant, the limits of a uniform prior, or a key
-CONDITION_NAMES = ("incidence", "bearing", "reflectance")
+ANGLE = Limit(-math.pi, math.pi, "rad")
+CONDITION_LIMITS = {"incidence": ANGLE, "bearing": ANGLE, "reflectance": Limit(0.0, 1.0)}
+CONDITION_NAMES = tuple(CONDITION_LIMITS)
+TIMES = ("period_s", "phase_s", "latency_s")
+TIME = Limit(0.0, 3600.0, "s")
 PRIOR_ROUNDS = 15  # samples of the other conditions at each distance of the prior
 DEFAULT_MAX_RANGE = 6.0  # m; range of an SRF08
 DEFAULT_STEP_S = 0.1
-KEEP_CHOICES = ("own", "all", "nothing")
 
 
 def check_condition(name: str, given: Any) -> ConditionSetting:
     """Return a constant, a pair of limits or a key; raise SettingError for anything else."""
     if isinstance(given, str):
         return given
-    pair = tuple(float(x) for x in given) if isinstance(given, Sequence) else (float(given), float(given))
-    if len(pair) != 2 or not pair[0] <= pair[1] or not np.all(np.isfinite(pair)):
+    limits = tuple(given) if isinstance(given, Sequence | np.ndarray) else (given, given)
+    for number in limits:
+        check_number(f"SonarObservation.{name}", number, CONDITION_LIMITS[name])
+    if len(limits) != 2 or not limits[0] <= limits[1]:
         raise SettingError(f"SonarObservation.{name} must be a number, two limits low <= high, or a key, got {given!r}")
-    return pair if isinstance(given, Sequence) else pair[0]
+    pair = float(limits[0]), float(limits[1])
+    return pair if isinstance(given, Sequence | np.ndarray) else pair[0]
 
 
 @dataclass(frozen=True)
@@ -61,14 +69,14 @@ class SonarSettings:
     key: str | None = None
     indices: Sequence[int] | None = None
     empty: float | None = None
-    metres_per_unit: float = 1.0
-    max_range: float | None = None
+    metres_per_unit: Annotated[float, Limit(0.0, 1e6, "m", open_low=True)] = 1.0
+    max_range: Annotated[float, Limit(0.01, 1000.0, "m")] | None = None
     incidence: ConditionSetting = (0.0, 0.4)
     bearing: ConditionSetting = 0.0
     reflectance: ConditionSetting = (0.1, 0.9)
     sonar_layout: Layout | None = None
-    keep: str = "own"
-    step_s: float | None = None
+    keep: Literal["own", "all", "nothing"] = "own"
+    step_s: Annotated[float, Limit(1e-4, 3600.0, "s")] | None = None
     period_s: float | Sequence[float] = 0.0
     phase_s: float | Sequence[float] = 0.0
     latency_s: float | Sequence[float] | None = None
@@ -77,12 +85,13 @@ class SonarSettings:
         """Raise SettingError for invalid values."""
         for name in CONDITION_NAMES:
             object.__setattr__(self, name, check_condition(name, getattr(self, name)))
-        for name, unit in (("metres_per_unit", "m"), ("max_range", "m"), ("step_s", "s")):
-            value = getattr(self, name)
-            if value is not None and not value > 0.0:
-                raise SettingError(f"SonarObservation.{name} must be > 0 {unit}, got {value:g} {unit}")
-        if self.keep not in KEEP_CHOICES:
-            raise SettingError(f"SonarObservation.keep must be one of {', '.join(KEEP_CHOICES)}, got {self.keep!r}")
+        check_settings(self, lambda name: f"SonarObservation.{name}")
+        check_value("SonarObservation.indices", self.indices, tuple[int, ...] | None)
+        for name in TIMES:
+            given = getattr(self, name)
+            for time in given if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given,):
+                if not (name == "latency_s" and time is None):
+                    check_number(f"SonarObservation.{name}", time, TIME)
 
     @property
     def explicit(self) -> bool:

@@ -60,7 +60,7 @@ def test_a_saved_model_loads_unchanged(tmp_path):
 
 
 def test_invalid_mixtures_and_unanswered_pings_raise():
-    with pytest.raises(SettingError, match="must be >= 0 and sum to 1"):
+    with pytest.raises(SettingError, match="must sum to 1"):
         BeamModel(hit=0.9)
     with pytest.raises(SettingError, match="remove pings without an answer"):
         fit_beam(Ping.of(distance=[1.0]), Reading.of([0.0], [2]), STEP, REACH)

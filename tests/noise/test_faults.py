@@ -135,11 +135,11 @@ def test_faults_preserve_no_answer(fault):
 
 
 def test_invalid_settings_raise_with_the_name_of_the_setting():
-    with pytest.raises(SettingError, match=r"Short\.rate must lie in \[0, 1\], got 1\.5"):
+    with pytest.raises(SettingError, match=r"Short\.rate: expected a number from 0 to 1, got 1\.5"):
         Short(1.5)
-    with pytest.raises(SettingError, match=r"Noise\.sigma must be > 0 m, got 0 m"):
+    with pytest.raises(SettingError, match=r"Noise\.sigma: expected a number above 0 and at most 1000 m, got 0 m"):
         Noise(0.1, sigma=0.0)
-    with pytest.raises(SettingError, match=r"Calibration\.scale must be > 0, got -1"):
+    with pytest.raises(SettingError, match=r"Calibration\.scale: expected a number above 0 and at most 1000, got -1"):
         Calibration(0.1, scale=-1.0)
     with pytest.raises(SettingError, match=r"the rates of its faults sum to 1\.2, at most 1 is possible"):
         Faulty(IdealModel(), [Short(0.6), Noise(0.6)])

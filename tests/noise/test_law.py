@@ -102,9 +102,9 @@ def test_ideal_sonar_is_exact_and_gives_no_echo_beyond_its_range():
 
 
 def test_invalid_settings_raise():
-    with pytest.raises(SettingError, match=r"GaussianModel\.sigma must be >= 0 m, got -0\.1 m"):
+    with pytest.raises(SettingError, match=r"GaussianModel\.sigma: expected a number from 0 to 1000 m, got -0\.1 m"):
         GaussianModel(sigma=-0.1)
-    with pytest.raises(SettingError, match=r"GaussianModel\.miss must lie in \[0, 1\], got 1\.5"):
+    with pytest.raises(SettingError, match=r"GaussianModel\.miss: expected a number from 0 to 1, got 1\.5"):
         GaussianModel(miss=1.5)
 
 

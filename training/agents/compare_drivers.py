@@ -9,14 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
+from annotated_types import MinLen
 
-from acquisition import SettingError
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFile
+from acquisition.limits import Count, Limit, Seed
 from noise import Faulty, SonarModel, load_model
 from noise.faults import Noise, Short
+from noise.store import ModelName
+from sonar_gym.parking.street import Difficulty
+from sonar_gym.sensing.odometry import OdometryName
 from training.agents.evaluate import Outcomes, ScriptedPool, evaluate
 from training.common.progress import bar
 from training.common.statistics import PairedComparison
@@ -31,19 +36,19 @@ HEADER = ("sonar", "driver", "parked", "collided", "steps", "difference to ideal
 class Args:
     """Settings of `sonar-gym compare-drivers`."""
 
-    sonars: tuple[str, ...] = ("srf08-mlp",)
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("srf08-mlp",)
     """Names or folders of the sonar models to compare with the ideal one."""
-    faults: float = 0.0
+    faults: Annotated[float, Limit(0.0, 0.5)] = 0.0
     """Share of readings that are arbitrary; an equal share has 0.1 m of scatter."""
-    difficulty: str = "normal"
+    difficulty: Difficulty = "normal"
     """Difficulty of the streets: easy, normal, hard."""
-    odometry: str = "wheels"
+    odometry: OdometryName = "wheels"
     """Error of the odometry: exact, wheels, worn."""
-    episodes: int = 200
+    episodes: Count = 200
     """Number of streets; the same streets for all."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first street; the others follow."""
-    out: Path | None = None
+    out: OutputFile | None = None
     """CSV file for all episodes, one per row."""
 
 
@@ -113,10 +118,6 @@ def table(arms: list[Arm]) -> str:
 
 def main(args: Args) -> None:
     """Print the table, and write all episodes where a file is named."""
-    if args.episodes < 1:
-        raise SettingError(f"--episodes must be >= 1, got {args.episodes}")
-    if not 0.0 <= args.faults <= 0.5:
-        raise SettingError(f"--faults must lie in [0, 0.5], got {args.faults:g}: there are two kinds of faults")
     arms = compare(args)
     faults = f", {100 * args.faults:g} % of readings arbitrary and as many scattered" if args.faults else ""
     last = args.seed + args.episodes - 1

@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import gymnasium
 import numpy as np
+from annotated_types import MinLen
 from rich.console import Console
 from rich.table import Table
 
@@ -18,12 +19,17 @@ import sonar_gym
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFile
+from acquisition.limits import Count, Loadable, Seed
 from noise.credence import wilson
+from noise.store import ModelName
 from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
 from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
 from sonar_gym.parking.fleet import MAX_STEPS, Observation
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
+from sonar_gym.parking.street import Difficulty
 from sonar_gym.parking.vector import SonarParkingVectorEnv
+from sonar_gym.sensing.odometry import OdometryName
 from training.agents.sonars import mismatched
 from training.common.progress import OnProgress, progress_bars
 from training.common.statistics import PairedComparison
@@ -192,35 +198,40 @@ def _drive(
 # ---- the command -----------------------------------------------------------------------------------------------------
 
 
+def _check_agent(name: str) -> object:
+    return None if name == SCRIPTED else load_policy(name)
+
+
+AgentName = Annotated[str, Loadable(_check_agent)]
+
+
 @dataclass(frozen=True)
 class Args:
     """Settings of `sonar-gym evaluate-agent`."""
 
-    agent: tuple[str, ...] = ("parking", SCRIPTED)
+    agent: Annotated[tuple[AgentName, ...], MinLen(1)] = ("parking", SCRIPTED)
     """Names or folders of agents; "scripted" is the scripted driver. The first is the reference of the comparison."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp")
     """Names or folders of sonar models."""
-    believed: str | None = None
+    believed: ModelName | None = None
     """Name or folder of the model for credence, e.g. srf08-mlp for "rig"; by default the model of each sonar."""
-    odometry: str = "exact"
+    odometry: OdometryName = "exact"
     """Error of the odometry: exact, wheels, worn."""
-    difficulty: str = "normal"
+    difficulty: Difficulty = "normal"
     """Difficulty of the streets: easy, normal, hard."""
-    episodes: int = 500
+    episodes: Count = 500
     """Number of streets; the same streets for every agent and sonar."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first street; the others follow. No agent was trained on seeds below 2147483648."""
-    out: Path | None = None
+    out: OutputFile | None = None
     """JSON file for the results."""
-    film: Path | None = None
+    film: OutputFile | None = None
     """GIF file for a film of the first agent on the first street with each sonar."""
     render: bool = False
     """Show the first agent on the first street in a window, with each sonar."""
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
-        if self.episodes < 1 or not self.agent or not self.sonars:
-            raise SettingError(f"give at least one episode (got {self.episodes}), one agent and one sonar")
         if self.film is not None and self.film.suffix != ".gif":
             raise SettingError(f"--film {self.film}: must end with .gif")
 

@@ -12,8 +12,14 @@ from textwrap import fill
 from typing import Annotated, Any
 
 import tyro
+from annotated_types import MinLen
 
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Seed
+from noise.store import ModelName
 from sonar_gym.agent import WEIGHTS, Policy, load_policy
+from sonar_gym.parking.street import Difficulty
+from sonar_gym.sensing.odometry import OdometryName
 from training.agents.evaluate import Outcomes, evaluate, pool_of
 from training.agents.sonars import has_probabilities, mismatched
 from training.common.progress import bar
@@ -42,19 +48,19 @@ class Args:
 
     agent: Annotated[Path, tyro.conf.Positional]
     """Folder of a trained agent."""
-    out: Path = WEIGHTS / "parking"
+    out: OutputFolder = WEIGHTS / "parking"
     """Folder for the agent and its card."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "rig")
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp", "rig")
     """Names of the sonar models."""
-    believed: str = "srf08-mlp"
+    believed: ModelName = "srf08-mlp"
     """Name of the model from which credence is computed with a sonar model without probabilities, such as the rig."""
-    odometry: tuple[str, ...] = ("exact", "wheels")
+    odometry: Annotated[tuple[OdometryName, ...], MinLen(1)] = ("exact", "wheels")
     """Errors of the odometry: exact, wheels, worn."""
-    difficulty: tuple[str, ...] = ("normal", "hard")
+    difficulty: Annotated[tuple[Difficulty, ...], MinLen(1)] = ("normal", "hard")
     """Difficulties of the streets: easy, normal, hard."""
-    episodes: int = 500
+    episodes: Count = 500
     """Number of streets for each combination."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first street."""
 
 

@@ -9,15 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
 import ray
+from annotated_types import MinLen
 from ray import tune
 
 from acquisition import SettingError
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Limit, Rate, Seed, Workers
 from noise.fitting.threads import one_thread
+from noise.store import ModelName
 from training.agents import train
 
 NAME = "tune"  # folder of Ray Tune's own state
@@ -28,31 +32,24 @@ VARIED = ("seed", "learning_rate", "sonar")
 class Args:
     """Settings of `sonar-gym sweep`."""
 
-    out: Path = Path("runs/sweep")
+    out: OutputFolder = Path("runs/sweep")
     """Folder for trials and results; on a cluster, one that all machines share."""
-    seeds: tuple[int, ...] = (0, 1, 2)
+    seeds: Annotated[tuple[Seed, ...], MinLen(1)] = (0, 1, 2)
     """Seeds of training."""
-    learning_rates: tuple[float, ...] = (1e-4,)
+    learning_rates: Annotated[tuple[Rate, ...], MinLen(1)] = (1e-4,)
     """Learning rates of PPO."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp")
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp")
     """Names or folders of sonar models; each agent trains with one."""
-    lessons: int = 1000
+    lessons: Annotated[int, Limit(0, 1_000_000)] = 1000
     """Rounds of imitation of each agent."""
-    steps: int = 1_000_000
+    steps: Annotated[int, Limit(0, 10**12)] = 1_000_000
     """Environment steps of PPO of each agent."""
-    num_envs: int = 128
+    num_envs: Annotated[int, Limit(1, 65_536)] = 128
     """Number of cars of each agent."""
-    workers: int = 2
+    workers: Workers = 2
     """Number of trials that run at the same time, one processor each."""
     address: str | None = None
     """Address of a Ray cluster, e.g. auto; by default Ray starts on this machine."""
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        if self.workers < 1 or not (self.seeds and self.learning_rates and self.sonars):
-            raise SettingError(
-                f"give at least one worker (got {self.workers}), one seed, one learning rate and one sonar"
-            )
 
     @property
     def space(self) -> dict[str, Any]:

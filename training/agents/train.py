@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import MinLen
 from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -24,10 +25,15 @@ from torch import nn
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Limit, Rate, Seed
 from noise.credence import wilson
 from noise.fitting.threads import one_thread
+from noise.store import ModelName
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.control.memory import MemorySettings
+from sonar_gym.parking.street import Difficulty
+from sonar_gym.sensing.odometry import OdometryName
 from training.agents.imitation import ImitationSettings, imitate
 from training.agents.vec_env import AgentVecEnv, EnvSettings, EpisodeResult, settings_of
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
@@ -44,40 +50,40 @@ MILLION = 1e6
 class Args:
     """Settings of `sonar-gym train-agent`."""
 
-    out: Path
+    out: OutputFolder
     """Folder for checkpoint.safetensors, tensorboard/, and agent/, which `sonar_gym.agent.load_agent` reads."""
-    sonars: tuple[str, ...] = ("ideal", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
+    sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Names or folders of sonar models; the cars are divided evenly among them."""
     faults: bool = True
     """Whether to add each sonar with 5 % arbitrary readings and 50 mm of scatter in 10 %, for robust agents."""
-    odometry: tuple[str, ...] = ("exact",)
+    odometry: Annotated[tuple[OdometryName, ...], MinLen(1)] = ("exact",)
     """Errors of the odometry: exact, wheels, worn; each with each sonar."""
-    difficulty: tuple[str, ...] = ("normal",)
+    difficulty: Annotated[tuple[Difficulty, ...], MinLen(1)] = ("normal",)
     """Difficulties of the streets: easy, normal, hard; each with each sonar."""
-    lessons: int = 2000
+    lessons: Annotated[int, Limit(0, 1_000_000)] = 2000
     """Rounds of imitation, each one decision of every car; 0 for PPO alone."""
-    steps: int = 0
+    steps: Annotated[int, Limit(0, 10**12)] = 0
     """Environment steps (0.1 s) of PPO after imitation: faster agents, less reliable with other sonars; 0 for none."""
-    num_envs: int = 256
+    num_envs: Annotated[int, Limit(1, 65_536)] = 256
     """Number of cars."""
-    repeat: int = 2
+    repeat: Annotated[int, Limit(1, 1000)] = 2
     """Steps for which an action holds."""
-    hidden: tuple[int, ...] = (256, 128)
+    hidden: Annotated[tuple[Annotated[int, Limit(1, 4096)], ...], MinLen(1)] = (256, 128)
     """Widths of the hidden layers."""
-    learning_rate: float = 1e-4
+    learning_rate: Rate = 1e-4
     """Initial learning rate of PPO; it decays linearly."""
     credence: bool = True
     """Whether the agent observes credence; without it all echoes have equal weight."""
-    seed: int = 0
+    seed: Seed = 0
     """The same seed gives the same agent."""
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
-        if min(self.lessons, self.steps) < 0 or self.lessons + self.steps == 0:
-            raise SettingError(f"lessons {self.lessons} and steps {self.steps} must be >= 0, and one of them > 0")
+        if self.lessons == self.steps == 0:
+            raise SettingError("--lessons and --steps: expected one of them above 0, got 0 for both")
         kinds = len(self.sonars) * (1 + self.faults) * len(self.odometry) * len(self.difficulty)
-        if not 0 < kinds <= self.num_envs:
-            raise SettingError(f"{self.num_envs} cars for {kinds} kinds of environment: give at least one car for each")
+        if 0 < self.num_envs < kinds:
+            raise SettingError(f"--num-envs: expected at least {kinds}, one for each kind of car, got {self.num_envs}")
 
     @property
     def settings(self) -> dict[str, Any]:

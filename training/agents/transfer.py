@@ -13,14 +13,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from acquisition import Recording, SettingError
+from acquisition import Recording
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.io.files import write_bytes, write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Limit, Seed, Workers
 from noise import SonarModel, load_model, save_model
 from noise.beam import fit_beam
 from noise.fitting.threads import keep_one_thread, one_thread
@@ -52,31 +55,24 @@ HEADER = ("world", "trained with", "parked", "each seed", "collided", "differenc
 class Args:
     """Settings of `sonar-gym transfer`."""
 
-    out: Path = Path("runs/transfer")
+    out: OutputFolder = Path("runs/transfer")
     """Folder for recordings, diagnosis, agents and scores; files that exist are not made again."""
-    seeds: int = 3
+    seeds: Annotated[int, Limit(1, 1000)] = 3
     """Number of agents trained with each sonar."""
-    episodes: int = 30
+    episodes: Count = 30
     """Number of streets that each agent drives in each world; the same streets for all."""
-    lessons: int = 500
+    lessons: Annotated[int, Limit(0, 1_000_000)] = 500
     """Rounds of imitation of each agent."""
-    steps: int = 0
+    steps: Annotated[int, Limit(0, 10**12)] = 0
     """Environment steps of PPO of each agent, after imitation."""
-    num_envs: int = 128
+    num_envs: Annotated[int, Limit(1, 65_536)] = 128
     """Number of cars in training."""
-    moved_mm: float = 50.0
+    moved_mm: Annotated[float, Limit(-1000.0, 1000.0, "mm")] = 50.0
     """Distance by which each sensor of the second world stands back, mm."""
-    workers: int = 2
+    workers: Workers = 2
     """Number of processes."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of recordings and agents."""
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        if min(self.seeds, self.episodes, self.workers) < 1:
-            raise SettingError(
-                f"seeds {self.seeds}, episodes {self.episodes} and workers {self.workers} must be 1 or more"
-            )
 
 
 # ---- sonars of training and test -------------------------------------------------------------------------------------

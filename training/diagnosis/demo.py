@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from rich.console import Console
 
-from acquisition import Recording, SettingError
+from acquisition import Recording
 from acquisition.bench import Rig, Setup, Unit
+from acquisition.io.places import OutputFolder
+from acquisition.limits import OneOf, Seed
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from acquisition.survey.sources import RigSource
@@ -36,18 +39,16 @@ AGENT = "srf08-mlp, trained agent"
 class Args:
     """Settings of `sonar-gym demo`."""
 
-    out: Path = Path("demo")
+    out: OutputFolder = Path("demo")
     """Output folder: report.html, parking.gif, both recordings, the diagnosis, the corrected model."""
-    seed: int = 12
+    seed: Seed = 12
     """Seed; the same seed gives the same demonstration."""
-    conceal: str | None = None
+    conceal: Annotated[str, OneOf(CONCEALED)] | None = None
     """Effect to conceal (sound_speed, zero_offset, dropped_reading); drawn from the seed by default."""
 
 
 def main(args: Args) -> None:
     """Run the demonstration and print its results."""
-    if args.conceal is not None and args.conceal not in CONCEALED:
-        raise SettingError(f"--conceal {args.conceal}: unknown effect; choose one of {', '.join(CONCEALED)}")
     console = Console(highlight=False, soft_wrap=True)
     setup = Setup(gain=31)
     changed, envelope = conceal(setup, np.random.default_rng([args.seed, 0]), args.conceal)

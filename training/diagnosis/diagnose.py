@@ -13,6 +13,8 @@ from typing import Annotated, cast
 import tyro
 
 from acquisition import Recording, SettingError
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Seed
 from noise.discrepancy import diagnose
 from noise.discrepancy.inputs import Progress, Simulator, as_model
 from noise.discrepancy.result import Diagnosis
@@ -26,14 +28,14 @@ class Args:
 
     recorded: Annotated[Path, tyro.conf.Positional]
     """Recording of the real sonar (CSV, one row per ping)."""
-    out: Path
+    out: OutputFolder
     """Output folder: verdict.json, report.html and, if a correction is offered, the corrected model in corrected/."""
     model: str = "ideal"
     """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""
     simulated: Path | None = None
     """Simulator in place of the model: its readings in the recording format; module:function, which is called as
     function(pings, rng) and returns readings; or tcp://HOST:PORT of a server that answers pings (docs/bridges.md)."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed; the same seed gives the same verdict."""
 
 

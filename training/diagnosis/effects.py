@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
+from acquisition.io.places import OutputFile
 from noise.effects import CATALOGUE, Effect, Parameter, Stage
 from training.common.tables import markdown_table
 
@@ -27,7 +27,7 @@ WHERE = {
 class Args:
     """Settings of `sonar-gym effects`."""
 
-    out: Path | None = None
+    out: OutputFile | None = None
     """Markdown file to write; printed by default."""
 
 

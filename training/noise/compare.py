@@ -14,6 +14,7 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 import tyro
+from annotated_types import MinLen
 from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
@@ -23,6 +24,7 @@ from noise.beam import fit_beam
 from noise.faults import Faulty, Short
 from noise.metrics import ClusterMean, Evaluation, evaluate
 from noise.model import MAX_RANGE
+from noise.store import ModelName
 from training.common.progress import bar
 from training.common.tables import markdown_table
 from training.noise.baselines import PRIOR_PINGS, NearestConditionModel, fit_gaussian, fit_physics
@@ -38,9 +40,9 @@ class Args:
 
     learn: Annotated[Path, tyro.conf.Positional]
     """Recording to fit the baselines to."""
-    test: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    test: Annotated[tuple[Path, ...], tyro.conf.Positional, MinLen(1)]
     """Recordings to score all models on: other sensors, other conditions. Each condition needs at least two pings."""
-    models: tuple[str, ...] = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
+    models: Annotated[tuple[ModelName, ...], MinLen(1)] = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Models to compare with the baselines, by name or folder."""
 
 

@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+from annotated_types import MinLen
 
 from acquisition import Recording
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Seed, Workers
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
@@ -50,15 +53,15 @@ FAULTY_NOTE = "A sixth of the sessions have a loose wire, a sensor that warms up
 class Args:
     """Settings of `sonar-gym make-noise`."""
 
-    out: Path = Path("weights")
+    out: OutputFolder = Path("weights")
     """Folder to write the models to, one subfolder each."""
-    data: Path = Path("corpus")
+    data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
-    laws: tuple[Law, ...] = ("mlp", "lstm", "hybrid")
+    laws: Annotated[tuple[Law, ...], MinLen(1)] = ("mlp", "lstm", "hybrid")
     """Laws to make."""
-    jobs: int = 1
+    jobs: Workers = 1
     """Number of parallel processes that record."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the initial weights and the order of pings."""
 
 

@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from string import Template
+from typing import Annotated
 
 import numpy as np
+from annotated_types import MinLen
 from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_bytes, write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count
 from noise import CredenceTable, SonarModel, follow, load_model
 from noise.learned.networks import MlpModel
 from noise.learned.recent import RecentCredence
 from noise.metrics import Reliability, credence_reliability
+from noise.store import ModelName
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 from training.common.commit import commit
 from training.common.progress import bar
@@ -57,13 +62,13 @@ MIN_BIN_PINGS = 20  # of a bin in the reliability diagrams
 class Args:
     """Settings of `sonar-gym noise-report`."""
 
-    data: Path = Path("corpus")
+    data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
-    docs: Path = Path("docs")
+    docs: OutputFolder = Path("docs")
     """Folder to write noise-models.md and images/noise-credence.png to."""
-    models: tuple[str, ...] = SHIPPED
+    models: Annotated[tuple[ModelName, ...], MinLen(1)] = SHIPPED
     """Models to compare with the baselines, by name or folder; a perceptron first."""
-    sessions: int = 40
+    sessions: Count = 40
     """Number of sessions per scenario in which the gain of memory is measured."""
 
 

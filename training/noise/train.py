@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from acquisition import Ping, Reading, Recording, SettingError
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Limit, PositiveMetres, Rate, Seed, Share
 from noise import load_model
 from noise.fitting.threads import one_thread
 from noise.fitting.visits import visits_of
@@ -25,7 +27,7 @@ from noise.learned.networks import MlpModel
 from noise.learned.recurrent import LstmModel
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
-from noise.store import check_model_folder, save_model
+from noise.store import ModelName, check_model_folder, save_model
 from training.common.progress import bars
 from training.noise.baselines import fit_gaussian
 from training.noise.card import card, score_table, scores_as_numbers
@@ -54,42 +56,42 @@ class Args:
 
     recording: Annotated[Path, tyro.conf.Positional]
     """Training data: CSV file with one row per ping."""
-    out: Path
+    out: OutputFolder
     """Folder to write the model to: model.json, weights.safetensors, README.md."""
     law: Law = "mlp"
     """mlp: no memory. lstm: memory of the pings of a run. hybrid: an LSTM that corrects the perceptron `base`."""
-    base: str = "srf08-mlp"
+    base: ModelName = "srf08-mlp"
     """hybrid: perceptron to correct, by name or folder; its weights are fixed."""
-    hidden: int = 64
+    hidden: Annotated[int, Limit(1, 4096)] = 64
     """Width of each hidden layer."""
-    depth: int = 2
+    depth: Annotated[int, Limit(1, 32)] = 2
     """mlp: number of hidden layers."""
-    state: int = 48
+    state: Annotated[int, Limit(1, 4096)] = 48
     """lstm, hybrid: width of the state."""
-    components: int = 6
+    components: Annotated[int, Limit(1, 256)] = 6
     """Number of mixture components centred near the true distance."""
-    fixed: int = 2
+    fixed: Annotated[int, Limit(0, 256)] = 2
     """Number of mixture components anywhere on the scale, for clutter and ghosts."""
     covariates: tuple[str, ...] = ()
     """Logged columns used as inputs besides the geometry, for example temperature_c; if one is missing in use, the law
     is the average over its training values."""
-    horizon: float | None = None
+    horizon: PositiveMetres | None = None
     """Distance beyond which there are no echoes, m: all farther pings share one law, that of an empty cone."""
-    epochs: int = 300
+    epochs: Count = 300
     """Largest number of passes over the training pings."""
-    patience: int = 40
+    patience: Count = 40
     """Number of passes without a better validation score after which training stops."""
-    batch: int = 512
+    batch: Count = 512
     """Pings per step."""
-    learning_rate: float = 4e-3
+    learning_rate: Rate = 4e-3
     """Initial learning rate of AdamW, annealed to a hundredth along a cosine."""
-    weight_decay: float = 1e-3
+    weight_decay: Share = 1e-3
     """Weight decay of AdamW."""
-    validation: float = 0.15
+    validation: Share = 0.15
     """Fraction of conditions (runs for recurrent laws) on which the best weights are chosen."""
-    test: float = 0.2
+    test: Share = 0.2
     """Fraction of conditions (runs for recurrent laws) used for the reported scores."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the split, the initial weights and the order of pings."""
     made_by: tuple[str, ...] = ()
     """Commands that made the recording, for the model card."""

@@ -14,10 +14,11 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Annotated, Any
 
-from acquisition import SettingError
 from acquisition.io.files import write_bytes
+from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.limits import Count, Limit, Workers
 from training.common.progress import bar
 from training.diagnosis.judging.tasks import Task, case_of
 from training.proof import real
@@ -63,30 +64,28 @@ LEDGER = "ledger.jsonl"
 class Args:
     """Settings of `sonar-gym prove`."""
 
-    out: Path
+    out: OutputFolder
     """Folder of the ledger; an interrupted run goes on."""
-    trials: int = 300
+    trials: Count = 300
     """Number of trials."""
-    pings: int = 2000
+    pings: Count = 2000
     """Approximate number in each recording."""
-    left_out: int = 30
+    left_out: Annotated[int, Limit(0, 1_000_000)] = 30
     """Number of single causes that are also diagnosed without the true effect in the catalogue."""
-    workers: int = 2
+    workers: Workers = 2
     """Number of trials in parallel."""
     ray: bool = False
     """Diagnose and score on a Ray cluster."""
     plan: bool = False
     """Only write the deck, whose hash can then be published before the trials are run."""
-    pages: Path | None = None
+    pages: OutputFolder | None = None
     """Folder of the page, its figures and the table of each family; `out` by default."""
-    announce: Path | None = None
+    announce: OutputFile | None = None
     """File to which the hashes of the deck and of the closing line are added, for the repository."""
 
 
 def main(args: Args) -> None:
     """Run what is missing, close the ledger and write the page."""
-    if args.trials < 1 or args.workers < 1:
-        raise SettingError(f"--trials and --workers must be at least 1, got {args.trials} and {args.workers}")
     chain = opened(args)
     try:
         if not args.plan:

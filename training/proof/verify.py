@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from acquisition.limits import Limit, Workers
 from noise.effects import CATALOGUE
 from training.common.commit import ROOT
 from training.diagnosis.judging.tasks import case_of
@@ -61,9 +62,9 @@ class Args:
 
     ledger: Annotated[Path, tyro.conf.Positional]
     """Ledger that `sonar-gym prove` wrote, compressed by xz or not."""
-    rediagnose: int = 0
+    rediagnose: Annotated[int, Limit(0, 1_000_000)] = 0
     """Number of trials to diagnose again, about 20 s each; another machine may differ in last digits."""
-    workers: int = 2
+    workers: Workers = 2
     """Number of processes."""
     announced: Path = ANNOUNCED
     """File with the hashes that the repository published."""

@@ -11,6 +11,7 @@ import tyro
 
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_bytes
+from acquisition.io.places import OutputFolder
 from training.common.progress import bar
 from training.recordings.figures import FIGURES
 
@@ -25,7 +26,7 @@ class Args:
 
     recording: Annotated[Path, tyro.conf.Positional]
     """Recording to draw."""
-    out: Path
+    out: OutputFolder
     """Output folder of the figures, PNG."""
     where: tuple[str, ...] = ()
     """Draw only rows with these values: column=value."""

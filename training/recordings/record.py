@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from acquisition.bench import Rig, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf08
 from acquisition.drivers.devantech import Devantech
 from acquisition.errors import SettingError
+from acquisition.io.places import OutputFile
+from acquisition.limits import Count, Limit, Seed
 from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, Order, SurveyPlan
 from acquisition.survey.planfile import find_plan
@@ -35,7 +37,7 @@ class Args:
         sonar-gym record --driver rig --plan quick --out rec.csv --seed 1 --unit 7
     """
 
-    out: Path
+    out: OutputFile
     """Recording to write; each condition is written as soon as it is measured."""
     driver: Literal["rig", "twin", "srf08", "srf10", "srf02", "hcsr04", "maxbotix"] = "rig"
     """rig: simulated waveforms. twin: SRF08 driver with a simulated SRF08. Others: real sensors at `port`."""
@@ -45,45 +47,45 @@ class Args:
     """random: separates drift from distance. walk: few moves by hand. grid: in order. Default: as in the plan."""
     resume: bool = False
     """Resume an interrupted recording; plan, seed and settings must be unchanged."""
-    seed: int | None = None
+    seed: Seed | None = None
     """Seed of the order of conditions and of the rig. Default: as in the plan."""
-    pings: int | None = None
+    pings: Annotated[int, Limit(1, 1_000_000)] | None = None
     """Pings per condition. Default: as in the plan."""
-    interval_s: float | None = None
+    interval_s: Annotated[float, Limit(0.0, 3600.0, "s")] | None = None
     """Seconds between pings. Default: as in the plan."""
     pose: Literal["plan", "facing", "parallel"] = "plan"
     """Orientation of a reflector off the axis: facing the sensor, parallel to its face, or as in the plan."""
-    gain: int = 14
+    gain: Annotated[int, Limit(0, 31)] = 14
     """Maximum amplifier gain, code 0..31."""
-    range_register: int = 140
+    range_register: Annotated[int, Limit(0, 255)] = 140
     """0..255; the range limit is 43 mm * (value + 1)."""
     output: Literal["cm", "inch", "us"] = "cm"
     """Unit of the sensor's readings."""
-    echoes: int = 4
+    echoes: Annotated[int, Limit(1, 17)] = 4
     """Echoes per ping to record, 1..17."""
     sensor: str = "0"
     """Name of the sensor in the recording."""
-    unit: int = 0
+    unit: Seed = 0
     """rig, twin: serial number of the simulated sensor; 0 is the nominal sensor."""
-    temperature_c: float = 19.0
+    temperature_c: Annotated[float, Limit(-40.0, 85.0, "degC")] = 19.0
     """Air temperature, degC: of the rig, or measured beside the real sensor."""
-    humidity_pct: float = 50.0
+    humidity_pct: Annotated[float, Limit(0.0, 100.0, "%")] = 50.0
     """Relative humidity, %."""
     thermometer: Path | None = None
     """Real sensors: file with the air temperature in 0.001 degC, read every ten seconds, such as
     /sys/bus/w1/devices/28-*/temperature of a DS18B20; replaces `temperature_c`."""
     operator: Literal["ask", "none"] = "ask"
     """Real sensors: ask an operator to move the reflector, or continue without questions."""
-    patience: int = 10
+    patience: Count = 10
     """Real sensors: consecutive pings without an answer after which the connection is considered lost."""
     port: str | None = None
     """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch of docs/drivers.md
     (srf*: either; hcsr04: the Arduino) or of a MaxBotix. Defaults: /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0."""
-    address: int = 0x70
+    address: Annotated[int, Limit(0x70, 0x7F)] = 0x70
     """srf*: 7-bit address, 112..127."""
-    trigger: int = 9
+    trigger: Annotated[int, Limit(2, 69)] = 9
     """hcsr04: trigger pin of the Arduino."""
-    echo: int = 8
+    echo: Annotated[int, Limit(2, 69)] = 8
     """hcsr04: echo pin of the Arduino."""
     model: Literal["lv", "xl", "xl-long", "hrlv", "hrxl", "hrxl-long"] = "hrlv"
     """maxbotix: model family, which determines unit, digits and the value for no echo."""

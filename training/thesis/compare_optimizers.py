@@ -13,9 +13,12 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from annotated_types import MinLen
 
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_bytes, write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Limit, Seed, Share
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, Draw, panels
 from training.common.progress import bars
 from training.common.tables import markdown_table
@@ -53,29 +56,29 @@ class Args:
 
     recording: Annotated[Path, tyro.conf.Positional]
     """Recording of the thesis's survey (CSV); recorded with the rig if the file does not exist."""
-    out: Path
+    out: OutputFolder
     """Folder for networks, tables and figures."""
-    page: Path | None = None
+    page: OutputFolder | None = None
     """Folder for tables and figures, if different from OUT."""
-    seeds: int = 5
+    seeds: Annotated[int, Limit(1, 1000)] = 5
     """Number of trainings of each network; each has its own split, initial weights and order."""
-    sizes: tuple[int, ...] = (10, 15, 20)
+    sizes: Annotated[tuple[Annotated[int, Limit(1, 4096)], ...], MinLen(1)] = (10, 15, 20)
     """Hidden neurons of the tables."""
-    epochs: int = 15
+    epochs: Count = 15
     """Passes over the training pings; figure A.1 uses a third more."""
-    batch: int = 1
+    batch: Count = 1
     """Pings per step; 1 is online training, as in the thesis."""
-    dropout: float = 0.05
+    dropout: Annotated[float, Limit(0.0, 1.0, open_high=True)] = 0.05
     """Share of hidden units dropped at each step."""
-    l1: float = 0.0
+    l1: Share = 0.0
     """Coefficient of the sum of |w| in the objective."""
-    l2: float = 0.0
+    l2: Share = 0.0
     """Coefficient of the sum of w^2 (weight decay); together with l1 an elastic net."""
-    patience: int | None = None
+    patience: Count | None = None
     """Epochs without a lower validation loss after which training stops; by default it never stops early."""
     device: str = "cpu"
     """Device on which mini-batches are trained: cpu, cuda, cuda:1."""
-    rig_seed: int = 1
+    rig_seed: Seed = 1
     """Seed of the recording, if it has to be made."""
 
     @property

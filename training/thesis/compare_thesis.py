@@ -11,11 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes, write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Limit, Seed
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, panels
 from training.common.progress import progress_bars
 from training.common.tables import markdown_table
@@ -57,19 +60,19 @@ class Args:
 
     networks: Path
     """Folder with the networks that the thesis's author published (*.h5, *.hdf5)."""
-    out: Path
+    out: OutputFolder
     """Folder for trained networks, tables and figure."""
-    page: Path | None = None
+    page: OutputFolder | None = None
     """Folder for tables and figure, if different from OUT."""
-    trials: int = 40
+    trials: Count = 40
     """Number of units to try at each gain; 0 does not tune the electronics."""
-    pings: int = 50
+    pings: Count = 50
     """Pings per condition."""
-    seeds: int = 3
+    seeds: Annotated[int, Limit(1, 1000)] = 3
     """Number of trainings of each network on each recording."""
-    epochs: int = 15
+    epochs: Count = 15
     """Passes of training; 15 as in the thesis."""
-    seed: int = 1
+    seed: Seed = 1
     """Seed of the recordings."""
 
     @property

@@ -174,7 +174,7 @@ def test_true_distance_from_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "not a table"),
+        ("", "the file is empty"),
         ("when,distance_m\n0,1\n", "line 1: expected time_s or stamp_s and one or more of distance_m"),
         ("time_s,range\n0,1\n", "line 1: expected time_s or stamp_s and one"),
         ("time_s,distance_m\n0,1\n1,x\n", "line 3, column distance_m: expected a number"),

@@ -70,7 +70,7 @@ def test_a_short_file_has_the_default_values(tmp_path):
         (MINIMAL + "pigns = 3", "pigns: unknown key, expected one of angles_deg, distances_mm"),
         (MINIMAL + 'pings = "3"', "pings: expected a whole number, got '3'"),
         (MINIMAL + "pings = true", "pings: expected a whole number, got True"),
-        (MINIMAL + "pings = 0", "pings: expected a number from 1 to"),
+        (MINIMAL + "pings = 0", "pings: expected a whole number from 1 to"),
         (MINIMAL + "facing = 1", "facing: expected true or false, got 1"),
         (MINIMAL + "reflectances = [1.5]", "reflectances: expected a number from 0 to 1, got 1.5"),
         (MINIMAL + "reflectances = 0.5", r"reflectances: expected a list of numbers or {from, to, step}, got 0.5"),

@@ -205,9 +205,9 @@ def test_an_invalid_description_raises_with_its_path(saved, key):
 
 
 def test_an_invalid_head_raises():
-    with pytest.raises(SettingError, match="at least one near component, got 0"):
+    with pytest.raises(SettingError, match=r"Head\.near: expected a whole number from 1 to 1024, got 0"):
         Head(0, 1, 0.01, 6.0)
-    with pytest.raises(SettingError, match=r"no_answer must lie in \[0, 1\), got 1"):
+    with pytest.raises(SettingError, match=r"no_answer: expected a number of at least 0 and below 1, got 1"):
         Head(1, 1, 0.01, 6.0, 1.0)
 
 

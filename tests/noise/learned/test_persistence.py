@@ -45,12 +45,12 @@ def test_the_shipped_law_has_its_split_and_keeps_it_on_disk(tmp_path):
     assert load_model(save_model(model, tmp_path / "copy")).persistence == model.persistence
     text = (tmp_path / "copy" / "model.json").read_text()
     (tmp_path / "copy" / "model.json").write_text(text.replace(f'"range": {model.persistence.range}', '"range": 2.0'))
-    with pytest.raises(ModelError, match="persistence is invalid"):
+    with pytest.raises(ModelError, match=r"persistence\.range: input should be less than or equal to 1, got 2"):
         load_model(tmp_path / "copy")
 
 
 def test_invalid_values_raise():
-    with pytest.raises(SettingError, match=r"Persistence.range must lie in \[0, 1\], got 1.5"):
+    with pytest.raises(SettingError, match=r"Persistence.range: expected a number from 0 to 1, got 1.5"):
         Persistence(0.5, 1.5)
-    with pytest.raises(SettingError, match=r"Persistence.length_m must be > 0 m, got 0 m"):
+    with pytest.raises(SettingError, match=r"Persistence.length_m: expected a number above 0 .* m, got 0 m"):
         Persistence(0.5, 0.5, length_m=0.0)

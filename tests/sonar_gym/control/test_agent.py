@@ -85,9 +85,9 @@ def damaged(folder, kind):
 KINDS = {
     "no description": "contains no agent.json",
     "no json": "damaged",
-    "other version": "another format version",
-    "other memory": "retrain it",
-    "unknown field": "does not describe an agent",
+    "other version": "format: input should be 1, got 99",
+    "other memory": "memory.behind: field required",
+    "unknown field": "memory",
     "no weights": "is missing",
     "cut weights": "damaged or of another model",
     "not finite": "not finite",

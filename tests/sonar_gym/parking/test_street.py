@@ -73,12 +73,12 @@ def test_box_faces_are_closed_and_have_its_reflectance():
 
 @pytest.mark.parametrize("make", [lambda r: WallSegment(0, 0, 1, 0, r), lambda r: Box(0, 0, 1, 1, 0, r)])
 def test_reflectance_outside_its_limits_raises_an_error(make):
-    with pytest.raises(SettingError, match=r"reflectance must lie in \[0, 1\], got 1.5"):
+    with pytest.raises(SettingError, match=r"reflectance: expected a number from 0 to 1, got 1.5"):
         make(1.5)
 
 
 def test_box_without_extent_raises_an_error():
-    with pytest.raises(SettingError, match="Box sides must be > 0 m"):
+    with pytest.raises(SettingError, match=r"Box\.length: expected a number above 0"):
         Box(0, 0, 0.0, 1.0)
 
 
@@ -103,16 +103,18 @@ def test_layouts_by_name_by_mounts_and_by_mappings():
     assert layout(LAYOUTS["four"]) == LAYOUTS["four"]
     with pytest.raises(
         SettingError,
-        match="sonar_layout 'five': unknown name; expected eight, eight in turn, eight without latency, four",
+        match="sonar_layout: expected one of eight, eight in turn, eight without latency, four, got 'five'",
     ):
         layout("five")
     with pytest.raises(SettingError, match="sonar_layout has 0 mounts"):
         layout([])
-    with pytest.raises(SettingError, match=r"cone_deg of 'x' must lie in \(0, 180\) deg, got 180 deg"):
+    with pytest.raises(
+        SettingError, match=r"cone_deg of 'x': expected a number above 0 and below 180 deg, got 180 deg"
+    ):
         Mount("x", 0, 0, 0, 180.0)
 
 
 @pytest.mark.parametrize("field", ["length", "wheelbase", "max_speed"])
 def test_car_measures_are_checked(field):
-    with pytest.raises(SettingError, match=f"CarSettings.{field} must be > 0, got 0"):
+    with pytest.raises(SettingError, match=f"CarSettings.{field}: expected a number above 0 "):
         CarSettings(**{field: 0.0})

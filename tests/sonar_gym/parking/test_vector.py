@@ -323,7 +323,7 @@ def test_actions_beyond_the_limits_are_clipped():
 
 
 def test_invalid_arguments_raise_an_error():
-    with pytest.raises(SettingError, match="num_envs must be >= 1, got 0"):
+    with pytest.raises(SettingError, match=r"num_envs: expected a whole number from 1 .*, got 0"):
         SonarParkingVectorEnv(0)
     with pytest.raises(SettingError, match="pictured must contain numbers of environments below 2"):
         SonarParkingVectorEnv(2, pictured=[2])

@@ -108,7 +108,7 @@ def test_observed_speed_and_steering_have_the_errors_of_the_odometry():
 
 def test_settings_by_name_mapping_and_error():
     assert odometry({"scale": 0.1}) == OdometrySettings(scale=0.1)
-    with pytest.raises(SettingError, match="odometry 'gps': unknown name; expected exact, wheels, worn"):
+    with pytest.raises(SettingError, match="odometry: expected one of exact, wheels, worn, got 'gps'"):
         odometry("gps")
-    with pytest.raises(SettingError, match=r"OdometrySettings.pull must be finite and >= 0, got -1"):
+    with pytest.raises(SettingError, match=r"OdometrySettings.pull: expected a number from 0 to 10, got -1"):
         OdometrySettings(pull=-1.0)

@@ -347,8 +347,8 @@ def test_empty_value_is_an_empty_cone():
     [
         ({"indices": [7]}, r"indices must lie in \[0, 4\], got 7"),
         ({"indices": []}, "indices holds 0 indices"),
-        ({"metres_per_unit": 0.0}, "metres_per_unit must be > 0 m, got 0 m"),
-        ({"max_range": -1.0}, "max_range must be > 0 m, got -1 m"),
+        ({"metres_per_unit": 0.0}, "metres_per_unit: expected a number above 0 .*, got 0 m"),
+        ({"max_range": -1.0}, "max_range: expected a number from .*, got -1 m"),
         ({"incidence": (0.4, 0.0)}, "incidence must be a number, two limits low <= high, or a key"),
     ],
 )

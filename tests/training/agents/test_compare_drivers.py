@@ -75,6 +75,6 @@ def test_invalid_settings_are_refused(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["compare-drivers", "--episodes", "0"])
     assert stopped.value.code == 2
-    assert "--episodes must be >= 1, got 0" in capsys.readouterr().err
+    assert "--episodes: expected a whole number from 1 to 1000000, got 0" in capsys.readouterr().err
     with pytest.raises(SettingError, match=r"--faults must lie in \[0, 0.5\], got 0.6"):
         compare_drivers.main(Args(faults=0.6))

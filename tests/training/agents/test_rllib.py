@@ -10,6 +10,7 @@ pytest.importorskip("ray", reason="needs the extra `ray`: pip install 'sonar-gym
 import ray
 
 from acquisition import SettingError
+from acquisition.limits import check_settings
 from sonar_gym.agent import AgentDriver, load_policy
 from training.agents import rllib, sweep
 
@@ -75,5 +76,5 @@ def test_a_sweep_is_continued(two_workers, tmp_path):
 
 
 def test_invalid_settings_are_refused():
-    with pytest.raises(SettingError, match="give at least one worker"):
-        sweep.Args(workers=0)
+    with pytest.raises(SettingError, match=r"Args\.workers: expected a whole number from 1 to 256, got 0"):
+        check_settings(sweep.Args(workers=0))

@@ -77,7 +77,7 @@ def test_training_adds_each_sonar_with_faults():
     readings = [one.sample(np.random.default_rng(0)).range for one in (law, faulty)]
     assert np.mean(np.abs(readings[0] - 1.0) < 0.01) == 1.0
     assert np.mean(np.abs(readings[1] - 1.0) < 0.01) == pytest.approx(0.85 + 0.1 * 0.16, abs=0.02)
-    with pytest.raises(SettingError, match="3 cars for 4 kinds of environment"):
+    with pytest.raises(SettingError, match="--num-envs: expected at least 4, one for each kind of car, got 3"):
         Args("x", sonars=("ideal", "gaussian"), num_envs=3)
 
 

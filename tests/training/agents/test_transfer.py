@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from acquisition import Ping, SettingError
+from acquisition.limits import check_settings
 from noise import GaussianModel, IdealModel
 from noise.rig import RigModel
 from sonar_gym.parking.vector import SonarParkingVectorEnv
@@ -75,8 +76,8 @@ def test_table_and_figure_show_all_arms_in_all_worlds():
 
 
 def test_invalid_settings_are_refused():
-    with pytest.raises(SettingError, match="must be 1 or more"):
-        transfer.Args(seeds=0)
+    with pytest.raises(SettingError, match=r"Args\.seeds: expected a whole number from 1 to 1000, got 0"):
+        check_settings(transfer.Args(seeds=0))
 
 
 @pytest.mark.slow

@@ -49,9 +49,12 @@ def test_the_seed_determines_the_file_and_resuming_a_complete_one_changes_nothin
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--gain", "49"], "gain must be a whole number from 0 to 31, got 49"),
+        (["--gain", "49"], "--gain: expected a whole number from 0 to 31, got 49"),
         (["--driver", "srf08", "--port", "/dev/i2c-987"], "/dev/i2c-987"),
-        (["--driver", "srf08", "--port", "/dev/i2c-987", "--address", "224"], "/dev/i2c-987"),
+        (
+            ["--driver", "srf08", "--port", "/dev/i2c-987", "--address", "224"],
+            "--address: expected a whole number from 112 to 127, got 224",
+        ),
         (["--driver", "twin", "--resume"], "--resume does not work with --driver twin"),
     ],
 )

@@ -9,10 +9,14 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import MinLen
 
 from acquisition import SettingError
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, OneOf, Seed, Workers
 from training.common.progress import bar
 from training.diagnosis.generators.ensemble import FAMILIES, KINDS, kinds_of, make_trial
 from training.diagnosis.generators.trial import save
@@ -32,13 +36,13 @@ class Args:
         workers: number of processes.
     """
 
-    out: Path
-    n: int = 70
-    families: tuple[str, ...] = FAMILIES
-    kinds: tuple[str, ...] = KINDS
-    pings: int = 2000
-    seed: int = 0
-    workers: int = 1
+    out: OutputFolder
+    n: Count = 70
+    families: Annotated[tuple[Annotated[str, OneOf(FAMILIES)], ...], MinLen(1)] = FAMILIES
+    kinds: Annotated[tuple[Annotated[str, OneOf(KINDS)], ...], MinLen(1)] = KINDS
+    pings: Count = 2000
+    seed: Seed = 0
+    workers: Workers = 1
 
 
 def mix(families: tuple[str, ...], kinds: tuple[str, ...]) -> list[tuple[str, str]]:

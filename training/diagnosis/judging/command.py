@@ -12,7 +12,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from annotated_types import MinLen
+
+from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.limits import Count, OneOf, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS
 from training.common.commit import commit
 from training.diagnosis.generators.ensemble import FAMILIES, KINDS
@@ -41,15 +46,15 @@ class Args:
         only_table: write the table of the records that exist.
     """
 
-    out: Path = Path("runs/judge")
-    n: int = 10
-    families: tuple[str, ...] = FAMILIES
-    kinds: tuple[str, ...] = KINDS
-    pings: int = 2000
-    seed: int = 0
-    workers: int = 1
+    out: OutputFolder = Path("runs/judge")
+    n: Count = 10
+    families: Annotated[tuple[Annotated[str, OneOf(FAMILIES)], ...], MinLen(1)] = FAMILIES
+    kinds: Annotated[tuple[Annotated[str, OneOf(KINDS)], ...], MinLen(1)] = KINDS
+    pings: Count = 2000
+    seed: Seed = 0
+    workers: Workers = 1
     hard: bool = True
-    page: Path | None = None
+    page: OutputFile | None = None
     only_table: bool = False
 
 

@@ -8,8 +8,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from acquisition import SettingError
+from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.limits import Count, Limit, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
 from noise.metrics import Reliability
 from training.common.canvas import AFTER, SOFT, Axes, panels
@@ -44,13 +47,13 @@ class Args:
         picture: file of the reliability diagram.
     """
 
-    out: Path = Path("runs/decision")
-    n: int = 20
-    pings: int = 2000
-    seed: int = 1
-    workers: int = 1
-    weights: Path = WEIGHTS
-    picture: Path = ROOT / "docs" / "images" / "decision-reliability.png"
+    out: OutputFolder = Path("runs/decision")
+    n: Annotated[int, Limit(0, 1_000_000)] = 20
+    pings: Count = 2000
+    seed: Seed = 1
+    workers: Workers = 1
+    weights: OutputFile = WEIGHTS
+    picture: OutputFile = ROOT / "docs" / "images" / "decision-reliability.png"
 
 
 def main(args: Args) -> None:

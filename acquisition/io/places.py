@@ -1,0 +1,93 @@
+"""Where results may be written: checked before a command starts its work, so that no work is lost."""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from acquisition.errors import SettingError
+from acquisition.limits import hints_of
+
+RESULTS = ("model.json", "verdict.json", "agent.json", "ledger.jsonl")  # files that make a folder a result
+
+
+@dataclass(frozen=True)
+class Output:
+    """Marks the annotation of a path that is written, as a file or as a folder."""
+
+    kind: Literal["file", "folder"]
+
+
+OutputFile = Annotated[Path, Output("file")]
+OutputFolder = Annotated[Path, Output("folder")]
+
+
+def check_places(settings: Any) -> None:
+    """Check the paths of a dataclass whose annotations say that they are written.
+
+    Raises:
+        SettingError: see `check_output`.
+    """
+    cls: type = type(settings)
+    for field, hint in hints_of(cls):
+        for part in (hint, *get_args(hint)):
+            kind = next((extra.kind for extra in get_args(part) if isinstance(extra, Output)), None)
+            if get_origin(part) is Annotated and kind is not None and getattr(settings, field) is not None:
+                check_output(getattr(settings, field), kind, f"--{field.replace('_', '-')}")
+
+
+def check_output(path: Path, kind: Literal["file", "folder"], name: str = "--out") -> None:
+    """Check that a file or folder can be written.
+
+    Args:
+        path: of the file or folder; it need not exist.
+        kind: which of them.
+        name: of the setting, for messages.
+
+    Raises:
+        SettingError: it is a link to nothing, of the other kind, below a file, not writable, or inside a result.
+    """
+    try:
+        if "\0" in str(path):
+            raise SettingError(f"{name} {path}: contains a null character; give another path")
+        path = Path(os.path.abspath(path))
+        _check_itself(path, kind, name)
+        _check_parents(path, kind, name)
+    except SettingError:
+        raise
+    except (OSError, ValueError) as error:  # a name that is too long, or a null character
+        raise SettingError(f"{name} {path}: {getattr(error, 'strerror', error)}; give another path") from None
+
+
+def _check_itself(path: Path, kind: str, name: str) -> None:
+    if path.is_symlink() and not path.exists():
+        raise SettingError(f"{name} {path}: is a link to nothing; remove it or give another path")
+    mode = path.stat().st_mode if path.exists() else None
+    if mode is None:
+        return
+    if kind == "folder" and not stat.S_ISDIR(mode):
+        raise SettingError(f"{name} {path}: is a file, expected a folder; give another name")
+    if kind == "file" and stat.S_ISDIR(mode):
+        raise SettingError(f"{name} {path}: is a folder, expected a file; give the name of a file in it")
+    if kind == "file" and not stat.S_ISREG(mode):
+        raise SettingError(f"{name} {path}: is a device or a pipe, expected a file on a disk; give another path")
+    if kind == "file" and not os.access(path, os.W_OK):
+        raise SettingError(f"{name} {path}: is read-only; give another path, or make it writable")
+
+
+def _check_parents(path: Path, kind: str, name: str) -> None:
+    parents = list(path.parents)
+    nearest = path if kind == "folder" and path.exists() else next(p for p in parents if p.exists())
+    if not nearest.is_dir():
+        raise SettingError(f"{name} {path}: {nearest} is a file; give a path below a folder")
+    try:
+        tempfile.TemporaryFile(dir=nearest).close()  # permissions alone do not say whether a disk can be written
+    except OSError as error:
+        raise SettingError(f"{name} {path}: {nearest} cannot be written: {error.strerror}; give another path") from None
+    found = [parent for parent in parents[:2] if kind == "folder" and any((parent / r).is_file() for r in RESULTS)]
+    if found:
+        raise SettingError(f"{name} {path}: lies inside the result {found[0]}; give a folder beside it")

@@ -1,0 +1,78 @@
+"""Files of settings (JSON, TOML) against a schema: unknown, missing and impossible fields are named."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from acquisition.errors import ModelError, SonarError
+from acquisition.limits import shown
+
+MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
+MAX_DEPTH = 5  # names of a place in a message
+
+
+class Schema(BaseModel):
+    """Base of the schemas: no unknown fields, no conversion between types, no NaN and no infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+@cache
+def _adapter(schema: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(schema)
+
+
+def read_json(path: Path, schema: Any, error: type[SonarError] = ModelError) -> dict[str, Any]:
+    """Return the content of a JSON file that fits a schema, as plain data, without the fields that are not given.
+
+    Args:
+        path: of the file.
+        schema: subclass of `Schema`, or a union of them.
+        error: raised for a file that does not fit.
+    """
+    return validated(read_limited(path, error), schema, str(path), error)
+
+
+def read_limited(path: Path, error: type[SonarError]) -> bytes:
+    """Return the bytes of a file that is no larger than a file of settings can be."""
+    try:
+        if not path.is_file():
+            raise error(f"{path.parent}: contains no {path.name}; give the folder as it was saved")
+        if path.stat().st_size > MAX_BYTES:
+            raise error(f"{path}: has more than {MAX_BYTES // 2**20} MiB, expected a file of settings")
+        return path.read_bytes()
+    except OSError as failed:
+        raise error(f"{path}: cannot be read: {failed.strerror}; check its permissions") from None
+
+
+def validated(content: bytes | dict[str, Any], schema: Any, place: str, error: type[SonarError]) -> dict[str, Any]:
+    """Return JSON text, or plain data, that fits a schema; see `read_json`.
+
+    Args:
+        content: text or data.
+        schema: to fit.
+        place: where it comes from, for the message.
+        error: raised if it does not fit; the message names the first field that does not.
+    """
+    adapter = _adapter(schema)
+    try:
+        fits = adapter.validate_json(content) if isinstance(content, bytes) else adapter.validate_python(content)
+    except ValidationError as failed:
+        raise error(f"{place}: {_reason(failed)}; it is damaged or of another version") from None
+    found: dict[str, Any] = adapter.dump_python(fits, exclude_unset=True)
+    return found
+
+
+def _reason(failed: ValidationError) -> str:
+    first = failed.errors(include_url=False)[0]
+    names = [str(name) for name in first["loc"]]
+    where = ".".join(names if len(names) <= MAX_DEPTH else ["...", *names[-MAX_DEPTH:]])
+    text = first["msg"][0].lower() + first["msg"][1:]
+    if first["type"] == "json_invalid":
+        return f"not JSON: {text.removeprefix('invalid JSON: ')}"
+    value = "" if first["type"] in ("missing", "extra_forbidden") else f", got {shown(first['input'])}"
+    return f"{where or 'content'}: {text}{value}"

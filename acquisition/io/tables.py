@@ -1,0 +1,179 @@
+"""Tables of text from CSV files of any program: what cannot be read as one table is named, never guessed."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import itertools
+import re
+import warnings
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
+
+MAX_COLUMNS, MAX_FIELD = 1000, 100_000  # columns of a table, and characters of one field
+MAX_BYTES = 2**30  # of a table, decompressed
+GZIP, ZIP, XZ, UTF16 = b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", (b"\xff\xfe", b"\xfe\xff")
+FORMATS = ((ZIP, "a ZIP archive"), (XZ, "compressed by xz"), (b"SQLite format 3", "a database"), (b"\x89HDF", "HDF5"))
+HEADER_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a CSV file separates and writes numbers.
+
+    Attributes:
+        delimiter: between two fields, one character.
+        decimal: decimal point, one character.
+    """
+
+    delimiter: str = ","
+    decimal: str = "."
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for characters that cannot be told apart."""
+        if len(self.delimiter) != 1 or self.delimiter in '"\r\n.0123456789':
+            raise SettingError(f"delimiter: expected one character such as ; or a tab, got {self.delimiter!r}")
+        if self.decimal not in (".", ",") or self.decimal == self.delimiter:
+            raise SettingError(f"decimal: expected . or , and not the delimiter, got {self.decimal!r}")
+
+
+COMMAS = Dialect()
+
+
+def read_text_table(path: Path, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
+    """Return the fields of a CSV file as text; gzip, a byte order mark and any line ends are read.
+
+    Args:
+        path: of the file.
+        dialect: its delimiter and decimal point; the latter becomes a point.
+        number_twins: number columns of the same name ("x", "x.1") instead of rejecting the file.
+
+    Raises:
+        RecordingNotFoundError: the file does not exist.
+        RecordingError: it is no file, is not text, or is no table with unique names of columns.
+    """
+    return parse_table(read_bytes(path), str(path), dialect, number_twins)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file, decompressed if it is compressed by gzip.
+
+    Raises:
+        RecordingNotFoundError: the file does not exist.
+        RecordingError: it is no file, cannot be read, or is too large.
+    """
+    try:
+        if "\0" in str(path) or not path.exists():
+            raise RecordingNotFoundError(f"{path}: no such file; give the path of a CSV file")
+        if not path.is_file():
+            what = "a folder" if path.is_dir() else "a device or a pipe"
+            raise RecordingError(f"{path}: is {what}, expected a CSV file")
+        with path.open("rb") as raw:
+            packed = raw.read(len(GZIP)) == GZIP
+        with gzip.open(path) if packed else path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise RecordingError(f"{path}: damaged gzip file: {error}; copy or record it again") from None
+    except OSError as error:
+        if isinstance(error, RecordingNotFoundError):
+            raise
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}; check its permissions") from None
+    if len(data) > MAX_BYTES:
+        raise RecordingError(f"{path}: has more than {MAX_BYTES // 2**20} MiB of text; split it into several files")
+    return data
+
+
+def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
+    """Return the fields of CSV text; see `read_text_table`."""
+    columns = _header(_decoded(data, name), name, dialect)
+    _check_header(columns, name, number_twins)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # of a row with more fields than the header
+            table = pd.read_csv(
+                io.BytesIO(data),
+                dtype=str,
+                keep_default_na=False,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+                sep=dialect.delimiter,
+                index_col=False,
+            )
+    except pd.errors.ParserWarning:
+        raise RecordingError(f"{name}: the rows have more fields than the header; give each column a name") from None
+    except (pd.errors.ParserError, ValueError) as error:
+        reason = " ".join(str(error).replace("Error tokenizing data. C error:", "").split())
+        raise RecordingError(f"{name}: not a table of separated values: {reason}") from None
+    table.columns = pd.Index(_numbered(columns))
+    if dialect.decimal == ",":
+        table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
+    return table
+
+
+def _decoded(data: bytes, name: str) -> str:
+    """Return the text, or say what the bytes are instead."""
+    found = next((what for magic, what in FORMATS if data.startswith(magic)), None)
+    if data.startswith(UTF16):
+        found = "UTF-16 text"
+    if found is not None:
+        raise RecordingError(f"{name}: is {found}, expected a CSV file in UTF-8; export it as such")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{name}: not UTF-8 text (byte {error.start}); expected a CSV file") from None
+    if "\0" in text:
+        line = text[: text.index("\0")].count("\n") + 1
+        raise RecordingError(f"{name}, line {line}: contains a null character; the file is damaged or no CSV file")
+    return text
+
+
+def _header(text: str, name: str, dialect: Dialect) -> list[str]:
+    """Return the names of the columns; an empty one becomes `Unnamed: k`, as in pandas."""
+    first = re.split(r"[\r\n]", text[:HEADER_BYTES].lstrip(), maxsplit=1)[0]
+    if not first:
+        raise RecordingError(f"{name}, line 1: the file is empty, expected a header with the names of the columns")
+    if first.count(dialect.delimiter) >= MAX_COLUMNS:
+        raise RecordingError(f"{name}, line 1: has more than {MAX_COLUMNS} columns; keep those that are needed")
+    if len(first) > MAX_FIELD:
+        raise RecordingError(f"{name}, line 1: has more than {MAX_FIELD:,} characters, expected a header")
+    try:
+        header = next(csv.reader([first], delimiter=dialect.delimiter))
+    except csv.Error as error:
+        raise RecordingError(f"{name}, line 1: not a table of separated values: {error}") from None
+    return [column.strip() or f"Unnamed: {k}" for k, column in enumerate(header)]
+
+
+def _check_header(columns: list[str], name: str, number_twins: bool) -> None:
+    twin = next((column for column, count in Counter(columns).items() if count > 1), None)
+    if twin is not None and not number_twins:
+        raise RecordingError(f"{name}, line 1: column {twin!r} is given twice; rename or remove one")
+    mark = next((mark for mark in (";", "\t", "|") if len(columns) == 1 and mark in columns[0]), None)
+    if mark is not None:
+        shown = "tab" if mark == "\t" else mark
+        raise RecordingError(
+            f"{name}, line 1: seems to separate columns by {shown!r}: `sonar-gym import` reads it with "
+            f"--delimiter {shown!r}, and with --decimal ',' where numbers have a decimal comma"
+        )
+
+
+def _numbered(columns: list[str]) -> list[str]:
+    """Return unique names: the k-th repetition of x becomes x.k.
+
+    >>> _numbered(["x", "y", "x", "x"])
+    ['x', 'y', 'x.1', 'x.2']
+    """
+    seen, taken, out = Counter[str](), set(columns), []
+    for column in columns:
+        name, seen[column] = column, seen[column] + 1
+        if seen[column] > 1:
+            name = next(f"{column}.{k}" for k in itertools.count(seen[column] - 1) if f"{column}.{k}" not in taken)
+            taken.add(name)
+        out.append(name)
+    return out

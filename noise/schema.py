@@ -1,0 +1,202 @@
+"""Schemas of model.json, one per kind of model, and of the description of a learned credence."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from annotated_types import MaxLen, MinLen
+from pydantic import Field, model_validator
+
+from acquisition.io.schema import Schema
+from acquisition.limits import Limit, PositiveMetres, Share
+
+Resolution = Annotated[float, Limit(1e-6, 1.0, "m")]
+Width = Annotated[int, Limit(1, 65_536)]
+Sizes = Annotated[list[Width], MinLen(2), MaxLen(64)]
+Parameters = dict[str, float]
+Numbers = list[float]
+Format = Literal[1]
+
+
+class Inputs(Schema):
+    """Inputs of a network; see `noise.learned.inputs.Inputs`."""
+
+    names: Annotated[list[str], MinLen(1), MaxLen(256)]
+    low: Numbers
+    high: Numbers
+    folded: bool
+    tied: bool
+    open_end: bool
+
+    @model_validator(mode="after")
+    def _fits(self) -> Inputs:
+        if not len(self.names) == len(self.low) == len(self.high) == len(set(self.names)):
+            raise ValueError("names, low and high must have equal numbers, and each name once")
+        if self.names[0] != "distance" or self.low[0] < 0.0:
+            raise ValueError("the first name must be distance, from 0 m or more")
+        if any(low > high for low, high in zip(self.low, self.high, strict=True)):
+            raise ValueError("low must not exceed high")
+        return self
+
+
+class Head(Schema):
+    """Head of a network; see `noise.learned.mixture.Head`."""
+
+    near: Annotated[int, Limit(1, 1024)]
+    fixed: Annotated[int, Limit(0, 1024)]
+    resolution: Resolution
+    max_range: PositiveMetres
+    no_answer: Annotated[float, Limit(0.0, 1.0, open_high=True)] = 0.0
+    anchored: Annotated[int, Limit(0, 1024)] = 0
+    fails: bool = False
+
+
+class Persistence(Schema):
+    """The persisting part of the spread; see `noise.learned.persistence.Persistence`."""
+
+    detection: Share
+    range: Share
+    lasting: Share = 0.0
+    length_m: PositiveMetres = 1.0
+
+
+class Base(Schema):
+    """The perceptron below a hybrid."""
+
+    sizes: Sizes
+    head: Head
+
+
+class Standard(Schema):
+    """Standardised inputs of a smooth term."""
+
+    names: list[str]
+    middle: Numbers
+    scale: Numbers
+    low: Numbers
+    high: Numbers
+
+
+class Term(Schema):
+    """A smooth term; see `noise.fitting.smooth.Smooth`."""
+
+    term: str
+    inputs: Standard
+    centres: list[Numbers]
+    alpha: dict[str, Any]
+    level_centres: list[Numbers]
+    beta: dict[str, Any]
+    tails_m: Annotated[Numbers, MinLen(2), MaxLen(2)]
+    placement_m: float
+
+
+class Kind(Schema):
+    """What every model.json holds; the models inside another have no format of their own."""
+
+    format: Format = 1
+
+
+class Registered(Kind):
+    """A model with a register."""
+
+    resolution: Resolution
+    max_range: PositiveMetres
+
+
+class Ideal(Registered):
+    """See `noise.model.IdealModel`."""
+
+    kind: Literal["ideal"]
+
+
+class Gaussian(Registered):
+    """See `noise.model.GaussianModel`."""
+
+    kind: Literal["gaussian"]
+    sigma: float
+    sigma_per_metre: float
+    miss: float
+
+
+class Beam(Registered):
+    """See `noise.beam.BeamModel`."""
+
+    kind: Literal["beam"]
+    hit: float
+    short: float
+    silent: float
+    random: float
+    sigma: float
+    short_rate: float
+
+
+class Physical(Registered):
+    """See `noise.physical.PhysicalModel`."""
+
+    kind: Literal["physical"]
+    effects: dict[str, Parameters]
+
+
+class Empirical(Registered):
+    """See `noise.fitting.empirical.EmpiricalModel`."""
+
+    kind: Literal["empirical"]
+    effects: dict[str, Parameters]
+    terms: list[Term]
+
+
+class Network(Kind):
+    """A network with its weights in another file."""
+
+    sizes: Sizes
+    inputs: Inputs
+    head: Head
+    persistence: Persistence | None = None
+    about: dict[str, Any] = Field(default_factory=dict)
+
+
+class Mlp(Network):
+    """See `noise.learned.networks.MlpModel`."""
+
+    kind: Literal["mlp"]
+
+
+class Lstm(Network):
+    """See `noise.learned.recurrent.LstmModel`."""
+
+    kind: Literal["lstm"]
+    hidden: Width
+    base: Base | None = None
+
+
+class Faulty(Kind):
+    """See `noise.faults.Faulty`."""
+
+    kind: Literal["faulty"]
+    model: Model
+    faults: list[dict[str, float | str]]
+
+
+class Composed(Kind):
+    """See `noise.composed.ComposedModel`."""
+
+    kind: Literal["composed"]
+    model: Model
+    before: dict[str, Parameters]
+    after: dict[str, Parameters]
+
+
+Model = Annotated[
+    Ideal | Gaussian | Beam | Physical | Empirical | Mlp | Lstm | Faulty | Composed, Field(discriminator="kind")
+]
+Faulty.model_rebuild()
+Composed.model_rebuild()
+
+
+class Credence(Schema):
+    """See `noise.learned.recent.RecentCredence`."""
+
+    format: Format
+    depth: Annotated[int, Limit(1, 1024)]
+    sizes: Sizes
+    about: dict[str, Any] = Field(default_factory=dict)

@@ -1,0 +1,161 @@
+"""Every option of every command: a bad value is one line that names the option."""
+
+import dataclasses
+import importlib
+import math
+import typing
+
+import pytest
+import tyro
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acquisition.io.places import Output
+from acquisition.limits import Limit, Loadable, OneOf, hints_of
+from tests.fuzz.rule import FUZZ, check_rejected
+from training.cli import COMMANDS
+
+ARGS = {name: importlib.import_module(f"training.{module}").Args for name, (module, _) in COMMANDS.items()}
+NO_NUMBER = (
+    "x",
+    "",
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "1,5",
+    "0x1p3",
+    "--",
+    "None1",
+    "1e400",
+    "\x1b[31m",
+    "½",
+    "--5",
+    "٣x",
+    "true",
+)
+NO_NAME = ("", "nosuch", "..", "\x00", "ideal\n", "/dev/null", "a" * 5000, "/proc/self/mem", "\udcff", "💥", " ", "-")
+
+
+def parts(hint):
+    """Yield a type and all that it is made of."""
+    yield hint
+    for part in typing.get_args(hint):
+        if not isinstance(part, (str, int)):
+            yield from parts(part)
+
+
+def numeric(hint):
+    return next((part for part in parts(hint) if part in (int, float)), None)
+
+
+def extra(hint, kind):
+    return next((part for part in parts(hint) if isinstance(part, kind)), None)
+
+
+OPTIONS = [(name, field, hint) for name, cls in ARGS.items() for field, hint in hints_of(cls)]
+NUMBERS = [option for option in OPTIONS if numeric(option[2])]
+NAMES = [
+    o
+    for o in OPTIONS
+    if extra(o[2], OneOf) or extra(o[2], Loadable) or any(typing.get_origin(p) is typing.Literal for p in parts(o[2]))
+]
+PLACES = [option for option in OPTIONS if extra(option[2], Output)]
+ids = lambda options: [f"{name} {field}" for name, field, _ in options]  # noqa: E731
+
+
+def positional(cls, field):
+    return tyro.conf.Positional in typing.get_args(dict(hints_of(cls))[field])
+
+
+def command(name, valid, unused, /, **changed):
+    """Return the words of a command whose required options are valid, except those that are changed."""
+    cls = ARGS[name]
+    words, first = [name], []
+    for field in dataclasses.fields(cls):
+        required = field.default is dataclasses.MISSING
+        if field.name in changed:
+            value = changed[field.name]
+        elif field.name == "out":
+            value = [unused]
+        elif required:
+            value = [valid / ("model" if field.name in ("agent", "networks") else "recording.csv")]
+        else:
+            continue
+        if positional(cls, field.name):
+            first += value
+        else:
+            words += [f"--{field.name.replace('_', '-')}", *value]
+    return [*map(str, words[:1]), *map(str, first), *map(str, words[1:])]
+
+
+@st.composite
+def bad_numbers(draw, hint):
+    """Text that is not a number within the limits of an option."""
+    kind, limit = numeric(hint), extra(hint, Limit)
+    outside = [
+        v
+        for v in (limit.low - 1, limit.high + 1, limit.low * 10 - 3, limit.high * 1e6)
+        if math.isfinite(v) and not limit.holds(v)
+    ]
+    if kind is int and limit.high < 10**30:
+        outside = [int(v) for v in outside] + [10**30, -(10**30), 1.5, 1e3]
+    else:
+        outside += [1e300, -1e300] if math.isfinite(limit.high) else []
+    text = draw(st.one_of(st.sampled_from(NO_NUMBER), st.sampled_from([str(v) for v in outside])))
+    count = 3 if "tuple[" in str(hint) and "..." not in str(hint) and "Ellipsis" not in str(hint) else 1
+    return [text] * count
+
+
+@pytest.mark.parametrize(("name", "field", "hint"), NUMBERS, ids=ids(NUMBERS))
+def test_every_number_has_limits(name, field, hint):
+    assert extra(hint, Limit) is not None
+
+
+@pytest.mark.parametrize(("name", "field", "hint"), NUMBERS, ids=ids(NUMBERS))
+@FUZZ
+@given(data=st.data())
+def test_a_bad_number_is_named(valid, tmp_path_factory, name, field, hint, data):
+    out = tmp_path_factory.getbasetemp() / "unused"
+    words = command(name, valid, out, **{field: data.draw(bad_numbers(hint))})
+    check_rejected(*words, names=[f"--{field.replace('_', '-')}"])
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("name", "field", "hint"), NAMES, ids=ids(NAMES))
+@FUZZ
+@given(data=st.data())
+def test_an_unknown_name_is_named(valid, tmp_path_factory, name, field, hint, data):
+    out = tmp_path_factory.getbasetemp() / "unused"
+    text = data.draw(st.one_of(st.sampled_from(NO_NAME), st.text(min_size=3, max_size=20).map(lambda t: f"no {t}")))
+    check_rejected(*command(name, valid, out, **{field: [text]}), names=[f"--{field.replace('_', '-')}"])
+
+
+@pytest.mark.parametrize(("name", "field", "hint"), PLACES, ids=ids(PLACES))
+def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, hint):
+    folder = extra(hint, Output).kind == "folder"
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    bad = [tmp_path / "file" / "x", tmp_path / "link", "/proc/nowhere/x", tmp_path / ("n" * 300), "\x00"]
+    bad += [tmp_path / "file", valid / "model" / "x"] if folder else [tmp_path, "/dev/full", "/dev/null"]
+    for place in bad:
+        words = command(name, valid, tmp_path / "unused", **{field: [place]})
+        check_rejected(*words, names=[f"--{field.replace('_', '-')}"])
+    assert (tmp_path / "file").read_text() == "kept"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
+
+
+@pytest.mark.parametrize("name", ARGS)
+@FUZZ
+@given(
+    words=st.lists(
+        st.one_of(
+            st.text(max_size=30), st.sampled_from(["--", "-", "--seed", "--out", "-h1", "--no", "=", "--seed=", "@x"])
+        ),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_arbitrary_words_are_rejected(name, words):
+    if not {"-h", "--help", "--debug"} & set(words):
+        check_rejected(name, "--no-such-option", *words)

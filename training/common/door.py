@@ -1,0 +1,173 @@
+"""From a failure to one line on stderr: every command runs behind this door.
+
+A failure that the user can correct ends with exit code 2; any other with exit code 1 and a crash file, which can be
+attached to a report.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import itertools
+import os
+import platform
+import sys
+import tempfile
+import traceback
+from collections.abc import Iterator, Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+from acquisition import SonarError
+
+USAGE_ERROR, CRASHED, INTERRUPTED = 2, 1, 130
+MAX_LINE, MAX_PATH, MAX_WORD = 300, 160, 60  # characters of a message, and of a path or another word in it
+BORDER = "│╭╮╰╯─|+- \t"  # of the box around an error of the parser, also in plain ASCII
+GAP = "..."  # in place of words that are left out
+PACKAGES = ("sonar-gym", "numpy", "pandas", "torch", "gymnasium", "numba", "scipy")  # whose versions explain a crash
+ADVICE = {
+    errno.ENOSPC: "free disk space or give another folder",
+    errno.EDQUOT: "free disk space or give another folder",
+    errno.EACCES: "give a place that you may use, or change its permissions",
+    errno.EPERM: "give a place that you may use, or change its permissions",
+    errno.EROFS: "it is on a read-only disk: give another place",
+    errno.EISDIR: "give the name of a file",
+    errno.ENOTDIR: "a part of the path is a file: give another path",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.ENOENT: "check the path",
+    errno.EMFILE: "close other programs, or use fewer workers",
+    errno.ENOMEM: "close other programs, or use fewer workers",
+}
+
+
+@contextlib.contextmanager
+def door(argv: Sequence[str], debug: bool = False) -> Iterator[None]:
+    """Turn a failure of the block into one line and an exit code.
+
+    Args:
+        argv: command line, for the crash file.
+        debug: show the traceback instead.
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, BrokenPipeError) as error:
+        _leave(error)
+    except Exception as error:
+        if debug:
+            raise
+        reason = reason_of(error)
+        if reason is not None:
+            stop(reason)
+        stop(f"unexpected {type(error).__name__}: {error}; details: {crash_file(argv, error)}", CRASHED)
+
+
+def _leave(error: BaseException) -> None:
+    if isinstance(error, BrokenPipeError):  # of `sonar-gym effects | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # or Python reports the same error when it flushes stdout
+        raise SystemExit(CRASHED) from None
+    stop("interrupted; all files written so far are complete", INTERRUPTED)
+
+
+def reason_of(error: BaseException) -> str | None:
+    """Return what the user is told about a foreseeable failure; None for any other."""
+    if isinstance(error, SonarError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error}): use a shorter recording, smaller settings or fewer workers"
+    if isinstance(error, OSError) and error.errno is not None:
+        place = error.filename if error.filename is not None else "a file"
+        place = os.fsdecode(place) if isinstance(place, bytes | os.PathLike) else str(place)
+        return f"{place}: {error.strerror}: {ADVICE.get(error.errno, 'check the disk and the path')}"
+    return None
+
+
+def stop(message: str, code: int = USAGE_ERROR) -> None:
+    """Print one line on stderr and leave with an exit code."""
+    print(f"sonar-gym: {one_line(message)}", file=sys.stderr)
+    raise SystemExit(code) from None
+
+
+def one_line(message: str) -> str:
+    r"""Return a message as one printable line of limited length; paths stay in it.
+
+    >>> one_line("a\x1b[2J\nfile.csv: no such file")
+    'a\\x1b[2J file.csv: no such file'
+    """
+    text = "".join(map(_printable, message.strip()))
+    words = [_shortened(word) for word in text.split(" ")]
+    if len(" ".join(words)) > MAX_LINE:
+        words = _without_middle(words)
+    return " ".join(words)[:MAX_LINE]
+
+
+def _without_middle(words: list[str]) -> list[str]:
+    """Return words that fit into a line: all paths, the start, which says where, and the end, which says what to do."""
+    last, chosen = len(words) - 1, {k for k, word in enumerate(words) if os.sep in word}
+    room = MAX_LINE - sum(len(words[k]) + 1 + 2 * len(GAP) for k in chosen) - 2 * len(GAP)
+    for k in sorted(set(range(len(words))) - chosen, key=lambda k: min(k, 2 * (last - k))):
+        room -= len(words[k]) + 1
+        if room < 0:
+            break
+        chosen.add(k)
+    kept = [word if k in chosen else GAP for k, word in enumerate(words)]
+    return [word for k, word in enumerate(kept) if k == 0 or word != GAP or kept[k - 1] != GAP]
+
+
+def _printable(character: str) -> str:
+    if character == "\n":
+        return " "
+    return character if character.isprintable() else character.encode("unicode_escape", "surrogatepass").decode()
+
+
+def _shortened(word: str) -> str:
+    """Return a word of limited length, without its middle: the end of a path is its name."""
+    longest = MAX_PATH if os.sep in word else MAX_WORD
+    return word if len(word) <= longest else f"{word[: longest // 2 - 3]}...{word[-longest // 2 :]}"
+
+
+def crash_file(argv: Sequence[str], error: BaseException) -> str:
+    """Write what explains a failure to a new file in the temporary folder, and return its path."""
+    lines = [
+        f"command: {' '.join(['sonar-gym', *argv])!r}",
+        f"system: Python {platform.python_version()}, {platform.platform()}",
+        f"packages: {', '.join(filter(None, map(_version, PACKAGES)))}",
+        "",
+        "".join(traceback.format_exception(error)),
+    ]
+    try:
+        handle, path = tempfile.mkstemp(prefix="sonar-gym-crash-", suffix=".txt", text=True)
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write("\n".join(lines))
+    except OSError as failed:
+        return f"(no crash file: {failed.strerror}; repeat with --debug)"
+    return path
+
+
+def _version(package: str) -> str:
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return ""
+
+
+@contextlib.contextmanager
+def parsing(command: str) -> Iterator[None]:
+    """Turn the parser's error, a box of several lines, into one line; help is printed as it is."""
+    captured = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(captured):
+            yield
+    except SystemExit as left:
+        if left.code in (0, None):
+            raise
+        stop(f"{command}: {_unboxed(captured.getvalue())}. See `sonar-gym {command} --help`")
+
+
+def _unboxed(text: str) -> str:
+    """Return the first paragraph inside a box, and the option nearest to an unknown one."""
+    rows = [line.strip(BORDER) for line in text.splitlines()][1:]
+    first = list(itertools.takewhile(bool, itertools.dropwhile(lambda row: not row, rows)))
+    hint = next((row for before, row in itertools.pairwise(rows) if before.startswith("Perhaps you meant")), "")
+    return " ".join(first).removeprefix("Error parsing Args: ").rstrip(".") + (
+        f"; did you mean {hint.split()[0]}?" if hint else ""
+    )
