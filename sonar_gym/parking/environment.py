@@ -69,13 +69,17 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     ## Rewards
 
-    The sum of `info["reward_terms"]`: `progress` (decrease of the cost to go along a reference path, m), `time` (-0.01
-    per step), `parked` (+10, once), `crashed` (-10, once). The weights are `RewardWeights`.
+    The sum of `info["reward_terms"]`, with the weights of `RewardWeights`. The task's own reward is `time` (-0.01 per
+    step), `parked` (+10, once) and `crashed` (once, -3 and -5 per metre of cost to go from the place of the crash).
+    `shaping` is potential-based (Ng, Harada and Russell 1999): 5 per metre of decrease of the cost to go along a
+    reference path. The potential is zero where an episode ends, so the sum over an episode depends on its start alone
+    and the best policy is that of the task's own reward. `reward={"potential": 0.0}` turns it off.
 
     ## Starting State
 
-    The car stands at the beginning of its lane, with an offset of some millimetres and degrees. Number, length,
-    reflectance and texture of the boxes, and number and length of the spaces, are random (`StreetSettings`).
+    The car stands in its lane, with an offset of some millimetres and degrees, somewhere between the beginning of the
+    street and 0.6 m before the gap (uniform; at the beginning if "hard"). Number, length, reflectance and texture of
+    the boxes, and number and length of the spaces, are random (`StreetSettings`).
 
     ## Episode End
 

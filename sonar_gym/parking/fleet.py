@@ -58,33 +58,44 @@ PARKED_SPEED = 0.03  # m/s
 PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's line
 THREAD_ROWS = 64  # worlds per thread below which threads are slower than none
 EGO = 7  # length of `ego`
-REWARD_TERMS = ("progress", "time", "parked", "crashed")
+REWARD_TERMS = ("shaping", "time", "parked", "crashed")
 OPTIONS = ("difficulty", "street", "boxes", "obstacles", "start")
 
 
 @dataclass(frozen=True)
 class RewardWeights:
-    """Weights of the reward terms.
+    """Weights of the reward.
+
+    The task's own reward is `time`, `parked` and `crashed`. To it a potential-based shaping is added (Ng, Harada and
+    Russell 1999): `discount` * Phi(next pose) - Phi(pose), where Phi is minus `potential` times the cost to go along a
+    reference path, and zero where the episode ends. Its discounted sum depends on the start alone, so the best policy
+    is that of the task's own reward.
 
     Attributes:
-        progress: per metre of decrease of the cost to go along a reference path.
+        potential: potential per metre of cost to go; 0 for the task's own reward alone.
+        discount: discount of the shaping, 0..1; 1 for the undiscounted sum of rewards.
         time: per step.
         parked: once, for standing in the gap.
         crashed: once, for touching an obstacle or leaving the street.
+        crash_distance: once, per metre of cost to go from the place where the car crashed.
         off_path: cost of a deviation of 1 m from the reference path, in metres of cost to go.
         off_heading: cost of a deviation of 1 rad from its heading, in metres of cost to go.
     """
 
-    progress: float = 1.0
+    potential: float = 5.0
+    discount: float = 1.0
     time: float = -0.01
     parked: float = 10.0
-    crashed: float = -10.0
+    crashed: float = -3.0
+    crash_distance: float = -5.0
     off_path: float = 3.0
     off_heading: float = 0.5
 
     def __post_init__(self) -> None:
-        """Raise SettingError for a weight that is not finite."""
+        """Raise SettingError for a weight that is not finite, or a discount beyond 0..1."""
         check_finite(self)
+        if not 0.0 <= self.discount <= 1.0:
+            raise SettingError(f"RewardWeights.discount must lie in [0, 1], got {self.discount:g}")
 
 
 def _empty_faces(n: int, faces: int) -> dict[str, Any]:

@@ -21,6 +21,8 @@ from sonar_gym.sensing.records import SAME_TIME_S, PingArrays, firing_delay
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
 N_TASK = 8
 PARKED, COLLISION, LEFT_STREET = range(3)
+# Weights of the reward, in the order of the fields of `fleet.RewardWeights`
+POTENTIAL, DISCOUNT, TIME, PARKED_ONCE, CRASHED_ONCE, CRASH_DISTANCE, OFF_PATH, OFF_HEADING = range(8)
 PARTS = 5  # parts of a step; contact is tested at the end of each
 
 
@@ -37,7 +39,7 @@ class WorldArrays(NamedTuple):
         segments: segments, m, (n, m, 4).
         surface: reflectance and slope of the facets of each segment, 1 and rad, (n, m, 2).
         owner: number of the obstacle of each segment, (n, m).
-        terms: terms of the reward: progress, time, parked, crashed, (n, 4).
+        terms: terms of the reward: shaping, time, parked, crashed, (n, 4).
         ended: parked, collision, left the street, (n, 3).
         ego: observation of the car, (n, 7).
     """
@@ -180,10 +182,13 @@ def update_ego(ego: Singles, car: Floats, odometry: Floats, i: int, scale: Float
 @compiled
 def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
     """Write the terms of the reward and the cost to go."""
-    cost = cost_to_go(car[i, :3], task[i], arc, weights[4], weights[5])
-    terms[i, 0], terms[i, 1] = weights[0] * (task[i, COST] - cost), weights[1]
-    terms[i, 2] = weights[2] if ended[i, PARKED] else 0.0
-    terms[i, 3] = weights[3] if ended[i, COLLISION] or ended[i, LEFT_STREET] else 0.0
+    cost = cost_to_go(car[i, :3], task[i], arc, weights[OFF_PATH], weights[OFF_HEADING])
+    crashed = ended[i, COLLISION] or ended[i, LEFT_STREET]
+    next_cost = 0.0 if crashed or ended[i, PARKED] else cost  # the potential is zero where an episode ends
+    terms[i, 0] = weights[POTENTIAL] * (task[i, COST] - weights[DISCOUNT] * next_cost)
+    terms[i, 1] = weights[TIME]
+    terms[i, 2] = weights[PARKED_ONCE] if ended[i, PARKED] else 0.0
+    terms[i, 3] = weights[CRASHED_ONCE] + weights[CRASH_DISTANCE] * cost if crashed else 0.0
     task[i, COST] = cost
 
 

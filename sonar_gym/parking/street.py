@@ -23,6 +23,7 @@ from sonar_gym.sensing.scene import Box, Scene, box_faces
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
 TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
+START_BEFORE = 0.6  # m; least distance of the rear axle before the gap, so that the car passes both of its ends
 PATH_STEP = 0.01  # m; distance between poses of the reference path
 
 
@@ -44,6 +45,7 @@ class StreetSettings:
         far_side: distance from the lane's centre to the left kerb, m.
         lead: distance from the start to the first box, m.
         tail: distance from the last box to the end of the street, m.
+        start: place of the start between the beginning of the street, 0, and the gap, 1; see `START_BEFORE`.
         start_offset: largest offset of the start from the lane's centre, m.
         start_heading_deg: largest heading error of the start, deg.
     """
@@ -61,13 +63,14 @@ class StreetSettings:
     far_side: float = 0.75
     lead: float = 0.60
     tail: float = 1.00
+    start: tuple[float, float] = (0.0, 1.0)
     start_offset: float = 0.03
     start_heading_deg: float = 3.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
         check_finite(self)
-        for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
+        for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg", "start"):
             pair = tuple(getattr(self, name))
             if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
@@ -76,6 +79,8 @@ class StreetSettings:
         for name in ("line", "depth", "far_side", "tail"):
             if not getattr(self, name) > 0.0:
                 raise SettingError(f"StreetSettings.{name} must be > 0 m, got {getattr(self, name):g} m")
+        if self.start[1] > 1.0:
+            raise SettingError(f"StreetSettings.start must lie in 0..1 of the way to the gap, got {self.start}")
         if self.gap[0] <= self.decoy[1]:
             raise SettingError(
                 f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
@@ -106,6 +111,7 @@ LEVELS: dict[str, StreetSettings] = {
         decoys=(1, 3),
         recess=(0.0, 0.05),
         reflectance=(0.05, 0.9),
+        start=(0.0, 0.0),
         start_offset=0.05,
         start_heading_deg=5.0,
     ),
@@ -222,7 +228,8 @@ def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
     surfaces = low + (high - low) * rng.random((count + 2, 3))
     gap = (float(begins[where] + lengths[where]), float(begins[where + 1]))
     offset, angle = rng.uniform(-1.0, 1.0, size=2)
-    start = np.array([0.0, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
+    x = rng.uniform(*settings.start) * max(gap[0] - START_BEFORE, 0.0)
+    start = np.array([x, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
     return Street(settings, np.column_stack([begins, lengths, surfaces]), gap, start)
 
 

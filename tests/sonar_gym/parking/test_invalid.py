@@ -16,7 +16,11 @@ ARGUMENTS = {
     "car longer than the gap": ({"car": {"length": 0.9}}, "gap is 0.85 m long, but the car 0.9 m"),
     "infinite reward": ({"reward": {"parked": np.inf}}, "RewardWeights.parked must be finite, got inf"),
     "reward that is not a number": ({"reward": {"time": np.nan}}, "RewardWeights.time must be finite, got nan"),
-    "unknown reward": ({"reward": {"comfort": 1.0}}, "RewardWeights: unknown field 'comfort'; expected progress, time"),
+    "unknown reward": (
+        {"reward": {"comfort": 1.0}},
+        "RewardWeights: unknown field 'comfort'; expected potential",
+    ),
+    "discount above 1": ({"reward": {"discount": 1.1}}, r"RewardWeights.discount must lie in \[0, 1\], got 1.1"),
     "unknown field of the street": ({"street": {"fog": 1.0}}, "StreetSettings: unknown field 'fog'; expected gap"),
     "infinite street": ({"street": {"tail": np.inf}}, "StreetSettings.tail must be finite, got inf"),
     "infinite pair": ({"street": {"recess": (0.0, np.inf)}}, "StreetSettings.recess must be finite, got inf"),
