@@ -24,6 +24,7 @@ REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the e
 TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
 START_BEFORE = 0.6  # m; least distance of the rear axle before the gap, so that the car passes both of its ends
+MAX_TURN_DEG = 20.0  # deg; beyond it a short box cannot be turned within its extent
 PATH_STEP = 0.01  # m; distance between poses of the reference path
 
 
@@ -37,6 +38,7 @@ class StreetSettings:
         decoys: number of those spaces.
         box: length of a box, m.
         recess: distance of a box behind the strip's line, m.
+        turn_deg: angle of a box to the kerb, deg, to either side; a turned box keeps its extent along the street.
         reflectance: reflectance of a box, 0..1.
         texture_deg: slope of the facets of a box, deg; see `scene.WallSegment`.
         kerb_reflectance: reflectance of the kerbs and of the wall that ends the street, 0..1.
@@ -55,6 +57,7 @@ class StreetSettings:
     decoys: tuple[int, int] = (0, 2)
     box: tuple[float, float] = (0.30, 0.70)
     recess: tuple[float, float] = (0.0, 0.03)
+    turn_deg: tuple[float, float] = (0.0, 0.0)
     reflectance: tuple[float, float] = (0.1, 0.9)
     texture_deg: tuple[float, float] = (0.0, 10.0)
     kerb_reflectance: float = 0.4
@@ -70,7 +73,7 @@ class StreetSettings:
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
         check_finite(self)
-        for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg", "start"):
+        for name in ("gap", "decoy", "decoys", "box", "recess", "turn_deg", "reflectance", "texture_deg", "start"):
             pair = tuple(getattr(self, name))
             if len(pair) != 2 or not 0 <= pair[0] <= pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
@@ -93,6 +96,8 @@ class StreetSettings:
                 raise SettingError(f"StreetSettings.{name} must lie in [0, 1], got {value:g}")
         if self.texture_deg[1] >= 90.0:
             raise SettingError(f"StreetSettings.texture_deg must be < 90 deg, got {self.texture_deg[1]:g} deg")
+        if self.turn_deg[1] > MAX_TURN_DEG:
+            raise SettingError(f"StreetSettings.turn_deg must be <= {MAX_TURN_DEG:g} deg, got {self.turn_deg[1]:g} deg")
 
 
 LEVELS: dict[str, StreetSettings] = {
@@ -114,6 +119,14 @@ LEVELS: dict[str, StreetSettings] = {
         start=(0.0, 0.0),
         start_offset=0.05,
         start_heading_deg=5.0,
+    ),
+    "manoeuvre": StreetSettings(  # the gap is 15 % longer than the car, and the street ends behind the next box
+        gap=(0.5175, 0.5175),
+        decoy=(0.15, 0.40),
+        decoys=(0, 1),
+        box=(0.50, 0.70),
+        turn_deg=(0.0, 8.0),
+        tail=0.35,
     ),
 }
 
@@ -153,8 +166,8 @@ class Street:
 
     Attributes:
         settings: settings from which the street was drawn.
-        strip: begin, length, recess, reflectance, texture of the boxes on the strip, in driving order: m, m, m, 1, deg,
-            (k, 5).
+        strip: begin, length, recess, reflectance, texture, angle to the kerb of the boxes on the strip, in driving
+            order: m, m, m, 1, deg, deg, (k, 6).
         gap: begin and end of the space to park in, x in m.
         start: x, y, heading of the rear axle at the start: m, m, rad, (3,).
         obstacles: further obstacles.
@@ -184,7 +197,7 @@ class Street:
     @property
     def boxes(self) -> tuple[Box, ...]:
         """The boxes on the strip, in driving order."""
-        surfaces = self.strip[:, 3:]
+        surfaces = self.strip[:, 3:5]
         return tuple(
             Box(*map(float, (*rectangle, *surface)))
             for rectangle, surface in zip(self._rectangles(), surfaces, strict=True)
@@ -192,9 +205,12 @@ class Street:
 
     def _rectangles(self) -> Floats:
         """Return centre, length, width and heading of the boxes, see `box_faces`."""
-        begin, length, recess = self.strip[:, :3].T
-        width = self.settings.depth - recess
-        return np.column_stack([begin + 0.5 * length, self.line - recess - 0.5 * width, length, width, 0.0 * begin])
+        begin, extent, recess = self.strip[:, :3].T
+        depth, turn = self.settings.depth - recess, np.radians(self.strip[:, 5])
+        c, sn = np.cos(turn), np.abs(np.sin(turn))
+        # sides of the turned box whose extents along and across the street are those of the strip
+        length, width = (c * extent - sn * depth) / (c * c - sn * sn), (c * depth - sn * extent) / (c * c - sn * sn)
+        return np.column_stack([begin + 0.5 * extent, self.line - recess - 0.5 * depth, length, width, turn])
 
     @cached_property
     def scene(self) -> Scene:
@@ -202,7 +218,7 @@ class Street:
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
         walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
         surfaces = np.concatenate(
-            [np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3]
+            [np.repeat(self.strip[:, 3:5], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3]
         )
         owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
         faces = np.concatenate([box_faces(self._rectangles()), walls])
@@ -230,10 +246,11 @@ def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
     offset, angle = rng.uniform(-1.0, 1.0, size=2)
     x = rng.uniform(*settings.start) * max(gap[0] - START_BEFORE, 0.0)
     start = np.array([x, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
-    return Street(settings, np.column_stack([begins, lengths, surfaces]), gap, start)
+    turns = rng.uniform(*settings.turn_deg, count + 2) * rng.choice([-1.0, 1.0], count + 2)
+    return Street(settings, np.column_stack([begins, lengths, surfaces, turns]), gap, start)
 
 
-BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0}
+BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0, "turn_deg": 0.0}
 
 
 def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) -> Street:
@@ -241,7 +258,7 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
 
     Args:
         settings: all other dimensions; the car starts at the centre of the lane.
-        boxes: mappings of begin and length, m, and optionally recess, reflectance and texture_deg.
+        boxes: mappings of begin and length, m, and optionally recess, reflectance, texture_deg and turn_deg.
 
     >>> street = street_of(StreetSettings(), [{"begin": 0.6, "length": 0.4}, {"begin": 2.0, "length": 0.4}])
     >>> street.gap
