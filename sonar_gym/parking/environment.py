@@ -106,8 +106,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     - `sonar_layout`: "eight" (default; all fire 20 ms before every observation), "eight in turn" (neighbours never fire
       together), "eight without latency", "four", or a list of `Mount` or mappings of their fields: position, cone,
       period, phase and latency.
-    - `difficulty`: "easy", "normal" (default) or "hard": length of the gap, number of spaces that are too short,
-      reflectance of the boxes, offset of the start.
+    - `difficulty`: "easy", "normal" (default), "hard" or "manoeuvre": length of the gap, number of spaces that are too
+      short, reflectance and angle of the boxes, place and offset of the start.
     - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields; fields
       of `street` override those of the difficulty.
     - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of the
@@ -120,8 +120,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
     or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`, `reflectance`,
-    `texture_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole", "hedge" or
-    "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
+    `texture_deg`, `turn_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole",
+    "hedge" or "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
 
     ## Version History
 

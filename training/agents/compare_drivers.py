@@ -36,7 +36,7 @@ class Args:
     faults: float = 0.0
     """Share of readings that are arbitrary; an equal share has 0.1 m of scatter."""
     difficulty: str = "normal"
-    """Difficulty of the streets: easy, normal, hard."""
+    """Difficulty of the streets: easy, normal, hard, manoeuvre."""
     odometry: str = "wheels"
     """Error of the odometry: exact, wheels, worn."""
     episodes: int = 200

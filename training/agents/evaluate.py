@@ -205,7 +205,7 @@ class Args:
     odometry: str = "exact"
     """Error of the odometry: exact, wheels, worn."""
     difficulty: str = "normal"
-    """Difficulty of the streets: easy, normal, hard."""
+    """Difficulty of the streets: easy, normal, hard, manoeuvre."""
     episodes: int = 500
     """Number of streets; the same streets for every agent and sonar."""
     seed: int = 0

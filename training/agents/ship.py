@@ -51,7 +51,7 @@ class Args:
     odometry: tuple[str, ...] = ("exact", "wheels")
     """Errors of the odometry: exact, wheels, worn."""
     difficulty: tuple[str, ...] = ("normal", "hard")
-    """Difficulties of the streets: easy, normal, hard."""
+    """Difficulties of the streets: easy, normal, hard, manoeuvre."""
     episodes: int = 500
     """Number of streets for each combination."""
     seed: int = 0

@@ -53,7 +53,7 @@ class Args:
     odometry: tuple[str, ...] = ("exact",)
     """Errors of the odometry: exact, wheels, worn; each with each sonar."""
     difficulty: tuple[str, ...] = ("normal",)
-    """Difficulties of the streets: easy, normal, hard; each with each sonar."""
+    """Difficulties of the streets: easy, normal, hard, manoeuvre; each with each sonar."""
     lessons: int = 2000
     """Rounds of imitation, each one decision of every car; 0 for PPO alone."""
     steps: int = 0
