@@ -1,6 +1,7 @@
 from .agent import load_agent as load_agent
 from .control.driver import ParkingDriver as ParkingDriver
 from .control.driver import run_episode as run_episode
+from .curriculum import Curriculum as Curriculum
 from .parking.environment import SonarParkingEnv as SonarParkingEnv
 from .parking.goal import SonarParkingGoalEnv as SonarParkingGoalEnv
 from .parking.vector import SonarParkingVectorEnv as SonarParkingVectorEnv

@@ -17,7 +17,7 @@ from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation, RewardWeights
-from sonar_gym.parking.street import StreetSettings
+from sonar_gym.parking.street import StreetSettings, check_gap
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.odometry import OdometryChoice
@@ -117,6 +117,16 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
     def causes(self) -> tuple[str, ...]:
         """Names of the causes of readings, by number, as in `SonarParkingEnv`."""
         return self.fleet.causes
+
+    @property
+    def street_settings(self) -> StreetSettings:
+        """Settings from which the streets of the next episodes are drawn; they can be replaced."""
+        return self.fleet.street_settings
+
+    @street_settings.setter
+    def street_settings(self, settings: StreetSettings) -> None:
+        check_gap(settings.gap[0], self.fleet.car_settings)
+        self.fleet.street_settings = settings
 
     def _stream(self, i: int, seed: int | None = None) -> np.random.Generator:
         """Return the generator of an environment; a new one if a seed is given or there is none yet."""
