@@ -12,7 +12,9 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
-from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
+from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation
+from sonar_gym.parking.randomization import Randomization
+from sonar_gym.parking.step_kernel import RewardWeights
 from sonar_gym.parking.street import Street, StreetSettings
 from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.parking.world import WorldView
@@ -116,6 +118,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       calibrated.
     - `crosstalk`: whether a sonar also receives the bursts of others by way of a face (default). An ideal or Gaussian
       sonar, which has no beam, hears only itself.
+    - `randomize`: what each episode draws besides its street, `Randomization` or a mapping of its fields: `street`,
+      weights of difficulties, and `mounts`, the greatest displacement of each sonar, m and deg. `info["randomized"]`
+      holds `level`, the number of the difficulty (-1 if the options fix it), and `mounts`, the poses of the sonars.
     - `render_mode`: None, "rgb_array" or "human".
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
@@ -142,11 +147,22 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
+        randomize: Randomization | Mapping[str, Any] | None = None,
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.fleet = Fleet(
-            1, sonar, sonar_layout, difficulty, street, car, reward, odometry, credence_driver, crosstalk
+            1,
+            sonar,
+            sonar_layout,
+            difficulty,
+            street,
+            car,
+            reward,
+            odometry,
+            credence_driver,
+            crosstalk,
+            randomize=randomize,
         )
         self.max_range = MAX_RANGE
         self._streams_seeded = False

@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
-from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation, RewardWeights
+from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
+from sonar_gym.parking.randomization import Randomization
+from sonar_gym.parking.step_kernel import RewardWeights
 from sonar_gym.parking.street import StreetSettings, check_gap
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import Layout
@@ -40,8 +42,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk, render_mode: see
-            `SonarParkingEnv`.
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk: see
+            `SonarParkingEnv`, and so for `randomize` and `render_mode`.
         max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
         threads: number of threads; default: one per processor.
@@ -66,6 +68,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
+        randomize: Randomization | Mapping[str, Any] | None = None,
         max_episode_steps: int | None = MAX_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -92,6 +95,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
             credence_driver,
             crosstalk,
             cores() if threads is None else threads,
+            randomize,
         )
         self.single_observation_space = self.fleet.observation_space
         self.single_action_space = self.fleet.action_space
