@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
 from acquisition import SettingError
-from sonar_gym.parking.street import StreetSettings, street_settings
+from sonar_gym.parking.street import StreetSettings, replaced, street_settings
 
 
 def between(begin: StreetSettings, end: StreetSettings, share: float) -> StreetSettings:
@@ -42,8 +43,8 @@ class Curriculum(BaseCallback):
     `step`; episodes that run finish in their streets. `curriculum/share` is logged.
 
     Args:
-        begin: first streets: settings, or a level of difficulty.
-        end: last streets.
+        begin: first streets: settings, a level of difficulty, or a mapping of the fields that differ from the last.
+        end: last streets: settings or a level of difficulty.
         success: success rate from which the streets become harder, 0..1.
         step: increase of the share.
         episodes: number of episodes in which success is counted.
@@ -54,7 +55,7 @@ class Curriculum(BaseCallback):
 
     def __init__(
         self,
-        begin: StreetSettings | str = "easy",
+        begin: StreetSettings | Mapping[str, Any] | str = "easy",
         end: StreetSettings | str = "hard",
         success: float = 0.8,
         step: float = 0.1,
@@ -66,7 +67,8 @@ class Curriculum(BaseCallback):
                 f"Curriculum: success and step must lie in (0, 1] and episodes must be >= 1, got {success:g}, {step:g} "
                 f"and {episodes}"
             )
-        self.begin, self.end = (street_settings(one) if isinstance(one, str) else one for one in (begin, end))
+        self.end = street_settings(end) if isinstance(end, str) else end
+        self.begin = street_settings(begin) if isinstance(begin, str) else replaced(self.end, begin)
         self.success, self.step, self.share = success, step, 0.0
         self._ends: deque[bool] = deque(maxlen=episodes)
 

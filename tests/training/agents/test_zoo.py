@@ -8,6 +8,7 @@ from stable_baselines3 import PPO
 
 import sonar_gym
 from acquisition import SettingError
+from sonar_gym.parking.street import LEVELS
 from sonar_gym.sb3 import SonarVecEnv
 from training.agents.zoo.command import Args, make_envs, parked
 from training.agents.zoo.settings import tuned
@@ -23,6 +24,7 @@ def test_tuned_settings_make_a_model(algorithm, env_id):
     model = settings.algorithm_class(env=envs, device="cpu", **settings.keywords)
     assert model.n_envs == settings.n_envs
     assert settings.n_timesteps >= 1e5
+    assert all(callback.end == LEVELS["manoeuvre"] for callback in settings.make_callbacks())
 
 
 def test_a_row_is_trained_tested_and_written(tmp_path, capsys):
@@ -37,6 +39,12 @@ def test_a_row_is_trained_tested_and_written(tmp_path, capsys):
     assert (
         "sonar-gym zoo ppo --env SonarParking-v0 --sonar ideal --steps 8192 --seed 3" in (out / "README.md").read_text()
     )
+
+
+def test_the_manoeuvre_begins_with_wide_gaps():
+    (curriculum,) = tuned("ppo", "SonarParkingManoeuvre-v0").make_callbacks()
+    assert curriculum.begin.gap == (0.85, 1.05)
+    assert curriculum.begin.box == LEVELS["manoeuvre"].box
 
 
 def test_the_test_drives_the_streets_from_seed_zero():

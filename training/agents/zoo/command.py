@@ -91,7 +91,8 @@ def train(args: Args, settings: Tuned, on_progress: OnProgress = lambda name, do
     )
     envs.seed(TRAINING_SEEDS + settings.n_envs * args.seed)
     steps = settings.n_timesteps if args.steps is None else args.steps
-    model.learn(steps, callback=_Report(on_progress, steps), tb_log_name=f"{settings.algorithm}_{args.seed}")
+    callbacks = [_Report(on_progress, steps), *settings.make_callbacks()]
+    model.learn(steps, callback=callbacks, tb_log_name=f"{settings.algorithm}_{args.seed}")
     envs.close()
     return model
 
@@ -128,6 +129,7 @@ def write(args: Args, settings: Tuned, model: BaseAlgorithm, rate: Rate, seconds
     }
     write_text(args.out / RESULT, json.dumps(result, indent=2) + "\n")
     names = {name: getattr(value, "__name__", value) for name, value in settings.keywords.items()}
+    names |= settings.callbacks
     fields = {**result, "class_name": type(model).__name__, "rate": rate, "environments": settings.n_envs}
     fields["settings"] = "\n".join(f"- `{name}`: {value}" for name, value in names.items())
     write_text(args.out / README, Template(CARD.read_text(encoding="utf-8")).substitute(fields))

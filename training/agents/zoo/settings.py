@@ -9,11 +9,14 @@ from typing import Any
 import yaml
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 
 from acquisition import SettingError
+from sonar_gym.curriculum import Curriculum
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 CLASSES = {"HerReplayBuffer": HerReplayBuffer}  # that a file names
+CALLBACKS: dict[str, type[BaseCallback]] = {"sonar_gym.curriculum.Curriculum": Curriculum}
 
 
 @dataclass(frozen=True)
@@ -25,12 +28,18 @@ class Tuned:
         n_envs: number of environments.
         n_timesteps: number of steps of all environments together.
         keywords: keyword arguments of the algorithm's class.
+        callbacks: keyword arguments of callbacks, by their names in `CALLBACKS`.
     """
 
     algorithm: str
     n_envs: int
     n_timesteps: int
     keywords: dict[str, Any]
+    callbacks: dict[str, dict[str, Any]]
+
+    def make_callbacks(self) -> list[BaseCallback]:
+        """Return new callbacks."""
+        return [CALLBACKS[name](**keywords) for name, keywords in self.callbacks.items()]
 
     @property
     def algorithm_class(self) -> type[BaseAlgorithm]:
@@ -50,6 +59,7 @@ def tuned(algorithm: str, env_id: str) -> Tuned:
     if env_id not in known:
         raise SettingError(f"{algorithm} has no settings for {env_id!r}; expected {', '.join(known)}")
     row = dict(known[env_id])
+    callbacks = {name: given for one in row.pop("callback", ()) for name, given in one.items()}
     n_envs, n_timesteps = int(row.pop("n_envs")), int(row.pop("n_timesteps"))
     keywords = {name: CLASSES.get(value, value) if isinstance(value, str) else value for name, value in row.items()}
-    return Tuned(algorithm, n_envs, n_timesteps, keywords)
+    return Tuned(algorithm, n_envs, n_timesteps, keywords, callbacks)
