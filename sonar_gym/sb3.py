@@ -16,7 +16,8 @@ from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
 StepResult = tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
-SETTABLE = ("max_episode_steps", "render_mode", "pictured")  # attributes that take effect after the environment is made
+# Attributes that take effect after the environment is made; streets with the next episode
+SETTABLE = ("max_episode_steps", "render_mode", "pictured", "street_settings")
 OUTCOMES = ("is_success", "collision", "left_street")
 
 

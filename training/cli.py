@@ -25,6 +25,7 @@ COMMANDS = {
     "plot": ("recordings.plot", "plot a recording: credence, detection, readings, readings over time"),
     "train-noise": ("noise.train", "train a noise model on a recording"),
     "train-agent": ("agents.train", "train a parking agent with the sonar models you choose"),
+    "zoo": ("agents.zoo.command", "train a plain algorithm with tuned settings and test it on unseen streets"),
     "evaluate-agent": ("agents.evaluate", "measure how often agents park in the same streets"),
     "make-noise": ("noise.make", "train the shipped noise models again"),
     "noise-report": ("noise.report", "write the page that compares all noise models"),

@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.limits import SEEDS, as_numbers, check_number
-from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation, RewardWeights
+from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation
+from sonar_gym.parking.randomization import Randomization
+from sonar_gym.parking.step_kernel import RewardWeights
 from sonar_gym.parking.street import Street, StreetSettings
 from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.parking.world import WorldView
@@ -70,13 +72,17 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     ## Rewards
 
-    The sum of `info["reward_terms"]`: `progress` (decrease of the cost to go along a reference path, m), `time` (-0.01
-    per step), `parked` (+10, once), `crashed` (-10, once). The weights are `RewardWeights`.
+    The sum of `info["reward_terms"]`, with the weights of `RewardWeights`. The task's own reward is `time` (-0.01 per
+    step), `parked` (+10, once) and `crashed` (once, -3 and -5 per metre of cost to go from the place of the crash).
+    `shaping` is potential-based (Ng, Harada and Russell 1999): 5 per metre of decrease of the cost to go along a
+    reference path. The potential is zero where an episode ends, so the sum over an episode depends on its start alone
+    and the best policy is that of the task's own reward. `reward={"potential": 0.0}` turns it off.
 
     ## Starting State
 
-    The car stands at the beginning of its lane, with an offset of some millimetres and degrees. Number, length,
-    reflectance and texture of the boxes, and number and length of the spaces, are random (`StreetSettings`).
+    The car stands in its lane, with an offset of some millimetres and degrees, somewhere between the beginning of the
+    street and 0.6 m before the gap (uniform; at the beginning if "hard"). Number, length, reflectance and texture of
+    the boxes, and number and length of the spaces, are random (`StreetSettings`).
 
     ## Episode End
 
@@ -103,8 +109,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     - `sonar_layout`: "eight" (default; all fire 20 ms before every observation), "eight in turn" (neighbours never fire
       together), "eight without latency", "four", or a list of `Mount` or mappings of their fields: position, cone,
       period, phase and latency.
-    - `difficulty`: "easy", "normal" (default) or "hard": length of the gap, number of spaces that are too short,
-      reflectance of the boxes, offset of the start.
+    - `difficulty`: "easy", "normal" (default), "hard" or "manoeuvre": length of the gap, number of spaces that are too
+      short, reflectance and angle of the boxes, place and offset of the start.
     - `street`, `car`, `reward`: `StreetSettings`, `CarSettings`, `RewardWeights`, or mappings of their fields; fields
       of `street` override those of the difficulty.
     - `odometry`: "exact" (default), "wheels", "worn", `OdometrySettings`, or a mapping of their fields: errors of the
@@ -113,12 +119,15 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
       calibrated.
     - `crosstalk`: whether a sonar also receives the bursts of others by way of a face (default). An ideal or Gaussian
       sonar, which has no beam, hears only itself.
+    - `randomize`: what each episode draws besides its street, `Randomization` or a mapping of its fields: `street`,
+      weights of difficulties, and `mounts`, the greatest displacement of each sonar, m and deg. `info["randomized"]`
+      holds `level`, the number of the difficulty (-1 if the options fix it), and `mounts`, the poses of the sonars.
     - `render_mode`: None, "rgb_array" or "human".
 
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
     or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`, `reflectance`,
-    `texture_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole", "hedge" or
-    "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
+    `texture_deg`, `turn_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole",
+    "hedge" or "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
 
     ## Version History
 
@@ -139,11 +148,22 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
+        randomize: Randomization | Mapping[str, Any] | None = None,
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.fleet = Fleet(
-            1, sonar, sonar_layout, difficulty, street, car, reward, odometry, credence_driver, crosstalk
+            1,
+            sonar,
+            sonar_layout,
+            difficulty,
+            street,
+            car,
+            reward,
+            odometry,
+            credence_driver,
+            crosstalk,
+            randomize=randomize,
         )
         self.max_range = MAX_RANGE
         self._streams_seeded = False

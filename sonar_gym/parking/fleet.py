@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,11 +18,12 @@ from gymnasium import spaces
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints, Singles
-from acquisition.limits import Limit, check_settings, check_value, near, shown
+from acquisition.limits import Limit, check_value, near, shown
 from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.prior import street_credence
-from sonar_gym.parking.step_kernel import StepConstants, WorldArrays
+from sonar_gym.parking.randomization import LEVEL_NAMES, Randomization
+from sonar_gym.parking.step_kernel import REWARD_TERMS, RewardWeights, StepConstants, WorldArrays
 from sonar_gym.parking.street import (
     BEHIND,
     Goal,
@@ -59,36 +60,7 @@ PARKED_SPEED = 0.03  # m/s
 PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's line
 THREAD_ROWS = 64  # worlds per thread below which threads are slower than none
 EGO = 7  # length of `ego`
-REWARD_TERMS = ("progress", "time", "parked", "crashed")
 OPTIONS = ("difficulty", "street", "boxes", "obstacles", "start")
-
-
-Weight = Annotated[float, Limit(-1e6, 1e6)]
-
-
-@dataclass(frozen=True)
-class RewardWeights:
-    """Weights of the reward terms.
-
-    Attributes:
-        progress: per metre of decrease of the cost to go along a reference path.
-        time: per step.
-        parked: once, for standing in the gap.
-        crashed: once, for touching an obstacle or leaving the street.
-        off_path: cost of a deviation of 1 m from the reference path, in metres of cost to go.
-        off_heading: cost of a deviation of 1 rad from its heading, in metres of cost to go.
-    """
-
-    progress: Weight = 1.0
-    time: Weight = -0.01
-    parked: Weight = 10.0
-    crashed: Weight = -10.0
-    off_path: Weight = 3.0
-    off_heading: Weight = 0.5
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for a weight that is not finite."""
-        check_settings(self)
 
 
 def _empty_faces(n: int, faces: int) -> dict[str, Any]:
@@ -114,6 +86,7 @@ class Fleet:
         credence_driver: kind of driver on whose conditions credence given a reading is calibrated, see `prior.DRIVERS`.
         crosstalk: whether the sonars of a car hear each other's bursts.
         threads: number of threads.
+        randomize: what each episode draws besides its street, or a mapping of its fields.
 
     Attributes:
         worlds: state of all worlds.
@@ -133,11 +106,14 @@ class Fleet:
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
         threads: int = 1,
+        randomize: Randomization | Mapping[str, Any] | None = None,
     ) -> None:
         self.count = count
         check_value("crosstalk", crosstalk, bool)
         check_value("threads", threads, Annotated[int, Limit(1, 1024)])
         self.mounts = layout(sonar_layout)
+        self.randomization: Randomization = settings_of(Randomization, randomize)
+        self._levels = np.full(count, -1)
         self.street_settings = street_settings(difficulty, street)
         self.car_settings: CarSettings = settings_of(CarSettings, car)
         check_gap(self.street_settings.gap[0], self.car_settings)
@@ -185,6 +161,7 @@ class Fleet:
             car=np.zeros((n, 5)),
             odometry=self.odometer.state,
             task=np.zeros((n, step_kernel.N_TASK)),
+            mounts=np.repeat(mount_arrays(self.mounts)[0][None], n, axis=0),
             counts=np.zeros(n, dtype=np.int64),
             **_empty_faces(n, 4 * (self.street_settings.decoys[1] + 2) + 3),
             terms=np.zeros((n, len(REWARD_TERMS))),
@@ -201,12 +178,11 @@ class Fleet:
         self.worlds = self.worlds._replace(**wider)
 
     def _constants(self, detection: Floats) -> StepConstants:
-        car, (mounts, half_angles) = self.car_settings, mount_arrays(self.mounts)
+        car = self.car_settings
         return StepConstants(
             dynamics=car.dynamics,
             body=car.body,
-            mounts=mounts,
-            half_angles=half_angles,
+            half_angles=mount_arrays(self.mounts)[1],
             timing=self.sensing.timing,
             arc=arc_table(car),
             weights=np.array(astuple(self.reward_weights)),
@@ -251,11 +227,21 @@ class Fleet:
             options: options of `street_for`.
         """
         for row, rng in zip(rows, rngs, strict=True):
-            self._place_street(int(row), self.street_for(rng, options))
+            self._place_street(int(row), self.street_for(rng, self._randomized(int(row), rng, options or {})))
         self.sensing.begin(rows)
         self.odometer.begin(rows)
         step_kernel.begin(rows, self.worlds, self.constants, self.sensing.pings)
         self._update(rows)
+
+    def _randomized(self, row: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Draw what an episode randomizes, and return its options; what the options fix is not replaced."""
+        level, moved = self.randomization.draw(rng, len(self.mounts))
+        self.worlds.mounts[row] = mount_arrays(self.mounts)[0] + moved
+        if level < 0 or "difficulty" in options or "street" in options:
+            self._levels[row] = -1
+            return options
+        self._levels[row] = level
+        return {**options, "difficulty": LEVEL_NAMES[level]}
 
     def step(self, rows: Ints, actions: Floats) -> None:
         """Drive the cars of some worlds for 0.1 s and update their observations.
@@ -361,7 +347,9 @@ class Fleet:
     def truth(self, which: int | slice | Ints) -> dict[str, Any]:
         """Return the info of one world or several: true conditions of the pings shown, and state of the episode."""
         ended = self.worlds.ended[which].copy()
+        drawn = {"level": self._levels[which], "mounts": self.worlds.mounts[which].copy()}
         return {
+            **({} if self.randomization == Randomization() else {"randomized": drawn}),
             "is_success": ended[..., step_kernel.PARKED],
             "collision": ended[..., step_kernel.COLLISION],
             "left_street": ended[..., step_kernel.LEFT_STREET],

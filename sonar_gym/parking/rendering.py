@@ -189,7 +189,7 @@ def _windows(brush: Brush, camera: Camera, world: WorldView) -> None:
 
 
 def _cones(brush: Brush, camera: Camera, world: WorldView) -> None:
-    poses, half = mount_arrays(world.mounts)
+    poses, (_, half) = world.mount_poses, mount_arrays(world.mounts)
     poses, readings = in_world(poses, world.car.pose), world.readings
     for i, pose in enumerate(poses):
         echo = bool(readings.reading.echo[i])
@@ -203,7 +203,7 @@ def _cones(brush: Brush, camera: Camera, world: WorldView) -> None:
 
 def _readings(brush: Brush, camera: Camera, world: WorldView) -> None:
     """Draw a ring at the reading, along the true bearing, and a dot at the true point."""
-    poses, _ = mount_arrays(world.mounts)
+    poses = world.mount_poses
     poses, readings, hits = in_world(poses, world.car.pose), world.readings, world.hits
     for i, pose in enumerate(poses):
         along = pose[2] + hits.bearing[i]

@@ -6,11 +6,13 @@ World i is row i of every array. Rows are independent, so they can be stepped in
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints, Singles
+from acquisition.limits import Limit, check_settings
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.crosstalk import add_crosstalk
 from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll
@@ -21,7 +23,47 @@ from sonar_gym.sensing.records import SAME_TIME_S, PingArrays, firing_delay
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
 N_TASK = 8
 PARKED, COLLISION, LEFT_STREET = range(3)
+REWARD_TERMS = ("shaping", "time", "parked", "crashed")
+# Weights of the reward, in the order of the fields of `RewardWeights`
+POTENTIAL, DISCOUNT, TIME, PARKED_ONCE, CRASHED_ONCE, CRASH_DISTANCE, OFF_PATH, OFF_HEADING = range(8)
 PARTS = 5  # parts of a step; contact is tested at the end of each
+
+
+Weight = Annotated[float, Limit(-1e6, 1e6)]
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """Weights of the reward.
+
+    The task's own reward is `time`, `parked` and `crashed`. To it a potential-based shaping is added (Ng, Harada and
+    Russell 1999): `discount` * Phi(next pose) - Phi(pose), where Phi is minus `potential` times the cost to go along a
+    reference path, and zero where the episode ends. Its discounted sum depends on the start alone, so the best policy
+    is that of the task's own reward.
+
+    Attributes:
+        potential: potential per metre of cost to go; 0 for the task's own reward alone.
+        discount: discount of the shaping, 0..1; 1 for the undiscounted sum of rewards.
+        time: per step.
+        parked: once, for standing in the gap.
+        crashed: once, for touching an obstacle or leaving the street.
+        crash_distance: once, per metre of cost to go from the place where the car crashed.
+        off_path: cost of a deviation of 1 m from the reference path, in metres of cost to go.
+        off_heading: cost of a deviation of 1 rad from its heading, in metres of cost to go.
+    """
+
+    potential: Weight = 5.0
+    discount: Annotated[float, Limit(0.0, 1.0)] = 1.0
+    time: Weight = -0.01
+    parked: Weight = 10.0
+    crashed: Weight = -3.0
+    crash_distance: Weight = -5.0
+    off_path: Weight = 3.0
+    off_heading: Weight = 0.5
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for a weight that is not finite, or a discount beyond 0..1."""
+        check_settings(self)
 
 
 class WorldArrays(NamedTuple):
@@ -33,11 +75,12 @@ class WorldArrays(NamedTuple):
         odometry: state of the odometry, see `odometry.update_odometry`, (n, 7).
         task: begin and end of the gap, m; y of the strip's line, m; x and y of the end of the reference path, m; angle
             of its two arcs, rad; x at which they begin, m; cost to go, m; in columns `GAP` to `COST`, (n, N_TASK).
+        mounts: poses of the sonars in the frame of the car, (n, s, 3).
         counts: number of segments, (n,).
         segments: segments, m, (n, m, 4).
         surface: reflectance and slope of the facets of each segment, 1 and rad, (n, m, 2).
         owner: number of the obstacle of each segment, (n, m).
-        terms: terms of the reward: progress, time, parked, crashed, (n, 4).
+        terms: terms of the reward: shaping, time, parked, crashed, (n, 4).
         ended: parked, collision, left the street, (n, 3).
         ego: observation of the car, (n, 7).
     """
@@ -46,6 +89,7 @@ class WorldArrays(NamedTuple):
     car: Floats
     odometry: Floats
     task: Floats
+    mounts: Floats
     counts: Ints
     segments: Floats
     surface: Floats
@@ -61,7 +105,6 @@ class StepConstants(NamedTuple):
     Attributes:
         dynamics: `CarSettings.dynamics`, (7,).
         body: rectangle of the car, (4,).
-        mounts: poses of the sonars in the frame of the car, (s, 3).
         half_angles: half opening angles, rad, (s,).
         timing: period, phase and latency of each sonar, s, (s, 3).
         arc: arc of the reference path, see `cost_to_go`.
@@ -76,7 +119,6 @@ class StepConstants(NamedTuple):
 
     dynamics: Floats
     body: Floats
-    mounts: Floats
     half_angles: Floats
     timing: Floats
     arc: Floats
@@ -180,22 +222,25 @@ def update_ego(ego: Singles, car: Floats, odometry: Floats, i: int, scale: Float
 @compiled
 def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
     """Write the terms of the reward and the cost to go."""
-    cost = cost_to_go(car[i, :3], task[i], arc, weights[4], weights[5])
-    terms[i, 0], terms[i, 1] = weights[0] * (task[i, COST] - cost), weights[1]
-    terms[i, 2] = weights[2] if ended[i, PARKED] else 0.0
-    terms[i, 3] = weights[3] if ended[i, COLLISION] or ended[i, LEFT_STREET] else 0.0
+    cost = cost_to_go(car[i, :3], task[i], arc, weights[OFF_PATH], weights[OFF_HEADING])
+    crashed = ended[i, COLLISION] or ended[i, LEFT_STREET]
+    next_cost = 0.0 if crashed or ended[i, PARKED] else cost  # the potential is zero where an episode ends
+    terms[i, 0] = weights[POTENTIAL] * (task[i, COST] - weights[DISCOUNT] * next_cost)
+    terms[i, 1] = weights[TIME]
+    terms[i, 2] = weights[PARKED_ONCE] if ended[i, PARKED] else 0.0
+    terms[i, 3] = weights[CRASHED_ONCE] + weights[CRASH_DISTANCE] * cost if crashed else 0.0
     task[i, COST] = cost
 
 
 @compiled
 def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
     """Begin episodes in worlds whose car and street are set: all sonars ping, and the reward is zero."""
-    n_paths, paths, mounts, half_angles = p.n_paths, p.paths, r.mounts, r.half_angles
+    n_paths, paths, half_angles = p.n_paths, p.paths, r.half_angles
     sensors = np.empty((half_angles.shape[0], 3))
     for i in rows:
         w.steps[i] = 0
         pose, count = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), w.counts[i]
-        segments, surface, owner = w.segments[i, :count], w.surface[i], w.owner[i]
+        segments, surface, owner, mounts = w.segments[i, :count], w.surface[i], w.owner[i], w.mounts[i]
         for s in range(half_angles.shape[0]):
             n_paths[i, s] = measure_ping(
                 paths[i, s], s, pose, mounts, half_angles, segments, surface, owner, r.max_range, r.detection, sensors
@@ -225,7 +270,7 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
     terms, ended, ego, odometry, fired, sent, n_paths, paths = (
         w.terms, w.ended, w.ego, w.odometry, p.fired, p.sent, p.n_paths, p.paths,
     )  # fmt: skip
-    dynamics, body, mounts, half_angles, timing = r.dynamics, r.body, r.mounts, r.half_angles, r.timing
+    dynamics, body, all_mounts, half_angles, timing = r.dynamics, r.body, w.mounts, r.half_angles, r.timing
     arc, weights, scale, limits, dt, max_range = r.arc, r.weights, r.scale, r.limits, r.dt, r.max_range
     detection, crosstalk, count = r.detection, r.crosstalk, timing.shape[0]
     sensors = np.zeros((count, 3))
@@ -233,7 +278,7 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
     for k in range(rows.shape[0]):
         i = rows[k]
         begin_s, hit, state, own_paths = steps[i] * dt, NO_HIT, car[i], paths[i]
-        segments, surface, owner = faces[i, : counts[i]], surfaces[i], owners[i]
+        segments, surface, owner, mounts = faces[i, : counts[i]], surfaces[i], owners[i], all_mounts[i]
         steps[i] += 1
         start[0], start[1], start[2] = state[0], state[1], state[2]
         for s in range(count):

@@ -24,10 +24,13 @@ from sonar_gym.sensing.scene import Box, Scene, Texture, box_faces
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
 TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
+START_BEFORE = 0.6  # m; least distance of the rear axle before the gap, so that the car passes both of its ends
+MAX_TURN_DEG = 20.0  # deg; beyond it a short box cannot be turned within its extent
 PATH_STEP = 0.01  # m; distance between poses of the reference path
 
 
 Length = Annotated[float, Limit(0.0, 100.0, "m")]
+Turn = Annotated[float, Limit(0.0, MAX_TURN_DEG, "deg")]
 SomeLength = Annotated[float, Limit(0.0, 100.0, "m", open_low=True)]
 
 
@@ -41,6 +44,7 @@ class StreetSettings:
         decoys: number of those spaces.
         box: length of a box, m.
         recess: distance of a box behind the strip's line, m.
+        turn_deg: angle of a box to the kerb, deg, to either side; a turned box keeps its extent along the street.
         reflectance: reflectance of a box, 0..1.
         texture_deg: slope of the facets of a box, deg; see `scene.WallSegment`.
         kerb_reflectance: reflectance of the kerbs and of the wall that ends the street, 0..1.
@@ -49,6 +53,7 @@ class StreetSettings:
         far_side: distance from the lane's centre to the left kerb, m.
         lead: distance from the start to the first box, m.
         tail: distance from the last box to the end of the street, m.
+        start: place of the start between the beginning of the street, 0, and the gap, 1; see `START_BEFORE`.
         start_offset: largest offset of the start from the lane's centre, m.
         start_heading_deg: largest heading error of the start, deg.
     """
@@ -58,6 +63,7 @@ class StreetSettings:
     decoys: tuple[Annotated[int, Limit(0, 100)], Annotated[int, Limit(0, 100)]] = (0, 2)
     box: tuple[Length, Length] = (0.30, 0.70)
     recess: tuple[Length, Length] = (0.0, 0.03)
+    turn_deg: tuple[Turn, Turn] = (0.0, 0.0)
     reflectance: tuple[Share, Share] = (0.1, 0.9)
     texture_deg: tuple[Texture, Texture] = (0.0, 10.0)
     kerb_reflectance: Share = 0.4
@@ -66,13 +72,14 @@ class StreetSettings:
     far_side: SomeLength = 0.75
     lead: Length = 0.60
     tail: SomeLength = 1.00
+    start: tuple[Share, Share] = (0.0, 1.0)
     start_offset: Annotated[float, Limit(0.0, 10.0, "m")] = 0.03
     start_heading_deg: Annotated[float, Limit(0.0, 180.0, "deg")] = 3.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
         check_settings(self)
-        for name in ("gap", "decoy", "decoys", "box", "recess", "reflectance", "texture_deg"):
+        for name in ("gap", "decoy", "decoys", "box", "recess", "turn_deg", "reflectance", "texture_deg", "start"):
             pair = tuple(getattr(self, name))
             if pair[0] > pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
@@ -100,8 +107,17 @@ LEVELS: dict[str, StreetSettings] = {
         decoys=(1, 3),
         recess=(0.0, 0.05),
         reflectance=(0.05, 0.9),
+        start=(0.0, 0.0),
         start_offset=0.05,
         start_heading_deg=5.0,
+    ),
+    "manoeuvre": StreetSettings(  # the gap is 15 % longer than the car, and the street ends behind the next box
+        gap=(0.5175, 0.5175),
+        decoy=(0.15, 0.40),
+        decoys=(0, 1),
+        box=(0.50, 0.70),
+        turn_deg=(0.0, 8.0),
+        tail=0.35,
     ),
 }
 
@@ -143,8 +159,8 @@ class Street:
 
     Attributes:
         settings: settings from which the street was drawn.
-        strip: begin, length, recess, reflectance, texture of the boxes on the strip, in driving order: m, m, m, 1, deg,
-            (k, 5).
+        strip: begin, length, recess, reflectance, texture, angle to the kerb of the boxes on the strip, in driving
+            order: m, m, m, 1, deg, deg, (k, 6).
         gap: begin and end of the space to park in, x in m.
         start: x, y, heading of the rear axle at the start: m, m, rad, (3,).
         obstacles: further obstacles.
@@ -174,7 +190,7 @@ class Street:
     @property
     def boxes(self) -> tuple[Box, ...]:
         """The boxes on the strip, in driving order."""
-        surfaces = self.strip[:, 3:]
+        surfaces = self.strip[:, 3:5]
         return tuple(
             Box(*map(float, (*rectangle, *surface)))
             for rectangle, surface in zip(self._rectangles(), surfaces, strict=True)
@@ -182,9 +198,12 @@ class Street:
 
     def _rectangles(self) -> Floats:
         """Return centre, length, width and heading of the boxes, see `box_faces`."""
-        begin, length, recess = self.strip[:, :3].T
-        width = self.settings.depth - recess
-        return np.column_stack([begin + 0.5 * length, self.line - recess - 0.5 * width, length, width, 0.0 * begin])
+        begin, extent, recess = self.strip[:, :3].T
+        depth, turn = self.settings.depth - recess, np.radians(self.strip[:, 5])
+        c, sn = np.cos(turn), np.abs(np.sin(turn))
+        # sides of the turned box whose extents along and across the street are those of the strip
+        length, width = (c * extent - sn * depth) / (c * c - sn * sn), (c * depth - sn * extent) / (c * c - sn * sn)
+        return np.column_stack([begin + 0.5 * extent, self.line - recess - 0.5 * depth, length, width, turn])
 
     @cached_property
     def scene(self) -> Scene:
@@ -192,7 +211,7 @@ class Street:
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
         walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
         surfaces = np.concatenate(
-            [np.repeat(self.strip[:, 3:], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3]
+            [np.repeat(self.strip[:, 3:5], 4, axis=0), [[self.settings.kerb_reflectance, 0.0]] * 3]
         )
         owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
         faces = np.concatenate([box_faces(self._rectangles()), walls])
@@ -218,11 +237,13 @@ def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
     surfaces = low + (high - low) * rng.random((count + 2, 3))
     gap = (float(begins[where] + lengths[where]), float(begins[where + 1]))
     offset, angle = rng.uniform(-1.0, 1.0, size=2)
-    start = np.array([0.0, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
-    return Street(settings, np.column_stack([begins, lengths, surfaces]), gap, start)
+    x = rng.uniform(*settings.start) * max(gap[0] - START_BEFORE, 0.0)
+    start = np.array([x, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
+    turns = rng.uniform(*settings.turn_deg, count + 2) * rng.choice([-1.0, 1.0], count + 2)
+    return Street(settings, np.column_stack([begins, lengths, surfaces, turns]), gap, start)
 
 
-BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0}
+BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0, "turn_deg": 0.0}
 
 
 def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) -> Street:
@@ -230,7 +251,7 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
 
     Args:
         settings: all other dimensions; the car starts at the centre of the lane.
-        boxes: mappings of begin and length, m, and optionally recess, reflectance and texture_deg.
+        boxes: mappings of begin and length, m, and optionally recess, reflectance, texture_deg and turn_deg.
 
     >>> street = street_of(StreetSettings(), [{"begin": 0.6, "length": 0.4}, {"begin": 2.0, "length": 0.4}])
     >>> street.gap

@@ -17,8 +17,10 @@ from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
-from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation, RewardWeights
-from sonar_gym.parking.street import StreetSettings
+from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
+from sonar_gym.parking.randomization import Randomization
+from sonar_gym.parking.step_kernel import RewardWeights
+from sonar_gym.parking.street import StreetSettings, check_gap
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.odometry import OdometryChoice
@@ -41,8 +43,8 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk, render_mode: see
-            `SonarParkingEnv`.
+        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk: see
+            `SonarParkingEnv`, and so for `randomize` and `render_mode`.
         max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
         threads: number of threads; default: one per processor.
@@ -67,6 +69,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
+        randomize: Randomization | Mapping[str, Any] | None = None,
         max_episode_steps: int | None = MAX_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -95,6 +98,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
             credence_driver,
             crosstalk,
             cores() if threads is None else threads,
+            randomize,
         )
         self.single_observation_space = self.fleet.observation_space
         self.single_action_space = self.fleet.action_space
@@ -120,6 +124,16 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
     def causes(self) -> tuple[str, ...]:
         """Names of the causes of readings, by number, as in `SonarParkingEnv`."""
         return self.fleet.causes
+
+    @property
+    def street_settings(self) -> StreetSettings:
+        """Settings from which the streets of the next episodes are drawn; they can be replaced."""
+        return self.fleet.street_settings
+
+    @street_settings.setter
+    def street_settings(self, settings: StreetSettings) -> None:
+        check_gap(settings.gap[0], self.fleet.car_settings)
+        self.fleet.street_settings = settings
 
     def _stream(self, i: int, seed: int | None = None) -> np.random.Generator:
         """Return the generator of an environment; a new one if a seed is given or there is none yet."""

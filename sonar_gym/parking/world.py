@@ -61,6 +61,11 @@ class WorldView:
         return Car(self.car_settings, self.arrays.car[self.row].copy())
 
     @property
+    def mount_poses(self) -> NDArray[np.float64]:
+        """Poses of the sonars of this episode in the frame of the car, m, m, rad, (s, 3)."""
+        return self.arrays.mounts[self.row].copy()
+
+    @property
     def steps(self) -> int:
         """Number of steps in this episode."""
         return int(self.arrays.steps[self.row])

@@ -47,7 +47,7 @@ def test_sonars_of_the_layout_example_alternate(capsys):
 
 
 def test_every_example_is_tested():
-    tested = {*READING_LINES, "own_materials.py", "record_gif.py", "train_highway.py"}
+    tested = {*READING_LINES, "own_materials.py", "record_gif.py", "train_highway.py", "ppo.py"}
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested
 
 
@@ -66,3 +66,14 @@ def test_an_agent_improves_in_highway_env():
     before, after = runpy.run_path(str(EXAMPLES / "train_highway.py"))["main"]()
     won = after - before
     assert won.mean() > 2.0 * won.std(ddof=1) / len(won) ** 0.5
+
+
+def test_ppo_example_trains_and_counts_unseen_streets(capsys):
+    share = runpy.run_path(str(EXAMPLES / "ppo.py"))["main"](steps=8192, streets=8)
+    assert capsys.readouterr().out.startswith(f"seed 0: parked in {share:.1%} of 8 unseen streets")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_plain_ppo_parks_in_nine_of_ten_unseen_streets():
+    assert runpy.run_path(str(EXAMPLES / "ppo.py"))["main"]() >= 0.9

@@ -88,7 +88,7 @@ def test_options_and_images():
     envs.reset()
     assert np.all(envs.envs.fleet.worlds.car[:, 0] == 0.5)
     assert envs.render().shape == (660, 2000, 3) or envs.render().shape == (1320, 1000, 3)
-    assert set(envs.step(np.zeros((2, 2)))[3][0]["reward_terms"]) == {"progress", "time", "parked", "crashed"}
+    assert set(envs.step(np.zeros((2, 2)))[3][0]["reward_terms"]) == {"shaping", "time", "parked", "crashed"}
     envs.close()
 
 

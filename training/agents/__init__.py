@@ -3,6 +3,7 @@
 train            train an agent by imitation and PPO (`sonar-gym train-agent`)
 imitation        the teacher, and imitation learning by dataset aggregation
 vec_env          vector environment of Stable-Baselines3 over several kinds of environment
+zoo              plain algorithms of Stable-Baselines3 with tuned settings (`sonar-gym zoo`)
 sonars           sonars with faults, sonars that differ from the driver's assumption, sonars with a zero offset
 evaluate         success and collision rates on given streets (`sonar-gym evaluate-agent`)
 ship             save an agent with its card and scores (`sonar-gym ship-agent`)

@@ -41,7 +41,7 @@ class Args:
     faults: Annotated[float, Limit(0.0, 0.5)] = 0.0
     """Share of readings that are arbitrary; an equal share has 0.1 m of scatter."""
     difficulty: Difficulty = "normal"
-    """Difficulty of the streets: easy, normal, hard."""
+    """Difficulty of the streets: easy, normal, hard, manoeuvre."""
     odometry: OdometryName = "wheels"
     """Error of the odometry: exact, wheels, worn."""
     episodes: Count = 200

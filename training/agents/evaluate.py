@@ -218,7 +218,7 @@ class Args:
     odometry: OdometryName = "exact"
     """Error of the odometry: exact, wheels, worn."""
     difficulty: Difficulty = "normal"
-    """Difficulty of the streets: easy, normal, hard."""
+    """Difficulty of the streets: easy, normal, hard, manoeuvre."""
     episodes: Count = 500
     """Number of streets; the same streets for every agent and sonar."""
     seed: Seed = 0

@@ -57,7 +57,7 @@ class Args:
     odometry: Annotated[tuple[OdometryName, ...], MinLen(1)] = ("exact", "wheels")
     """Errors of the odometry: exact, wheels, worn."""
     difficulty: Annotated[tuple[Difficulty, ...], MinLen(1)] = ("normal", "hard")
-    """Difficulties of the streets: easy, normal, hard."""
+    """Difficulties of the streets: easy, normal, hard, manoeuvre."""
     episodes: Count = 500
     """Number of streets for each combination."""
     seed: Seed = 0

@@ -59,7 +59,7 @@ class Args:
     odometry: Annotated[tuple[OdometryName, ...], MinLen(1)] = ("exact",)
     """Errors of the odometry: exact, wheels, worn; each with each sonar."""
     difficulty: Annotated[tuple[Difficulty, ...], MinLen(1)] = ("normal",)
-    """Difficulties of the streets: easy, normal, hard; each with each sonar."""
+    """Difficulties of the streets: easy, normal, hard, manoeuvre; each with each sonar."""
     lessons: Annotated[int, Limit(0, 1_000_000)] = 2000
     """Rounds of imitation, each one decision of every car; 0 for PPO alone."""
     steps: Annotated[int, Limit(0, 10**12)] = 0

@@ -34,7 +34,7 @@ def settings_of(
     Args:
         sonars: names or folders of models.
         odometry: exact, wheels, worn.
-        difficulty: easy, normal, hard.
+        difficulty: easy, normal, hard, manoeuvre.
         faults: whether to add each sonar with faults.
     """
     models: list[str | SonarModel] = [*sonars]

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from acquisition import EchoStatus, NoAnswerError, SettingError
+from acquisition.limits import check_settings
 from sonar_gym.bridges.opendlv.messages import FRAME, KINEMATICS, PEDAL, READING, STEERING, Time
 from sonar_gym.bridges.opendlv.session import Session, time_of
 from sonar_gym.bridges.opendlv.wire import Envelope
-from sonar_gym.checks import check_finite
 from sonar_gym.parking.environment import MAX_STEPS, STEP_S, SonarParkingEnv
 from sonar_gym.sensing import records
 
@@ -44,7 +44,7 @@ class Controls:
 
     def __post_init__(self) -> None:
         """Raise SettingError for values that are not positive."""
-        check_finite(self)
+        check_settings(self)
         for name in ("forward", "reverse", "max_steering", "max_speed", "wheelbase"):
             if getattr(self, name) <= 0.0:
                 raise SettingError(f"Controls.{name} must be > 0, got {getattr(self, name):g}")

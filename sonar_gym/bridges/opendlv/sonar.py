@@ -16,11 +16,11 @@ import numpy as np
 
 from acquisition import EchoStatus, SettingError
 from acquisition.arrays import Bits, Floats
+from acquisition.limits import check_settings
 from sonar_gym.bridges.opendlv.messages import FRAME, READING
 from sonar_gym.bridges.opendlv.session import Session
 from sonar_gym.bridges.opendlv.walls import ORIGIN, Pose
 from sonar_gym.bridges.opendlv.wire import Envelope
-from sonar_gym.checks import check_finite
 from sonar_gym.sensing import records
 from sonar_gym.sensing.crosstalk import add_crosstalk
 from sonar_gym.sensing.detection import detection_table, has_beam
@@ -64,7 +64,7 @@ class SensorSettings:
 
     def __post_init__(self) -> None:
         """Raise SettingError for values outside their limits."""
-        check_finite(self)
+        check_settings(self)
         limits = {"frequency_hz": 1000.0, "max_range": 20.0, "latency_s": 1.0, "step_m": 1.0}
         for name, limit in limits.items():
             low = 0.0 if name in ("latency_s", "step_m") else 1e-3

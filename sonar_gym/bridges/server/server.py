@@ -13,9 +13,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from acquisition import DeviceError, SettingError, SonarError
+from acquisition.limits import check_settings
 from sonar_gym.bridges.server import protocol
 from sonar_gym.bridges.server.sensors import Sensors
-from sonar_gym.checks import check_finite
 from sonar_gym.sensing.sonar import SonarChoice, resolve
 
 PORT = 7715
@@ -46,7 +46,7 @@ class ServerSettings:
 
     def __post_init__(self) -> None:
         """Raise SettingError for values outside their limits."""
-        check_finite(self)
+        check_settings(self)
         for name in ("max_range", "max_clients", "patience_s", "idle_s"):
             if not getattr(self, name) > 0:
                 raise SettingError(f"ServerSettings.{name} must be > 0, got {getattr(self, name):g}")

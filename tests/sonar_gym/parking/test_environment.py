@@ -8,6 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
@@ -15,6 +17,7 @@ import sonar_gym
 from acquisition import Reading, SettingError, UnknownModelError
 from noise import GaussianModel, IdealModel
 from sonar_gym.parking.environment import MAX_RANGE, SonarParkingEnv
+from sonar_gym.parking.step_kernel import COST
 
 SONARS = ["ideal", "gaussian"]
 CHECKED = [*SONARS, "srf08-mlp"]
@@ -213,23 +216,23 @@ def test_a_collision_ends_the_episode():
     env = SonarParkingEnv()
     env.reset(seed=0)
     for _ in range(100):
-        _, reward, terminated, _, info = env.step(np.array([-1.0, 1.0]))
+        _, _, terminated, _, info = env.step(np.array([-1.0, 1.0]))
         if terminated:
             break
     assert info["collision"]
     assert not info["is_success"]
-    assert reward < -9.0
+    assert info["reward_terms"]["crashed"] < -3.0
 
 
 def test_leaving_by_the_open_end_ends_the_episode():
-    env = SonarParkingEnv(street={"start_heading_deg": 0.0})
+    env = SonarParkingEnv(street={"start_heading_deg": 0.0}, reward={"crashed": -2.0, "crash_distance": 0.0})
     env.reset(seed=0)
     for _ in range(100):
         _, _, terminated, _, info = env.step(np.array([0.0, -1.0]))
         if terminated:
             break
     assert info["left_street"]
-    assert info["reward_terms"]["crashed"] == -10.0
+    assert info["reward_terms"]["crashed"] == -2.0
 
 
 @pytest.mark.parametrize(("turn", "parked"), [(0.0, True), (9.0, True), (12.0, False)])
@@ -252,13 +255,53 @@ def test_standing_in_the_lane_beside_the_gap_is_no_success():
     assert not env.step(np.zeros(2))[4]["is_success"]
 
 
-def test_progress_is_positive_forwards_and_negative_backwards():
-    env = SonarParkingEnv(street={"start_offset": 0.0, "start_heading_deg": 0.0})
+def test_shaping_is_the_distance_driven_along_the_lane_times_the_potential():
+    street = {"start_offset": 0.0, "start_heading_deg": 0.0, "start": (0.0, 0.0)}
+    env = SonarParkingEnv(street=street, reward={"potential": 2.0})
     env.reset(seed=0)
-    forwards = sum(env.step(np.array([0.0, 1.0]))[4]["reward_terms"]["progress"] for _ in range(10))
-    assert forwards == pytest.approx(env.car.pose[0], abs=0.02)
-    backwards = sum(env.step(np.array([0.0, -1.0]))[4]["reward_terms"]["progress"] for _ in range(10))
+    forwards = sum(env.step(np.array([0.0, 1.0]))[4]["reward_terms"]["shaping"] for _ in range(10))
+    assert forwards == pytest.approx(2.0 * env.car.pose[0], abs=0.04)
+    backwards = sum(env.step(np.array([0.0, -1.0]))[4]["reward_terms"]["shaping"] for _ in range(10))
     assert backwards < 0
+
+
+def discounted_shaping(env, seed, choose, discount):
+    """Return the discounted sum of the shaping over an episode, the potential at its start, and whether it ended."""
+    env.reset(seed=seed)
+    before = env.fleet.worlds.task[0, COST]
+    total, factor, terminated = 0.0, 1.0, False
+    for _ in range(300):
+        _, _, terminated, _, info = env.step(choose(env))
+        total, factor = total + factor * info["reward_terms"]["shaping"], factor * discount
+        if terminated:
+            break
+    after = 0.0 if terminated else env.fleet.worlds.task[0, COST]
+    return total, before - factor * after, terminated
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.9, 1.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_shaping_adds_to_any_episode_an_amount_that_its_start_and_end_determine(seed, discount, steering, speed):
+    # so no policy gains by it (Ng, Harada and Russell 1999, theorem 1)
+    env = SonarParkingEnv(reward={"discount": discount, "potential": 1.0})
+    rng = np.random.default_rng(seed)
+    total, expected, _ = discounted_shaping(
+        env, seed, lambda _: np.clip(rng.normal((steering, speed), 0.3), -1, 1), discount
+    )
+    assert total == pytest.approx(expected, abs=1e-9)
+
+
+def test_shaping_of_a_parked_episode_is_the_potential_at_its_start():
+    env = SonarParkingEnv(reward={"potential": 1.0})
+
+    def park(env):
+        street, car = env.street, env.world.car_settings
+        env.car = env.car.at(car, 0.5 * sum(street.gap) - car.centre, 0.5 * (street.line + street.kerb), 0.0)
+        return np.zeros(2)
+
+    total, expected, parked = discounted_shaping(env, 0, park, 1.0)
+    assert parked
+    assert total == pytest.approx(expected, abs=1e-12)
 
 
 def test_unknown_sonar_and_render_mode_raise_an_error():

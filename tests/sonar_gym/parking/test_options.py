@@ -104,7 +104,7 @@ def test_further_obstacles_are_heard_by_their_material_and_hit():
 # ---- difficulty ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", [level for level in LEVELS if level != "manoeuvre"])  # which needs several moves
 def test_the_reference_path_of_every_level_is_free_of_contact(level):
     car = CarSettings()
     for seed in range(40):

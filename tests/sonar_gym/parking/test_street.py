@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import SettingError
-from sonar_gym.parking.street import StreetSettings, draw_street, reference_path
+from sonar_gym.parking.street import START_BEFORE, StreetSettings, draw_street, reference_path
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS, Mount, in_world, layout, mount_arrays
@@ -33,6 +33,21 @@ def test_all_random_quantities_vary_between_streets():
     assert reflectance.min() < 0.15
     assert reflectance.max() > 0.85
     assert np.ptp([street.start[1] for street in STREETS]) > 0.05
+
+
+def test_starts_lie_between_the_beginning_of_the_street_and_the_gap():
+    share = np.array([street.start[0] / (street.gap[0] - START_BEFORE) for street in STREETS])
+    assert share.min() >= 0.0
+    assert share.max() <= 1.0
+    assert np.histogram(share, 4, (0.0, 1.0))[0].min() > 30  # of 200, uniform
+    whole = draw_street(StreetSettings(start=(0.0, 0.0)), np.random.default_rng(0))
+    assert whole.start[0] == 0.0
+    assert np.array_equal(whole.strip, STREETS[0].strip)
+
+
+def test_a_start_beyond_the_gap_raises_an_error():
+    with pytest.raises(SettingError, match=r"StreetSettings.start must lie in 0..1 of the way to the gap, got"):
+        StreetSettings(start=(0, 1.5))
 
 
 def test_reference_path_is_feasible_and_free_of_contact():

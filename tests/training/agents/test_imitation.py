@@ -101,7 +101,8 @@ def test_new_labels_replace_the_oldest():
 
 
 def test_imitation_approaches_the_teacher():
-    envs = make_envs(32, {"sonar": "ideal", "difficulty": "easy"})
+    street = {"start": (0.0, 0.0)}  # all begin with the lane, which is learned in these few rounds
+    envs = make_envs(32, {"sonar": "ideal", "difficulty": "easy", "street": street})
     with torch.random.fork_rng():
         torch.manual_seed(0)
         policy = PPO("MlpPolicy", envs, policy_kwargs={"net_arch": [64]}, device="cpu").policy

@@ -1,0 +1,95 @@
+"""A curriculum for Stable-Baselines3: streets become harder as the cars succeed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+from acquisition import SettingError
+from sonar_gym.parking.street import StreetSettings, replaced, street_settings
+
+
+def between(begin: StreetSettings, end: StreetSettings, share: float) -> StreetSettings:
+    """Return settings between two others: every number and every limit is interpolated, and numbers of spaces rounded.
+
+    Args:
+        begin: settings at a share of 0.
+        end: settings at a share of 1.
+        share: 0..1.
+
+    >>> between(StreetSettings(gap=(1.0, 1.2)), StreetSettings(gap=(0.8, 0.8)), 0.5).gap
+    (0.9, 1.0)
+    """
+
+    def mixed(a: Any, b: Any) -> Any:
+        if isinstance(a, tuple):
+            return tuple(mixed(*pair) for pair in zip(a, b, strict=True))
+        value = (1.0 - share) * a + share * b
+        return round(value) if isinstance(a, int) and isinstance(b, int) else value
+
+    return StreetSettings(
+        **{one.name: mixed(getattr(begin, one.name), getattr(end, one.name)) for one in fields(begin)}
+    )
+
+
+class Curriculum(BaseCallback):
+    """Moves the streets of a `SonarVecEnv` from one distribution towards another while the cars park in them.
+
+    Whenever the success rate of the last `episodes` episodes reaches `success`, the share of the hard streets grows by
+    `step`; episodes that run finish in their streets. `curriculum/share` is logged.
+
+    Args:
+        begin: first streets: settings, a level of difficulty, or a mapping of the fields that differ from the last.
+        end: last streets: settings or a level of difficulty.
+        success: success rate from which the streets become harder, 0..1.
+        step: increase of the share.
+        episodes: number of episodes in which success is counted.
+
+    Attributes:
+        share: 0 for the first streets, 1 for the last.
+    """
+
+    def __init__(
+        self,
+        begin: StreetSettings | Mapping[str, Any] | str = "easy",
+        end: StreetSettings | str = "hard",
+        success: float = 0.8,
+        step: float = 0.1,
+        episodes: int = 200,
+    ) -> None:
+        super().__init__()
+        if not (0.0 < success <= 1.0 and 0.0 < step <= 1.0 and episodes >= 1):
+            raise SettingError(
+                f"Curriculum: success and step must lie in (0, 1] and episodes must be >= 1, got {success:g}, {step:g} "
+                f"and {episodes}"
+            )
+        self.end = street_settings(end) if isinstance(end, str) else end
+        self.begin = street_settings(begin) if isinstance(begin, str) else replaced(self.end, begin)
+        self.success, self.step, self.share = success, step, 0.0
+        self._ends: deque[bool] = deque(maxlen=episodes)
+
+    def _on_training_start(self) -> None:
+        self._set_streets()
+
+    def _on_step(self) -> bool:
+        done = zip(self.locals["dones"], self.locals["infos"], strict=True)
+        self._ends.extend(bool(info["is_success"]) for ended, info in done if ended)
+        if self.share < 1.0 and len(self._ends) == self._ends.maxlen and self._rate >= self.success:
+            self.share = min(1.0, self.share + self.step)
+            self._ends.clear()
+            self._set_streets()
+        return True
+
+    @property
+    def _rate(self) -> float:
+        return sum(self._ends) / len(self._ends)
+
+    def _on_rollout_end(self) -> None:
+        self.logger.record("curriculum/share", self.share)
+
+    def _set_streets(self) -> None:
+        self.training_env.set_attr("street_settings", between(self.begin, self.end, self.share))

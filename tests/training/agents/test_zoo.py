@@ -1,0 +1,100 @@
+"""`sonar-gym zoo`: tuned settings, a short training of each row, and the files that it writes."""
+
+import json
+
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+
+import sonar_gym
+from acquisition import SettingError
+from sonar_gym.parking.street import LEVELS
+from sonar_gym.sb3 import SonarVecEnv
+from training.agents.zoo.command import Args, make_envs, parked
+from training.agents.zoo.settings import tuned
+from training.cli import main
+
+ROWS = [("ppo", env_id) for env_id in sonar_gym.ENVIRONMENTS] + [("sac", sonar_gym.GOAL_ENV_ID)]
+
+
+@pytest.mark.parametrize(("algorithm", "env_id"), ROWS)
+def test_tuned_settings_make_a_model(algorithm, env_id):
+    settings = tuned(algorithm, env_id)
+    envs = make_envs(env_id, settings.n_envs, "ideal")
+    model = settings.algorithm_class(env=envs, device="cpu", **settings.keywords)
+    assert model.n_envs == settings.n_envs
+    assert settings.n_timesteps >= 1e5
+    assert all(callback.end == LEVELS["manoeuvre"] for callback in settings.make_callbacks())
+
+
+def test_a_row_is_trained_tested_and_written(tmp_path, capsys):
+    out = tmp_path / "row"
+    main(["zoo", "ppo", "--out", str(out), "--steps", "8192", "--episodes", "5", "--seed", "3"])
+    assert capsys.readouterr().out.startswith(f"{out}/model.zip: parked in ")
+    assert sorted(path.name for path in out.iterdir()) == ["README.md", "model.zip", "result.json", "tensorboard"]
+    result = json.loads((out / "result.json").read_text())
+    assert (result["algorithm"], result["env"], result["seed"], result["steps"]) == ("ppo", "SonarParking-v0", 3, 8192)
+    # the model in the file drives as the one that was tested
+    assert parked(PPO.load(out / "model.zip", device="cpu"), Args("ppo", out, episodes=5)).count == result["parked"]
+    assert (
+        "sonar-gym zoo ppo --env SonarParking-v0 --sonar ideal --steps 8192 --seed 3" in (out / "README.md").read_text()
+    )
+
+
+def test_the_manoeuvre_begins_with_wide_gaps():
+    (curriculum,) = tuned("ppo", "SonarParkingManoeuvre-v0").make_callbacks()
+    assert curriculum.begin.gap == (0.85, 1.05)
+    assert curriculum.begin.box == LEVELS["manoeuvre"].box
+
+
+def test_the_test_drives_the_streets_from_seed_zero():
+    envs = make_envs(sonar_gym.ENV_ID, 3, "ideal")
+    envs.seed(0)
+    envs.reset()
+    assert envs.unwrapped.envs.np_random_seed == (0, 1, 2)
+
+
+class Parker:
+    """A model that puts the car of every second environment into its gap."""
+
+    def __init__(self, monkeypatch):
+        self.venv = None
+        make = SonarVecEnv.__init__
+
+        def noted(venv, *args, **settings):
+            make(venv, *args, **settings)
+            self.venv = venv
+
+        monkeypatch.setattr(SonarVecEnv, "__init__", noted)
+
+    def predict(self, observations, state=None, episode_start=None, deterministic=False):
+        fleet = self.venv.envs.fleet
+        for i in range(0, fleet.count, 2):
+            street, car = fleet.world(i).street, fleet.car_settings
+            place = 0.5 * sum(street.gap) - car.centre, 0.5 * (street.line + street.kerb)
+            fleet.worlds.car[i] = (*place, 0.0, 0.0, 0.0)
+        return np.zeros((fleet.count, 2), dtype=np.float32), state
+
+
+def test_the_test_counts_each_street_once(monkeypatch, tmp_path):
+    rate = parked(Parker(monkeypatch), Args("ppo", tmp_path, episodes=7))
+    assert (rate.count, rate.trials) == (4, 7)
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["trpo"], "algorithm 'trpo': no such algorithm; expected ppo, sac"),
+        (
+            ["sac", "--env", "SonarParking-v0"],
+            "sac has no settings for 'SonarParking-v0'; expected SonarParkingGoal-v0",
+        ),
+        (["ppo", "--episodes", "0"], "give at least one episode (got 0)"),
+        (["ppo", "--seed", "-1"], "seed must lie in 0..2147483647, got -1"),
+    ],
+)
+def test_invalid_settings_are_one_line(args, message, tmp_path, capsys):
+    with pytest.raises((SystemExit, SettingError)) as stopped:
+        main(["zoo", *args, "--out", str(tmp_path)])
+    assert stopped.value.code == 2
+    assert message in " ".join(capsys.readouterr().err.split())
