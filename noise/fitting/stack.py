@@ -23,12 +23,13 @@ Key = tuple[str, str]
 VISITS = "visits"
 JITTER = "travel_time_jitter"
 SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (VISITS, "placement_m"))
+LEVEL_SD = (VISITS, "level_sd_db")
 SIMULATION_CORRELATION = (VISITS, "simulation_correlation")
 SHARED = (
     (VISITS, "ping_correlation"),
     (VISITS, "urn_weight"),
     (VISITS, "urn_width_m"),
-    (VISITS, "detection_weight"),
+    LEVEL_SD,
     SIMULATION_CORRELATION,
 )
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
@@ -123,7 +124,8 @@ class Stack:
     def single_ping_model(self) -> EmpiricalModel:
         """The model of a ping whose visit has no other readings: the scatter of placements is included."""
         model, visits = self.build()
-        placement = PlacementScatter(sigma_m=placement_scatter(float(visits.placement_m)))
+        scatter = placement_scatter(float(visits.placement_m))
+        placement = PlacementScatter(sigma_m=scatter, level_sd_db=float(visits.level_sd_db))
         return EmpiricalModel([*model.effects, placement], self.resolution, self.max_range)
 
     @property

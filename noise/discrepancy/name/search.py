@@ -28,7 +28,7 @@ from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
-from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
@@ -122,6 +122,16 @@ class Search:
         self.names = candidate_names(self.common, self.folds.both, self.without)
 
     @property
+    def nuisances(self) -> tuple[Key, ...]:
+        """Nuisance parameters that are free on each fold.
+
+        Visits of one kind of survey scatter alike in level: where there are simulated readings, these tell how much, and
+        a fit to few visits that all are heard or missed would tell anything.
+        """
+        known = () if self.simulated is None else (LEVEL_SD,)
+        return tuple(key for key in NUISANCES if key not in known)
+
+    @property
     def least_gain(self) -> float:
         """Gain on unseen visits, nats, that no candidate reaches by chance but with probability `FALSE_ALARM`."""
         return float(np.log(len(self.names) / FALSE_ALARM))
@@ -149,7 +159,7 @@ class Search:
 
     def _fitted_null(self) -> Hypothesis:
         stacks = [
-            highest(maximise(start, NUISANCES, part, 40, FINE) for start in nuisance_starts(self.common, part)).stack
+            highest(maximise(start, self.nuisances, part, 40, FINE) for start in nuisance_starts(self.common, part)).stack
             for part in self.parts
         ]
         return self.scored((), stacks)
@@ -171,7 +181,7 @@ class Search:
             own_scatter: whether the nuisances start from those of `start` instead.
         """
         keys = self.keys(effects)
-        free = (*keys, *NUISANCES) if own_scatter else (*keys, *SPREAD)
+        free = (*keys, *self.nuisances) if own_scatter else (*keys, *SPREAD)
         stacks: list[Stack] = []
         for near, part in zip(current.stacks, self.parts, strict=True):
             begin = start if own_scatter else near.put(keys, [start.get(key) for key in keys])
@@ -181,7 +191,7 @@ class Search:
 
     def polished(self, found: Hypothesis) -> Hypothesis:
         """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
-        free = (*self.keys(found.effects), *NUISANCES)
+        free = (*self.keys(found.effects), *self.nuisances)
         pairs = zip(found.stacks, self.parts, strict=True)
         return self.scored(found.effects, [self.fitted(stack, free, part, 40, FINE).stack for stack, part in pairs])
 
@@ -209,7 +219,7 @@ class Search:
         """Return a hypothesis fitted with the scatter of single pings at its value in the simulation."""
         effects = tuple(name for name in current.effects if name != JITTER)
         held = [key for key in SPREAD if key[0] == JITTER]
-        free = (*self.keys(effects), *(key for key in NUISANCES if key not in held))
+        free = (*self.keys(effects), *(key for key in self.nuisances if key not in held))
         values = [self.common.get(key) for key in held]
         pairs = zip(current.stacks, self.parts, strict=True)
         return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40, FINE).stack for s, p in pairs])
