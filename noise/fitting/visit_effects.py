@@ -188,7 +188,7 @@ def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
 
 
 def outcome_probability(law: PhysicalLaw, batch: Batch) -> Tensor:
-    """Return the probability of each ping's outcome, echo or no echo, under the law of each ping, (n,) or (banks, n)."""
+    """Return the probability of each ping's outcome, echo or no echo, under a law, (n,) or (banks, n)."""
     echo, silent = torch.from_numpy(batch.reading.echo), law.no_echo_tensor()
     return torch.where(echo, _echo_probability(law, silent, echo), silent)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.discrepancy.name.search import FINE, FOLD_PINGS, Hypothesis, Search
+from noise.discrepancy.name.search import FINE, Hypothesis, Search
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
@@ -41,7 +41,7 @@ class Final:
 
 def conclude(search: Search, found: Hypothesis) -> Final:
     """Return a hypothesis fitted to both folds."""
-    batch = search.folds.both.thin(2 * FOLD_PINGS)
+    batch = search.joined
     keys = search.keys(found.effects)
     joint = maximise(found.stacks[0], (*keys, *search.nuisances), batch, 60, FINE)
     single = refit_without_urn(joint, keys, batch) if found.effects else joint
@@ -55,9 +55,12 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, is that of the
     difference: what the law of the simulation has, and what its own readings would add, are subtracted.
     """
-    known = np.sqrt(np.diag(covariance(final.single, final.batch)))
+    fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
+    errors: dict[Key, float] = {}
+    for fit in fits:  # the fit of single readings holds those of effects on single pings alone
+        errors |= zip(fit.free, np.sqrt(np.diag(covariance(fit, final.batch))).tolist(), strict=True)
     out = {}
-    for key, error in zip(final.single.free, known, strict=True):
+    for key, error in errors.items():
         if key in NUISANCES and key[0] not in final.effects:
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)

@@ -114,8 +114,8 @@ class Search:
 
     def __post_init__(self) -> None:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
-        first, second = (batch.thin(FOLD_PINGS) for batch in (self.folds.first, self.folds.second))
-        self.parts = (first, second)
+        self.joined = self.folds.both.thin(2 * FOLD_PINGS)
+        self.parts = first, _ = self.split(self.joined)
         self.grid, self.screen = first.thin(GRID_PINGS), first.thin(SCREEN_PINGS)
         self.simulated = None if self.simulated is None else self.simulated.thin(SIMULATED_PINGS)
         self.common = with_sampled_bounds(self.common, self.folds.both)
@@ -125,8 +125,8 @@ class Search:
     def nuisances(self) -> tuple[Key, ...]:
         """Nuisance parameters that are free on each fold.
 
-        Visits of one kind of survey scatter alike in level: where there are simulated readings, these tell how much, and
-        a fit to few visits that all are heard or missed would tell anything.
+        Visits of one kind of survey scatter alike in level: where there are simulated readings, these tell how much,
+        and a fit to few visits that all are heard or missed would tell anything.
         """
         known = () if self.simulated is None else (LEVEL_SD,)
         return tuple(key for key in NUISANCES if key not in known)
@@ -135,6 +135,19 @@ class Search:
     def least_gain(self) -> float:
         """Gain on unseen visits, nats, that no candidate reaches by chance but with probability `FALSE_ALARM`."""
         return float(np.log(len(self.names) / FALSE_ALARM))
+
+    def split(self, batch: Batch) -> tuple[Batch, Batch]:
+        """Return the readings of a batch in the first and in the second fold."""
+        in_first = np.isin(batch.condition, self.folds.first.condition)
+        return batch.select(in_first), batch.select(~in_first)
+
+    def crossed_nats(self, found: Hypothesis, batch: Batch) -> Floats:
+        """Return the log-likelihood of each visit by the fit of the other fold, nats, (n_visits,)."""
+        in_first = np.isin(batch.condition, self.folds.first.condition)[batch.starts]
+        out = np.empty(batch.n_visits)
+        for mask, stack, part in zip((in_first, ~in_first), found.stacks[::-1], self.split(batch), strict=True):
+            out[mask] = part.visit_sums(log_likelihood(stack, part))
+        return out
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
@@ -159,14 +172,16 @@ class Search:
 
     def _fitted_null(self) -> Hypothesis:
         stacks = [
-            highest(maximise(start, self.nuisances, part, 40, FINE) for start in nuisance_starts(self.common, part)).stack
+            highest(
+                maximise(start, self.nuisances, part, 40, FINE) for start in nuisance_starts(self.common, part)
+            ).stack
             for part in self.parts
         ]
         return self.scored((), stacks)
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
         """Return a fitted hypothesis with its log-likelihood on the other folds."""
-        pairs = ((stacks[1], self.parts[0]), (stacks[0], self.parts[1]))
+        pairs = zip(reversed(stacks), self.parts, strict=True)
         nats = [part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs]
         prior = float(np.mean([log_prior(stack, self.common, effects) for stack in stacks]))
         return Hypothesis(tuple(effects), (stacks[0], stacks[1]), np.concatenate(nats), prior)
