@@ -49,6 +49,7 @@ def _level_nodes() -> Tensor:
 
 
 LEVEL_NODES = _level_nodes()
+CERTAIN_DB = torch.tensor([1e3, -1e3], dtype=torch.float64)  # levels that are always and never heard
 
 
 class VisitEffects(Effect):
@@ -198,15 +199,26 @@ def outcome_given_visit(law: PhysicalLaw, visits: VisitEffects, batch: Batch) ->
     sd = visits.level_sd_db
     if float(sd.detach()) == 0.0 and not sd.requires_grad:
         return outcome_probability(law, batch)
-    path = law.state.direct
-    by_level = replace(path, level_db=path.level_db + sd * LEVEL_NODES[:, None, None])
-    silent = _with_state(law, law.state.with_direct(by_level)).no_echo_tensor()
+    silent = _silent_by_level(law, sd * LEVEL_NODES)
     always, never = torch.zeros_like(silent[:1]), torch.ones_like(silent[:1])
     silent = torch.cat([silent, always, never])
     own = torch.where(torch.from_numpy(batch.reading.echo), 1.0 - silent, silent)
     prior = number([*[(1.0 - 2.0 * FLOOR) / N_LEVELS] * N_LEVELS, FLOOR, FLOOR])
     before = batch.before(torch.log((1.0 - 2.0 * FLOOR) * own + FLOOR))
     return (torch.softmax(torch.log(prior)[:, None] + before, dim=0) * own).sum(dim=0)
+
+
+def _silent_by_level(law: PhysicalLaw, change_db: Tensor) -> Tensor:
+    """Return the probability of no echo, (k, n), with the level of the direct path changed by k amounts.
+
+    It is linear in the probability that the direct path is missed, and known where it always or never is.
+    """
+    path, width = law.state.direct, law.state.width_db
+    certain = replace(path, level_db=CERTAIN_DB[:, None, None] + torch.zeros_like(path.level_db))
+    heard, missed = _with_state(law, law.state.with_direct(certain)).no_echo_tensor()
+    weight = torch.softmax(law.state.log_weight, dim=0)
+    miss = (weight * torch.special.ndtr(-(path.level_db + change_db[:, None, None]) / width)).sum(dim=-2)
+    return heard + (missed - heard) * miss
 
 
 def _echo_probability(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
-GRID_PINGS, SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 300, 800, 2500, 2000
+SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2500, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
@@ -116,7 +116,7 @@ class Search:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
         self.joined = self.folds.both.thin(2 * FOLD_PINGS)
         self.parts = first, _ = self.split(self.joined)
-        self.grid, self.screen = first.thin(GRID_PINGS), first.thin(SCREEN_PINGS)
+        self.screen = first.thin(SCREEN_PINGS)
         self.simulated = None if self.simulated is None else self.simulated.thin(SIMULATED_PINGS)
         self.common = with_sampled_bounds(self.common, self.folds.both)
         self.names = candidate_names(self.common, self.folds.both, self.without)
@@ -273,8 +273,8 @@ class Search:
         points = {}
         for name in self.names:
             if name not in current.effects:
-                starts = starts_of(stack, name, self.grid, self.parts[0], self.rng)
-                scored = [float(log_likelihood(each, self.grid).sum()) for each in starts]
+                starts = starts_of(stack, name, self.screen, self.parts[0], self.rng)
+                scored = [float(log_likelihood(each, self.screen).sum()) for each in starts]
                 best = np.argsort(scored)[::-1][:2]
                 # a second start is worth a fit where a few readings cannot tell it from the best
                 close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
@@ -381,8 +381,8 @@ class Search:
 
         What weakens an echo can silence it only near a threshold; one by one, neither would be found.
         """
-        starts = starts_of(none.stacks[0], THRESHOLD, self.grid, self.parts[0], self.rng)
-        best = max(starts, key=lambda stack: float(log_likelihood(stack, self.grid).sum()))
+        starts = starts_of(none.stacks[0], THRESHOLD, self.screen, self.parts[0], self.rng)
+        best = max(starts, key=lambda stack: float(log_likelihood(stack, self.screen).sum()))
         found = self.crossed(best, none, (THRESHOLD,), own_scatter=False)
         gain = found.nats - none.nats
         good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain))
