@@ -5,7 +5,8 @@ recorded visits and scored on the other. The exponential of a gain on visits tha
 (Wasserman et al. 2020, universal inference), so that a gain beyond log(number of candidates / level) is not chance.
 
 The simulation shares every parameter that does not differ. What the law of the simulation lacks, and both files have
-alike, gains as much when it is given to both: such an effect joins the common law and is no difference.
+alike, gains on simulated readings too: such an effect joins the law of the simulation, and only what differs from its
+value there is a difference.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
 ROUGH, FINE = 1.0, 0.2  # nats that a local fit must gain for another to follow, in screening and in cross-fitting
-STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the base to the recording, on which a common value is sought
+STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
@@ -313,30 +314,31 @@ class Search:
         return min(close, key=lambda name: (len(self.keys([name])), -good[name]))
 
     def common_value(self, found: Hypothesis, name: str) -> Stack | None:
-        """Return the common law with an effect that both files have alike; None where the files differ in it.
+        """Return the law of the simulation with an effect that it lacked; None where it has none of it.
 
-        On the way from the base to the value in the recording, the best common value is compared with separate values.
+        The simulation's own readings decide whether it has the effect. Its value there is that of the recording too
+        where separate values gain no more than chance; if they do, the difference from it remains to be found.
         """
         if self.simulated is None:
             return None
         keys = self.keys([name])
-        base, there = np.array([self.common.get(k) for k in keys]), np.zeros(len(keys))
-        for stack in found.stacks:
-            there += 0.5 * np.array([stack.get(key) for key in keys])
-        recorded, simulated = [], []
+        recorded = np.mean([[stack.get(key) for key in keys] for stack in found.stacks], axis=0)
+        start = self.common.put(keys, recorded)
+        own = self.fitted(start, (*keys, *SPREAD), self.simulated, 40, FINE)
+        if own.nats - float(log_likelihood(self.common, self.simulated).sum()) < self.least_gain:
+            return None
+        simulated = np.array([own.stack.get(key) for key in keys])
+        both = []
         for step in STEPS:
-            values = base + step * (there - base)
-            stacks = [stack.put(keys, values) for stack in found.stacks]
-            recorded.append(sum(float(log_likelihood(s, p).sum()) for s, p in zip(stacks, self.parts, strict=True)))
-            simulated.append(float(log_likelihood(self.common.put(keys, values), self.simulated).sum()))
-        both = np.array(recorded) + np.array(simulated)
-        separate = max(recorded) + max(simulated)
-        alone = recorded[-1] - recorded[0]
-        best = int(np.argmax(both))
-        # most of the gain is there when the simulation gets the effect too: it is no difference
-        if best > 0 and separate - both[best] < max(self.least_gain, 0.1 * alone) and both[best] > both[0]:
-            return self.common.put(keys, base + STEPS[best] * (there - base))
-        return None
+            values = simulated + step * (recorded - simulated)
+            pairs = [*zip((s.put(keys, values) for s in found.stacks), self.parts, strict=True)]
+            pairs.append((own.stack.put(keys, values), self.simulated))
+            both.append([float(log_likelihood(stack, part).sum()) for stack, part in pairs])
+        nats = np.array(both)
+        best = int(np.argmax(nats.sum(axis=1)))
+        separate = nats[:, :2].sum(axis=1).max() + nats[:, 2].max()
+        alike = separate - nats[best].sum() < self.least_gain
+        return own.stack.put(keys, simulated + STEPS[best] * (recorded - simulated)) if alike else own.stack
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted anew on a changed common law."""

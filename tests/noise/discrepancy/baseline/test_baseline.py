@@ -135,7 +135,7 @@ def test_the_nearest_visits_transport_errors_and_not_ranges():
 def test_a_law_that_describes_the_recording_gets_no_empirical_term_that_does_harm():
     train, test = (Batch.of(recording(SONAR, seed)) for seed in (1, 2))
     stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
-    found = empirical_term(stack, train, np.random.default_rng(0))
+    found = empirical_term(stack, train, np.random.default_rng(0)).stack
     assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > -5.0  # nats in 480 readings
 
 
@@ -147,7 +147,7 @@ def test_a_drift_without_a_name_becomes_an_empirical_term_of_time():
 
     train, test = drifting(1), drifting(2)
     stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
-    found = empirical_term(stack, train, np.random.default_rng(0))
+    found = empirical_term(stack, train, np.random.default_rng(0)).stack
     assert found.terms
     assert isinstance(found.terms[0], Empirical)
     assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > 50.0
