@@ -14,7 +14,6 @@ import pandas as pd
 from acquisition import Recording, SettingError
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
-from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.held_out import crps, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
@@ -192,7 +191,7 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, rest, causes_only, corrected, places
     )
-    return replace(diagnosis, evidence=judged.evidence, posteriors={p.effect: p.others for p in judged.places})
+    return replace(diagnosis, evidence=judged.evidence, likely={p.effect: p.likely for p in judged.places})
 
 
 def against(data: Data, search: Search, law: Stack) -> Tested:
@@ -246,7 +245,7 @@ def _diagnosis(
         rest,
         visible,
         scores,
-        next_measurements(places, data.batch, data.rng("next"), decision_model().temperature),
+        next_measurements(places, data.batch, data.rng("next")),
         _baseline_check(data, tested),
         data.warnings,
     )

@@ -147,7 +147,7 @@ def _divided(divided: Shares, disbelieved: Sequence[str]) -> tuple[float, Interv
 
 
 def _cause(search: Search, place: Place, certain: float, divided: Shares, known: Mapping[Key, Interval]) -> Cause:
-    name, likely = place.effect, place.probabilities(decision_model().temperature)
+    name, likely = place.effect, place.listed
     own = [(key, value) for key, value in known.items() if key[0] == name]
     alternatives = tuple(Alternative(other, certain * p) for other, p in likely.items() if other != name)
     return Cause(
