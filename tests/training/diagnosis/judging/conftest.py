@@ -55,7 +55,7 @@ def record():
             "intervals": {"zero_offset": {"offset_m": [0.0101, 0.009, 0.011]}} if named else {},
             "overlap": [1.0] if named else [],
             "evidence": {each["effect"]: EVIDENCE for each in named},
-            "posteriors": {each["effect"]: {} for each in named},
+            "likely": {each["effect"]: {each["effect"]: 1.0} for each in named},
             "scores": scores | {"gap_error": 0.001, "change_error": 0.001, "offered": True},
         } | changed
 
