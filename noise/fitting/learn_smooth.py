@@ -199,15 +199,14 @@ class _Ascent:
     def step(self, eta: Mapping[str, Floats], head: str, start: Floats, strengths: Sequence[float]) -> list[Floats]:
         """Return the coefficients after a Newton step from a start, (folds, p), for each strength of the prior.
 
-        The curvature is that of a change of all readings of a visit together, from a difference of derivatives.
+        Derivatives are those at the correction of each ping by its own fold, so that all folds share them. The
+        curvature is that of a change of all readings of a visit together, from a difference of derivatives.
         """
-        same = not start.any()
+        own = self.left_out(start)
+        slope = self.slope({**eta, head: own}, head)
+        curvature = np.maximum((slope - self.slope({**eta, head: own + STEP}, head)) / STEP, 0.0)
         out = [start.copy() for _ in strengths]
         for k in range(len(start)):
-            if k == 0 or not same:
-                own = self.functions @ start[k]
-                slope = self.slope({**eta, head: own}, head)
-                curvature = np.maximum((slope - self.slope({**eta, head: own + STEP}, head)) / STEP, 0.0)
             rows = self.folds != k
             part = self.functions[rows]
             matrix, vector = part.T @ (curvature[rows, None] * part), part.T @ slope[rows]

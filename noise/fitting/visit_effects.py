@@ -39,7 +39,7 @@ BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; chosen here
 MIN_PROBABILITY = 1e-250  # smallest divisor
 RARE_ECHO = 1e-6  # probability of an echo below which 1 - P(no echo) has lost its digits
-N_LEVELS = 15  # nodes of the level of a visit: a tenth of its deviation apart in the middle
+N_LEVELS = 9  # nodes of the level of a visit: a quarter of its deviation apart in the middle
 
 
 def _level_nodes() -> Tensor:

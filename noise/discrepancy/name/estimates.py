@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.discrepancy.name.search import FINE, Hypothesis, Search
+from noise.discrepancy.name.search import Hypothesis, Search
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
@@ -43,7 +43,7 @@ def conclude(search: Search, found: Hypothesis) -> Final:
     """Return a hypothesis fitted to both folds."""
     batch = search.joined
     keys = search.keys(found.effects)
-    joint = maximise(found.stacks[0], (*keys, *search.nuisances), batch, 60, FINE)
+    joint = maximise(found.stacks[0], (*keys, *search.nuisances), batch, 60)
     single = refit_without_urn(joint, keys, batch) if found.effects else joint
     return Final(found.effects, joint, single, batch)
 
@@ -77,7 +77,7 @@ def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
     p = search.common.parameter(key)
     if search.simulated is None or not p.low < p.null < p.high:
         return 0.0, 0.0
-    fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40, FINE)
+    fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
     return fitted.stack.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
 
 

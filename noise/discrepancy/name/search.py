@@ -11,7 +11,7 @@ value there is a difference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.folds import Folds
-from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
+from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
@@ -37,7 +37,8 @@ SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2500, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
-ROUGH, FINE = 1.0, 0.2  # nats that a local fit must gain for another to follow, in screening and in cross-fitting
+ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
+BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
@@ -150,6 +151,11 @@ class Search:
             out[mask] = part.visit_sums(log_likelihood(stack, part))
         return out
 
+    def worthwhile(self, current: Hypothesis) -> float:
+        """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained."""
+        explained = current.value - self.null().value if current.effects else 0.0
+        return max(self.least_gain, MIN_SHARE * explained)
+
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
         none = current = self.null()
@@ -173,9 +179,7 @@ class Search:
 
     def _fitted_null(self) -> Hypothesis:
         stacks = [
-            highest(
-                maximise(start, self.nuisances, part, 40, FINE) for start in nuisance_starts(self.common, part)
-            ).stack
+            highest(maximise(start, self.nuisances, part, 40) for start in nuisance_starts(self.common, part)).stack
             for part in self.parts
         ]
         return self.scored((), stacks)
@@ -201,7 +205,7 @@ class Search:
         stacks: list[Stack] = []
         for near, part in zip(current.stacks, self.parts, strict=True):
             begin = start if own_scatter else near.put(keys, [start.get(key) for key in keys])
-            start = self.fitted(begin, free, part, 40, FINE).stack
+            start = self.fitted(begin, free, part, 40).stack
             stacks.append(start)
         return self.scored(effects, stacks)
 
@@ -209,11 +213,11 @@ class Search:
         """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
         free = (*self.keys(found.effects), *self.nuisances)
         pairs = zip(found.stacks, self.parts, strict=True)
-        return self.scored(found.effects, [self.fitted(stack, free, part, 40, FINE).stack for stack, part in pairs])
+        return self.scored(found.effects, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
 
-    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int, enough: float) -> Fit:
+    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
         """Return the local maximum from a start; the scales of nuisances are measured once for each batch."""
-        return maximise(start, free, batch, iterations, enough, self._scales.setdefault(id(batch), {}))
+        return maximise(start, free, batch, iterations, ENOUGH, self._scales.setdefault(id(batch), {}))
 
     def with_scatter(self, current: Hypothesis) -> Hypothesis:
         """Return the hypothesis with the scatter of single pings as a difference, where that gains beyond chance.
@@ -238,7 +242,7 @@ class Search:
         free = (*self.keys(effects), *(key for key in self.nuisances if key not in held))
         values = [self.common.get(key) for key in held]
         pairs = zip(current.stacks, self.parts, strict=True)
-        return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40, FINE).stack for s, p in pairs])
+        return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40).stack for s, p in pairs])
 
     def nothing(self, found: Hypothesis) -> Hypothesis:
         """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
@@ -281,16 +285,22 @@ class Search:
                 close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
                 points[name] = scored[best[0]], [starts[k] for k in close]
         order = sorted(points, key=lambda name: -points[name][0])[:N_SCREENED]
-        here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15, ROUGH).nats
+        here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         fits, n_pings = {}, sum(len(part) for part in self.parts)
         for name in order:
             own = (*self.keys([*current.effects, name]), *SPREAD)
-            fit = highest(self.fitted(start, own, self.screen, 20, ROUGH) for start in points[name][1])
+            fit = highest(self.fitted(start, own, self.screen, 20) for start in points[name][1])
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
-            if (fit.nats - here) * n_pings / len(self.screen) > self.least_gain:
+            if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
         best_names = sorted(fits, key=lambda name: -fits[name].nats - log_prior(fits[name].stack, self.common, [name]))
-        return {name: fits[name] for name in best_names[:N_CROSSED]}
+        return {name: fits[name] for name in self._near(best_names, fits)[:N_CROSSED]}
+
+    def _near(self, names: Sequence[str], fits: Mapping[str, Fit]) -> list[str]:
+        """Return the effects that may lead on unseen visits, of those sorted by their fit to the screen."""
+        nats = {name: self.screen.visit_sums(log_likelihood(fits[name].stack, self.screen)) for name in names}
+        behind = {name: nats[names[0]] - nats[name] for name in names}
+        return [n for n in names if behind[n].sum() < max(self.least_gain, BEHIND * standard_error(behind[n]))]
 
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
         """Return one more effect, cross-fitted from the present scatter; from its own where it explains outliers."""
@@ -305,7 +315,7 @@ class Search:
         for name, gain in gains.items():
             value = tried[name].value - current.value
             inside = not any(at_bound(stack, self.common, name, self.folds.both) for stack in tried[name].stacks)
-            if inside and value > self.least_gain and gain.sum() > 2.0 * standard_error(gain):
+            if inside and value > self.worthwhile(current) and gain.sum() > 2.0 * standard_error(gain):
                 good[name] = value
         if not good:
             return None
@@ -324,7 +334,7 @@ class Search:
         keys = self.keys([name])
         recorded = np.mean([[stack.get(key) for key in keys] for stack in found.stacks], axis=0)
         start = self.common.put(keys, recorded)
-        own = self.fitted(start, (*keys, *SPREAD), self.simulated, 40, FINE)
+        own = self.fitted(start, (*keys, *SPREAD), self.simulated, 40)
         if own.nats - float(log_likelihood(self.common, self.simulated).sum()) < self.least_gain:
             return None
         simulated = np.array([own.stack.get(key) for key in keys])
