@@ -28,6 +28,7 @@ BUILT_IN = {
 KINDS = {
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.fitting.empirical", "EmpiricalModel"),
+    "nearest": ("noise.discrepancy.baseline.nearest", "NearestVisits"),
     "beam": ("noise.beam", "BeamModel"),
     "mlp": ("noise.learned.networks", "MlpModel"),
     "ideal": ("noise.model", "IdealModel"),

@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 
 from acquisition import Recording, SettingError
+from noise.discrepancy.baseline.nearest import NearestVisits
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
-from noise.discrepancy.judge.held_out import crps, held_out
+from noise.discrepancy.judge.held_out import best_of, crps, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import directed_test
@@ -202,8 +203,9 @@ def against(data: Data, search: Search, law: Stack) -> Tested:
 def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[SonarModel | None, SonarModel | None]:
     """Return the model with the causes alone, and the corrected model that is offered; None where there is none.
 
-    What no cause explains joins the corrected model as an empirical term, where that improves unseen visits. A
-    correction is offered only if it beats the user's simulation on unseen visits.
+    What no cause explains joins the corrected model as an empirical term, where that improves unseen visits; where the
+    recording's own nearest visits predict unseen ones better than any law, they are the corrected model. A correction
+    is offered only if it beats the user's simulation on unseen visits.
     """
     stack = judged.final.single.stack
     causes_only = offered(stack, recorded) if judged.believed else None
@@ -211,9 +213,8 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
         options.append(offered(judged.learned.stack, recorded))
     unseen = data.folds.unseen
-    scored = sorted(((crps(model, unseen), k) for k, model in enumerate(options)), key=lambda each: each[0])
-    best = options[scored[0][1]] if scored and scored[0][0] < crps(data.baseline.before, unseen) else None
-    return causes_only, best
+    best = best_of(options, NearestVisits.of(data.folds.both), unseen)
+    return causes_only, best if crps(best, unseen) < crps(data.baseline.before, unseen) else None
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:

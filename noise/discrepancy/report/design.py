@@ -129,10 +129,18 @@ class _Sample:
         """Return the log-likelihood, nats, differentiable in the parameters at `keys`."""
         known = dict(self.setting.shift)
         shift = torch.tensor([known.get(key, 0.0) for key in keys], dtype=torch.float64)
-        model, visits = self.setting.stack(stack).build(keys, numbers + shift)
+        low, high = (torch.tensor(each, dtype=torch.float64) for each in _bounds(stack, keys))
+        limited = torch.minimum(torch.maximum(numbers + shift, low), high)
+        model, visits = self.setting.stack(stack).build(keys, limited)
         law = single_ping_law(model.law_of(self.conditions), visits, AIR_SCALE_SD)
         # without the floor, so that a law that is far from the readings still has a slope towards them
         return law.log_prob_tensor(self.reading).sum()
+
+
+def _bounds(stack: Stack, keys: Sequence[Key]) -> tuple[list[float], list[float]]:
+    """Return lower and upper bounds of parameters, null value included."""
+    known = [stack.parameter(key) for key in keys]
+    return [min(p.low, p.null) for p in known], [max(p.high, p.null) for p in known]
 
 
 class _EqualParts:

@@ -125,6 +125,22 @@ def test_the_nearest_visits_repeat_a_visit_that_was_simulated():
     assert abs(law.quantile(0.5)[0] - law.distance[0] - own) < 0.02
 
 
+def test_saved_nearest_visits_have_the_same_law(tmp_path):
+    batch = Batch.of(recording(SONAR, 1))
+    model = NearestVisits.of(batch)
+    same = load_model(save_model(model, tmp_path / "nearest"))
+    z = np.linspace(0.1, 6.0, 30)[:, None]
+    assert np.array_equal(same.law(batch.ping).arrival(z), model.law(batch.ping).arrival(z))
+    assert (same.resolution, same.max_range) == (model.resolution, model.max_range)
+
+
+@pytest.mark.parametrize("damage", [{"error": []}, {"scale": [0.0] * 4}, {"names": ["more"]}, {"position": None}])
+def test_damaged_nearest_visits_are_a_clear_error(damage):
+    data = NearestVisits.of(Batch.of(recording(SONAR, 1))).to_dict()
+    with pytest.raises(ModelError, match="may be damaged"):
+        NearestVisits.from_dict(data | damage)
+
+
 def test_the_nearest_visits_transport_errors_and_not_ranges():
     ping = survey(1)
     batch = Batch.of(Recording.of(ping, Reading.of(ping.distance + 0.05)))
