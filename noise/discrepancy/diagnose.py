@@ -15,7 +15,7 @@ from acquisition import Recording, SettingError
 from noise.discrepancy.baseline.nearest import NearestVisits
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, warnings_of
-from noise.discrepancy.judge.held_out import best_of, crps, held_out
+from noise.discrepancy.judge.held_out import best_of, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import directed_test
@@ -205,7 +205,7 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
 
     What no cause explains joins the corrected model as an empirical term, where that improves unseen visits; where the
     recording's own nearest visits predict unseen ones better than any law, they are the corrected model. A correction
-    is offered only if it beats the user's simulation on unseen visits.
+    is offered only if it beats the user's simulation on unseen visits beyond chance.
     """
     stack = judged.final.single.stack
     causes_only = offered(stack, recorded) if judged.believed else None
@@ -214,7 +214,7 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
         options.append(offered(judged.learned.stack, recorded))
     unseen = data.folds.unseen
     best = best_of(options, NearestVisits.of(data.folds.both), unseen)
-    return causes_only, best if crps(best, unseen) < crps(data.baseline.before, unseen) else None
+    return causes_only, best if gains(best, data.baseline.before, unseen) else None
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:

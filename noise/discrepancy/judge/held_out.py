@@ -27,8 +27,14 @@ def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
     return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading))
 
 
+def gains(model: SonarModel, other: SonarModel, batch: Batch) -> bool:
+    """Return whether a model's CRPS is less than another's beyond chance: the interval over visits excludes zero."""
+    gain = batch.visit_sums(crps_of_each(other, batch) - crps_of_each(model, batch))
+    return bool(gain.sum() > Z * standard_error(gain))
+
+
 def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) -> SonarModel:
-    """Return the model with the least CRPS; the fallback only where it is better than all by a standard error.
+    """Return the model with the least CRPS; the fallback only where it gains beyond chance.
 
     Laws with causes hold under other conditions too, and the readings of the nearest visits under their own alone.
 
@@ -37,13 +43,8 @@ def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) ->
         fallback: a model that knows no law.
         batch: visits that no model was fitted to.
     """
-    last = crps_of_each(fallback, batch)
-    if not models:
-        return fallback
-    each = [crps_of_each(model, batch) for model in models]
-    k = int(np.argmin([values.mean() for values in each]))
-    gain = batch.visit_sums(each[k] - last)
-    return fallback if gain.sum() > standard_error(gain) else models[k]
+    best = min(models, key=lambda model: crps(model, batch), default=fallback)
+    return fallback if gains(fallback, best, batch) else best
 
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:
