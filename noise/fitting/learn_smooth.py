@@ -16,7 +16,7 @@ from noise.effects.state import number
 from noise.fitting.batch import Batch
 from noise.fitting.smooth import HEADS, Smooth
 from noise.fitting.smooth_basis import Basis, Coefficients, Problem, Score, basis_of
-from noise.fitting.stack import Stack
+from noise.fitting.stack import LeftOut, Stack
 
 STRENGTHS = (0.1, 0.4, 1.5)  # factors of the prior standard deviation that cross-validation chooses from
 FOLDS = 4
@@ -75,10 +75,12 @@ class Learned:
     Attributes:
         stack: the law; without a correction where none improves unseen conditions.
         gain: log-likelihood that the correction gains on each visit when its condition is left out, nats, (n_visits,).
+        left_out: the corrections without each fold; None where there is none.
     """
 
     stack: Stack
     gain: Floats
+    left_out: LeftOut | None = None
 
 
 def learn_smooth(
@@ -108,9 +110,14 @@ def learn_smooth(
     basis, chosen = bases[best], crossed[best]
     if not chosen.strengths:
         return Learned(problem.stack, np.zeros(batch.n_visits))
-    found = maximised(problem, basis, chosen.strengths, chosen.start, ITERATIONS)
-    term = basis.with_weights(dict(zip(found.heads, found.value.T, strict=True)))
-    return Learned(problem.stack.with_term(term), chosen.gain)
+    heads = tuple(chosen.strengths)
+    start = Coefficients(heads, np.mean(list(chosen.folds.values()), axis=1).T)
+    found = maximised(problem, basis, chosen.strengths, start, ITERATIONS)
+    term = basis.with_weights(dict(zip(heads, found.value.T, strict=True)))
+    terms = [basis.with_weights({head: chosen.folds[head][k] for head in heads}) for k in range(FOLDS)]
+    part = np.full(int(batch.condition.max()) + 1, -1)
+    part[batch.condition] = folds
+    return Learned(problem.stack.with_term(term), chosen.gain, LeftOut(tuple(terms), part))
 
 
 def _folds(batch: Batch, rng: np.random.Generator) -> Ints:
@@ -126,12 +133,12 @@ class CrossFitted:
     Attributes:
         strengths: of the aspects that are corrected.
         gain: log-likelihood that each visit gains when its fold is left out, nats, (n_visits,).
-        start: mean of the coefficients over folds.
+        folds: coefficients of each corrected aspect without each fold, (folds, p).
     """
 
     strengths: Strengths
     gain: Floats
-    start: Coefficients
+    folds: dict[str, Floats]
 
 
 def cross_fitted(problem: Problem, basis: Basis, folds: Ints) -> CrossFitted:
@@ -144,9 +151,10 @@ def cross_fitted(problem: Problem, basis: Basis, folds: Ints) -> CrossFitted:
     ascent = _Ascent(problem, basis, folds)
     none = best = ascent.nats({})
     eta: dict[str, Floats] = {}
-    kept: dict[str, tuple[float, Floats]] = {}
+    kept: dict[str, Floats] = {}
+    strengths: Strengths = {}
     for head in HEADS:
-        zero = np.zeros((int(folds.max()) + 1, ascent.functions.shape[1]))
+        zero = np.zeros((FOLDS, ascent.functions.shape[1]))
         tried = [(size, value) for size, value in zip(STRENGTHS, ascent.step(eta, head, zero, STRENGTHS), strict=True)]
         scored = [ascent.nats({**eta, head: ascent.left_out(value)}) for _, value in tried]
         k = int(np.argmax([nats.sum() for nats in scored]))
@@ -155,9 +163,8 @@ def cross_fitted(problem: Problem, basis: Basis, folds: Ints) -> CrossFitted:
             (again,) = ascent.step(eta, head, value, (size,))
             nats = ascent.nats({**eta, head: ascent.left_out(again)})
             value, best = (again, nats) if nats.sum() > scored[k].sum() else (value, scored[k])
-            eta[head], kept[head] = ascent.left_out(value), (size, value.mean(axis=0))
-    start = Coefficients(tuple(kept), np.stack([v for _, v in kept.values()], axis=1)) if kept else basis.none
-    return CrossFitted({head: size for head, (size, _) in kept.items()}, best - none, start)
+            eta[head], kept[head], strengths[head] = ascent.left_out(value), value, size
+    return CrossFitted(strengths, best - none, kept)
 
 
 def _exceeds(gain: Floats) -> bool:

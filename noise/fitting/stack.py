@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel, PlacementScatter
@@ -35,6 +35,27 @@ SHARED = (
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 
 
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Smooth corrections that were each fitted without one part of the conditions.
+
+    Readings look better described by a law that was fitted to them than others do. Two files are therefore compared
+    under laws that saw neither.
+
+    Attributes:
+        terms: one for each part.
+        part: of each condition of the fitted readings, by index; -1 for those that were not fitted.
+    """
+
+    terms: tuple[Smooth, ...]
+    part: Ints
+
+    def of(self, batch: Batch) -> Ints:
+        """Return the part of each ping of a batch of the fitted recording, (n,)."""
+        known = batch.condition < len(self.part)
+        return np.where(known, self.part[np.where(known, batch.condition, 0)], -1)
+
+
 @dataclass(frozen=True)
 class Stack:
     """A physical model and its nuisance parameters as numbers.
@@ -44,6 +65,7 @@ class Stack:
         resolution, max_range: of the register, m.
         terms: smooth corrections without parameters, at most one of each id.
         bounds: parameters with narrower bounds than the catalogue's.
+        left_out: the smooth correction without each part of the readings it was fitted to; None where there is none.
     """
 
     values: Values
@@ -51,6 +73,7 @@ class Stack:
     max_range: float = 11.008
     terms: tuple[Smooth, ...] = ()
     bounds: Mapping[Key, Parameter] = field(default_factory=dict)
+    left_out: LeftOut | None = None
 
     @classmethod
     def of(cls, model: PhysicalModel) -> Stack:
@@ -91,6 +114,10 @@ class Stack:
     def with_term(self, term: Smooth) -> Stack:
         """Return the stack with a smooth correction, which replaces an older one of the same id."""
         return replace(self, terms=(*(old for old in self.terms if old.name != term.name), term))
+
+    def without_part(self, part: int) -> Stack:
+        """Return the stack whose smooth correction was fitted without a part; unchanged for part -1."""
+        return self if self.left_out is None or part < 0 else self.with_term(self.left_out.terms[part])
 
     def without_term(self, name: str) -> Stack:
         """Return the stack without a smooth correction."""

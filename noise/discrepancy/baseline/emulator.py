@@ -62,7 +62,8 @@ def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stac
     """Return a law with its smooth correction by condition, and the dependence within visits fitted beside it."""
     batch = learner_pings(readings)
     inputs = [(*CONDITION_INPUTS, *_logged(batch))]
-    stack = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng).stack
+    learned = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng)
+    stack = replace(learned.stack, left_out=learned.left_out)
     return maximise(stack, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
 
 

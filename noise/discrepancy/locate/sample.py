@@ -10,6 +10,7 @@ import pandas as pd
 
 from acquisition.arrays import Bits, Floats, Ints
 from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.statistics import winsorised
 
 MIN_CLUSTERS = 12  # fewer give no bootstrap
@@ -72,6 +73,19 @@ class Sample:
 
     def _split(self, by_visit: Ints) -> list[Ints]:
         return np.split(by_visit, np.cumsum([batch.n_visits for batch in self.batches])[:-1])
+
+    def left_out(self, law: Stack) -> list[Ints]:
+        """Return the part of the simulation's readings that judges each ping, for each file, (n,) each.
+
+        It is the part to which the ping's cluster belongs, so that its law saw neither file there; clusters of the
+        recording alone take turns.
+        """
+        if law.left_out is None or self.simulated is None:
+            return [np.full(len(batch), -1) for batch in self.batches]
+        own = law.left_out.of(self.simulated)
+        by_cluster = np.arange(int(self.cluster.max()) + 1) % len(law.left_out.terms)
+        by_cluster[self.cluster[~self.is_recorded]] = own
+        return [by_cluster[self.cluster[self.is_recorded]], own]
 
     @cached_property
     def visit(self) -> Ints:
