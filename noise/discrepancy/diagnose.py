@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -13,29 +14,23 @@ import pandas as pd
 
 from acquisition import Recording, SettingError
 from acquisition.limits import OneOf, Seed, check_value, shown
-from noise.discrepancy.baseline.emulator import empirical_term
+from noise.discrepancy.baseline.nearest import NearestVisits
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
-from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, check_conditions, warnings_of
-from noise.discrepancy.judge.decision import decision_model
-from noise.discrepancy.judge.held_out import crps, held_out
-from noise.discrepancy.judge.shares import Shares, shares
+from noise.discrepancy.judge.held_out import best_of, gains, held_out
+from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.name.alternatives import Place, place_of
-from noise.discrepancy.name.candidates import log_prior
-from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
+from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
-from noise.discrepancy.name.search import Hypothesis, Search
+from noise.discrepancy.name.search import Search
 from noise.discrepancy.report.next_measurement import next_measurements
-from noise.discrepancy.report.words import location as location_in_words
 from noise.discrepancy.report.words import summary_of
 from noise.discrepancy.result import (
-    Alternative,
     BaselineCheck,
     Cause,
     Diagnosis,
@@ -47,7 +42,7 @@ from noise.discrepancy.result import (
     Verdict,
     Visible,
 )
-from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, LEFT_LEVEL, MIN_SHARE
+from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -187,154 +182,43 @@ def _different(
     """Return the diagnosis of a recording that differs."""
     readings = data.baseline.readings
     search = Search(data.baseline.law, data.folds, readings, data.rng("search"), without, data.tell)
-    search.is_left = lambda found: is_left(data, search, found)
+    search.is_left = lambda found: against(data, search, found.stacks[0]).p_value.value < LEFT_LEVEL
     _, found = search.run()
     none = search.nothing(found)
     data.tell("weighing", 0.7)
-    judged = judge(data, search, none, found, tested)
+    judged = judge(search, none, found, tested.p_value, partial(against, data, search), data.rng("judge"))
     data.tell("correcting", 0.9)
     causes_only, corrected = corrected_models(data, recorded, judged)
-    rest = judged.rest(data, search.common)
+    rest = judged.rest
     believed = [cause for cause in judged.causes if cause.effect in judged.believed]
     kind = kind_of(believed, judged.together, rest)
     places = [place for place in judged.places if place.effect in {cause.effect for cause in judged.causes}]
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, rest, causes_only, corrected, places
     )
-    return replace(diagnosis, evidence=judged.evidence, posteriors={p.effect: p.others for p in judged.places})
+    return replace(diagnosis, evidence=judged.evidence, likely={p.effect: p.likely for p in judged.places})
 
 
-def is_left(data: Data, search: Search, found: Hypothesis) -> bool:
-    """Return whether the orthogonal test finds a difference that a hypothesis leaves."""
-    tested = orthogonal_test(found.stacks[0], search.common, data.sample, data.rng("left"))
-    return tested.p_value.value < LEFT_LEVEL
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """Causes with their probabilities, and the law with those that are believed.
-
-    Attributes:
-        causes: selected effects, the believed ones and the greatest shares first.
-        believed: ids of those that are believed.
-        final: the hypothesis with the believed causes, fitted to both folds.
-        places: selected effects and their alternatives.
-        evidence: by selected effect.
-        together: share of the believed causes.
-        share_of_rest: share that they leave.
-        after: test of the corrected law.
-    """
-
-    causes: tuple[Cause, ...]
-    believed: tuple[str, ...]
-    final: Final
-    places: tuple[Place, ...]
-    evidence: Mapping[str, Evidence]
-    together: float
-    share_of_rest: Interval
-    after: Tested
-
-    def rest(self, data: Data, common: Stack) -> Unexplained:
-        """Return what the causes leave."""
-        left = self.after.p_value.value < FALSE_ALARM
-        where = locate(self.after) if left else ()
-        described = location_in_words(where[0]) if where else None
-        return Unexplained(self.share_of_rest, self.after.p_value, where, described)
-
-
-def judge(data: Data, search: Search, none: Hypothesis, found: Hypothesis, tested: Tested) -> Judged:
-    """Return the causes of a difference with their probabilities."""
-    final = conclude(search, found)
-    after = orthogonal_test(final.stack, search.common, data.sample, data.rng("rest"))
-    places = tuple(place_of(search, found, name) for name in found.effects)
-    divided = shares(search, none, found, after.p_value.value < FALSE_ALARM, data.rng("shares"))
-    evidence = {
-        place.effect: evidence_of(search, found, place, divided, tested.p_value, after.p_value) for place in places
-    }
-    model = decision_model()
-    likely = {place.effect: place.probabilities(model.temperature) for place in places}
-    certain = {name: model.probability(each) for name, each in evidence.items()}
-    full, selected, known = final, found, intervals(search, final)
-    believed = [name for name in found.effects if certain[name] >= BELIEVED]
-    first = max(found.effects, key=lambda name: divided.causes[name].value, default="")
-    kept = [name for name in believed if name == first or divided.causes[name].value >= MIN_SHARE]
-    for name in [each for each in found.effects if each not in kept]:
-        found = search.left_out(found, name)
-    if set(kept) != set(final.effects):
-        final = conclude(search, found)
-        after = orthogonal_test(final.stack, search.common, data.sample, data.rng("rest"))
-    together = max(
-        0.0, divided.together.value - sum(divided.causes[n].value for n in selected.effects if n not in kept)
-    )
-    rest = divided.rest if together == divided.together.value else _complement(together, divided.together)
-    if final is not full:
-        known |= intervals(search, final)
-    causes = []
-    for name in selected.effects:
-        own = [(key, value) for key, value in known.items() if key[0] == name]
-        alternatives = tuple(
-            Alternative(other, certain[name] * p) for other, p in likely[name].items() if other != name
-        )
-        gain, error = divided.gains[name]
-        causes.append(
-            Cause(
-                name,
-                certain[name] * likely[name][name],
-                alternatives,
-                divided.causes[name],
-                gain,
-                error,
-                {key[1]: value for key, value in own},
-                statement(search, name, own),
-            )
-        )
-    causes.sort(key=lambda cause: (cause.effect not in kept, -cause.share.value))
-    return Judged(tuple(causes), tuple(kept), final, places, evidence, together, rest, after)
-
-
-def _complement(together: float, interval: Interval) -> Interval:
-    rest = 1.0 - together
-    half = 0.5 * (interval.high - interval.low)
-    return Interval(rest, max(rest - half, 0.0), min(rest + half, 1.0), "1")
-
-
-def evidence_of(
-    search: Search, found: Hypothesis, place: Place, divided: Shares, before: PValue, after: PValue
-) -> Evidence:
-    """Return what the decision model needs to know of a selected effect."""
-    gain, error = divided.gains[place.effect]
-    return Evidence(
-        gain=gain,
-        gain_error=error,
-        n_pings=sum(len(part) for part in search.parts),
-        n_visits=len(found.nats),
-        share=divided.causes[place.effect].value,
-        rest=divided.rest.value,
-        lead=place.lead,
-        prior=float(np.mean([log_prior(stack, search.common, [place.effect]) for stack in found.stacks])),
-        p_before=before.value,
-        p_after=after.value,
-        n_effects=len(found.effects),
-        catch_all=search.common.known[place.effect].by_ping,
-    )
+def against(data: Data, search: Search, law: Stack) -> Tested:
+    """Return the orthogonal test of a law of the recording, beside the law of the simulation."""
+    return orthogonal_test(law, search.common, data.sample, data.rng("rest"))
 
 
 def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[SonarModel | None, SonarModel | None]:
     """Return the model with the causes alone, and the corrected model that is offered; None where there is none.
 
-    What no cause explains joins the corrected model as an empirical term, where that improves unseen visits. A
-    correction is offered only if it beats the user's simulation on unseen visits.
+    What no cause explains joins the corrected model as an empirical term, where that improves unseen visits; where the
+    recording's own nearest visits predict unseen ones better than any law, they are the corrected model. A correction
+    is offered only if it beats the user's simulation on unseen visits beyond chance.
     """
     stack = judged.final.single.stack
     causes_only = offered(stack, recorded) if judged.believed else None
     options = [] if causes_only is None else [causes_only]
-    if judged.after.p_value.value < FALSE_ALARM:
-        learned = empirical_term(judged.final.stack, judged.final.batch, data.rng("empirical"))
-        options += [offered(learned, recorded)] if learned is not judged.final.stack else []
+    if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
+        options.append(offered(judged.learned.stack, recorded))
     unseen = data.folds.unseen
-    scored = sorted(((crps(model, unseen), k) for k, model in enumerate(options)), key=lambda each: each[0])
-    best = options[scored[0][1]] if scored and scored[0][0] < crps(data.baseline.before, unseen) else None
-    return causes_only, best
+    best = best_of(options, NearestVisits.of(data.folds.both), unseen)
+    return causes_only, best if gains(best, data.baseline.before, unseen) else None
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:
@@ -366,7 +250,7 @@ def _diagnosis(
         rest,
         visible,
         scores,
-        next_measurements(places, data.batch, data.rng("next"), decision_model().temperature),
+        next_measurements(places, data.batch, data.rng("next")),
         _baseline_check(data, tested),
         data.warnings,
     )

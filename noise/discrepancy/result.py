@@ -298,7 +298,7 @@ class Diagnosis(Presented):
         recording: name of the recording.
         unanswered: number of pings without an answer, which were left out.
         evidence: what the decision model knew of each selected effect, believed or not.
-        posteriors: selected effect -> alternative -> log posterior relative to the selected effect, nats.
+        likely: selected effect -> effect in its place -> probability.
     """
 
     verdict: Verdict
@@ -312,7 +312,7 @@ class Diagnosis(Presented):
     recording: str
     unanswered: int
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
-    posteriors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    likely: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def _plain(value: float) -> float | None:

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import torch
 from torch import Tensor
 
 from acquisition import ModelError
 from noise.effects import CATALOGUE, Effect, Parameter, Stage, State
 from noise.fitting.smooth import Smooth, term_of
+from noise.fitting.visit_effects import widened
 from noise.physical import PhysicalModel
 
 
 class PlacementScatter(Effect):
-    """The target is not exactly at its logged distance: spread^2 -> spread^2 + sigma^2 of the direct path."""
+    """Targets are placed with errors of distance and of level, which single readings show as scatter."""
 
     name = "placement_scatter"
     stage = Stage.SEQUENCE
     summary = "Targets are placed with an error"
-    parameters = (Parameter("sigma_m", "m", 0.0, 0.0, 0.3, "ruler and mount, 1 to 5 mm; wider: chosen here"),)
+    parameters = (
+        Parameter("sigma_m", "m", 0.0, 0.0, 0.3, "ruler and mount, 1 to 5 mm; wider: chosen here"),
+        Parameter("level_sd_db", "dB", 0.0, 0.0, 15.0, "turn of the target and air of a visit; chosen here"),
+    )
     sigma_m: Tensor
+    level_sd_db: Tensor
 
     def apply(self, state: State) -> State:
-        """Widen the direct path."""
-        path = state.direct
-        spread = torch.sqrt(path.spread**2 + self.sigma_m**2 + 1e-18) - 1e-9  # finite gradient at zero
-        return state.with_direct(replace(path, spread=spread))
+        """Widen the direct path and its threshold."""
+        return widened(state, self.sigma_m**2, self.level_sd_db**2)
 
 
 class EmpiricalModel(PhysicalModel):

@@ -32,6 +32,7 @@ WIDTH, JOINT_WIDTH = 0.7, 1.5  # lengths of the kernel in standard deviations of
 LEVEL_DB = 6.0  # level above which the scale of levels turns from linear to logarithmic; chosen here
 LEVEL_STEP = 0.5  # distance of the centres on that scale
 
+KEPT = 4  # samples of pings whose correction is kept: those of a comparison of two files
 MEMORY = ("past_error", "past_echo")
 
 
@@ -145,7 +146,7 @@ class Smooth(Effect):
         self.alpha, self.beta = dict(alpha), dict(beta)
         self.tails_m, self.placement_m = tails_m, placement_m
         self.remembers = any(name in MEMORY for name in inputs.names)
-        self._last: tuple[tuple[Tensor, ...], Tensor] | None = None
+        self._recent: list[tuple[tuple[Tensor, ...], Tensor]] = []
 
     def apply(self, state: State) -> State:
         """Correct the direct echo."""
@@ -165,13 +166,13 @@ class Smooth(Effect):
         """Return the part that depends on conditions, (n, aspects); kept while the same pings are evaluated again."""
         c = conditions
         key = (c.distance, c.angle, c.incidence, c.reflectance, c.time, c.past_range, *c.covariates.values())
-        last = self._last
-        if last is not None and len(last[0]) == len(key) and all(a is b for a, b in zip(last[0], key, strict=True)):
-            return last[1]
+        for known, value in self._recent:
+            if len(known) == len(key) and all(a is b for a, b in zip(known, key, strict=True)):
+                return value
         weights = torch.stack(list(self.alpha.values()), dim=-1)
         value = kernel(self.inputs.standardised(conditions), self.centres) @ weights
         if not value.requires_grad:
-            self._last = key, value
+            self._recent = [(key, value), *self._recent[: KEPT - 1]]
         return value
 
     def corrected(self, state: State, heads: Mapping[str, Tensor]) -> State:

@@ -32,8 +32,9 @@ from noise.fitting.visit_effects import (
     FLOOR,
     MIN_PROBABILITY,
     VisitEffects,
-    detection_probability,
     direct_median,
+    outcome_given_visit,
+    outcome_probability,
     placement_scatter,
     single_ping_law,
 )
@@ -52,13 +53,15 @@ Score = Callable[[PhysicalLaw, VisitEffects, Batch], Tensor]
 def single_log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
     """Return the log probability of each reading, nats, (n,): of its range as the only one of its visit.
 
-    Echo or no echo is predicted with the earlier pings of the visit (beta-binomial), since pings of one position near
-    the threshold agree; otherwise a few positions would decide on the detection everywhere.
+    Echo or no echo is predicted with the earlier pings of the visit, since pings of one position near the threshold
+    agree; otherwise a few positions would decide on the detection everywhere.
     """
-    single = single_ping_law(law, visits)
-    agree = visits.detection_weight + visits.urn_weight
-    expected, given = detection_probability(single, VisitEffects(detection_weight=torch.clamp(agree, max=5.0)), batch)
-    p = single.probability_tensor(batch.reading) * given / torch.clamp(expected, min=MIN_PROBABILITY)
+    single, urn = single_ping_law(law, visits), visits.urn_weight
+    count, n_echoes = batch.echo_counts
+    n_alike = torch.where(torch.from_numpy(batch.reading.echo), n_echoes, count - n_echoes)
+    given = (outcome_given_visit(law, visits, batch) + urn * n_alike) / (1.0 + urn * count)
+    expected = torch.clamp(outcome_probability(single, batch), min=MIN_PROBABILITY)
+    p = single.probability_tensor(batch.reading) * given / expected
     floor = torch.from_numpy(np.where(batch.reading.echo, FLOOR / law.last_step, FLOOR))
     return torch.log((1.0 - 2.0 * FLOOR) * p + floor)
 

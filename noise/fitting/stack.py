@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel, PlacementScatter
@@ -23,15 +23,37 @@ Key = tuple[str, str]
 VISITS = "visits"
 JITTER = "travel_time_jitter"
 SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), (VISITS, "placement_m"))
+LEVEL_SD = (VISITS, "level_sd_db")
 SIMULATION_CORRELATION = (VISITS, "simulation_correlation")
 SHARED = (
     (VISITS, "ping_correlation"),
     (VISITS, "urn_weight"),
     (VISITS, "urn_width_m"),
-    (VISITS, "detection_weight"),
+    LEVEL_SD,
     SIMULATION_CORRELATION,
 )
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Smooth corrections that were each fitted without one part of the conditions.
+
+    Readings look better described by a law that was fitted to them than others do. Two files are therefore compared
+    under laws that saw neither.
+
+    Attributes:
+        terms: one for each part.
+        part: of each condition of the fitted readings, by index; -1 for those that were not fitted.
+    """
+
+    terms: tuple[Smooth, ...]
+    part: Ints
+
+    def of(self, batch: Batch) -> Ints:
+        """Return the part of each ping of a batch of the fitted recording, (n,)."""
+        known = batch.condition < len(self.part)
+        return np.where(known, self.part[np.where(known, batch.condition, 0)], -1)
 
 
 @dataclass(frozen=True)
@@ -43,6 +65,7 @@ class Stack:
         resolution, max_range: of the register, m.
         terms: smooth corrections without parameters, at most one of each id.
         bounds: parameters with narrower bounds than the catalogue's.
+        left_out: the smooth correction without each part of the readings it was fitted to; None where there is none.
     """
 
     values: Values
@@ -50,6 +73,7 @@ class Stack:
     max_range: float = 11.008
     terms: tuple[Smooth, ...] = ()
     bounds: Mapping[Key, Parameter] = field(default_factory=dict)
+    left_out: LeftOut | None = None
 
     @classmethod
     def of(cls, model: PhysicalModel) -> Stack:
@@ -91,6 +115,10 @@ class Stack:
         """Return the stack with a smooth correction, which replaces an older one of the same id."""
         return replace(self, terms=(*(old for old in self.terms if old.name != term.name), term))
 
+    def without_part(self, part: int) -> Stack:
+        """Return the stack whose smooth correction was fitted without a part; unchanged for part -1."""
+        return self if self.left_out is None or part < 0 else self.with_term(self.left_out.terms[part])
+
     def without_term(self, name: str) -> Stack:
         """Return the stack without a smooth correction."""
         return replace(self, terms=tuple(term for term in self.terms if term.name != name))
@@ -123,7 +151,8 @@ class Stack:
     def single_ping_model(self) -> EmpiricalModel:
         """The model of a ping whose visit has no other readings: the scatter of placements is included."""
         model, visits = self.build()
-        placement = PlacementScatter(sigma_m=placement_scatter(float(visits.placement_m)))
+        scatter = placement_scatter(float(visits.placement_m))
+        placement = PlacementScatter(sigma_m=scatter, level_sd_db=float(visits.level_sd_db))
         return EmpiricalModel([*model.effects, placement], self.resolution, self.max_range)
 
     @property

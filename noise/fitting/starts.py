@@ -12,9 +12,10 @@ from scipy.stats import qmc
 from acquisition.arrays import Floats
 from noise.effects import EchoSample, Effect, Parameter
 from noise.fitting.batch import Batch
-from noise.fitting.stack import JITTER, SIMULATION_CORRELATION, VISITS, Key, Stack
+from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std
 
+WEAK_DB, STRONG_DB = 1.0, 4.0  # scatter of the level of visits where fits begin
 MIN_SCATTER_M = 5e-4  # of a starting point; chosen here
 MIN_SHIFT_M = 1e-3  # of the target's echo between the bounds of a parameter that is estimated from it; chosen here
 
@@ -148,17 +149,20 @@ def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     robust = robust_std(error) if len(error) else 0.005
     size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
     wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (VISITS, "placement_m"): 0.5 * size}
-    shared = {(VISITS, "urn_weight"): 0.02, (VISITS, "ping_correlation"): 0.1, (VISITS, "detection_weight"): 0.05}
+    shared = {(VISITS, "urn_weight"): 0.02, (VISITS, "ping_correlation"): 0.1}
     shared[(VISITS, "urn_width_m")] = max(0.004, batch.resolution / 3.0)
     shared[SIMULATION_CORRELATION] = 0.0 if batch.simulated_offset is None else 0.5
     start = {**wide, **shared}
-    return stack.put(list(start), np.minimum(list(start.values()), 0.19))
+    level = stack.get(LEVEL_SD) if VISITS in stack.values else WEAK_DB
+    return stack.put(list(start), np.minimum(list(start.values()), 0.19)).put([LEVEL_SD], [level])
 
 
 def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
     """Return starts with weak and strong dependence within visits, and the present values if there are any."""
     weak = nuisance_start(stack, batch)
-    strong = {(JITTER, "sigma_m"): 0.5 * weak.get((JITTER, "sigma_m")), (VISITS, "detection_weight"): 0.5}
+    strong = {(JITTER, "sigma_m"): 0.5 * weak.get((JITTER, "sigma_m"))}
+    if VISITS not in stack.values:
+        strong[LEVEL_SD] = STRONG_DB
     strong |= {(VISITS, "urn_weight"): 1.5, (VISITS, "urn_width_m"): max(0.001, batch.resolution / 3.0)}
     strong[(VISITS, "ping_correlation")] = 0.5
     present = [stack] if VISITS in stack.values else []

@@ -10,8 +10,9 @@ The prediction combines, in this order:
    ping (`ping_correlation`); where a simulation has the same condition, the prior mean is the simulation's own offset
    times `simulation_correlation`. A bank of two filters allows for a share `CARELESS` of visits with an offset `WIDE`
    times as large;
-2. a beta-binomial for echo or no echo (`detection_weight`): close to the detection threshold the placement of the
-   target decides, not each ping;
+2. a normal deviation of the level shared by the visit (`level_sd_db`): close to the detection threshold the placement
+   of the target decides, not each ping, so that a visit is heard or missed as a whole; it is integrated over nodes, and
+   two more of probability `FLOOR`, always heard and never heard, limit what a visit against all odds costs;
 3. a Polya urn over the last readings of the visit (`urn_weight`, `urn_width_m`), so that anything else that repeats
    within a visit (silence, another reflector) counts about once per visit;
 4. a floor for arbitrary readings and silences, which limits a single reading to about 17 nats.
@@ -23,6 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.stats import norm
 from torch import Tensor
 
 from noise.effects import Effect, Parameter, Stage, State
@@ -37,6 +39,17 @@ BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; chosen here
 MIN_PROBABILITY = 1e-250  # smallest divisor
 RARE_ECHO = 1e-6  # probability of an echo below which 1 - P(no echo) has lost its digits
+N_LEVELS = 9  # nodes of the level of a visit: a quarter of its deviation apart in the middle
+
+
+def _level_nodes() -> Tensor:
+    """Return equally likely nodes of a standard normal variable, scaled to unit variance, (nodes,)."""
+    nodes = norm.ppf((np.arange(N_LEVELS) + 0.5) / N_LEVELS)
+    return torch.from_numpy(nodes / nodes.std())
+
+
+LEVEL_NODES = _level_nodes()
+CERTAIN_DB = torch.tensor([1e3, -1e3], dtype=torch.float64)  # levels that are always and never heard
 
 
 class VisitEffects(Effect):
@@ -51,14 +64,14 @@ class VisitEffects(Effect):
         Parameter("ping_correlation", "1", 0.0, 0.0, 0.98, "from one ping to the next; chosen here", (0.1,)),
         Parameter("urn_weight", "1", 0.0, 0.0, 5.0, "of an earlier reading relative to the law; chosen here", (0.02,)),
         Parameter("urn_width_m", "m", 0.004, 0.0003, 0.05, "scatter of a repeated reading; chosen here", (0.004,)),
-        Parameter("detection_weight", "1", 0.0, 0.0, 5.0, "of an earlier ping relative to it; chosen here", (0.05,)),
+        Parameter("level_sd_db", "dB", 0.0, 0.0, 15.0, "turn of the target and air of a visit; chosen here", (1.0,)),
         Parameter("simulation_correlation", "1", 0.0, 0.0, 0.999, "of offsets in a visit; chosen here", (0.5,)),
     )
     placement_m: Tensor
     ping_correlation: Tensor
     urn_weight: Tensor
     urn_width_m: Tensor
-    detection_weight: Tensor
+    level_sd_db: Tensor
     simulation_correlation: Tensor
 
     def apply(self, state: State) -> State:
@@ -106,9 +119,28 @@ def predicted_offset(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tu
 def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
     """Return a law with its direct path shifted by a mean, m, and widened by a variance, m^2, (n,) or (banks, 1, n)."""
     path = law.state.direct
-    spread = torch.sqrt(path.spread**2 + variance + 1e-18)
-    state = law.state.with_direct(replace(path, length=path.length + mean, spread=spread))
+    return _with_state(law, widened(law.state.with_direct(replace(path, length=path.length + mean)), variance))
+
+
+def _with_state(law: PhysicalLaw, state: State) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
+
+
+def widened(state: State, variance: Tensor, level_variance: Tensor | None = None) -> State:
+    """Return a state whose direct path scatters more in length and in level, as pings of different visits do.
+
+    The level only has to cross a threshold of normal width, so a normal deviation of the level widens that.
+
+    Args:
+        state: state of a single visit.
+        variance: added to that of the length, m^2.
+        level_variance: of the level, dB^2.
+    """
+    path = state.direct
+    path = replace(path, spread=torch.sqrt(path.spread**2 + variance + 1e-18) - 1e-9)  # finite gradient at zero
+    if level_variance is not None:
+        path = replace(path, level_db=path.level_db / torch.sqrt(1.0 + level_variance / state.width_db**2))
+    return state.with_direct(path)
 
 
 def single_ping_law(law: PhysicalLaw, visits: VisitEffects, scale_sd: float = 0.0) -> PhysicalLaw:
@@ -121,7 +153,8 @@ def single_ping_law(law: PhysicalLaw, visits: VisitEffects, scale_sd: float = 0.
     """
     middle, _ = direct_median(law)
     scatter = placement_scatter(1.0) * visits.placement_m
-    return shifted(law, torch.zeros_like(middle), torch.zeros_like(middle) + scatter**2 + (scale_sd * middle) ** 2)
+    variance = torch.zeros_like(middle) + scatter**2 + (scale_sd * middle) ** 2
+    return _with_state(law, widened(law.state, variance, visits.level_sd_db**2))
 
 
 def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
@@ -148,27 +181,44 @@ def with_floor_and_urn(own: Tensor, visits: VisitEffects, batch: Batch, last_ste
 
 
 def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
-    """Return the probability of each reading under both banks, (banks, n), detection being beta-binomial."""
+    """Return the probability of each reading under both banks, (banks, n), given the echoes before it in its visit."""
     banks = all_banks(law, visits, batch)
     echo, place = torch.from_numpy(batch.reading.echo), banks.echo_tensor(banks.step(batch.reading.range))
-    expected, given = detection_probability(banks, visits, batch)
-    return torch.where(echo, place / torch.clamp(expected, min=MIN_PROBABILITY), 1.0) * given
+    given_echo = place / torch.clamp(outcome_probability(banks, batch), min=MIN_PROBABILITY)
+    return torch.where(echo, given_echo, 1.0) * outcome_given_visit(law, visits, batch)
 
 
-def detection_probability(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the probability of each ping's outcome (echo or no echo): marginal, and given the earlier pings.
-
-    Args:
-        law: law of each ping; probabilities (n,) or (banks, n), and so are the results.
-        visits: visit effects.
-        batch: readings.
-    """
+def outcome_probability(law: PhysicalLaw, batch: Batch) -> Tensor:
+    """Return the probability of each ping's outcome, echo or no echo, under a law, (n,) or (banks, n)."""
     echo, silent = torch.from_numpy(batch.reading.echo), law.no_echo_tensor()
-    count, n_echoes = batch.echo_counts
-    expected = torch.where(echo, _echo_probability(law, silent, echo), silent)
-    same_outcome = torch.where(echo, n_echoes, count - n_echoes)
-    weight = visits.detection_weight
-    return expected, (expected + weight * same_outcome) / (1.0 + weight * count)
+    return torch.where(echo, _echo_probability(law, silent, echo), silent)
+
+
+def outcome_given_visit(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
+    """Return the probability of each ping's outcome, echo or no echo, given the earlier ones of its visit, (n,)."""
+    sd = visits.level_sd_db
+    if float(sd.detach()) == 0.0 and not sd.requires_grad:
+        return outcome_probability(law, batch)
+    silent = _silent_by_level(law, sd * LEVEL_NODES)
+    always, never = torch.zeros_like(silent[:1]), torch.ones_like(silent[:1])
+    silent = torch.cat([silent, always, never])
+    own = torch.where(torch.from_numpy(batch.reading.echo), 1.0 - silent, silent)
+    prior = number([*[(1.0 - 2.0 * FLOOR) / N_LEVELS] * N_LEVELS, FLOOR, FLOOR])
+    before = batch.before(torch.log((1.0 - 2.0 * FLOOR) * own + FLOOR))
+    return (torch.softmax(torch.log(prior)[:, None] + before, dim=0) * own).sum(dim=0)
+
+
+def _silent_by_level(law: PhysicalLaw, change_db: Tensor) -> Tensor:
+    """Return the probability of no echo, (k, n), with the level of the direct path changed by k amounts.
+
+    It is linear in the probability that the direct path is missed, and known where it always or never is.
+    """
+    path, width = law.state.direct, law.state.width_db
+    certain = replace(path, level_db=CERTAIN_DB[:, None, None] + torch.zeros_like(path.level_db))
+    heard, missed = _with_state(law, law.state.with_direct(certain)).no_echo_tensor()
+    weight = torch.softmax(law.state.log_weight, dim=0)
+    miss = (weight * torch.special.ndtr(-(path.level_db + change_db[:, None, None]) / width)).sum(dim=-2)
+    return heard + (missed - heard) * miss
 
 
 def _echo_probability(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:

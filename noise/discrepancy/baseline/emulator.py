@@ -9,7 +9,7 @@ rest where there are readings.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import highest, log_likelihood, maximise
-from noise.fitting.learn_smooth import learn_smooth
+from noise.fitting.learn_smooth import Learned, learn_smooth
 from noise.fitting.smooth import MEMORY, Empirical, Smooth
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import JITTER, NUISANCES, SHARED, SPREAD, VISITS, Key, Stack
@@ -60,13 +60,14 @@ def emulate(readings: Batch, rng: np.random.Generator) -> Stack:
 
 def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
     """Return a law with its smooth correction by condition, and the dependence within visits fitted beside it."""
-    batch = readings.thin(SMOOTH_PINGS)
+    batch = learner_pings(readings)
     inputs = [(*CONDITION_INPUTS, *_logged(batch))]
-    stack = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng)
+    learned = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng)
+    stack = replace(learned.stack, left_out=learned.left_out)
     return maximise(stack, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
 
 
-def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stack:
+def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Learned:
     """Return a law with what a recording shows beyond it, as a smooth function of conditions, time and memory.
 
     Args:
@@ -75,15 +76,22 @@ def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stac
         rng: chooses centres and folds.
 
     Returns:
-        The stack with an `Empirical` term, or unchanged where no term improves visits that it was not fitted to.
+        The stack with an `Empirical` term, or unchanged where no term improves visits that it was not fitted to, and
+        the gain on each visit of `learner_pings(batch)`.
     """
-    few, conditions = batch.thin(SMOOTH_PINGS), (*CONDITION_INPUTS, *_logged(batch))
+    few, conditions = learner_pings(batch), (*CONDITION_INPUTS, *_logged(batch))
     interval = (INTERVAL,) if INTERVAL in batch.ping.covariates else ()
     inputs = [conditions, (*conditions, "time")] if batch.timed else [conditions]
     found = learn_smooth(stack, few, Empirical, [*inputs, (*conditions, *interval, *MEMORY)], log_prob, rng)
-    if found.terms == stack.terms:
-        return stack
-    return maximise(found, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
+    if found.stack.terms == stack.terms:
+        return found
+    fitted = maximise(found.stack, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS)
+    return replace(found, stack=fitted.stack)
+
+
+def learner_pings(batch: Batch) -> Batch:
+    """Return the readings that a smooth correction is fitted to."""
+    return batch.thin(SMOOTH_PINGS)
 
 
 def _logged(batch: Batch) -> list[str]:
@@ -139,7 +147,8 @@ def with_catalogue(stack: Stack, readings: Batch, rng: np.random.Generator) -> S
     names = [name for name in CATALOGUE if _can_be_added(stack, name, batch)]
     for _ in range(ROUNDS):
         ranked = screened(stack, names, few, rng)
-        passed = [(c, gain) for c in ranked[:CANDIDATES] if (gain := cross_validated(stack, c, few, rng)) is not None]
+        halves = Halves.of(stack, few, rng)
+        passed = [(c, gain) for c in ranked[:CANDIDATES] if (gain := halves.gain(c)) is not None]
         if not passed:
             break
         best = max(passed, key=lambda each: each[1])[0]
@@ -165,21 +174,35 @@ def screened(stack: Stack, names: Sequence[str], batch: Batch, rng: np.random.Ge
     return sorted((each for each in out if each.gain > 0.0), key=lambda each: -each.gain)
 
 
-def cross_validated(stack: Stack, candidate: Candidate, batch: Batch, rng: np.random.Generator) -> float | None:
-    """Return the gain of an effect on visits it was not fitted to, nats; None where it is not clearly positive."""
-    half = rng.permutation(np.arange(batch.n_visits) % 2)[batch.visit]
-    gains = [_gain(stack, candidate, batch.select(half == k), batch.select(half != k)) for k in (0, 1)]
-    gain = np.concatenate(gains)
-    total, error = float(gain.sum()), float(np.sqrt(len(gain)) * gain.std())
-    return total if total > max(MIN_GAIN_NATS, MIN_T * error) else None
+@dataclass(frozen=True, eq=False)
+class Halves:
+    """Visits in two halves, and the log-likelihood of each visit by the law fitted to the other half, nats."""
+
+    parts: tuple[Batch, Batch]
+    nats: tuple[Floats, Floats]
+
+    @classmethod
+    def of(cls, stack: Stack, batch: Batch, rng: np.random.Generator) -> Halves:
+        """Divide the visits, and fit the spread of a law to each half."""
+        half = rng.permutation(np.arange(batch.n_visits) % 2)[batch.visit]
+        parts = batch.select(half == 0), batch.select(half == 1)
+        return cls(parts, _crossed(stack, SPREAD, parts))
+
+    def gain(self, candidate: Candidate) -> float | None:
+        """Return the gain of an effect on unseen visits, nats; None where it is not clearly positive."""
+        keys = [(candidate.name, p.name) for p in CATALOGUE[candidate.name].parameters]
+        with_it = _crossed(candidate.stack, (*keys, *SPREAD), self.parts)
+        gain = np.concatenate(with_it) - np.concatenate(self.nats)
+        total, error = float(gain.sum()), float(np.sqrt(len(gain)) * gain.std())
+        return total if total > max(MIN_GAIN_NATS, MIN_T * error) else None
 
 
-def _gain(stack: Stack, candidate: Candidate, train: Batch, test: Batch) -> Floats:
-    """Return the gain of an effect fitted to some visits on others, nats, (n_visits,); both laws fit their spread."""
-    keys = [(candidate.name, p.name) for p in CATALOGUE[candidate.name].parameters]
-    laws = (_fitted(stack, SPREAD, train), _fitted(candidate.stack, (*keys, *SPREAD), train))
-    without, with_it = (test.visit_sums(log_likelihood(law, test)) for law in laws)
-    return with_it - without
+def _crossed(stack: Stack, free: Sequence[Key], parts: tuple[Batch, Batch]) -> tuple[Floats, Floats]:
+    """Return the log-likelihood of each visit of both halves by a law fitted to the other half, nats."""
+    first, second = parts
+    pairs = ((_fitted(stack, free, second), first), (_fitted(stack, free, first), second))
+    nats = [part.visit_sums(log_likelihood(law, part)) for law, part in pairs]
+    return nats[0], nats[1]
 
 
 def _fitted(stack: Stack, free: Sequence[Key], batch: Batch) -> Stack:

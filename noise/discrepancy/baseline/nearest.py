@@ -1,14 +1,15 @@
-"""Readings of the nearest simulated visits as a law: the user's own simulation between its conditions."""
+"""Readings of the nearest visits as a law: a simulation, or a recording, between its own conditions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 from sklearn.neighbors import NearestNeighbors
 
-from acquisition import Ping, Reading
+from acquisition import ModelError, Ping, Reading
 from acquisition.arrays import Floats, Ints
 from noise.fitting.batch import Batch
 from noise.law import EchoLaw
@@ -18,10 +19,12 @@ N_VISITS = 4  # nearest visits of a prediction: scatter of visits is included, a
 N_READINGS = 8  # of each visit; more hardly add information, since readings of one visit agree
 MAX_VALUES = 4_000_000  # computed at once; bounds the memory
 INTERVAL = "interval_s"
+ARRAYS = ("middle", "scale", "position")
+N_CONDITIONS = 4  # distance, angle, incidence and reflectance
 
 
 class NearestLaw(EchoLaw):
-    """A weighted mixture of simulated readings, with the errors of echoes kept and each spread over one step.
+    """A weighted mixture of given readings, with the errors of echoes kept and each spread over one step.
 
     Attributes:
         weight: of each reading, (n, k); sums to one over a ping.
@@ -54,7 +57,7 @@ class NearestLaw(EchoLaw):
 
 @dataclass(frozen=True, eq=False)
 class NearestVisits:
-    """A sonar that reads what the nearest visits of a simulation read, at their errors.
+    """A sonar that reads what the nearest visits of a simulation or a recording read, at their errors.
 
     Distances between conditions are Euclidean in log distance, angle, incidence, reflectance and logged covariates,
     each in standard deviations; weights fall with a normal kernel as wide as the farthest of `N_VISITS` visits.
@@ -79,7 +82,7 @@ class NearestVisits:
 
     @classmethod
     def of(cls, batch: Batch, max_range: float = MAX_RANGE) -> NearestVisits:
-        """Return the law of the readings of a simulation."""
+        """Return the law of readings, whose last range step is that of `max_range`, m."""
         names = tuple(name for name in batch.ping.covariates if name != INTERVAL)
         x = _columns(batch.ping, names)
         rows = np.stack([_spread(first, n) for first, n in zip(batch.starts, _counts(batch), strict=True)])
@@ -101,6 +104,34 @@ class NearestVisits:
         every = np.repeat(weight / n_each, n_each, axis=1)
         centre = np.where(np.isfinite(error), np.maximum(ping.distance[:, None] + error, self.resolution), np.inf)
         return NearestLaw(ping, every, centre, self.resolution, self.max_range)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as plain data; readings without an echo are null."""
+        arrays = {name: getattr(self, name).tolist() for name in ARRAYS}
+        error = [[x if np.isfinite(x) else None for x in row] for row in self.error.tolist()]
+        base = {"kind": "nearest", "resolution": self.resolution, "max_range": self.max_range}
+        return {**base, "names": list(self.names), **arrays, "error": error}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> NearestVisits:
+        """Return the model that `to_dict` describes.
+
+        Raises:
+            ModelError: a part is missing or does not fit the others.
+        """
+        try:
+            middle, scale, position = (np.asarray(data[name], dtype=np.float64) for name in ARRAYS)
+            error = np.array([[np.inf if x is None else float(x) for x in row] for row in data["error"]])
+            names, limits = tuple(map(str, data["names"])), (float(data["resolution"]), float(data["max_range"]))
+            columns = N_CONDITIONS + len(names)
+            fits = position.ndim == error.ndim == 2 and len(position) == len(error) > 0 and min(limits) > 0.0
+            if not fits or {middle.shape, scale.shape, position.shape[1:]} != {(columns,)} or not (scale > 0).all():
+                raise ValueError("its parts do not fit together")
+            if not np.isfinite(np.r_[middle, scale, position.ravel(), limits]).all() or np.isnan(error).any():
+                raise ValueError("a value is not finite")
+        except (KeyError, TypeError, ValueError) as problem:
+            raise ModelError(f"model: cannot be built from its parts ({problem}); it may be damaged") from None
+        return cls(names, middle, scale, position, error, *limits)
 
 
 def _columns(ping: Ping, names: tuple[str, ...]) -> Floats:

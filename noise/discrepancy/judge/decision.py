@@ -27,14 +27,12 @@ class DecisionModel:
         mean, scale: of the features, (k,).
         weight: (k,).
         intercept: log-odds at the mean.
-        temperature: factor by which log posteriors of alternatives overstate evidence.
     """
 
     mean: Floats
     scale: Floats
     weight: Floats
     intercept: float
-    temperature: float
 
     def probability(self, evidence: Evidence) -> float:
         """Return the probability that the effect, or one of its alternatives, is a cause."""
@@ -46,13 +44,13 @@ class DecisionModel:
         arrays = {
             name: dict(zip(FEATURES, getattr(self, name).tolist(), strict=True)) for name in ("mean", "scale", "weight")
         }
-        return {**arrays, "intercept": self.intercept, "temperature": self.temperature}
+        return {**arrays, "intercept": self.intercept}
 
     @classmethod
     def from_dict(cls, data: dict[str, object]) -> DecisionModel:
         """Return the model of `to_dict`."""
         arrays = {name: np.array([dict(data[name])[key] for key in FEATURES]) for name in ("mean", "scale", "weight")}  # type: ignore[call-overload]
-        return cls(**arrays, intercept=float(str(data["intercept"])), temperature=float(str(data["temperature"])))
+        return cls(**arrays, intercept=float(str(data["intercept"])))
 
 
 @cache

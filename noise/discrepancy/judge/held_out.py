@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from acquisition.arrays import Floats
@@ -17,7 +19,32 @@ from noise.model import SonarModel
 
 def crps(model: SonarModel, batch: Batch) -> float:
     """Return the mean CRPS of a model's readings with silence counted, m."""
-    return float(np.mean(crps_with_silence(model.law(batch.ping, batch.past), batch.reading)))
+    return float(np.mean(crps_of_each(model, batch)))
+
+
+def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
+    """Return the CRPS of each reading with silence counted, m, (n,)."""
+    return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading))
+
+
+def gains(model: SonarModel, other: SonarModel, batch: Batch) -> bool:
+    """Return whether a model's CRPS is less than another's beyond chance: the interval over visits excludes zero."""
+    gain = batch.visit_sums(crps_of_each(other, batch) - crps_of_each(model, batch))
+    return bool(gain.sum() > Z * standard_error(gain))
+
+
+def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) -> SonarModel:
+    """Return the model with the least CRPS; the fallback only where it gains beyond chance.
+
+    Laws with causes hold under other conditions too, and the readings of the nearest visits under their own alone.
+
+    Args:
+        models: laws.
+        fallback: a model that knows no law.
+        batch: visits that no model was fitted to.
+    """
+    best = min(models, key=lambda model: crps(model, batch), default=fallback)
+    return fallback if gains(fallback, best, batch) else best
 
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:

@@ -8,19 +8,19 @@ learner gains on the simulation under its own law is subtracted from L2: the law
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.emulator import empirical_term
+from noise.discrepancy.baseline.emulator import empirical_term, learner_pings
 from noise.discrepancy.name.search import Hypothesis, Search, standard_error
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
-from noise.fitting.fit import log_likelihood
+from noise.fitting.learn_smooth import Learned
 from noise.fitting.stack import Stack
 
 N_BOOTSTRAP = 1000
-LEARNER_PINGS = 1000  # of each fold
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,66 +30,88 @@ class Shares:
     Attributes:
         causes: share of each effect, by leaving it out.
         gains: log-likelihood that is lost without each effect, nats, with its standard error.
+        advantages: how much better each effect describes unseen visits than a learner does in its place, -1 to 1.
         together: share of all effects.
         rest: share that no effect explains.
-        misfit_nats: L2 - L0.
     """
 
     causes: dict[str, Interval]
     gains: dict[str, tuple[float, float]]
+    advantages: dict[str, float]
     together: Interval
     rest: Interval
-    misfit_nats: float
 
 
-def shares(search: Search, none: Hypothesis, found: Hypothesis, is_left: bool, rng: np.random.Generator) -> Shares:
+@dataclass(eq=False)
+class Learner:
+    """A flexible learner of conditions, time and memory, as a measure of what a law lacks.
+
+    Attributes:
+        search: readings and the law of the simulation.
+        seed: of its folds and centres, so that laws are compared on the same ones.
+    """
+
+    search: Search
+    seed: int
+
+    @cached_property
+    def batch(self) -> Batch:
+        """Recorded readings of both folds that it learns from."""
+        return learner_pings(self.search.joined)
+
+    def learned(self, law: Stack) -> Learned:
+        """Return a law with what the recording shows beyond it, and the gain on unseen visits."""
+        return empirical_term(law, self.batch, np.random.default_rng(self.seed))
+
+    def gain(self, learned: Learned) -> Floats:
+        """Return what it gains on each visit beyond what it gains on simulated ones, nats, (n_visits,)."""
+        count = np.bincount(self.batch.visit)
+        return np.asarray(learned.gain - self._on_simulation * count)
+
+    @cached_property
+    def _on_simulation(self) -> float:
+        """What it gains on the simulation under its own law, nats per ping."""
+        simulated = self.search.simulated
+        if simulated is None:
+            return 0.0
+        own = empirical_term(self.search.common, simulated, np.random.default_rng(self.seed))
+        return max(float(own.gain.sum()), 0.0) / len(learner_pings(simulated))
+
+
+def shares(
+    learner: Learner, none: Hypothesis, found: Hypothesis, rest: Learned | None, rng: np.random.Generator
+) -> Shares:
     """Return the shares of the effects of a hypothesis.
 
     Args:
-        search: data of the search.
+        learner: learns what a law lacks.
         none: hypothesis without differences.
         found: the selected hypothesis.
-        is_left: whether a test finds anything left; otherwise nothing is learned.
-        rng: draws the bootstrap samples and starts the learner.
+        rest: what was learned beyond it; None where a test finds nothing left.
+        rng: draws the bootstrap samples.
     """
-    explained = found.nats - none.nats
-    learnt = _learnt(search, found, rng) if is_left else np.zeros_like(explained)
-    single = len(found.effects) == 1
-    lost = {n: explained if single else found.nats - search.left_out(found, n).nats for n in found.effects}
+    search, batch = learner.search, learner.batch
+    others = {name: none if len(found.effects) == 1 else search.left_out(found, name) for name in found.effects}
+    nats = search.crossed_nats(found, batch)
+    explained = nats - search.crossed_nats(none, batch)
+    lost = {name: nats - search.crossed_nats(other, batch) for name, other in others.items()}
+    learnt = np.zeros_like(explained) if rest is None else learner.gain(rest)
     draws = _bootstrap(np.stack([explained, learnt, *lost.values()]), rng)
-    rest = _ratio(draws[1].clip(min=0.0), draws)
-    each = {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)}
+    lacking = {name: float(learner.gain(learner.learned(other.stacks[0])).sum()) for name, other in others.items()}
+    gains = {name: found.nats - other.nats for name, other in others.items()}
     return Shares(
-        each,
-        {name: (float(gain.sum()), standard_error(gain)) for name, gain in lost.items()},
+        {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)},
+        {name: (float(gain.sum()), standard_error(gain)) for name, gain in gains.items()},
+        {name: _advantage(float(lost[name].sum()), lacking[name]) for name in lost},
         _ratio(draws[0], draws),
-        rest,
-        float(explained.sum() + max(learnt.sum(), 0.0)),
+        _ratio(draws[1].clip(min=0.0), draws),
     )
 
 
-def _learnt(search: Search, found: Hypothesis, rng: np.random.Generator) -> Floats:
-    """Return what a learner gains on each recorded visit beyond what it gains on simulated ones, nats."""
-    pairs = list(zip(found.stacks, search.parts, strict=True))
-    learned = [empirical_term(stack, part.thin(LEARNER_PINGS), rng) for stack, part in pairs]
-    if all(new is old for new, (old, _) in zip(learned, pairs, strict=True)):
-        return np.zeros_like(found.nats)
-    crossed = ((learned[1], search.parts[0]), (learned[0], search.parts[1]))
-    best = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in crossed])
-    n_pings = sum(len(part) for part in search.parts)
-    own = _gain_on_simulation(search.common, search.simulated, rng) * n_pings / len(best)
-    return np.asarray(best - found.nats - own)
-
-
-def _gain_on_simulation(law: Stack, simulated: Batch | None, rng: np.random.Generator) -> float:
-    """Return what the learner gains on the simulation under its own law, nats per ping of unseen visits."""
-    if simulated is None:
-        return 0.0
-    half = simulated.visit % 2 == 0
-    fitted, scored = simulated.select(half), simulated.select(~half)
-    learned = empirical_term(law, fitted.thin(LEARNER_PINGS), rng)
-    gain = log_likelihood(learned, scored) - log_likelihood(law, scored)
-    return max(float(gain.mean()), 0.0)
+def _advantage(effect: float, learnt: float) -> float:
+    """Return the difference of two gains relative to the greater one, -1 to 1; 0 where neither gains."""
+    greater = max(effect, learnt)
+    return (max(effect, 0.0) - max(learnt, 0.0)) / greater if greater > 0.0 else 0.0
 
 
 def _bootstrap(per_visit: Floats, rng: np.random.Generator) -> Floats:

@@ -7,13 +7,14 @@ statistic for each direction, over all pings, is sensitive to what no interval o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from acquisition import previous
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from noise.discrepancy.locate.nuisance import CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.locate.orthogonal import DRAWS, MIN_CLUSTERS, OVERLAP, studentised
 from noise.discrepancy.locate.sample import Sample
@@ -57,8 +58,15 @@ def directed_test(
     both = Sample(recorded, simulated)
     if len(np.unique(both.cluster)) < MIN_VISITS:
         return Directed(PValue(1.0, draws), {})
-    pairs = ((law_recorded, recorded), (law_simulated, simulated))
-    names, ratios = directions(law_recorded, law_simulated, pairs)
+    parts = both.left_out(law_simulated)
+    pairs = [
+        (law.without_part(int(k)), batch.select(part == k), np.flatnonzero(part == k) + start)
+        for law, batch, part, start in zip(
+            (law_recorded, law_simulated), both.batches, parts, (0, len(recorded)), strict=True
+        )
+        for k in np.unique(part)
+    ]
+    names, ratios = directions(law_recorded, pairs)
     if not names:
         return Directed(PValue(1.0, draws), {})
     psi = _sums(law_simulated, both, ratios, rng)
@@ -80,18 +88,22 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
 
 
-def directions(
-    law_recorded: Stack, law_simulated: Stack, pairs: tuple[tuple[Stack, Batch], ...]
-) -> tuple[list[str], Floats]:
-    """Return the effect of each direction, and the ratios of both files, (n, directions)."""
-    base = np.concatenate([_log_prob(law, batch) for law, batch in pairs])
+def directions(law_recorded: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[list[str], Floats]:
+    """Return the effect of each direction, and the ratios of both files, (n, directions).
+
+    Args:
+        law_recorded: law of the recording.
+        pairs: laws, the readings that each is compared with, and their rows in the result.
+    """
+    back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
+    base = np.concatenate([_log_prob(law, batch) for law, batch, _ in pairs])
     names, ratios = [], []
     for name in CATALOGUE:
         if name in TIMED or not _shown(name, pairs[0][1]):
             continue
         for change in changes(law_recorded, name):
-            nats = np.concatenate([_log_prob(law.at(change), batch) for law, batch in pairs])
-            ratio = np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)
+            nats = np.concatenate([_log_prob(law.at(change), batch) for law, batch, _ in pairs])
+            ratio = np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[back]
             if np.ptp(ratio) > 1e-6:
                 names.append(name)
                 ratios.append(ratio)

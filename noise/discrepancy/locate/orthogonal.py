@@ -15,7 +15,7 @@ clusters (wild cluster bootstrap; Cameron, Gelbach and Miller 2008).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -133,15 +133,15 @@ class _Frame:
 
 def _both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
     """Return the scores of both files, in units of the spread under the law of the simulation."""
-    own = scores(law_recorded, sample.recorded)
-    common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded)
+    parts = sample.left_out(law_simulated)
+    own = scores(law_recorded, sample.recorded, parts[0])
+    common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded, parts[0])
     rescaled = own.value.copy()
     rescaled[:, 0] *= own.sigma / common.sigma
-    parts = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
+    both = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
     if sample.simulated is not None:
-        parts.append(scores(law_simulated, sample.simulated))
-    names = ("value", "valid", "natural", "level_db", "sigma", "probability")
-    return Scores(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        both.append(scores(law_simulated, sample.simulated, parts[1]))
+    return Scores(*(np.concatenate([getattr(each, f.name) for each in both]) for f in fields(Scores)))
 
 
 def _same_rows(valid: Bits) -> list[Ints]:

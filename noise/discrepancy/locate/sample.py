@@ -7,9 +7,11 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
+from scipy.stats import f_oneway
 
 from acquisition.arrays import Bits, Floats, Ints
 from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.statistics import winsorised
 
 MIN_CLUSTERS = 12  # fewer give no bootstrap
@@ -54,15 +56,17 @@ class Sample:
         """Cluster of each ping, (n,).
 
         A cluster is the k-th visit of a condition in the recording with the k-th visit of the same condition in the
-        simulation, so that an error of the nuisance functions at that condition cancels within the cluster.
+        simulation, so that an error of the nuisance functions at that condition cancels within the cluster. Where
+        targets stay in place from visit to visit, all visits of a position are one cluster.
         """
         keys = []
         for k, batch in enumerate(self.batches):
-            at = np.stack([batch.ping.distance, batch.ping.angle, batch.ping.incidence, batch.ping.reflectance], axis=1)
-            at = np.round(at[batch.starts], 6)
+            at = positions(batch)
             table = pd.DataFrame(at)
             nth = table.groupby(list(table.columns)).cumcount().to_numpy()
-            if is_continuous(batch):  # neighbours in time, of this file alone
+            if stays_in_place(batch):
+                nth = np.zeros_like(nth)
+            elif is_continuous(batch):  # neighbours in time, of this file alone
                 at, nth = np.full_like(at, float(k)), np.arange(batch.n_visits) // independent_length(batch)
             keys.append(np.c_[at, nth, batch.ping.time[batch.starts]])
         every = pd.DataFrame(np.concatenate(keys))
@@ -72,6 +76,19 @@ class Sample:
 
     def _split(self, by_visit: Ints) -> list[Ints]:
         return np.split(by_visit, np.cumsum([batch.n_visits for batch in self.batches])[:-1])
+
+    def left_out(self, law: Stack) -> list[Ints]:
+        """Return the part of the simulation's readings that judges each ping, for each file, (n,) each.
+
+        It is the part to which the ping's cluster belongs, so that its law saw neither file there; clusters of the
+        recording alone take turns.
+        """
+        if law.left_out is None or self.simulated is None:
+            return [np.full(len(batch), -1) for batch in self.batches]
+        own = law.left_out.of(self.simulated)
+        by_cluster = np.arange(int(self.cluster.max()) + 1) % len(law.left_out.terms)
+        by_cluster[self.cluster[~self.is_recorded]] = own
+        return [by_cluster[self.cluster[self.is_recorded]], own]
 
     @cached_property
     def visit(self) -> Ints:
@@ -83,6 +100,32 @@ class Sample:
 def is_continuous(batch: Batch) -> bool:
     """Return whether visits are pieces of a log in which conditions never repeat, as of a moving robot."""
     return bool(np.array_equal(batch.condition, batch.visit))
+
+
+def positions(batch: Batch) -> Floats:
+    """Return distance, angle, incidence and reflectance of each visit, (n_visits, 4)."""
+    ping = batch.ping
+    return np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1)[batch.starts], 6)
+
+
+def stays_in_place(batch: Batch) -> bool:
+    """Return whether visits of one position share an error that other positions do not have.
+
+    The F test of a one-way analysis of variance of mean errors, after a line in distance is subtracted, rejects at the
+    5 % level. A target that is placed once for several series has one error in all of them.
+    """
+    echo = batch.is_target(batch.error)
+    count = np.bincount(batch.visit, echo)
+    heard = count > 0
+    place = np.unique(positions(batch)[heard], axis=0, return_inverse=True)[1].ravel()
+    repeats = np.bincount(place)
+    if len(repeats) < 3 or repeats.max() < 2:
+        return False
+    mean = np.bincount(batch.visit, winsorised(np.where(echo, batch.error, 0.0)))[heard] / count[heard]
+    distance = batch.ping.distance[batch.starts][heard]
+    if np.ptp(distance) > 0:
+        mean = mean - np.polyval(np.polyfit(distance, mean, 1), distance)
+    return bool(f_oneway(*(mean[place == k] for k in range(len(repeats)))).pvalue < 0.05)
 
 
 def independent_length(batch: Batch) -> int:

@@ -10,7 +10,7 @@ register step that all pings of a visit share cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -72,8 +72,29 @@ def ping_law(stack: Stack, batch: Batch) -> PhysicalLaw:
         return single_ping_law(law_of(model, batch), visits)
 
 
-def scores(stack: Stack, batch: Batch) -> Scores:
-    """Return the scores of the readings of a batch under a stack."""
+def scores(stack: Stack, batch: Batch, part: Ints | None = None) -> Scores:
+    """Return the scores of the readings of a batch under a stack.
+
+    Args:
+        stack: law.
+        batch: readings.
+        part: of the law's own readings that its smooth correction leaves out, for each ping, (n,), alike in a visit.
+    """
+    if part is None or stack.left_out is None:
+        return _scores(stack, batch)
+    rows = [np.flatnonzero(part == k) for k in np.unique(part)]
+    parts = [_scores(stack.without_part(int(part[at[0]])), batch.select(_mask(at, len(batch)))) for at in rows]
+    back = np.argsort(np.concatenate(rows), kind="stable")
+    return Scores(*(np.concatenate([getattr(each, f.name) for each in parts])[back] for f in fields(Scores)))
+
+
+def _mask(rows: Ints, n: int) -> Bits:
+    out = np.zeros(n, dtype=bool)
+    out[rows] = True
+    return out
+
+
+def _scores(stack: Stack, batch: Batch) -> Scores:
     other = _earlier_outlier(stack, batch)
     return _of_terms(_terms(ping_law(stack, batch), batch, other), batch, other)
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from noise.discrepancy.name.candidates import at_bound
 from noise.discrepancy.name.search import Hypothesis, Search
 from noise.discrepancy.thresholds import LISTED
 from noise.fitting.stack import Stack
+
+N_DRAWS = 500  # of the Bayesian bootstrap
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,30 +22,20 @@ class Place:
 
     Attributes:
         effect: id of the selected effect.
-        others: effect id -> log posterior relative to the selected effect, nats.
+        likely: effect id -> probability of each effect in this place, the selected one first.
+        lead: log posterior of the selected effect relative to the best other, nats.
         stacks: effect id -> fitted stack with that effect in the place of the selected one.
     """
 
     effect: str
-    others: dict[str, float]
+    likely: dict[str, float]
+    lead: float
     stacks: dict[str, Stack]
 
     @property
-    def lead(self) -> float:
-        """Log posterior of the selected effect relative to the best other, nats."""
-        return -max(self.others.values(), default=-np.inf)
-
-    def probabilities(self, temperature: float) -> dict[str, float]:
-        """Return the probability of each effect in this place, the selected one first.
-
-        Args:
-            temperature: factor by which log posteriors overstate evidence, since no law is exactly true.
-        """
-        names = [self.effect, *self.others]
-        log = np.array([0.0, *self.others.values()]) / temperature
-        weight = np.exp(log - log.max())
-        shares = weight / weight.sum()
-        return {name: float(p) for name, p in zip(names, shares, strict=True) if name == self.effect or p >= LISTED}
+    def listed(self) -> dict[str, float]:
+        """The probabilities of the selected effect and of the others that are worth listing."""
+        return {name: p for name, p in self.likely.items() if name == self.effect or p >= LISTED}
 
 
 def place_of(search: Search, found: Hypothesis, name: str) -> Place:
@@ -52,19 +46,32 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     """
     given = next((effects for effects, tried in search.tried.items() if name in tried), None)
     if given is None:  # added first or last, without others in its place
-        return Place(name, {}, {name: found.stacks[0]})
+        return Place(name, {name: 1.0}, np.inf, {name: found.stacks[0]})
     others = tuple(each for each in found.effects if each != name)
     fits = {other: hypothesis for other, hypothesis in search.tried[given].items() if other not in found.effects}
     if set(given) != set(others):
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
-    posterior = {other: fit.value - found.value for other, fit in fits.items()}
     inside = {
-        other: value
-        for other, value in posterior.items()
-        if not any(at_bound(stack, search.common, other, search.folds.both) for stack in fits[other].stacks)
+        other: fit
+        for other, fit in fits.items()
+        if not any(at_bound(stack, search.common, other, search.folds.both) for stack in fit.stacks)
     }
-    return Place(name, inside, {name: found.stacks[0], **{other: fits[other].stacks[0] for other in inside}})
+    every = {name: found, **inside}
+    lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)
+    return Place(name, weights(every, search.rng), lead, {each: fit.stacks[0] for each, fit in every.items()})
+
+
+def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:
+    """Return the probability of each hypothesis, by the Bayesian bootstrap over visits (pseudo-BMA+).
+
+    No law is exactly true, so that log-likelihoods of thousands of readings overstate evidence. The bootstrap lets a
+    difference count as much as it repeats itself from visit to visit (Yao, Vehtari, Simpson and Gelman 2018).
+    """
+    nats = np.stack([fit.nats for fit in fits.values()])
+    draws = rng.dirichlet(np.ones(nats.shape[1]), N_DRAWS) * nats.shape[1]
+    total = nats @ draws.T + np.array([[fit.prior] for fit in fits.values()])
+    return dict(zip(fits, softmax(total, axis=0).mean(axis=1).tolist(), strict=True))
 
 
 def _beside(search: Search, without: Hypothesis, fit: Hypothesis, other: str) -> Hypothesis:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.discrepancy.name.search import FINE, FOLD_PINGS, Hypothesis, Search
+from noise.discrepancy.name.search import Hypothesis, Search
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
@@ -41,9 +41,9 @@ class Final:
 
 def conclude(search: Search, found: Hypothesis) -> Final:
     """Return a hypothesis fitted to both folds."""
-    batch = search.folds.both.thin(2 * FOLD_PINGS)
+    batch = search.joined
     keys = search.keys(found.effects)
-    joint = maximise(found.stacks[0], (*keys, *NUISANCES), batch, 60, FINE)
+    joint = maximise(found.stacks[0], (*keys, *search.nuisances), batch, 60)
     single = refit_without_urn(joint, keys, batch) if found.effects else joint
     return Final(found.effects, joint, single, batch)
 
@@ -55,9 +55,12 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, is that of the
     difference: what the law of the simulation has, and what its own readings would add, are subtracted.
     """
-    known = np.sqrt(np.diag(covariance(final.single, final.batch)))
+    fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
+    errors: dict[Key, float] = {}
+    for fit in fits:  # the fit of single readings holds those of effects on single pings alone
+        errors |= zip(fit.free, np.sqrt(np.diag(covariance(fit, final.batch))).tolist(), strict=True)
     out = {}
-    for key, error in zip(final.single.free, known, strict=True):
+    for key, error in errors.items():
         if key in NUISANCES and key[0] not in final.effects:
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
@@ -74,7 +77,7 @@ def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
     p = search.common.parameter(key)
     if search.simulated is None or not p.low < p.null < p.high:
         return 0.0, 0.0
-    fitted = maximise(search.common, (key, *NUISANCES), search.simulated, 40, FINE)
+    fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
     return fitted.stack.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
 
 

@@ -5,12 +5,13 @@ recorded visits and scored on the other. The exponential of a gain on visits tha
 (Wasserman et al. 2020, universal inference), so that a gain beyond log(number of candidates / level) is not chance.
 
 The simulation shares every parameter that does not differ. What the law of the simulation lacks, and both files have
-alike, gains as much when it is given to both: such an effect joins the common law and is no difference.
+alike, gains on simulated readings too: such an effect joins the law of the simulation, and only what differs from its
+value there is a difference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,19 +26,20 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.folds import Folds
-from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES
+from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
-from noise.fitting.stack import JITTER, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
-GRID_PINGS, SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 300, 800, 2500, 2000
+SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2500, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
-ROUGH, FINE = 1.0, 0.2  # nats that a local fit must gain for another to follow, in screening and in cross-fitting
-STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the base to the recording, on which a common value is sought
+ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
+BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
+STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
@@ -114,17 +116,45 @@ class Search:
 
     def __post_init__(self) -> None:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
-        first, second = (batch.thin(FOLD_PINGS) for batch in (self.folds.first, self.folds.second))
-        self.parts = (first, second)
-        self.grid, self.screen = first.thin(GRID_PINGS), first.thin(SCREEN_PINGS)
+        self.joined = self.folds.both.thin(2 * FOLD_PINGS)
+        self.parts = first, _ = self.split(self.joined)
+        self.screen = first.thin(SCREEN_PINGS)
         self.simulated = None if self.simulated is None else self.simulated.thin(SIMULATED_PINGS)
         self.common = with_sampled_bounds(self.common, self.folds.both)
         self.names = candidate_names(self.common, self.folds.both, self.without)
 
     @property
+    def nuisances(self) -> tuple[Key, ...]:
+        """Nuisance parameters that are free on each fold.
+
+        Visits of one kind of survey scatter alike in level: where there are simulated readings, these tell how much,
+        and a fit to few visits that all are heard or missed would tell anything.
+        """
+        known = () if self.simulated is None else (LEVEL_SD,)
+        return tuple(key for key in NUISANCES if key not in known)
+
+    @property
     def least_gain(self) -> float:
         """Gain on unseen visits, nats, that no candidate reaches by chance but with probability `FALSE_ALARM`."""
         return float(np.log(len(self.names) / FALSE_ALARM))
+
+    def split(self, batch: Batch) -> tuple[Batch, Batch]:
+        """Return the readings of a batch in the first and in the second fold."""
+        in_first = np.isin(batch.condition, self.folds.first.condition)
+        return batch.select(in_first), batch.select(~in_first)
+
+    def crossed_nats(self, found: Hypothesis, batch: Batch) -> Floats:
+        """Return the log-likelihood of each visit by the fit of the other fold, nats, (n_visits,)."""
+        in_first = np.isin(batch.condition, self.folds.first.condition)[batch.starts]
+        out = np.empty(batch.n_visits)
+        for mask, stack, part in zip((in_first, ~in_first), found.stacks[::-1], self.split(batch), strict=True):
+            out[mask] = part.visit_sums(log_likelihood(stack, part))
+        return out
+
+    def worthwhile(self, current: Hypothesis) -> float:
+        """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained."""
+        explained = current.value - self.null().value if current.effects else 0.0
+        return max(self.least_gain, MIN_SHARE * explained)
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
@@ -149,14 +179,14 @@ class Search:
 
     def _fitted_null(self) -> Hypothesis:
         stacks = [
-            highest(maximise(start, NUISANCES, part, 40, FINE) for start in nuisance_starts(self.common, part)).stack
+            highest(maximise(start, self.nuisances, part, 40) for start in nuisance_starts(self.common, part)).stack
             for part in self.parts
         ]
         return self.scored((), stacks)
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
         """Return a fitted hypothesis with its log-likelihood on the other folds."""
-        pairs = ((stacks[1], self.parts[0]), (stacks[0], self.parts[1]))
+        pairs = zip(reversed(stacks), self.parts, strict=True)
         nats = [part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs]
         prior = float(np.mean([log_prior(stack, self.common, effects) for stack in stacks]))
         return Hypothesis(tuple(effects), (stacks[0], stacks[1]), np.concatenate(nats), prior)
@@ -171,23 +201,23 @@ class Search:
             own_scatter: whether the nuisances start from those of `start` instead.
         """
         keys = self.keys(effects)
-        free = (*keys, *NUISANCES) if own_scatter else (*keys, *SPREAD)
+        free = (*keys, *self.nuisances) if own_scatter else (*keys, *SPREAD)
         stacks: list[Stack] = []
         for near, part in zip(current.stacks, self.parts, strict=True):
             begin = start if own_scatter else near.put(keys, [start.get(key) for key in keys])
-            start = self.fitted(begin, free, part, 40, FINE).stack
+            start = self.fitted(begin, free, part, 40).stack
             stacks.append(start)
         return self.scored(effects, stacks)
 
     def polished(self, found: Hypothesis) -> Hypothesis:
         """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
-        free = (*self.keys(found.effects), *NUISANCES)
+        free = (*self.keys(found.effects), *self.nuisances)
         pairs = zip(found.stacks, self.parts, strict=True)
-        return self.scored(found.effects, [self.fitted(stack, free, part, 40, FINE).stack for stack, part in pairs])
+        return self.scored(found.effects, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
 
-    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int, enough: float) -> Fit:
+    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
         """Return the local maximum from a start; the scales of nuisances are measured once for each batch."""
-        return maximise(start, free, batch, iterations, enough, self._scales.setdefault(id(batch), {}))
+        return maximise(start, free, batch, iterations, ENOUGH, self._scales.setdefault(id(batch), {}))
 
     def with_scatter(self, current: Hypothesis) -> Hypothesis:
         """Return the hypothesis with the scatter of single pings as a difference, where that gains beyond chance.
@@ -209,10 +239,10 @@ class Search:
         """Return a hypothesis fitted with the scatter of single pings at its value in the simulation."""
         effects = tuple(name for name in current.effects if name != JITTER)
         held = [key for key in SPREAD if key[0] == JITTER]
-        free = (*self.keys(effects), *(key for key in NUISANCES if key not in held))
+        free = (*self.keys(effects), *(key for key in self.nuisances if key not in held))
         values = [self.common.get(key) for key in held]
         pairs = zip(current.stacks, self.parts, strict=True)
-        return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40, FINE).stack for s, p in pairs])
+        return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40).stack for s, p in pairs])
 
     def nothing(self, found: Hypothesis) -> Hypothesis:
         """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
@@ -248,23 +278,29 @@ class Search:
         points = {}
         for name in self.names:
             if name not in current.effects:
-                starts = starts_of(stack, name, self.grid, self.parts[0], self.rng)
-                scored = [float(log_likelihood(each, self.grid).sum()) for each in starts]
+                starts = starts_of(stack, name, self.screen, self.parts[0], self.rng)
+                scored = [float(log_likelihood(each, self.screen).sum()) for each in starts]
                 best = np.argsort(scored)[::-1][:2]
                 # a second start is worth a fit where a few readings cannot tell it from the best
                 close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
                 points[name] = scored[best[0]], [starts[k] for k in close]
         order = sorted(points, key=lambda name: -points[name][0])[:N_SCREENED]
-        here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15, ROUGH).nats
+        here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         fits, n_pings = {}, sum(len(part) for part in self.parts)
         for name in order:
             own = (*self.keys([*current.effects, name]), *SPREAD)
-            fit = highest(self.fitted(start, own, self.screen, 20, ROUGH) for start in points[name][1])
+            fit = highest(self.fitted(start, own, self.screen, 20) for start in points[name][1])
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
-            if (fit.nats - here) * n_pings / len(self.screen) > self.least_gain:
+            if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
         best_names = sorted(fits, key=lambda name: -fits[name].nats - log_prior(fits[name].stack, self.common, [name]))
-        return {name: fits[name] for name in best_names[:N_CROSSED]}
+        return {name: fits[name] for name in self._near(best_names, fits)[:N_CROSSED]}
+
+    def _near(self, names: Sequence[str], fits: Mapping[str, Fit]) -> list[str]:
+        """Return the effects that may lead on unseen visits, of those sorted by their fit to the screen."""
+        nats = {name: self.screen.visit_sums(log_likelihood(fits[name].stack, self.screen)) for name in names}
+        behind = {name: nats[names[0]] - nats[name] for name in names}
+        return [n for n in names if behind[n].sum() < max(self.least_gain, BEHIND * standard_error(behind[n]))]
 
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
         """Return one more effect, cross-fitted from the present scatter; from its own where it explains outliers."""
@@ -279,7 +315,7 @@ class Search:
         for name, gain in gains.items():
             value = tried[name].value - current.value
             inside = not any(at_bound(stack, self.common, name, self.folds.both) for stack in tried[name].stacks)
-            if inside and value > self.least_gain and gain.sum() > 2.0 * standard_error(gain):
+            if inside and value > self.worthwhile(current) and gain.sum() > 2.0 * standard_error(gain):
                 good[name] = value
         if not good:
             return None
@@ -288,30 +324,31 @@ class Search:
         return min(close, key=lambda name: (len(self.keys([name])), -good[name]))
 
     def common_value(self, found: Hypothesis, name: str) -> Stack | None:
-        """Return the common law with an effect that both files have alike; None where the files differ in it.
+        """Return the law of the simulation with an effect that it lacked; None where it has none of it.
 
-        On the way from the base to the value in the recording, the best common value is compared with separate values.
+        The simulation's own readings decide whether it has the effect. Its value there is that of the recording too
+        where separate values gain no more than chance; if they do, the difference from it remains to be found.
         """
         if self.simulated is None:
             return None
         keys = self.keys([name])
-        base, there = np.array([self.common.get(k) for k in keys]), np.zeros(len(keys))
-        for stack in found.stacks:
-            there += 0.5 * np.array([stack.get(key) for key in keys])
-        recorded, simulated = [], []
+        recorded = np.mean([[stack.get(key) for key in keys] for stack in found.stacks], axis=0)
+        start = self.common.put(keys, recorded)
+        own = self.fitted(start, (*keys, *SPREAD), self.simulated, 40)
+        if own.nats - float(log_likelihood(self.common, self.simulated).sum()) < self.least_gain:
+            return None
+        simulated = np.array([own.stack.get(key) for key in keys])
+        both = []
         for step in STEPS:
-            values = base + step * (there - base)
-            stacks = [stack.put(keys, values) for stack in found.stacks]
-            recorded.append(sum(float(log_likelihood(s, p).sum()) for s, p in zip(stacks, self.parts, strict=True)))
-            simulated.append(float(log_likelihood(self.common.put(keys, values), self.simulated).sum()))
-        both = np.array(recorded) + np.array(simulated)
-        separate = max(recorded) + max(simulated)
-        alone = recorded[-1] - recorded[0]
-        best = int(np.argmax(both))
-        # most of the gain is there when the simulation gets the effect too: it is no difference
-        if best > 0 and separate - both[best] < max(self.least_gain, 0.1 * alone) and both[best] > both[0]:
-            return self.common.put(keys, base + STEPS[best] * (there - base))
-        return None
+            values = simulated + step * (recorded - simulated)
+            pairs = [*zip((s.put(keys, values) for s in found.stacks), self.parts, strict=True)]
+            pairs.append((own.stack.put(keys, values), self.simulated))
+            both.append([float(log_likelihood(stack, part).sum()) for stack, part in pairs])
+        nats = np.array(both)
+        best = int(np.argmax(nats.sum(axis=1)))
+        separate = nats[:, :2].sum(axis=1).max() + nats[:, 2].max()
+        alike = separate - nats[best].sum() < self.least_gain
+        return own.stack.put(keys, simulated + STEPS[best] * (recorded - simulated)) if alike else own.stack
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted anew on a changed common law."""
@@ -356,8 +393,8 @@ class Search:
 
         What weakens an echo can silence it only near a threshold; one by one, neither would be found.
         """
-        starts = starts_of(none.stacks[0], THRESHOLD, self.grid, self.parts[0], self.rng)
-        best = max(starts, key=lambda stack: float(log_likelihood(stack, self.grid).sum()))
+        starts = starts_of(none.stacks[0], THRESHOLD, self.screen, self.parts[0], self.rng)
+        best = max(starts, key=lambda stack: float(log_likelihood(stack, self.screen).sum()))
         found = self.crossed(best, none, (THRESHOLD,), own_scatter=False)
         gain = found.nats - none.nats
         good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain))

@@ -10,12 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+import torch
 from scipy.optimize import linprog, minimize
+from torch import Tensor
 
 from acquisition import Ping, Reading
 from acquisition.arrays import Floats, Ints
+from noise.effects import Conditions
 from noise.effects.interping import DEFAULT_INTERVAL_S, INTERVAL
 from noise.effects.medium import AIR_SCALE_SD, TEMPERATURE
 from noise.fitting.batch import Batch
@@ -29,7 +34,7 @@ STRETCH = 1.5  # factor by which proposed conditions may exceed the recorded one
 TURN = np.pi / 18.0  # rad; turn that is proposed although no angle was recorded
 N_DISTANCES = 6  # candidate distances
 ITERATIONS = 8  # of such a fit; another round continues where it matters
-ROUNDS = 4  # rivals that are fitted to the design of one pair in each direction
+ROUNDS = 2  # rivals that are fitted to the design of one pair in each direction
 SESSION_S = 60.0  # times of the readings are spread over a minute, so that no phase of a clock counts
 MIN_WEIGHT = 1e-3  # share of the readings below which the linear program leaves a condition out
 HAND = "hand_m"  # column of a hand in front of the sensor
@@ -43,15 +48,22 @@ class Setting:
     Attributes:
         words: as it follows "with".
         column, value: name and value of the setting in a table of conditions.
-        stack: what it does to every law.
+        shift: what it adds to parameters of every law.
+        without: effects that it takes from every law.
         ping: what it does to the conditions.
     """
 
     words: str = ""
     column: str = ""
     value: float = 0.0
-    stack: Callable[[Stack], Stack] = lambda stack: stack
+    shift: tuple[tuple[Key, float], ...] = ()
+    without: tuple[str, ...] = ()
     ping: Callable[[Ping], Ping] = lambda ping: ping
+
+    def stack(self, stack: Stack) -> Stack:
+        """Return a law under this setting."""
+        shifted = stack.at({key: stack.get(key) + change for key, change in self.shift})
+        return replace(shifted, values={k: v for k, v in shifted.values.items() if k not in self.without})
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +114,33 @@ class _Sample:
         rows = (condition[:, None] * DRAWS + np.arange(DRAWS)).ravel()
         return _Sample(self.ping[rows], self.past[rows], self.reading[rows], self.setting, self.truth[rows])
 
-    def log_prob(self, stack: Stack, floor: float = FLOOR) -> Floats:
+    def log_prob(self, stack: Stack) -> Floats:
         """Return log probabilities with a floor of arbitrary readings and silences, nats."""
         law = law_of(self.setting.stack(stack), self.ping, self.past)
-        arbitrary = floor * np.where(self.reading.echo, 1.0 / law.last_step, 1.0)
-        return np.log((1.0 - 2.0 * floor) * np.exp(law.log_prob(self.reading)) + arbitrary + TINY)
+        arbitrary = FLOOR * np.where(self.reading.echo, 1.0 / law.last_step, 1.0)
+        return np.log((1.0 - 2.0 * FLOOR) * np.exp(law.log_prob(self.reading)) + arbitrary + TINY)
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """Conditions and previous readings as tensors."""
+        return Conditions.of(self.ping, self.past)
+
+    def total(self, stack: Stack, keys: Sequence[Key], numbers: Tensor) -> Tensor:
+        """Return the log-likelihood, nats, differentiable in the parameters at `keys`."""
+        known = dict(self.setting.shift)
+        shift = torch.tensor([known.get(key, 0.0) for key in keys], dtype=torch.float64)
+        low, high = (torch.tensor(each, dtype=torch.float64) for each in _bounds(stack, keys))
+        limited = torch.minimum(torch.maximum(numbers + shift, low), high)
+        model, visits = self.setting.stack(stack).build(keys, limited)
+        law = single_ping_law(model.law_of(self.conditions), visits, AIR_SCALE_SD)
+        # without the floor, so that a law that is far from the readings still has a slope towards them
+        return law.log_prob_tensor(self.reading).sum()
+
+
+def _bounds(stack: Stack, keys: Sequence[Key]) -> tuple[list[float], list[float]]:
+    """Return lower and upper bounds of parameters, null value included."""
+    known = [stack.parameter(key) for key in keys]
+    return [min(p.low, p.null) for p in known], [max(p.high, p.null) for p in known]
 
 
 class _EqualParts:
@@ -231,43 +265,40 @@ def _fitted(rival: Rival, tables: Sequence[Candidates], parts: Sequence[_Sample]
     known = [rival.model.parameter(key) for key in rival.free]
     low, width = np.array([p.low for p in known]), np.array([p.high - p.low for p in known])
 
-    def stack(u: Floats) -> Stack:
-        return rival.model.put(rival.free, low + width * u)
+    n = sum(len(part.ping) for part in chosen)
 
-    def cost(u: Floats) -> float:
-        # without the floor, so that a rival that is far from the readings still has a slope towards them
-        return -float(np.mean(np.concatenate([part.log_prob(stack(u), 0.0) for part in chosen])))
+    def cost(u: Any) -> Any:
+        numbers = torch.tensor(low + width * u, dtype=torch.float64, requires_grad=True)
+        total = torch.stack([part.total(rival.model, rival.free, numbers) for part in chosen]).sum()
+        if not total.requires_grad:  # stepwise parameters alone
+            return -float(total) / n, np.zeros(len(u))
+        (slope,) = torch.autograd.grad(total, numbers)
+        return -float(total.detach()) / n, -np.nan_to_num(slope.numpy(), posinf=0.0, neginf=0.0) * width / n
 
     start = (np.array([rival.model.get(key) for key in rival.free]) - low) / width
     bounds = [(0.0, 1.0)] * len(known)
-    found = minimize(cost, np.clip(start, 0.0, 1.0), method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS})
-    return replace(rival, model=stack(found.x))
+    options: Any = {"maxiter": ITERATIONS}
+    start = np.clip(start, 0.0, 1.0)
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return replace(rival, model=rival.model.put(rival.free, low + width * found.x))
 
 
 def settings_of(stacks: Sequence[Stack], batch: Batch) -> list[Setting]:
     """Return the settings that may change a law of the given stacks."""
     names = {name for stack in stacks for name in stack.values}
     crosstalk = [name for name in names if name.endswith("_crosstalk")]
+    loss = ("sensitivity", "loss_db")
     known = {
-        Setting("6 dB less receiver gain", "gain_db", -6.0, _weaker(6.0)): True,
-        Setting("6 dB more receiver gain", "gain_db", 6.0, _weaker(-6.0)): True,
+        Setting("6 dB less receiver gain", "gain_db", -6.0, ((loss, 6.0),)): True,
+        Setting("6 dB more receiver gain", "gain_db", 6.0, ((loss, -6.0),)): True,
         Setting("a hand 0.15 m in front of the sensor", HAND, 0.15, ping=_covered): True,
-        Setting("all other sensors switched off", "others_off", 1.0, _without(crosstalk)): bool(crosstalk),
+        Setting("all other sensors switched off", "others_off", 1.0, without=tuple(crosstalk)): bool(crosstalk),
         Setting("5 ms more between pings", INTERVAL, 0.005, ping=_logged(INTERVAL, 0.005)): "previous_ping" in names,
         Setting("the sensor on for two hours", "time", 7200.0, ping=_later): "warm_up" in names,
         Setting("the room 10 degC warmer", TEMPERATURE, 10.0, ping=_logged(TEMPERATURE, 10.0)): TEMPERATURE
         in batch.ping.covariates,
     }
     return [setting for setting, applies in known.items() if applies]
-
-
-def _weaker(loss_db: float) -> Callable[[Stack], Stack]:
-    key = ("sensitivity", "loss_db")
-    return lambda stack: stack.put([key], [stack.get(key) + loss_db])
-
-
-def _without(names: Sequence[str]) -> Callable[[Stack], Stack]:
-    return lambda stack: replace(stack, values={k: v for k, v in stack.values.items() if k not in names})
 
 
 def _logged(column: str, more: float) -> Callable[[Ping], Ping]:

@@ -54,22 +54,19 @@ class _Proposal:
         return k * math.ceil(DECIDED / (self.design.nats * k))
 
 
-def next_measurements(
-    places: Sequence[Place], batch: Batch, rng: np.random.Generator, temperature: float = 1.0
-) -> tuple[Measurement, ...]:
+def next_measurements(places: Sequence[Place], batch: Batch, rng: np.random.Generator) -> tuple[Measurement, ...]:
     """Return the measurements that separate the alternatives of every place, fewest pings first.
 
     Args:
         places: selected effects with their alternatives.
         batch: recorded pings; conditions far from theirs are not proposed.
         rng: draws readings of the laws that are compared.
-        temperature: factor by which log posteriors overstate evidence, as in `Place.probabilities`.
     """
     instruments: list[Measurement] = []
     proposals: list[_Proposal] = []
     with one_thread():
         for place in places:
-            for other in list(place.probabilities(temperature))[1:]:
+            for other in list(place.listed)[1:]:
                 pair = (place.effect, other)
                 if set(pair) & {"sound_speed", "thermal_drift"} and TEMPERATURE not in batch.ping.covariates:
                     instruments.append(_thermometer(pair))

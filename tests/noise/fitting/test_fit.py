@@ -121,7 +121,7 @@ def test_the_probability_of_outliers_refers_to_all_pings_although_readings_repea
     reading = np.where(outlier, distance + rng.uniform(0.2, 7.0, len(distance)), distance + error)
     batch = Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(reading, 4))))
     keys = (("spike", "probability"), ("spike", "span_m"))
-    visits = {"placement_m": 0.006, "urn_weight": 3.0, "urn_width_m": 0.0003, "detection_weight": 5.0}
+    visits = {"placement_m": 0.006, "urn_weight": 3.0, "urn_width_m": 0.0003, "level_sd_db": 0.0}
     spike = {"probability": 0.1, "span_m": 8.0}
     joint = maximise(
         Stack({"travel_time_jitter": {"sigma_m": 0.004}, "spike": spike, "visits": visits}),

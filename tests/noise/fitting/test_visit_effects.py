@@ -58,7 +58,7 @@ def test_every_prediction_sums_to_one(placement, correlation, urn, width, detect
         ping_correlation=correlation,
         urn_weight=urn,
         urn_width_m=width,
-        detection_weight=detection,
+        level_sd_db=detection,
     )
     last = np.arange(101) * 0.01
     range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
@@ -92,7 +92,7 @@ def test_a_visit_with_an_improbable_outcome_counts_once(loss_db, range_):
     law, batch = near_threshold(loss_db, np.full(25, range_))
     odds = law.no_echo_tensor() if range_ == 0.0 else law.any_echo_tensor()
     assert float(odds[0]) < 1e-12
-    each = log_prob(law, VisitEffects(detection_weight=1.0, placement_m=0.002), batch).numpy()
+    each = log_prob(law, VisitEffects(level_sd_db=1.0, placement_m=0.002), batch).numpy()
     assert each[0] < -7.0
     # the other 24 equal outcomes cost what the rule of succession predicts
     assert each[1:].sum() > -15.0

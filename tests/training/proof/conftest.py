@@ -33,7 +33,7 @@ def stub_score(answer, model):
         "intervals": {},
         "overlap": [],
         "evidence": {},
-        "posteriors": {},
+        "likely": {},
         "scores": {**scores, "before": 0.03, "gap_error": 0.001, "change_error": 0.001, "offered": True},
         "baselines": {"classifier_p": 0.5, "mmd_p": 0.5, "independent": ""},
     }

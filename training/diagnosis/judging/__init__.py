@@ -5,5 +5,5 @@ fit_command: `sonar-gym fit-decision`, trials to the weights of the decision mod
 tasks, record: what is diagnosed, and what is written down of it.
 real: real recordings whose halves must agree, and changes planted in one half.
 scoring, rows, page: from records to the table of targets.
-decision_fit: the logistic regression, its temperature and its reliability on families that were left out.
+decision_fit: the logistic regression and its reliability on families that were left out.
 """

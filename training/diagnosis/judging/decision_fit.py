@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
@@ -22,8 +21,6 @@ from noise.metrics import Reliability, reliability
 from training.diagnosis.judging.record import Record
 
 PENALTIES = tuple(10.0**k for k in np.arange(-3.0, 2.5, 0.5))  # inverse strengths of the L2 penalty
-MAX_TEMPERATURE = 100.0  # at which 460 nats exclude an alternative no better than 1 %
-CONTAMINATION = 0.01  # of places in which no law is near the truth; keeps one of them from setting the temperature
 MIN_FAMILIES = 2
 
 
@@ -43,63 +40,24 @@ class Examples:
     trial: Ints
 
 
-def temperature_of(records: Sequence[Record]) -> float:
-    """Return the factor by which log posteriors of alternatives overstate evidence, by maximum likelihood.
-
-    It uses the places that hold a true cause which no other selected effect names.
-    """
-    places = [place for record in records for place in _decided(record)]
-    if not places:
-        raise SettingError("no trial has its true cause among the alternatives; add trials of kind single")
-
-    def loss(log_temperature: float) -> float:
-        likely = [_probability(names, log / np.exp(log_temperature), ids) for names, log, ids in places]
-        return -float(np.sum(np.log((1.0 - CONTAMINATION) * np.array(likely) + CONTAMINATION)))
-
-    found = minimize_scalar(loss, bounds=(0.0, np.log(MAX_TEMPERATURE)), method="bounded")
-    return float(np.exp(found.x))
-
-
-def _place(record: Record, effect: str) -> tuple[list[str], Floats]:
-    others = record["posteriors"].get(effect, {})
-    return [effect, *others], np.array([0.0, *others.values()])
-
-
-def _probability(names: Sequence[str], log: Floats, ids: set[str]) -> float:
-    weight = np.exp(log - log.max())
-    return float(weight[[name in ids for name in names]].sum() / weight.sum())
-
-
-def _decided(record: Record) -> list[tuple[list[str], Floats, set[str]]]:
-    found = []
-    for effect in record["evidence"]:
-        names, log = _place(record, effect)
-        for cause in record["causes"]:
-            ids = set(cause["accepted"])
-            elsewhere = ids & record["evidence"].keys() - {effect}
-            if len(names) > 1 and ids & set(names) and not elsewhere:
-                found.append((names, log, ids))
-    return found
-
-
-def true_places(record: Record, temperature: float) -> set[str]:
+def true_places(record: Record) -> set[str]:
     """Return the selected effects in whose place a true cause is listed; each cause counts in one place."""
     out = set()
     for cause in record["causes"]:
         ids = set(cause["accepted"])
-        likely = {e: _listed(record, e, temperature, ids) for e in record["evidence"] if e not in out}
+        likely = {e: _listed(record, e, ids) for e in record["evidence"] if e not in out}
         best = max(likely, key=lambda effect: likely[effect], default="")
         if likely.get(best, 0.0) >= LISTED:
             out.add(best)
     return out
 
 
-def _listed(record: Record, effect: str, temperature: float, ids: set[str]) -> float:
-    names, log = _place(record, effect)
-    return 1.0 + float(effect in ids) if effect in ids else _probability(names, log / temperature, ids)
+def _listed(record: Record, effect: str, ids: set[str]) -> float:
+    """Return the probability of a true cause in a place; one that was selected comes first."""
+    return float(effect in ids) + sum(p for other, p in record["likely"][effect].items() if other in ids)
 
 
-def examples_of(records: Sequence[Record], temperature: float) -> Examples:
+def examples_of(records: Sequence[Record]) -> Examples:
     """Return the selected effects of all records with their features.
 
     Raises:
@@ -109,7 +67,7 @@ def examples_of(records: Sequence[Record], temperature: float) -> Examples:
     rows = [
         (Evidence(**evidence).features(), effect in true, families.index(record["family"]), k)
         for k, record in enumerate(records)
-        for true in [true_places(record, temperature)]
+        for true in [true_places(record)]
         for effect, evidence in record["evidence"].items()
     ]
     feature, true, family, trial = (
@@ -123,11 +81,11 @@ def examples_of(records: Sequence[Record], temperature: float) -> Examples:
     return Examples(feature, true.astype(bool), family.astype(np.int64), trial.astype(np.int64))
 
 
-def fit(examples: Examples, temperature: float) -> DecisionModel:
+def fit(examples: Examples) -> DecisionModel:
     """Return the decision model; the penalty is that with the least log loss on families left out."""
     regression = _regression(_penalty(examples)).fit(examples.feature, examples.true)
     scaler, logistic = regression[0], regression[1]
-    return DecisionModel(scaler.mean_, scaler.scale_, logistic.coef_[0], float(logistic.intercept_[0]), temperature)
+    return DecisionModel(scaler.mean_, scaler.scale_, logistic.coef_[0], float(logistic.intercept_[0]))
 
 
 def _regression(penalty: float) -> Pipeline:

@@ -24,7 +24,6 @@ from training.diagnosis.judging.decision_fit import (
     fit,
     left_out_probabilities,
     quality,
-    temperature_of,
 )
 from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.run import read, run
@@ -80,9 +79,8 @@ def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object],
     done = [record for record in records if record["error"] is None]
     if not done:
         raise SettingError("no finished trials to fit the decision model to; give a number of trials with --n")
-    temperature = temperature_of(done)
-    examples = examples_of(done, temperature)
-    model = fit(examples, temperature)
+    examples = examples_of(done)
+    model = fit(examples)
     scores, bins = quality(left_out_probabilities(examples), examples)
     used = sorted({record["family"] for record in done})
     commits = sorted({record["commit"] for record in done})

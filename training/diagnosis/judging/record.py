@@ -52,7 +52,7 @@ def _content(case: Case, found: Diagnosis) -> Record:
         },
         "overlap": [overlap(batch, location, region) for location in verdict.where],
         "evidence": {name: asdict(each) for name, each in found.evidence.items()},
-        "posteriors": {name: dict(each) for name, each in found.posteriors.items()},
+        "likely": {name: dict(each) for name, each in found.likely.items()},
         "scores": scores(found, case.fresh) if case.fresh else None,
     }
 

@@ -125,6 +125,22 @@ def test_the_nearest_visits_repeat_a_visit_that_was_simulated():
     assert abs(law.quantile(0.5)[0] - law.distance[0] - own) < 0.02
 
 
+def test_saved_nearest_visits_have_the_same_law(tmp_path):
+    batch = Batch.of(recording(SONAR, 1))
+    model = NearestVisits.of(batch)
+    same = load_model(save_model(model, tmp_path / "nearest"))
+    z = np.linspace(0.1, 6.0, 30)[:, None] + np.zeros(len(batch))
+    assert np.array_equal(same.law(batch.ping).arrival(z), model.law(batch.ping).arrival(z))
+    assert (same.resolution, same.max_range) == (model.resolution, model.max_range)
+
+
+@pytest.mark.parametrize("damage", [{"error": []}, {"scale": [0.0] * 4}, {"names": ["more"]}, {"position": None}])
+def test_damaged_nearest_visits_are_a_clear_error(damage):
+    data = NearestVisits.of(Batch.of(recording(SONAR, 1))).to_dict()
+    with pytest.raises(ModelError, match="may be damaged"):
+        NearestVisits.from_dict(data | damage)
+
+
 def test_the_nearest_visits_transport_errors_and_not_ranges():
     ping = survey(1)
     batch = Batch.of(Recording.of(ping, Reading.of(ping.distance + 0.05)))
@@ -135,7 +151,7 @@ def test_the_nearest_visits_transport_errors_and_not_ranges():
 def test_a_law_that_describes_the_recording_gets_no_empirical_term_that_does_harm():
     train, test = (Batch.of(recording(SONAR, seed)) for seed in (1, 2))
     stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
-    found = empirical_term(stack, train, np.random.default_rng(0))
+    found = empirical_term(stack, train, np.random.default_rng(0)).stack
     assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > -5.0  # nats in 480 readings
 
 
@@ -147,7 +163,7 @@ def test_a_drift_without_a_name_becomes_an_empirical_term_of_time():
 
     train, test = drifting(1), drifting(2)
     stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
-    found = empirical_term(stack, train, np.random.default_rng(0))
+    found = empirical_term(stack, train, np.random.default_rng(0)).stack
     assert found.terms
     assert isinstance(found.terms[0], Empirical)
     assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > 50.0

@@ -8,18 +8,20 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from acquisition import Reading, Recording
 from noise.discrepancy.evidence import FEATURES, Evidence
 from noise.discrepancy.judge.decision import decision_model
-from noise.discrepancy.judge.shares import shares
+from noise.discrepancy.judge.shares import Learner, shares
 from noise.discrepancy.judge.verdict import kind_of, shows_little
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import Cause, Interval, Kind, PValue, Unexplained, Visible
-from tests.noise.discrepancy.made import batch_of, law_of
+from noise.fitting.batch import Batch
+from tests.noise.discrepancy.made import batch_of, law_of, recording_of
 
 torch.set_num_threads(1)
-STRONG = Evidence(300.0, 20.0, 1500, 100, 0.95, 0.05, 40.0, -0.5, 5e-4, 0.4, 1, False)
-WEAK = Evidence(3.0, 4.0, 1500, 100, 0.05, 0.9, 0.1, -5.0, 0.009, 5e-4, 3, True)
+STRONG = Evidence(300.0, 20.0, 1500, 100, 0.95, 0.05, 0.8, 40.0, -0.5, 5e-4, 0.4, 1, False)
+WEAK = Evidence(3.0, 4.0, 1500, 100, 0.05, 0.9, -0.5, 0.1, -5.0, 0.009, 5e-4, 3, True)
 REST = Unexplained(Interval(0.1, 0.05, 0.2, "1"), PValue(0.001, 2000))
 CAUSE = Cause("zero_offset", 0.9, (), Interval(0.9, 0.8, 1.0, "1"), 100.0, 10.0, {}, "")
 
@@ -28,13 +30,31 @@ def test_a_single_cause_explains_nearly_everything():
     batch = batch_of({"zero_offset": {"offset_m": 0.015}}, seed=4)
     search = Search(law_of(), Folds.of(batch, np.random.default_rng(4)), None, np.random.default_rng(4))
     none, found = search.run()
-    divided = shares(search, none, found, True, np.random.default_rng(5))
+    learner = Learner(search, 5)
+    rest = learner.learned(found.stacks[0])
+    divided = shares(learner, none, found, rest, np.random.default_rng(5))
     share = divided.causes["zero_offset"]
     assert share.low <= share.value <= share.high
     assert share.value > 0.9
     assert divided.rest.value < 0.1
     gain, error = divided.gains["zero_offset"]
     assert gain > 4.0 * error > 0.0
+    assert divided.advantages["zero_offset"] >= 0.0  # one parameter against a learner of conditions
+
+
+def test_an_effect_that_a_learner_beats_has_a_negative_advantage():
+    recording = recording_of(seed=3)
+    reading, distance = recording.reading, recording.ping.distance
+    bent = Reading.of(np.where(reading.echo, reading.range + 0.03 * np.sin(4.0 * distance), 0.0))
+    batch = Batch.of(Recording.of(recording.ping, bent))
+    search = Search(law_of(), Folds.of(batch, np.random.default_rng(4)), None, np.random.default_rng(4))
+    none = search.null()
+    start = none.stacks[0].put([("clock_scale", "error")], [0.005])
+    wrong = search.crossed(start, none, ("clock_scale",), own_scatter=False)
+    learner = Learner(search, 5)
+    divided = shares(learner, none, wrong, learner.learned(wrong.stacks[0]), np.random.default_rng(5))
+    assert divided.advantages["clock_scale"] < 0.0
+    assert divided.rest.value > 0.5
 
 
 def test_every_feature_has_a_name_and_is_finite():

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from noise.discrepancy.name.alternatives import place_of
+from noise.discrepancy.name.alternatives import place_of, weights
 from noise.discrepancy.name.candidates import at_bound, resolved_periods, sampled_bounds, shows, with_sampled_bounds
 from noise.discrepancy.name.estimates import conclude, intervals
 from noise.discrepancy.name.folds import Folds
-from noise.discrepancy.name.search import Search
+from noise.discrepancy.name.search import Hypothesis, Search
 from noise.effects import CATALOGUE
 from tests.noise.discrepancy.made import batch_of, law_of
 
@@ -70,10 +70,25 @@ def test_speed_of_sound_and_clock_are_told_to_be_alike():
     search = search_of(CHANGES["sound_speed"])
     _, found = search.run()
     place = place_of(search, found, found.effects[0])
-    likely = place.probabilities(temperature=1.0)
-    assert {"sound_speed", "clock_scale"} <= set(likely)
-    assert min(likely["sound_speed"], likely["clock_scale"]) > 0.2
-    assert sum(likely.values()) == pytest.approx(1.0, abs=0.06)  # what is not listed is improbable
+    assert {"sound_speed", "clock_scale"} <= set(place.listed)
+    assert min(place.likely["sound_speed"], place.likely["clock_scale"]) > 0.2
+    assert sum(place.likely.values()) == pytest.approx(1.0)
+
+
+def test_a_difference_counts_as_much_as_it_repeats_from_visit_to_visit():
+    def hypothesis(nats):
+        return Hypothesis((), (law_of(), law_of()), np.asarray(nats))
+
+    def first(one, other):
+        rng = np.random.default_rng(0)
+        return weights({"one": hypothesis(one), "other": hypothesis(other)}, rng)["one"]
+
+    flat = np.zeros(50)
+    assert first(flat, flat) == pytest.approx(0.5)
+    assert first(flat + 0.4, flat) > 0.999  # 20 nats, of every visit
+    lucky = np.where(np.arange(50) == 0, 20.0, 0.0)
+    assert 0.6 < first(lucky, flat) < 0.99  # 20 nats, of one visit
+    assert first(lucky, flat) + first(flat, lucky) == pytest.approx(1.0)
 
 
 def test_the_interval_holds_the_truth():

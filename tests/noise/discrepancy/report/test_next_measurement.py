@@ -36,12 +36,12 @@ def recorded():
     return Batch.of(Recording.of(ping, Reading.of(np.round(distance, 3))))
 
 
-def place_of(pair, log_posterior=-0.5):
+def place_of(pair, p_other=0.4):
     """Return a place of two effects that fit nearly as well."""
     own, other = pair
     (first,), (second,) = own, other
     stacks = {name: Stack({**BASE, **values}) for name, values in ((first, own), (second, other))}
-    return Place(first, {second: log_posterior}, stacks)
+    return Place(first, {first: 1.0 - p_other, second: p_other}, 0.5, stacks)
 
 
 def asked(*pairs):
@@ -86,7 +86,8 @@ def test_equal_laws_are_not_worth_a_measurement():
     same = {"zero_offset": {"offset_m": 0.012}}
     place = Place(
         "zero_offset",
-        {"dropped_reading": 0.0},
+        {"zero_offset": 0.5, "dropped_reading": 0.5},
+        0.0,
         dict.fromkeys(("zero_offset", "dropped_reading"), Stack({**BASE, **same})),
     )
     (found,) = next_measurements([place], recorded(), np.random.default_rng(0))
@@ -95,7 +96,7 @@ def test_equal_laws_are_not_worth_a_measurement():
 
 
 def test_an_improbable_alternative_asks_for_nothing():
-    assert next_measurements([place_of(PAIRS["offset and scale"], -9.0)], recorded(), np.random.default_rng(0)) == ()
+    assert next_measurements([place_of(PAIRS["offset and scale"], 0.001)], recorded(), np.random.default_rng(0)) == ()
 
 
 def test_the_same_measurement_is_asked_for_once():

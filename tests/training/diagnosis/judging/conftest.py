@@ -9,6 +9,7 @@ EVIDENCE = {
     "n_visits": 80,
     "share": 0.9,
     "rest": 0.05,
+    "advantage": 0.8,
     "lead": 10.0,
     "prior": -0.5,
     "p_before": 0.0005,
@@ -54,7 +55,7 @@ def record():
             "intervals": {"zero_offset": {"offset_m": [0.0101, 0.009, 0.011]}} if named else {},
             "overlap": [1.0] if named else [],
             "evidence": {each["effect"]: EVIDENCE for each in named},
-            "posteriors": {each["effect"]: {} for each in named},
+            "likely": {each["effect"]: {each["effect"]: 1.0} for each in named},
             "scores": scores | {"gap_error": 0.001, "change_error": 0.001, "offered": True},
         } | changed
 

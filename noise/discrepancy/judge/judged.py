@@ -1,0 +1,182 @@
+"""Judgement of a selected hypothesis: which of its effects are believed, and what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from noise.discrepancy.evidence import Evidence
+from noise.discrepancy.judge.decision import decision_model
+from noise.discrepancy.judge.shares import Learner, Shares, shares
+from noise.discrepancy.locate.location import locate
+from noise.discrepancy.locate.orthogonal import Tested
+from noise.discrepancy.name.alternatives import Place, place_of
+from noise.discrepancy.name.candidates import log_prior
+from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
+from noise.discrepancy.name.search import Hypothesis, Search
+from noise.discrepancy.report.words import location as location_in_words
+from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
+from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MIN_SHARE
+from noise.fitting.learn_smooth import Learned
+from noise.fitting.stack import Key, Stack
+
+Test = Callable[[Stack], Tested]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Causes with their probabilities, and the law with those that are believed.
+
+    Attributes:
+        causes: selected effects, the believed ones and the greatest shares first.
+        believed: ids of those that are believed.
+        final: the hypothesis with the believed causes, fitted to both folds.
+        places: selected effects and their alternatives.
+        evidence: by selected effect.
+        together: share of the believed causes.
+        share_of_rest: share that they leave.
+        after: test of the law with the believed causes.
+        learned: that law with what it lacks; None where the test finds nothing left.
+    """
+
+    causes: tuple[Cause, ...]
+    believed: tuple[str, ...]
+    final: Final
+    places: tuple[Place, ...]
+    evidence: Mapping[str, Evidence]
+    together: float
+    share_of_rest: Interval
+    after: Tested
+    learned: Learned | None
+
+    @property
+    def rest(self) -> Unexplained:
+        """What the believed causes leave."""
+        where = locate(self.after) if is_left(self.after) else ()
+        described = location_in_words(where[0]) if where else None
+        return Unexplained(self.share_of_rest, self.after.p_value, where, described)
+
+
+@dataclass(eq=False)
+class Judgement:
+    """What is known of one hypothesis.
+
+    Attributes:
+        search: readings and candidates.
+        test: tests whether the recording differs from a law.
+        learner: learns what a law lacks.
+        found: the hypothesis.
+        final: its effects fitted to both folds.
+        after: test of that law.
+        learned: that law with what it lacks; None where the test finds nothing left.
+    """
+
+    search: Search
+    test: Test
+    learner: Learner
+    found: Hypothesis
+    final: Final = field(init=False)
+    after: Tested = field(init=False)
+    learned: Learned | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Fit, test and learn."""
+        self.final = conclude(self.search, self.found)
+        self.after = self.test(self.final.stack)
+        self.learned = self.learner.learned(self.final.stack) if is_left(self.after) else None
+
+    def with_effects(self, effects: Sequence[str]) -> Judgement:
+        """Return the judgement of the hypothesis with some of its effects."""
+        found = self.found
+        for name in [each for each in found.effects if each not in effects]:
+            found = self.search.left_out(found, name)
+        return self if found is self.found else Judgement(self.search, self.test, self.learner, found)
+
+
+def is_left(tested: Tested) -> bool:
+    """Return whether a test of a corrected law finds a difference."""
+    return tested.p_value.value < FALSE_ALARM
+
+
+def judge(
+    search: Search, none: Hypothesis, found: Hypothesis, before: PValue, test: Test, rng: np.random.Generator
+) -> Judged:
+    """Return the causes of a difference with their probabilities.
+
+    Args:
+        search: readings and candidates.
+        none: hypothesis without differences.
+        found: the selected hypothesis.
+        before: p-value of the test of the simulation's law.
+        test: tests whether the recording differs from a law.
+        rng: draws the bootstrap samples of the shares, and the seed of the learner.
+    """
+    learner = Learner(search, int(rng.integers(2**32)))
+    selected = Judgement(search, test, learner, found)
+    places = tuple(place_of(search, found, name) for name in found.effects)
+    divided = shares(learner, none, found, selected.learned, rng)
+    evidence = {place.effect: evidence_of(selected, place, divided, before) for place in places}
+    certain = {name: decision_model().probability(each) for name, each in evidence.items()}
+    believed = kept(certain, divided)
+    final = selected.with_effects(believed)
+    known = intervals(search, selected.final)
+    if final is not selected:
+        known |= intervals(search, final.final)
+    causes = [_cause(search, place, certain[place.effect], divided, known) for place in places]
+    causes.sort(key=lambda cause: (cause.effect not in believed, -cause.share.value))
+    together, rest = _divided(divided, [name for name in found.effects if name not in believed])
+    return Judged(tuple(causes), believed, final.final, places, evidence, together, rest, final.after, final.learned)
+
+
+def kept(certain: Mapping[str, float], divided: Shares) -> tuple[str, ...]:
+    """Return the effects that are believed: probable, and not negligible beside the first."""
+    first = max(certain, key=lambda name: divided.causes[name].value, default="")
+    weighty = (name for name in certain if name == first or divided.causes[name].value >= MIN_SHARE)
+    return tuple(name for name in weighty if certain[name] >= BELIEVED)
+
+
+def _divided(divided: Shares, disbelieved: Sequence[str]) -> tuple[float, Interval]:
+    """Return the share of the believed causes and that of the rest, to which disbelieved ones belong."""
+    if not disbelieved:
+        return divided.together.value, divided.rest
+    together = max(0.0, divided.together.value - sum(divided.causes[name].value for name in disbelieved))
+    rest, half = 1.0 - together, 0.5 * (divided.together.high - divided.together.low)
+    return together, Interval(rest, max(rest - half, 0.0), min(rest + half, 1.0), "1")
+
+
+def _cause(search: Search, place: Place, certain: float, divided: Shares, known: Mapping[Key, Interval]) -> Cause:
+    name, likely = place.effect, place.listed
+    own = [(key, value) for key, value in known.items() if key[0] == name]
+    alternatives = tuple(Alternative(other, certain * p) for other, p in likely.items() if other != name)
+    return Cause(
+        name,
+        certain * likely[name],
+        alternatives,
+        divided.causes[name],
+        *divided.gains[name],
+        {key[1]: value for key, value in own},
+        statement(search, name, own),
+    )
+
+
+def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PValue) -> Evidence:
+    """Return what the decision model needs to know of a selected effect."""
+    search, found, name = selected.search, selected.found, place.effect
+    gain, error = divided.gains[name]
+    return Evidence(
+        gain=gain,
+        gain_error=error,
+        n_pings=sum(len(part) for part in search.parts),
+        n_visits=len(found.nats),
+        share=divided.causes[name].value,
+        rest=divided.rest.value,
+        advantage=divided.advantages[name],
+        lead=place.lead,
+        prior=float(np.mean([log_prior(stack, search.common, [name]) for stack in found.stacks])),
+        p_before=before.value,
+        p_after=selected.after.p_value.value,
+        n_effects=len(found.effects),
+        catch_all=search.common.known[name].by_ping,
+    )
