@@ -170,7 +170,7 @@ class GaussianModel:
     """
 
     sigma: Metres = 0.01
-    sigma_per_metre: Annotated[float, Limit(0.0, 10.0, "m per m")] = 0.005
+    sigma_per_metre: Annotated[float, Limit(0.0, 100.0, "m per m")] = 0.005
     miss: Share = 0.0
     resolution: Resolution = 0.001
     max_range: PositiveMetres = MAX_RANGE

@@ -84,7 +84,7 @@ class Term(Schema):
     inputs: Standard
     centres: list[Numbers]
     alpha: dict[str, Any]
-    level_centres: list[Numbers]
+    level_centres: Numbers
     beta: dict[str, Any]
     tails_m: Annotated[Numbers, MinLen(2), MaxLen(2)]
     placement_m: float
@@ -145,6 +145,27 @@ class Empirical(Registered):
     terms: list[Term]
 
 
+class Nearest(Registered):
+    """See `noise.discrepancy.baseline.nearest.NearestVisits`."""
+
+    kind: Literal["nearest"]
+    names: list[str]
+    middle: Numbers
+    scale: Numbers
+    position: Annotated[list[Numbers], MinLen(1)]
+    error: Annotated[list[list[float | None]], MinLen(1)]
+
+
+class Table(Registered):
+    """See `noise.table.TableModel`."""
+
+    kind: Literal["table"]
+    distances: Annotated[Numbers, MinLen(1)]
+    means: Annotated[Numbers, MinLen(1)]
+    sigmas: Annotated[Numbers, MinLen(1)]
+    max_incidence: float
+
+
 class Network(Kind):
     """A network with its weights in another file."""
 
@@ -187,7 +208,8 @@ class Composed(Kind):
 
 
 Model = Annotated[
-    Ideal | Gaussian | Beam | Physical | Empirical | Mlp | Lstm | Faulty | Composed, Field(discriminator="kind")
+    Ideal | Gaussian | Beam | Physical | Empirical | Nearest | Table | Mlp | Lstm | Faulty | Composed,
+    Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()
 Composed.model_rebuild()

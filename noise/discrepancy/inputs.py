@@ -11,6 +11,7 @@ import pandas as pd
 
 from acquisition import Ping, Reading, Recording, RecordingError, SettingError
 from acquisition.arrays import Floats
+from noise.fitting.visits import visits_of
 from noise.model import SonarModel
 from noise.store import load_model
 
@@ -63,12 +64,16 @@ def as_model(given: Any) -> SonarModel | Simulator:
 
 
 def check_conditions(recording: Recording) -> None:
-    """Check that a recording has enough conditions for two folds and an unseen part.
+    """Check that a recording can be divided into two folds and an unseen part.
 
     Raises:
-        RecordingError: fewer than `MIN_CONDITIONS` conditions have an answered ping.
+        RecordingError: no ping was answered, or those that were fall into fewer than `MIN_CONDITIONS` conditions; the
+            log of one position is cut into series, each of which counts as a condition.
     """
-    found = len(np.unique(recording.condition[recording.reading.answered]))
+    answered = recording.reading.answered
+    if not answered.any():
+        raise RecordingError(f"{recording.name}: no ping was answered, so there are no readings; check the wires")
+    found = len(np.unique(visits_of(recording)[0][answered]))
     if found < MIN_CONDITIONS:
         raise RecordingError(
             f"{recording.name}: has answered pings under {found} different conditions (distance, angle, reflectance), "

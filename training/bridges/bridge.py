@@ -14,6 +14,7 @@ import tyro
 from acquisition import Recording, SettingError
 from acquisition.io.bags import TimeSeries, read_table
 from acquisition.io.foreign import parse_constants
+from acquisition.limits import Limit
 from noise import save_model
 from sonar_gym.bridges.opendlv.agent import AgentOptions, SessionAgent
 from sonar_gym.bridges.opendlv.car import CarOptions, Controls, SessionCar
@@ -54,7 +55,7 @@ class OpendlvSonar:
     """Of the walls, 0 to 1."""
     seed: int = 0
     """Seed of the readings."""
-    duration_s: float = np.inf
+    duration_s: Annotated[float, Limit(0.0, 1e9, "s")] = 1e9
     """Time to run, s."""
     ttl: int = 0
     """Networks that a datagram may cross; 0 stays on this machine."""
@@ -100,7 +101,7 @@ class OpendlvAgent:
     """Speed of the car at full pedal, m/s."""
     wheelbase: float = 0.26
     """Distance between the axles of the car, m."""
-    duration_s: float = np.inf
+    duration_s: Annotated[float, Limit(0.0, 1e9, "s")] = 1e9
     """Time to run, s."""
     ttl: int = 0
     """Networks that a datagram may cross; 0 stays on this machine."""

@@ -94,7 +94,7 @@ def test_a_frame_that_is_not_finite_is_ignored():
     [
         ({"frequency_hz": 0.0}, "frequency_hz must lie in"),
         ({"latency_s": 0.2}, "more than the 0.1 s between two pings"),
-        ({"max_range": np.nan}, "max_range must be finite"),
+        ({"max_range": np.nan}, "max_range: expected a finite number, got nan"),
     ],
 )
 def test_settings_outside_their_limits_are_named(settings, text):

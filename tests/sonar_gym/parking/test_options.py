@@ -77,7 +77,7 @@ def test_fields_of_the_street_are_replaced():
         ({"boxes": [{"begin": 1.0, "length": 1.0}]}, "boxes must be two or more"),
         ({"boxes": [{"begin": 1.0, "length": 1.0}, {"begin": 1.5, "length": 1.0}]}, "boxes overlap"),
         ({"boxes": [{"begin": 1.0, "width": 1.0}]}, "boxes: unknown field 'width'; expected begin, length"),
-        ({"difficulty": "absurd"}, "difficulty: expected one of easy, normal, hard, got 'absurd'"),
+        ({"difficulty": "absurd"}, "difficulty: expected one of easy, normal, hard, manoeuvre, got 'absurd'"),
     ],
 )
 def test_invalid_options_raise_an_error(options, message):

@@ -46,7 +46,7 @@ def test_starts_lie_between_the_beginning_of_the_street_and_the_gap():
 
 
 def test_a_start_beyond_the_gap_raises_an_error():
-    with pytest.raises(SettingError, match=r"StreetSettings.start must lie in 0..1 of the way to the gap, got"):
+    with pytest.raises(SettingError, match=r"StreetSettings.start: expected a number from 0 to 1, got"):
         StreetSettings(start=(0, 1.5))
 
 

@@ -327,7 +327,7 @@ def test_invalid_arguments_raise_an_error():
         SonarParkingVectorEnv(0)
     with pytest.raises(SettingError, match="pictured must contain numbers of environments below 2"):
         SonarParkingVectorEnv(2, pictured=[2])
-    with pytest.raises(ValueError, match="is not a valid AutoresetMode"):
+    with pytest.raises(ValueError, match="autoreset_mode: expected one of"):
         SonarParkingVectorEnv(2, autoreset_mode="never")
     with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) before the first reset"):
         SonarParkingVectorEnv(2).step(np.zeros((2, 2)))

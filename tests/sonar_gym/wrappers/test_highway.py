@@ -132,7 +132,7 @@ def test_keep_all_and_keep_nothing():
     env = gymnasium.make("highway-v0", config=FEW)
     assert SonarObservation(env, keep="all").reset(seed=0)[0]["base"].shape == (5, 5)
     assert set(SonarObservation(env, keep="nothing").reset(seed=0)[0]) == {"ranges", "credence", "echo", "age"}
-    with pytest.raises(SettingError, match="keep must be one of own, all, nothing, got 'some'"):
+    with pytest.raises(SettingError, match="keep: expected one of own, all, nothing, got 'some'"):
         SonarObservation(env, keep="some")
 
 
@@ -198,7 +198,7 @@ def test_spec_survives_json():
 
 
 def test_several_vehicles_and_zero_range_raise():
-    with pytest.raises(SettingError, match=r"max_range must be > 0 m, got 0 m"):
+    with pytest.raises(SettingError, match=r"max_range: expected a number from 0.01 to 1000 m, got 0 m"):
         parking(max_range=0.0)
     many = {
         "controlled_vehicles": 2,
