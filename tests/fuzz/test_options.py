@@ -15,7 +15,20 @@ from acquisition.limits import Limit, Loadable, OneOf, hints_of
 from tests.fuzz.rule import FUZZ, check_rejected
 from training.cli import COMMANDS
 
-ARGS = {name: importlib.import_module(f"training.{module}").Args for name, (module, _) in COMMANDS.items()}
+
+def arguments():
+    """Return the class of the arguments of each command, those with words of their own by all their words."""
+    out = {}
+    for name, (module, _) in COMMANDS.items():
+        args = importlib.import_module(f"training.{module}").Args
+        if dataclasses.is_dataclass(args):
+            out[name] = args
+        else:
+            out |= {f"{name} {arm.__metadata__[0].name}": arm.__origin__ for arm in typing.get_args(args)}
+    return out
+
+
+ARGS = arguments()
 NO_NUMBER = (
     "x",
     "",
@@ -71,7 +84,8 @@ def positional(cls, field):
 def command(name, valid, unused, /, **changed):
     """Return the words of a command whose required options are valid, except those that are changed."""
     cls = ARGS[name]
-    words, first = [name], []
+    words, first = name.split(), []
+    n_words = len(words)
     for field in dataclasses.fields(cls):
         required = field.default is dataclasses.MISSING
         if field.name in changed:
@@ -86,7 +100,7 @@ def command(name, valid, unused, /, **changed):
             first += value
         else:
             words += [f"--{field.name.replace('_', '-')}", *value]
-    return [*map(str, words[:1]), *map(str, first), *map(str, words[1:])]
+    return [*map(str, words[:n_words]), *map(str, first), *map(str, words[n_words:])]
 
 
 @st.composite
@@ -158,4 +172,4 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
 )
 def test_arbitrary_words_are_rejected(name, words):
     if not {"-h", "--help", "--debug"} & set(words):
-        check_rejected(name, "--no-such-option", *words)
+        check_rejected(*name.split(), "--no-such-option", *words)

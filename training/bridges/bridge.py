@@ -14,7 +14,8 @@ import tyro
 from acquisition import Recording, SettingError
 from acquisition.io.bags import TimeSeries, read_table
 from acquisition.io.foreign import parse_constants
-from acquisition.limits import Limit
+from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.limits import Limit, Seed, Share
 from noise import save_model
 from sonar_gym.bridges.opendlv.agent import AgentOptions, SessionAgent
 from sonar_gym.bridges.opendlv.car import CarOptions, Controls, SessionCar
@@ -37,27 +38,27 @@ class OpendlvSonar:
 
     map: Path
     """Map file of the simulation: one wall a line, x1,y1,x2,y2; in m."""
-    cid: int = 111
+    cid: Annotated[int, Limit(1, 254)] = 111
     """Number of the session."""
     model: Path = Path("srf08-mlp")
     """Sonar: a name or the folder of a saved model."""
     mounts: str = KIWI_NAME
     """Sonars on the car: kiwi (senderStamp 0 front, 1 left, 2 rear, 3 right), eight, four, ..."""
-    frame_id: int = 0
+    frame_id: Annotated[int, Limit(0, 2**32 - 1)] = 0
     """senderStamp of the car's Frame."""
-    frequency_hz: float = 10.0
+    frequency_hz: Annotated[float, Limit(0.1, 1000.0, "Hz")] = 10.0
     """Pings of each sonar per second."""
-    latency_s: float = 0.07
+    latency_s: Annotated[float, Limit(0.0, 10.0, "s")] = 0.07
     """Time from a ping to its publication, s."""
-    max_range: float = 6.0
+    max_range: Annotated[float, Limit(0.05, 100.0, "m")] = 6.0
     """Greatest range, m."""
-    reflectance: float = 0.9
+    reflectance: Share = 0.9
     """Of the walls, 0 to 1."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the readings."""
     duration_s: Annotated[float, Limit(0.0, 1e9, "s")] = 1e9
     """Time to run, s."""
-    ttl: int = 0
+    ttl: Annotated[int, Limit(0, 255)] = 0
     """Networks that a datagram may cross; 0 stays on this machine."""
 
 
@@ -65,21 +66,21 @@ class OpendlvSonar:
 class OpendlvCar:
     """The parking car in an OpenDLV session: requests in, readings, KinematicState and Frame out."""
 
-    cid: int = 111
+    cid: Annotated[int, Limit(1, 254)] = 111
     """Number of the session."""
     model: Path = Path("srf08-mlp")
     """Sonar of the car."""
     difficulty: str = "normal"
     """Street: easy, normal or hard."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the street and the readings."""
-    frame_id: int = 0
+    frame_id: Annotated[int, Limit(0, 2**32 - 1)] = 0
     """senderStamp of Frame and KinematicState."""
-    request_id: int = 0
+    request_id: Annotated[int, Limit(0, 2**32 - 1)] = 0
     """senderStamp of the requests to obey."""
     lock_step: bool = False
     """Drive 0.1 s for each pedal request, in place of real time."""
-    ttl: int = 0
+    ttl: Annotated[int, Limit(0, 255)] = 0
     """Networks that a datagram may cross; 0 stays on this machine."""
 
 
@@ -87,23 +88,23 @@ class OpendlvCar:
 class OpendlvAgent:
     """The trained parking agent at the wheel of a car in an OpenDLV session."""
 
-    cid: int = 111
+    cid: Annotated[int, Limit(1, 254)] = 111
     """Number of the session."""
-    frame_id: int = 0
+    frame_id: Annotated[int, Limit(0, 2**32 - 1)] = 0
     """senderStamp of the car's Frame and KinematicState."""
-    request_id: int = 0
+    request_id: Annotated[int, Limit(0, 2**32 - 1)] = 0
     """senderStamp of the requests."""
     model: str = "srf08-mlp"
     """Sonar model by which the credence of the readings is computed."""
-    max_steering_deg: float = 30.0
+    max_steering_deg: Annotated[float, Limit(1.0, 89.0, "deg")] = 30.0
     """Steering angle of the car at full lock, deg; about 17 for the Kiwi car."""
-    max_speed: float = 0.5
+    max_speed: Annotated[float, Limit(0.01, 100.0, "m per s")] = 0.5
     """Speed of the car at full pedal, m/s."""
-    wheelbase: float = 0.26
+    wheelbase: Annotated[float, Limit(0.01, 10.0, "m")] = 0.26
     """Distance between the axles of the car, m."""
     duration_s: Annotated[float, Limit(0.0, 1e9, "s")] = 1e9
     """Time to run, s."""
-    ttl: int = 0
+    ttl: Annotated[int, Limit(0, 255)] = 0
     """Networks that a datagram may cross; 0 stays on this machine."""
 
 
@@ -113,21 +114,21 @@ class OpendlvRec:
 
     source: Annotated[Path, tyro.conf.Positional]
     """File to read: .rec, or the CSV of a recording."""
-    out: Path
+    out: OutputFile
     """File to write: the CSV of a recording, or .rec."""
     map: Path | None = None
     """Map file, from which the true distances follow with the Frames of the car."""
     mounts: str = KIWI_NAME
     """Sonars on the car, with map."""
-    frame_id: int = 0
+    frame_id: Annotated[int, Limit(0, 2**32 - 1)] = 0
     """senderStamp of the car's Frame, with map."""
     truth_csv: Path | None = None
     """CSV with time_s (since the first envelope) or stamp_s, and distance_m."""
     constants: tuple[str, ...] = ()
     """Columns with one value in every row: name=value, for example distance_mm=1000."""
-    period_s: float = 0.0
+    period_s: Annotated[float, Limit(0.0, 3600.0, "s")] = 0.0
     """Time between two pings of a sensor, s: missing readings are then recorded as no echo. 0: they are left out."""
-    start_s: float | None = None
+    start_s: Annotated[float, Limit(0.0, 1e11, "s")] | None = None
     """Recording into .rec: time of its beginning, s since 1970; by default now."""
 
 
@@ -137,9 +138,9 @@ class Webots:
 
     source: Annotated[Path, tyro.conf.Positional]
     """.wbt or .proto file."""
-    out: Path
+    out: OutputFolder
     """Folder for the models."""
-    metres_per_unit: float | None = None
+    metres_per_unit: Annotated[float, Limit(1e-9, 1e6, "m")] | None = None
     """Of the values that the sensors return, m; by default, the tables are inverted."""
 
 
@@ -149,13 +150,13 @@ class RosBag:
 
     source: Annotated[Path, tyro.conf.Positional]
     """CSV of a recording."""
-    out: Path
+    out: OutputFolder
     """Folder of the bag."""
     model: Path | None = None
     """Sonar model by which the credence of the readings is computed; none by default."""
     sqlite: bool = False
     """Write SQLite (.db3), in place of MCAP."""
-    max_range: float = 6.0
+    max_range: Annotated[float, Limit(0.05, 100.0, "m")] = 6.0
     """max_range of the messages, m."""
 
 
@@ -167,13 +168,13 @@ class RosNode:
     """Topics of ideal ranges: sensor_msgs/Range, or NAME:LaserScan for sectors of a scan."""
     model: Path = Path("srf08-mlp")
     """Sonar: a name or the folder of a saved model."""
-    max_range: float = 6.0
+    max_range: Annotated[float, Limit(0.05, 100.0, "m")] = 6.0
     """Greatest range, m."""
-    reflectance: float = 0.5
+    reflectance: Share = 0.5
     """Of what is seen, 0 to 1."""
-    sectors: int = 8
+    sectors: Annotated[int, Limit(1, 360)] = 8
     """Sectors of a LaserScan, each one sonar."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the readings."""
 
 

@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from acquisition.io.files import write_text
+from acquisition.io.places import OutputFile
+from acquisition.limits import Limit, Seed
 from noise import load_model
 from sonar_gym.bridges.simulators import gazebo, webots
 from sonar_gym.sensing.mounts import CONE_DEG
@@ -24,13 +26,13 @@ class Args:
     """webots: a DistanceSensor with a lookup table. gazebo: an SDF sensor with Gaussian noise."""
     model: Annotated[Path, tyro.conf.Positional]
     """Sonar: a name (srf08-mlp, ...) or the folder of a saved model."""
-    out: Path
+    out: OutputFile
     """File to write."""
-    max_range: float = 6.0
+    max_range: Annotated[float, Limit(0.05, 100.0, "m")] = 6.0
     """Maximum range, m, which the simulator returns without an echo."""
-    aperture_deg: float = CONE_DEG
+    aperture_deg: Annotated[float, Limit(0.1, 180.0, "deg")] = CONE_DEG
     """Full opening angle of the beam, deg."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the model's readings to which the sonar is fitted."""
 
 

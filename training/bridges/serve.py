@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from acquisition.limits import Limit, Seed
 from sonar_gym.bridges.server.server import PORT, ServerSettings, SonarServer
 
 
@@ -20,13 +21,13 @@ class Args:
     """Sonar: a name (ideal, gaussian, srf08-mlp, ...) or the folder of a saved model."""
     host: str = "127.0.0.1"
     """Address to bind. By default only programs on this machine can connect."""
-    port: int = PORT
+    port: Annotated[int, Limit(0, 65_535)] = PORT
     """TCP port; 0 for any free one."""
-    max_range: float = 6.0
+    max_range: Annotated[float, Limit(0.05, 100.0, "m")] = 6.0
     """Maximum range, m; an echo beyond it is no echo."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of every client's readings, unless it sends its own."""
-    max_clients: int = 64
+    max_clients: Annotated[int, Limit(1, 10_000)] = 64
     """Number of clients at a time."""
 
 

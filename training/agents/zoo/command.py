@@ -23,7 +23,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 import sonar_gym
 from acquisition import SettingError
 from acquisition.io.files import write_bytes, write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Count, Limit, Seed
 from noise.fitting.threads import one_thread
+from noise.store import ModelName
 from sonar_gym.sb3 import SonarVecEnv
 from training.agents.evaluate import Rate
 from training.agents.zoo.settings import Tuned, tuned
@@ -41,17 +44,17 @@ class Args:
 
     algorithm: Annotated[str, tyro.conf.Positional]
     """Name of the algorithm: ppo, or sac with hindsight experience replay on the goal environment."""
-    out: Path
+    out: OutputFolder
     """Folder for model.zip, README.md, result.json and tensorboard/."""
     env: str = sonar_gym.ENV_ID
     """Id of the environment."""
-    sonar: str = "ideal"
+    sonar: ModelName = "ideal"
     """Name or folder of a sonar model."""
-    steps: int | None = None
+    steps: Annotated[int, Limit(1, 10**12)] | None = None
     """Steps of all environments together; by default the tuned number."""
-    episodes: int = 200
+    episodes: Count = 200
     """Number of unseen streets of the test."""
-    seed: int = 0
+    seed: Seed = 0
     """The same seed gives the same model on the same machine."""
 
     def __post_init__(self) -> None:
