@@ -77,6 +77,15 @@ PLACES = [option for option in OPTIONS if extra(option[2], Output)]
 ids = lambda options: [f"{name} {field}" for name, field, _ in options]  # noqa: E731
 
 
+def choices_of(hint):
+    return next((typing.get_args(p) for p in parts(hint) if typing.get_origin(p) is typing.Literal), ())
+
+
+def shown_as(name, field):
+    """Return an option as messages name it."""
+    return field if positional(ARGS[name], field) else f"--{field.replace('_', '-')}"
+
+
 def positional(cls, field):
     return tyro.conf.Positional in typing.get_args(dict(hints_of(cls))[field])
 
@@ -92,6 +101,8 @@ def command(name, valid, unused, /, **changed):
             value = changed[field.name]
         elif field.name == "out":
             value = [unused]
+        elif required and (choices := choices_of(dict(hints_of(cls))[field.name])):
+            value = [choices[0]]
         elif required:
             value = [valid / ("model" if field.name in ("agent", "networks") else "recording.csv")]
         else:
@@ -116,7 +127,7 @@ def bad_numbers(draw, hint):
         outside = [int(v) for v in outside] + [10**30, -(10**30), 1.5, 1e3]
     else:
         outside += [1e300, -1e300] if math.isfinite(limit.high) else []
-    text = draw(st.one_of(st.sampled_from(NO_NUMBER), st.sampled_from([str(v) for v in outside])))
+    text = draw(st.sampled_from([*NO_NUMBER, *map(str, outside)]))
     count = 3 if "tuple[" in str(hint) and "..." not in str(hint) and "Ellipsis" not in str(hint) else 1
     return [text] * count
 
@@ -132,7 +143,7 @@ def test_every_number_has_limits(name, field, hint):
 def test_a_bad_number_is_named(valid, tmp_path_factory, name, field, hint, data):
     out = tmp_path_factory.getbasetemp() / "unused"
     words = command(name, valid, out, **{field: data.draw(bad_numbers(hint))})
-    check_rejected(*words, names=[f"--{field.replace('_', '-')}"])
+    check_rejected(*words, names=[shown_as(name, field)])
     assert not out.exists()
 
 
@@ -142,7 +153,7 @@ def test_a_bad_number_is_named(valid, tmp_path_factory, name, field, hint, data)
 def test_an_unknown_name_is_named(valid, tmp_path_factory, name, field, hint, data):
     out = tmp_path_factory.getbasetemp() / "unused"
     text = data.draw(st.one_of(st.sampled_from(NO_NAME), st.text(min_size=3, max_size=20).map(lambda t: f"no {t}")))
-    check_rejected(*command(name, valid, out, **{field: [text]}), names=[f"--{field.replace('_', '-')}"])
+    check_rejected(*command(name, valid, out, **{field: [text]}), names=[shown_as(name, field)])
 
 
 @pytest.mark.parametrize(("name", "field", "hint"), PLACES, ids=ids(PLACES))
@@ -154,7 +165,7 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
     bad += [tmp_path / "file", valid / "model" / "x"] if folder else [tmp_path, "/dev/full", "/dev/null"]
     for place in bad:
         words = command(name, valid, tmp_path / "unused", **{field: [place]})
-        check_rejected(*words, names=[f"--{field.replace('_', '-')}"])
+        check_rejected(*words, names=[shown_as(name, field)])
     assert (tmp_path / "file").read_text() == "kept"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
 

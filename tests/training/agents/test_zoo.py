@@ -89,8 +89,8 @@ def test_the_test_counts_each_street_once(monkeypatch, tmp_path):
             ["sac", "--env", "SonarParking-v0"],
             "sac has no settings for 'SonarParking-v0'; expected SonarParkingGoal-v0",
         ),
-        (["ppo", "--episodes", "0"], "give at least one episode (got 0)"),
-        (["ppo", "--seed", "-1"], "seed must lie in 0..2147483647, got -1"),
+        (["ppo", "--episodes", "0"], "--episodes: expected a whole number from 1 to 1000000, got 0"),
+        (["ppo", "--seed", "-1"], "--seed: expected a whole number from 0 to 2147483647, got -1"),
     ],
 )
 def test_invalid_settings_are_one_line(args, message, tmp_path, capsys):

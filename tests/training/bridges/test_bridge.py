@@ -84,7 +84,7 @@ def test_a_recording_becomes_a_bag(recording, tmp_path, capsys):
         (("bridge", "opendlv-sonar", "--map", "no.map"), "no.map: no such map"),
         (("bridge", "opendlv-agent", "--cid", "300"), "--cid: expected a whole number from 1 to 254, got 300"),
         (("bridge", "webots", "no.wbt", "--out", "x"), "no.wbt: no such file"),
-        (("serve", "ideal", "--port", "70000"), "port must lie in [0, 65535], got 70000"),
+        (("serve", "ideal", "--port", "70000"), "--port: expected a whole number from 0 to 65535, got 70000"),
         (("export", "webots", "rig", "--out", "x"), "can only be sampled"),
     ],
 )

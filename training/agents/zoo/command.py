@@ -21,10 +21,9 @@ from stable_baselines3.common.vec_env import VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 import sonar_gym
-from acquisition import SettingError
 from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFolder
-from acquisition.limits import Count, Limit, Seed
+from acquisition.limits import Count, Limit
 from noise.fitting.threads import one_thread
 from noise.store import ModelName
 from sonar_gym.sb3 import SonarVecEnv
@@ -54,15 +53,8 @@ class Args:
     """Steps of all environments together; by default the tuned number."""
     episodes: Count = 200
     """Number of unseen streets of the test."""
-    seed: Seed = 0
+    seed: Annotated[int, Limit(0, TRAINING_SEEDS - 1)] = 0
     """The same seed gives the same model on the same machine."""
-
-    def __post_init__(self) -> None:
-        """Raise SettingError for invalid values."""
-        if self.episodes < 1 or (self.steps is not None and self.steps < 1):
-            raise SettingError(f"give at least one episode (got {self.episodes}) and one step (got {self.steps})")
-        if not 0 <= self.seed < TRAINING_SEEDS:
-            raise SettingError(f"seed must lie in 0..{TRAINING_SEEDS - 1}, got {self.seed}")
 
 
 def make_envs(env_id: str, count: int, sonar: str) -> VecEnv:
