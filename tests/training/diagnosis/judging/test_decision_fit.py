@@ -18,12 +18,12 @@ from .conftest import EVIDENCE, OFFSET, SCALE, cause
 
 @pytest.fixture
 def records(record):
-    """Trials in which a true cause has odds exp(8 sqrt(p_after) - 4)."""
+    """Trials in which a true cause has odds exp(4 log(1 + t) - 8), with t its gain in standard errors."""
     rng = np.random.default_rng(0)
     made = []
     for k in range(900):
-        root = float(rng.uniform())
-        true = rng.random() < 1.0 / (1.0 + np.exp(4.0 - 8.0 * root))
+        log_t = float(rng.uniform(1.0, 3.0))
+        true = rng.random() < 1.0 / (1.0 + np.exp(8.0 - 4.0 * log_t))
         swapped = true and rng.random() < 0.3
         selected = "spike" if swapped or not true else "zero_offset"
         other = "zero_offset" if swapped else "quantisation"
@@ -33,7 +33,7 @@ def records(record):
                 number=k,
                 causes=(OFFSET,) if true else (),
                 named=[cause(selected)],
-                evidence={selected: EVIDENCE | {"p_after": root**2}},
+                evidence={selected: EVIDENCE | {"gain": 10.0 * np.expm1(log_t)}},
                 likely={selected: {selected: 0.7, other: 0.3}},
             )
         )
@@ -42,8 +42,8 @@ def records(record):
 
 def test_probabilities_of_families_left_out_are_calibrated(records):
     model, card, _ = fitted(records)
-    roots = (0.25, 0.5, 0.75)
-    stated = [model.probability(Evidence(**(EVIDENCE | {"p_after": root**2}))) for root in roots]
+    sizes = (1.5, 2.0, 2.5)
+    stated = [model.probability(Evidence(**(EVIDENCE | {"gain": 10.0 * np.expm1(size)}))) for size in sizes]
     assert stated == pytest.approx([0.12, 0.5, 0.88], abs=0.12)
     assert card["ece"] < 0.05
     assert card["brier"] < 0.14  # of the true probabilities 0.12
