@@ -29,6 +29,7 @@ from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.report.next_measurement import next_measurements
+from noise.discrepancy.report.words import location as location_in_words
 from noise.discrepancy.report.words import summary_of
 from noise.discrepancy.result import (
     BaselineCheck,
@@ -190,6 +191,7 @@ def _different(
     data.tell("correcting", 0.9)
     causes_only, corrected = corrected_models(data, recorded, judged)
     rest = judged.rest
+    rest = replace(rest, description=location_in_words(rest.where[0]) if rest.where else None)
     believed = [cause for cause in judged.causes if cause.effect in judged.believed]
     kind = kind_of(believed, judged.together, rest)
     places = [place for place in judged.places if place.effect in {cause.effect for cause in judged.causes}]

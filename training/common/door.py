@@ -12,6 +12,7 @@ import io
 import itertools
 import os
 import platform
+import re
 import sys
 import tempfile
 import traceback
@@ -21,6 +22,7 @@ from importlib.metadata import PackageNotFoundError, version
 from acquisition import SonarError
 
 USAGE_ERROR, CRASHED, INTERRUPTED = 2, 1, 130
+QUOTED = re.compile(r"'[^']{61,}'")
 MAX_LINE, MAX_PATH, MAX_WORD = 300, 160, 60  # characters of a message, and of a path or another word in it
 BORDER = "│╭╮╰╯─|+- \t"  # of the box around an error of the parser, also in plain ASCII
 GAP = "..."  # in place of words that are left out
@@ -94,6 +96,7 @@ def one_line(message: str) -> str:
     'a\\x1b[2J file.csv: no such file'
     """
     text = "".join(map(_printable, message.strip()))
+    text = QUOTED.sub(lambda quoted: _shortened(quoted[0]), text)  # a long value must not push out what it is of
     words = [_shortened(word) for word in text.split(" ")]
     if len(" ".join(words)) > MAX_LINE:
         words = _without_middle(words)

@@ -16,7 +16,6 @@ from noise.discrepancy.name.alternatives import Place, place_of
 from noise.discrepancy.name.candidates import log_prior
 from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
 from noise.discrepancy.name.search import Hypothesis, Search
-from noise.discrepancy.report.words import location as location_in_words
 from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
 from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MIN_SHARE
 from noise.fitting.learn_smooth import Learned
@@ -55,8 +54,7 @@ class Judged:
     def rest(self) -> Unexplained:
         """What the believed causes leave."""
         where = locate(self.after) if is_left(self.after) else ()
-        described = location_in_words(where[0]) if where else None
-        return Unexplained(self.share_of_rest, self.after.p_value, where, described)
+        return Unexplained(self.share_of_rest, self.after.p_value, where)
 
 
 @dataclass(eq=False)
