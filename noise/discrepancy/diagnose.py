@@ -20,11 +20,13 @@ from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording
 from noise.discrepancy.judge.held_out import best_of, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
-from noise.discrepancy.locate.directed import directed_test
+from noise.discrepancy.locate.directed import directed_test, is_small
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
+from noise.discrepancy.locate.placement import with_own_placement
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.trend import NO_TREND, trend_test
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -46,7 +48,7 @@ from noise.discrepancy.result import (
 from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.stack import Stack
+from noise.fitting.stack import PLACEMENT, Stack
 from noise.fitting.threads import one_thread
 from noise.model import SonarModel
 
@@ -121,12 +123,15 @@ def diagnose(
     )
     data.tell("comparing", 0.15)
     law = data.baseline.law
-    tested = orthogonal_test(law, law, data.sample, data.rng("test"))
-    directed = directed_test(law, law, data.sample, data.rng("directed"))
-    tested = replace(tested, p_value=either(tested.p_value, directed.p_value))
-    where = locate(tested) if tested.p_value.value < FALSE_ALARM else ()
-    visible = could_have_seen(law, data.sample, tested, data.rng("power"))
-    if differs(tested, where):
+    own, other = with_own_placement(law, data.sample)
+    wider = max(own, other, key=lambda each: each.get(PLACEMENT))
+    tested = orthogonal_test(own, other, data.sample, data.rng("test"))
+    trend = trend_test(own, other, data.sample) if is_small(data.sample) else NO_TREND
+    second = trend.p_value if is_small(data.sample) else directed_test(wider, data.sample, data.rng("directed"))
+    tested = replace(tested, p_value=either(tested.p_value, second))
+    where = (locate(tested) or trend.where) if tested.p_value.value < FALSE_ALARM else ()
+    visible = least_of(could_have_seen(own, data.sample, tested, data.rng("power")), trend.visible)
+    if differs(tested.p_value, where):
         return _different(data, recorded, tested, where, visible, tuple(without))
     return _alike(data, recorded, tested, visible)
 
@@ -134,8 +139,16 @@ def diagnose(
 def either(first: PValue, second: PValue) -> PValue:
     """Return the p-value of two tests of one hypothesis: twice the smaller (Bonferroni)."""
     n_regressors = first.n_regressors + second.n_regressors
-    value = min(1.0, 2.0 * min(first.value, second.value))
-    return PValue(value, (min(first.draws, second.draws) + 1) // 2 - 1, n_regressors, first.n_aspects)
+    draws = (min(each.draws for each in (first, second) if each.draws) + 1) // 2 - 1
+    value = max(2.0 * min(first.value, second.value), 1.0 / (draws + 1))
+    return PValue(min(1.0, value), draws, n_regressors, first.n_aspects)
+
+
+def least_of(found: tuple[Visible, ...], other: Visible | None) -> tuple[Visible, ...]:
+    """Return the least visible sizes with that of another test, where it is the least of its kind."""
+    if other is None or any(each.effect == other.effect and each.least <= other.least for each in found):
+        return found
+    return (other, *(each for each in found if each.effect != other.effect))
 
 
 def _prepared(

@@ -20,7 +20,6 @@ class Evidence:
         n_visits: number of visits of the folds.
         share: its share of the misfit, 0 to 1.
         rest: share of the misfit that nothing explains, 0 to 1.
-        advantage: how much better it describes unseen visits than a flexible learner in its place, -1 to 1.
         lead: log posterior relative to the best alternative in its place, nats.
         prior: log prior of its size, nats, at most 0.
         p_before: p-value of the test of the simulation's law.
@@ -35,7 +34,6 @@ class Evidence:
     n_visits: int
     share: float
     rest: float
-    advantage: float
     lead: float
     prior: float
     p_before: float

@@ -65,7 +65,7 @@ class PValue:
 
     Attributes:
         value: p-value; at the end of the bootstrap its resolution, 1 / (draws + 1).
-        draws: number of bootstrap draws.
+        draws: number of bootstrap draws; 0 for a test without a bootstrap.
         n_regressors, n_aspects: number of statistics of which the greatest is tested.
     """
 
@@ -77,7 +77,7 @@ class PValue:
     @property
     def at_end(self) -> bool:
         """Whether no draw of the bootstrap was as extreme, so that the p-value is an upper bound."""
-        return self.value <= 1.0 / (self.draws + 1) * (1.0 + 1e-9)
+        return self.draws > 0 and self.value <= 1.0 / (self.draws + 1) * (1.0 + 1e-9)
 
     def __str__(self) -> str:
         return f"< {1.0 / self.draws:.1g}" if self.at_end else f"{self.value:.2g}"

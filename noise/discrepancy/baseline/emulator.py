@@ -20,7 +20,7 @@ from noise.fitting.fit import highest, log_likelihood, maximise
 from noise.fitting.learn_smooth import Learned, learn_smooth
 from noise.fitting.smooth import MEMORY, Empirical, Smooth
 from noise.fitting.smooth_basis import single_log_prob
-from noise.fitting.stack import JITTER, NUISANCES, SHARED, SPREAD, VISITS, Key, Stack
+from noise.fitting.stack import JITTER, NUISANCES, PLACEMENT, SHARED, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import extra_modes, nuisance_starts, starting_points
 from noise.fitting.visit_effects import log_prob
 from noise.physical import PhysicalModel
@@ -43,6 +43,7 @@ CANDIDATES, ROUNDS = 3, 4  # effects that are fitted in a round, and rounds
 MIN_GAIN_NATS = 3.0  # on unseen visits: odds of 20 to 1
 MIN_T = 2.0  # the same gain in standard errors over visits
 ITERATIONS = 40
+NARROWED = 0.7  # ratio of scatters of placements below which a correction has explained some
 CONDITION_INPUTS = ("log_distance", "angle", "incidence", "reflectance")
 INTERVAL = "interval_s"  # logged with every recording; it describes the past, not the condition
 
@@ -59,12 +60,25 @@ def emulate(readings: Batch, rng: np.random.Generator) -> Stack:
 
 
 def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
-    """Return a law with its smooth correction by condition, and the dependence within visits fitted beside it."""
+    """Return a law with its smooth correction by condition, and the nuisance parameters fitted beside it.
+
+    What the physics misses at a position looks like scatter of placements. Where the correction explains it, the
+    scatter becomes smaller, and the correction is learned again with that.
+    """
     batch = learner_pings(readings)
-    inputs = [(*CONDITION_INPUTS, *_logged(batch))]
-    learned = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng)
-    stack = replace(learned.stack, left_out=learned.left_out)
-    return maximise(stack, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
+    first = _corrected(stack, batch, rng)
+    fitted = maximise(first, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
+    if fitted.get(PLACEMENT) > NARROWED * stack.get(PLACEMENT):
+        return maximise(first, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
+    again = stack.at({key: fitted.get(key) for key in NUISANCES})
+    return maximise(
+        _corrected(again, batch, rng), NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS
+    ).stack
+
+
+def _corrected(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stack:
+    learned = learn_smooth(stack, batch, Smooth, [(*CONDITION_INPUTS, *_logged(batch))], single_log_prob, rng)
+    return replace(learned.stack, left_out=learned.left_out)
 
 
 def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Learned:

@@ -170,7 +170,6 @@ def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PVal
         n_visits=len(found.nats),
         share=divided.causes[name].value,
         rest=divided.rest.value,
-        advantage=divided.advantages[name],
         lead=place.lead,
         prior=float(np.mean([log_prior(stack, search.common, [name]) for stack in found.stacks])),
         p_before=before.value,

@@ -30,14 +30,12 @@ class Shares:
     Attributes:
         causes: share of each effect, by leaving it out.
         gains: log-likelihood that is lost without each effect, nats, with its standard error.
-        advantages: how much better each effect describes unseen visits than a learner does in its place, -1 to 1.
         together: share of all effects.
         rest: share that no effect explains.
     """
 
     causes: dict[str, Interval]
     gains: dict[str, tuple[float, float]]
-    advantages: dict[str, float]
     together: Interval
     rest: Interval
 
@@ -97,21 +95,13 @@ def shares(
     lost = {name: nats - search.crossed_nats(other, batch) for name, other in others.items()}
     learnt = np.zeros_like(explained) if rest is None else learner.gain(rest)
     draws = _bootstrap(np.stack([explained, learnt, *lost.values()]), rng)
-    lacking = {name: float(learner.gain(learner.learned(other.stacks[0])).sum()) for name, other in others.items()}
     gains = {name: found.nats - other.nats for name, other in others.items()}
     return Shares(
         {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)},
         {name: (float(gain.sum()), standard_error(gain)) for name, gain in gains.items()},
-        {name: _advantage(float(lost[name].sum()), lacking[name]) for name in lost},
         _ratio(draws[0], draws),
         _ratio(draws[1].clip(min=0.0), draws),
     )
-
-
-def _advantage(effect: float, learnt: float) -> float:
-    """Return the difference of two gains relative to the greater one, -1 to 1; 0 where neither gains."""
-    greater = max(effect, learnt)
-    return (max(effect, 0.0) - max(learnt, 0.0)) / greater if greater > 0.0 else 0.0
 
 
 def _bootstrap(per_visit: Floats, rng: np.random.Generator) -> Floats:

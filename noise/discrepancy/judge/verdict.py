@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from noise.discrepancy.locate.orthogonal import Tested
-from noise.discrepancy.result import Aspect, Cause, Kind, Location, Unexplained, Visible
+from noise.discrepancy.result import Aspect, Cause, Kind, Location, PValue, Unexplained, Visible
 from noise.discrepancy.thresholds import (
     BIAS_TOLERANCE_M,
     EXPLAINED_SHARE,
@@ -20,9 +19,9 @@ from noise.discrepancy.thresholds import (
 TOLERANCE = {Aspect.BIAS: BIAS_TOLERANCE_M, Aspect.DETECTION: SHARE_TOLERANCE, Aspect.SPREAD: SPREAD_TOLERANCE}
 
 
-def differs(tested: Tested, where: Sequence[Location]) -> bool:
+def differs(p_value: PValue, where: Sequence[Location]) -> bool:
     """Return whether the recording differs by more than two recordings of one sonar."""
-    if tested.p_value.value >= FALSE_ALARM or tested.best is None:
+    if p_value.value >= FALSE_ALARM:
         return False
     return not where or any(abs(each.size.value) >= TOLERANCE.get(each.aspect, 0.0) for each in where)
 

@@ -8,7 +8,7 @@ statistic for each direction, over all pings, is sensitive to what no interval o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -23,63 +23,53 @@ from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
-from noise.fitting.stack import Key, Stack
+from noise.fitting.stack import JITTER, Key, Stack
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
 LOWEST_LOG = float(np.log(1e-12))
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
-TIMED = ("thermal_drift", "warm_up", "asynchronous_crosstalk")  # regressors of time and phase look for these
+# regressors of time and phase look for the first, and the aspect of spread for the last, which the scatter of
+# placements changes too
+ELSEWHERE = ("thermal_drift", "warm_up", "asynchronous_crosstalk", JITTER)
 
 
-@dataclass(frozen=True)
-class Directed:
-    """Result of the test: p-value of the greatest |z|, and the greatest |z| of the directions of each effect."""
-
-    p_value: PValue
-    z: dict[str, float]
+def is_small(sample: Sample) -> bool:
+    """Return whether the visits are too few for a directed test."""
+    return len(np.unique(sample.cluster)) < MIN_VISITS
 
 
-def directed_test(
-    law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: np.random.Generator, draws: int = DRAWS
-) -> Directed:
-    """Test whether the recording differs from its law in the direction of any effect.
+def directed_test(law: Stack, sample: Sample, rng: np.random.Generator, draws: int = DRAWS) -> PValue:
+    """Test whether the recording differs from the simulation in the direction of any effect.
+
+    Both files are scored under one law, since the expected log-likelihood ratio depends on the law's own spread.
 
     Args:
-        law_recorded: law of the recording.
-        law_simulated: law that describes the simulation.
+        law: describes the simulation, with the wider scatter of placements of both files.
         sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
         rng: draws readings, folds and signs.
         draws: number of bootstrap draws.
     """
     recorded = sample.recorded.thin(MAX_PINGS)
-    simulated = _drawn(law_simulated, recorded, rng) if sample.simulated is None else sample.simulated.thin(MAX_PINGS)
+    simulated = _drawn(law, recorded, rng) if sample.simulated is None else sample.simulated.thin(MAX_PINGS)
     both = Sample(recorded, simulated)
-    if len(np.unique(both.cluster)) < MIN_VISITS:
-        return Directed(PValue(1.0, draws), {})
-    parts = both.left_out(law_simulated)
     pairs = [
         (law.without_part(int(k)), batch.select(part == k), np.flatnonzero(part == k) + start)
-        for law, batch, part, start in zip(
-            (law_recorded, law_simulated), both.batches, parts, (0, len(recorded)), strict=True
-        )
+        for batch, part, start in zip(both.batches, both.left_out(law), (0, len(recorded)), strict=True)
         for k in np.unique(part)
     ]
-    names, ratios = directions(law_recorded, pairs)
+    names, ratios = directions(law, pairs)
     if not names:
-        return Directed(PValue(1.0, draws), {})
-    psi = _sums(law_simulated, both, ratios, rng)
+        return PValue(1.0, draws)
+    psi = _sums(law, both, ratios, rng)
     z, _, scaled = studentised(psi, (psi != 0).sum(axis=0) >= MIN_CLUSTERS)
     if not scaled.shape[1]:
-        return Directed(PValue(1.0, draws, len(names)), {})
+        return PValue(1.0, draws, len(names))
     signs = (2.0 * rng.integers(0, 2, (draws, len(psi))) - 1.0).astype(np.float32)
     greatest = np.abs(signs @ scaled).max(axis=1)
     top = float(np.nanmax(np.abs(z))) * (1.0 - 1e-6)
-    found: dict[str, float] = {}
-    for name, value in zip(names, np.nan_to_num(np.abs(z)), strict=True):
-        found[name] = max(found.get(name, 0.0), float(value))
-    return Directed(PValue((1 + int(np.sum(greatest >= top))) / (draws + 1), draws, len(names)), found)
+    return PValue((1 + int(np.sum(greatest >= top))) / (draws + 1), draws, len(names))
 
 
 def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
@@ -88,21 +78,21 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
 
 
-def directions(law_recorded: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[list[str], Floats]:
+def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
 
     Args:
-        law_recorded: law of the recording.
-        pairs: laws, the readings that each is compared with, and their rows in the result.
+        law: describes both files.
+        pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([_log_prob(law, batch) for law, batch, _ in pairs])
+    base = np.concatenate([_log_prob(each, batch) for each, batch, _ in pairs])
     names, ratios = [], []
     for name in CATALOGUE:
-        if name in TIMED or not _shown(name, pairs[0][1]):
+        if name in ELSEWHERE or not _shown(name, pairs[0][1]):
             continue
-        for change in changes(law_recorded, name):
-            nats = np.concatenate([_log_prob(law.at(change), batch) for law, batch, _ in pairs])
+        for change in changes(law, name):
+            nats = np.concatenate([_log_prob(each.at(change), batch) for each, batch, _ in pairs])
             ratio = np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[back]
             if np.ptp(ratio) > 1e-6:
                 names.append(name)

@@ -39,6 +39,7 @@ CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
+SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
 STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
@@ -178,11 +179,15 @@ class Search:
         return self._null[1]
 
     def _fitted_null(self) -> Hypothesis:
-        stacks = [
-            highest(maximise(start, self.nuisances, part, 40) for start in nuisance_starts(self.common, part)).stack
-            for part in self.parts
-        ]
-        return self.scored((), stacks)
+        """Fit the nuisances on each fold, from their values under the common law before where there is one."""
+        starts = [nuisance_starts(self.common, part) for part in self.parts]
+        if self._null is not None:
+            known = [[stack.get(key) for key in self.nuisances] for stack in self._null[1].stacks]
+            starts = [[self.common.put(self.nuisances, values)] for values in known]
+        pairs = zip(starts, self.parts, strict=True)
+        return self.scored(
+            (), [highest(self.fitted(s, self.nuisances, part, 40) for s in each).stack for each, part in pairs]
+        )
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
         """Return a fitted hypothesis with its log-likelihood on the other folds."""
@@ -288,13 +293,17 @@ class Search:
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         fits, n_pings = {}, sum(len(part) for part in self.parts)
         for name in order:
-            own = (*self.keys([*current.effects, name]), *SPREAD)
-            fit = highest(self.fitted(start, own, self.screen, 20) for start in points[name][1])
+            fit = highest(self._refined(start, current, name, SHORT) for start in points[name][1])
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
             if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
         best_names = sorted(fits, key=lambda name: -fits[name].nats - log_prior(fits[name].stack, self.common, [name]))
-        return {name: fits[name] for name in self._near(best_names, fits)[:N_CROSSED]}
+        near = self._near(best_names, fits)[:N_CROSSED]
+        return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
+
+    def _refined(self, start: Stack, current: Hypothesis, name: str, iterations: int) -> Fit:
+        """Return one more effect fitted to the screen together with those before it."""
+        return self.fitted(start, (*self.keys([*current.effects, name]), *SPREAD), self.screen, iterations)
 
     def _near(self, names: Sequence[str], fits: Mapping[str, Fit]) -> list[str]:
         """Return the effects that may lead on unseen visits, of those sorted by their fit to the screen."""

@@ -9,7 +9,6 @@ EVIDENCE = {
     "n_visits": 80,
     "share": 0.9,
     "rest": 0.05,
-    "advantage": 0.8,
     "lead": 10.0,
     "prior": -0.5,
     "p_before": 0.0005,
