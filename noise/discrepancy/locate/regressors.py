@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.sample import Sample, condition_columns
+from noise.discrepancy.locate.sample import Sample, condition_columns, is_continuous
 from noise.fitting.batch import Batch
 
 N_BINS = 8  # of a condition: at quantiles of the recording
@@ -173,8 +173,9 @@ def _histories(sample: Sample) -> list[Column]:
         interval = np.concatenate([_interval_s(batch) for batch in sample.batches])
         found += _binned("interval_s", np.round(interval, 6), rows, N_PAIR_BINS, Form.SHARED)
         found += _phases(sample)
-    order = np.concatenate([np.log2(1.0 + batch.count).astype(np.int64) for batch in sample.batches]).astype(np.float64)
-    found += _binned("order", 2.0**order - 1.0, rows, N_BINS, Form.SHARED)
+    if not any(is_continuous(batch) for batch in sample.batches):  # the pieces of a continuous log begin anywhere
+        order = np.concatenate([np.floor(np.log2(1.0 + batch.count)) for batch in sample.batches])
+        found += _binned("order", 2.0**order - 1.0, rows, N_BINS, Form.SHARED)
     past = np.concatenate([_previous(batch) for batch in sample.batches])
     found += _binned("previous_reading", past, rows, N_PAIR_BINS, Form.SHARED)
     move = np.concatenate([_movement(batch) for batch in sample.batches])
