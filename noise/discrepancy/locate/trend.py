@@ -15,12 +15,12 @@ import numpy as np
 from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.sample import Sample, positions
 from noise.discrepancy.locate.scores import ASPECTS, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.fitting.stack import Stack
 
-MIN_VISITS = 5  # that both files have, or of each file: three degrees of freedom for a line
+MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 LEVEL, POWER, TWO_SIDED = 0.01, 0.9, 0.95
 ROUNDING = 1e-9  # m, below which errors are alike
 
@@ -70,9 +70,9 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
         law_simulated: law that describes the simulation.
         sample: readings.
     """
-    error, recorded, cluster, first = _visit_errors(law_recorded, law_simulated, sample)
+    error, recorded, place, first = _visit_errors(law_recorded, law_simulated, sample)
     conditions = [value[first] for value in sample.conditions.values()]
-    lines = [line for x in (None, *conditions) if (line := _line(error, recorded, cluster, x)) is not None]
+    lines = [line for x in (None, *conditions) if (line := _line(error, recorded, place, x)) is not None]
     if not lines:
         return NO_TREND
     p = np.concatenate([line.p for line in lines])
@@ -87,7 +87,10 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
 
 
 def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> tuple[Floats, Bits, Ints, Ints]:
-    """Return mean error, m, file, cluster and first row of each visit with an echo of the target."""
+    """Return mean error, m, file, position and first row of each visit with an echo of the target.
+
+    Visits of one position may share its error, so that positions are the independent units.
+    """
     laws = (law_recorded, law_simulated)
     scored = [scores(law, batch) for law, batch in zip(laws, sample.batches, strict=False)]
     bias = ASPECTS.index(Aspect.BIAS)
@@ -96,35 +99,40 @@ def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> 
     count = np.bincount(sample.visit, valid)
     mean = np.bincount(sample.visit, natural * valid) / np.maximum(count, 1.0)
     first = np.unique(sample.visit, return_index=True)[1]
+    place = np.unique(np.concatenate([positions(b) for b in sample.batches]), axis=0, return_inverse=True)[1].ravel()
     seen = count > 0
-    return mean[seen], sample.is_recorded[first][seen], sample.cluster[first][seen], first[seen]
+    return mean[seen], sample.is_recorded[first][seen], place[seen], first[seen]
 
 
-def _line(error: Floats, recorded: Bits, cluster: Ints, x: Floats | None) -> _Line | None:
-    """Return the difference between the files, with a slope along x if given; None where visits are too few."""
-    centred = [] if x is None else [(x - x.mean()) / max(float(x.std()), 1e-12)]
-    shared = np.intersect1d(cluster[recorded], cluster[~recorded])
-    if len(shared) >= MIN_VISITS:
-        own, other = (_cluster_means([error, *centred], cluster, rows, shared) for rows in (recorded, ~recorded))
-        return _least_squares(own[0] - other[0], [np.ones(len(shared)), *own[1:]], 1 + len(centred))
-    if not recorded.all() and min(recorded.sum(), (~recorded).sum()) < MIN_VISITS:
+def _line(error: Floats, recorded: Bits, place: Ints, x: Floats | None) -> _Line | None:
+    """Return the difference between the files, with a slope along x if given; None where positions are too few."""
+    columns = [error] if x is None else [error, (x - x.mean()) / max(float(x.std()), 1e-12)]
+    files = [(np.unique(place[rows]), rows) for rows in (recorded, ~recorded) if rows.any()]
+    shared = np.intersect1d(files[0][0], files[-1][0])
+    if len(shared) >= MIN_PLACES:
+        means = [_means(columns, place, rows, shared) for _, rows in files]
+        y = means[0][0] - (means[1][0] if len(files) == 2 else 0.0)
+        return _least_squares(y, [np.ones(len(shared)), *means[0][1:]], len(columns))
+    if len(files) < 2 or min(len(known) for known, _ in files) < MIN_PLACES:
         return None
-    each = [np.ones(len(error)), *centred]
-    both = [] if recorded.all() else each
-    return _least_squares(error, [*(recorded * column for column in each), *both], len(each))
+    means = [_means(columns, place, rows, known) for known, rows in files]
+    y, *other = (np.concatenate(both) for both in zip(*means, strict=True))
+    each = [np.ones(len(y)), *other]
+    own = np.repeat([1.0, 0.0], [len(known) for known, _ in files])
+    return _least_squares(y, [*(own * column for column in each), *each], len(each))
 
 
-def _cluster_means(values: Sequence[Floats], cluster: Ints, rows: Bits, shared: Ints) -> list[Floats]:
-    """Return the mean of each quantity over some visits of each shared cluster."""
-    n = int(cluster.max()) + 1
-    count = np.bincount(cluster[rows], minlength=n)[shared]
-    return [np.bincount(cluster[rows], value[rows], n)[shared] / count for value in values]
+def _means(values: Sequence[Floats], place: Ints, rows: Bits, wanted: Ints) -> list[Floats]:
+    """Return the mean of each quantity over the visits of each of some positions."""
+    n = int(place.max()) + 1
+    count = np.bincount(place[rows], minlength=n)[wanted]
+    return [np.bincount(place[rows], value[rows], n)[wanted] / count for value in values]
 
 
 def _least_squares(y: Floats, columns: list[Floats], n_tested: int) -> _Line | None:
     design = np.stack(columns, axis=1)
     freedom = len(y) - design.shape[1]
-    if freedom < MIN_VISITS - 2 or np.linalg.matrix_rank(design) < design.shape[1]:
+    if freedom < MIN_PLACES - 2 or np.linalg.matrix_rank(design) < design.shape[1]:
         return None
     value, *_ = np.linalg.lstsq(design, y, rcond=None)
     variance = max(float(((y - design @ value) ** 2).sum()) / freedom, ROUNDING**2)
