@@ -1,0 +1,80 @@
+"""Few visits: t tests keep their level, find what is plain, and do not depend on how carefully targets were placed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from acquisition import Ping, Reading, Recording
+from noise.discrepancy.locate.placement import with_own_placement
+from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.trend import trend_test
+from noise.fitting.batch import Batch
+from noise.fitting.stack import PLACEMENT, Stack
+from noise.fitting.visit_effects import placement_scatter
+
+MARKS = np.linspace(0.3, 1.5, 10)
+
+
+def marks(seed, offset=0.0, scale=0.0, placement=0.002, scatter=0.003, pings=30, marks=MARKS):
+    """Return readings of targets at ruler marks, each placed once."""
+    rng = np.random.default_rng(seed)
+    place = np.repeat(marks + rng.normal(0.0, placement, len(marks)), pings)
+    value = place * (1.0 + scale) + offset + rng.normal(0.0, scatter, len(place))
+    ping = Ping.of(distance=np.repeat(marks, pings))
+    ping = replace(ping, time=np.arange(len(place), dtype=float))
+    return Batch.of(Recording.of(ping, Reading.of(np.round(value, 3))))
+
+
+@pytest.fixture(scope="module")
+def law():
+    return Stack({"travel_time_jitter": {"sigma_m": 0.003}, "visits": {"placement_m": 0.002}})
+
+
+def p_value(law, recorded, simulated):
+    return trend_test(law, law, Sample(recorded, simulated)).p_value.value
+
+
+def test_p_values_of_ten_marks_measured_twice_are_not_small(law):
+    p = [p_value(law, marks(2 * k), marks(2 * k + 1)) for k in range(60)]
+    # Bonferroni's p-values are conservative: none of the quantiles lies below that of a uniform variable
+    assert kstest(p, "uniform", alternative="greater").pvalue > 0.01
+
+
+@pytest.mark.parametrize(("offset", "scale"), [(0.012, 0.0), (0.0, 0.015)])
+def test_an_offset_and_a_scale_error_are_found_in_ten_marks(law, offset, scale):
+    found = trend_test(law, law, Sample(marks(1, offset, scale), marks(2)))
+    assert found.p_value.value < 1e-3
+    (place,) = found.where
+    true = offset + scale * float(MARKS.mean())
+    assert place.size.low < true < place.size.high
+
+
+def test_a_known_law_needs_no_simulated_readings(law):
+    assert trend_test(law, law, Sample(marks(3, 0.012), None)).p_value.value < 1e-4
+    assert trend_test(law, law, Sample(marks(4), None)).p_value.value > 0.01
+
+
+def test_marks_of_their_own_are_compared_by_lines(law):
+    other = marks(6, marks=MARKS + 0.05)
+    assert p_value(law, marks(5, 0.02), other) < 1e-3
+    assert p_value(law, marks(5), other) > 0.01
+
+
+def test_four_marks_tell_nothing(law):
+    found = trend_test(law, law, Sample(marks(1, 0.05, marks=MARKS[:4]), marks(2, marks=MARKS[:4])))
+    assert found.p_value.value == 1.0
+    assert found.visible is None
+
+
+def test_the_scatter_of_placements_is_that_of_each_file(law):
+    many = np.linspace(0.3, 3.0, 300)
+    sample = Sample(marks(1, placement=0.006, marks=many), marks(2, placement=0.001, marks=many))
+    found = [placement_scatter(each.get(PLACEMENT)) for each in with_own_placement(law, sample)]
+    assert found == pytest.approx([0.006, 0.001], rel=0.15)
+
+
+def test_single_pings_do_not_show_the_scatter_of_placements(law):
+    sample = Sample(marks(1, placement=0.006, pings=1), marks(2, pings=1))
+    assert [each.get(PLACEMENT) for each in with_own_placement(law, sample)] == [law.get(PLACEMENT)] * 2
