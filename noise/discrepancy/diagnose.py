@@ -20,13 +20,13 @@ from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording
 from noise.discrepancy.judge.held_out import best_of, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
-from noise.discrepancy.locate.directed import directed_test, is_small
+from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.placement import with_own_placement
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.trend import NO_TREND, trend_test
+from noise.discrepancy.locate.trend import trend_test
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -126,9 +126,9 @@ def diagnose(
     own, other = with_own_placement(law, data.sample)
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
     tested = orthogonal_test(own, other, data.sample, data.rng("test"))
-    trend = trend_test(own, other, data.sample) if is_small(data.sample) else NO_TREND
-    second = trend.p_value if is_small(data.sample) else directed_test(wider, data.sample, data.rng("directed"))
-    tested = replace(tested, p_value=either(tested.p_value, second))
+    trend = trend_test(own, other, data.sample)
+    directed = directed_test(wider, data.sample, data.rng("directed"))
+    tested = replace(tested, p_value=any_of(tested.p_value, trend.p_value, directed))
     where = (locate(tested) or trend.where) if tested.p_value.value < FALSE_ALARM else ()
     visible = least_of(could_have_seen(own, data.sample, tested, data.rng("power")), trend.visible)
     if differs(tested.p_value, where):
@@ -136,12 +136,12 @@ def diagnose(
     return _alike(data, recorded, tested, visible)
 
 
-def either(first: PValue, second: PValue) -> PValue:
-    """Return the p-value of two tests of one hypothesis: twice the smaller (Bonferroni)."""
-    n_regressors = first.n_regressors + second.n_regressors
-    draws = (min(each.draws for each in (first, second) if each.draws) + 1) // 2 - 1
-    value = max(2.0 * min(first.value, second.value), 1.0 / (draws + 1))
-    return PValue(min(1.0, value), draws, n_regressors, first.n_aspects)
+def any_of(*tests: PValue) -> PValue:
+    """Return the p-value of several tests of one hypothesis: the smallest times their number (Bonferroni)."""
+    n_regressors = sum(each.n_regressors for each in tests)
+    draws = (min(each.draws for each in tests if each.draws) + 1) // len(tests) - 1
+    value = max(len(tests) * min(each.value for each in tests), 1.0 / (draws + 1))
+    return PValue(min(1.0, value), draws, n_regressors, max(each.n_aspects for each in tests))
 
 
 def least_of(found: tuple[Visible, ...], other: Visible | None) -> tuple[Visible, ...]:

@@ -1,9 +1,9 @@
-"""Trend test: a constant difference, or one that grows with a condition, between a few visits of two files.
+"""Trend test: a constant difference, or one that grows with a condition, between the mean errors of positions.
 
-A bootstrap over ten visits cannot reject at 1 % whatever they show. Here the mean errors of visits are regressed on a
-constant and one condition, with Student's t for either coefficient (Gosset 1908). Visits under the same conditions are
-paired, so that what the law gets wrong for both files cancels; otherwise both files share a line in that condition.
-The p-value is Bonferroni's over all coefficients.
+A bootstrap over ten positions cannot reject at 1 % whatever they show. Here mean errors are regressed on a constant and
+one condition, with Student's t for either coefficient (Gosset 1908) and standard errors that allow for a scatter that
+varies (HC3; MacKinnon and White 1985). Equal positions are paired, so that what the law gets wrong for both files
+cancels; otherwise both files share a line in that condition. The p-value is Bonferroni's over all coefficients.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from noise.fitting.stack import Stack
 
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 LEVEL, POWER, TWO_SIDED = 0.01, 0.9, 0.95
+N_TESTS = 3  # of one hypothesis, for which the level is adjusted: this one, the orthogonal and the directed one
 ROUNDING = 1e-9  # m, below which errors are alike
 
 
@@ -81,7 +82,7 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
     half = float(mean.error[0] * student.ppf(TWO_SIDED, mean.freedom))
     size = Interval(float(mean.value[0]), float(mean.value[0]) - half, float(mean.value[0]) + half, "m")
     p_value = PValue(value, 0, len(p), 1)
-    least = student.ppf(1.0 - LEVEL / (2.0 * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
+    least = student.ppf(1.0 - LEVEL / (2.0 * N_TESTS * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
     where = (Location(Aspect.BIAS, {}, size, p_value),) if value < LEVEL else ()
     return Trend(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
 
@@ -134,7 +135,9 @@ def _least_squares(y: Floats, columns: list[Floats], n_tested: int) -> _Line | N
     freedom = len(y) - design.shape[1]
     if freedom < MIN_PLACES - 2 or np.linalg.matrix_rank(design) < design.shape[1]:
         return None
-    value, *_ = np.linalg.lstsq(design, y, rcond=None)
-    variance = max(float(((y - design @ value) ** 2).sum()) / freedom, ROUNDING**2)
-    error = np.sqrt(variance * np.diag(np.linalg.inv(design.T @ design)))
-    return _Line(np.asarray(value[:n_tested], dtype=np.float64), np.asarray(error[:n_tested]), freedom)
+    inverse = np.linalg.inv(design.T @ design)
+    value = inverse @ design.T @ y
+    leverage = np.sum(design @ inverse * design, axis=1)
+    residual = np.maximum(np.abs(y - design @ value), ROUNDING) / np.maximum(1.0 - leverage, ROUNDING)
+    error = np.sqrt(np.diag(inverse @ (design.T * residual**2) @ design @ inverse))
+    return _Line(np.asarray(value[:n_tested]), np.asarray(error[:n_tested]), freedom)
