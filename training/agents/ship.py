@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import tyro
 from annotated_types import MinLen
 
-from acquisition.io.places import OutputFolder
+from acquisition.io.places import Output
 from acquisition.limits import Count, Seed
 from noise.store import ModelName
 from sonar_gym.agent import WEIGHTS, Policy, load_policy
@@ -48,7 +48,7 @@ class Args:
 
     agent: Annotated[Path, tyro.conf.Positional]
     """Folder of a trained agent."""
-    out: OutputFolder = WEIGHTS / "parking"
+    out: Annotated[Path, Output("folder", "agent.json")] = WEIGHTS / "parking"
     """Folder for the agent and its card."""
     sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp", "rig")
     """Names of the sonar models."""
