@@ -43,7 +43,21 @@ def check_places(settings: Any) -> None:
         for part in (hint, *get_args(hint)):
             mark = next((extra for extra in get_args(part) if isinstance(extra, Output)), None)
             if get_origin(part) is Annotated and mark is not None and getattr(settings, field) is not None:
-                check_output(getattr(settings, field), mark.kind, f"--{field.replace('_', '-')}", mark.result)
+                check_output(getattr(settings, field), mark.kind, _option(field), mark.result)
+                _check_others(settings, field)
+
+
+def _option(field: str) -> str:
+    return f"--{field.replace('_', '-')}"
+
+
+def _check_others(settings: Any, field: str) -> None:
+    """Check that what is written is none of the other files of the settings, which would be lost."""
+    path: Path = getattr(settings, field)
+    for other, _ in hints_of(type(settings)):
+        value = getattr(settings, other)
+        if other != field and isinstance(value, Path) and path.is_file() and value.exists() and path.samefile(value):
+            raise SettingError(f"{_option(field)} {path}: is also {_option(other)}; give another path")
 
 
 def check_output(path: Path, kind: Literal["file", "folder"], name: str = "--out", result: str = "") -> None:

@@ -172,6 +172,15 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
 
 
+def test_what_is_read_is_not_written(valid, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_bytes((valid / "recording.csv").read_bytes())
+    (tmp_path / "link.csv").symlink_to(log)
+    for out in (log, tmp_path / "link.csv"):
+        check_rejected("import", log, "--out", out, "--columns", "gain=time_s", names=["--out", "is also --source"])
+    assert log.read_bytes() == (valid / "recording.csv").read_bytes()
+
+
 @pytest.mark.parametrize("name", ARGS)
 @FUZZ
 @given(

@@ -14,6 +14,7 @@ import numpy as np
 
 from acquisition import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.arrays import Floats
+from acquisition.io.files import read_limited
 from noise import SonarModel
 from noise.table import TableModel
 from sonar_gym.bridges.simulators.nearest import Nearest, nearest_table
@@ -43,7 +44,7 @@ def load_tables(path: Path, metres_per_unit: float | None = None) -> dict[str, T
     """
     if not path.is_file():
         raise RecordingNotFoundError(f"{path}: no such file; give a .wbt or .proto file of Webots")
-    text = COMMENT.sub("", path.read_text(encoding="utf-8", errors="replace"))
+    text = COMMENT.sub("", read_limited(path, RecordingError, "a world or PROTO file").decode("utf-8", "replace"))
     models: dict[str, TableModel] = {}
     for start in SENSOR.finditer(text):
         body = _braced(text, start.end())
