@@ -69,4 +69,6 @@ def read(out: Path) -> list[Record]:
         found: Iterable[Record] = map(json.loads, whole.splitlines())
         return list({record["id"]: record for record in found}.values())
     except (KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{path}: a line is no record of a trial ({error}); remove it, or give another --out") from None
+        raise RecordingError(
+            f"{path}: a line is no record of a trial ({error}); remove it, or give another --out"
+        ) from None
