@@ -54,7 +54,8 @@ def _option(field: str) -> str:
 def _check_others(settings: Any, field: str) -> None:
     """Check that what is written is none of the other files of the settings, which would be lost."""
     path: Path = getattr(settings, field)
-    for other, _ in hints_of(type(settings)):
+    cls: type = type(settings)
+    for other, _ in hints_of(cls):
         value = getattr(settings, other)
         if other != field and isinstance(value, Path) and path.is_file() and value.exists() and path.samefile(value):
             raise SettingError(f"{_option(field)} {path}: is also {_option(other)}; give another path")
