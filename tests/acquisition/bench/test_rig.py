@@ -113,7 +113,7 @@ BACK_WALL = replace(HALL, range_register=100, reflector=None, room=Room(None, No
 @pytest.mark.parametrize("distance", [0.0, 1e-6, 1e-3])
 def test_a_reflector_at_the_sensor_or_behind_it_is_answered(distance):
     ping = Ping.of([distance] * 3, [0.0, 0.5, 3.0], incidence=[0.0, 3.0, 0.0], reflectance=0.9, time=[0.0, 1.0, 2.0])
-    assert Rig().ping(ping, np.random.default_rng(0)).reading().answered.all()
+    assert Rig().ping(ping, np.random.default_rng(0)).reading(Setup()).answered.all()
 
 
 def test_echo_of_the_previous_ping_is_one_interval_earlier():
