@@ -51,13 +51,20 @@ def _option(field: str) -> str:
     return f"--{field.replace('_', '-')}"
 
 
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.is_file() and path.samefile(other)
+    except (OSError, ValueError):  # there is no other, or its name cannot be that of a file
+        return False
+
+
 def _check_others(settings: Any, field: str) -> None:
     """Check that what is written is none of the other files of the settings, which would be lost."""
     path: Path = getattr(settings, field)
     cls: type = type(settings)
     for other, _ in hints_of(cls):
         value = getattr(settings, other)
-        if other != field and isinstance(value, Path) and path.is_file() and value.exists() and path.samefile(value):
+        if other != field and isinstance(value, Path) and _is_same(path, value):
             raise SettingError(f"{_option(field)} {path}: is also {_option(other)}; give another path")
 
 
