@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
+
+from acquisition.errors import SonarError
+
+MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
 
 
 def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = False) -> Path:
@@ -40,6 +45,31 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
         return Path(path).is_dir()
     except (OSError, ValueError):  # too long, or with a null character
         return False
+
+
+def read_limited(path: Path, error: type[SonarError], expected: str, max_bytes: int = MAX_BYTES) -> bytes:
+    """Return the content of a file on a disk: never that of a device, which may have no end, or of a pipe.
+
+    Args:
+        path: of the file.
+        error: raised if it is no such file, cannot be read, or is too large.
+        expected: what the file should be, for the message.
+        max_bytes: largest size.
+    """
+    try:
+        mode, data = path.stat().st_mode, b""
+        if stat.S_ISREG(mode):
+            with path.open("rb") as file:
+                data = file.read(max_bytes + 1)
+    except (OSError, ValueError) as failed:  # a null character
+        reason = getattr(failed, "strerror", None) or failed
+        raise error(f"{path}: cannot be read: {reason}; give {expected}") from None
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+        raise error(f"{path}: is {what}, expected {expected}")
+    if len(data) > max_bytes:
+        raise error(f"{path}: has more than {max_bytes // 2**20} MiB, expected {expected}")
+    return data
 
 
 def write_text(path: Path, text: str) -> Path:

@@ -9,9 +9,9 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from acquisition.errors import ModelError, SonarError
+from acquisition.io.files import read_limited
 from acquisition.limits import shown
 
-MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
 MAX_DEPTH = 5  # names of a place in a message
 
 
@@ -34,19 +34,9 @@ def read_json(path: Path, schema: Any, error: type[SonarError] = ModelError) -> 
         schema: subclass of `Schema`, or a union of them.
         error: raised for a file that does not fit.
     """
-    return validated(read_limited(path, error), schema, str(path), error)
-
-
-def read_limited(path: Path, error: type[SonarError]) -> bytes:
-    """Return the bytes of a file that is no larger than a file of settings can be."""
-    try:
-        if not path.is_file():
-            raise error(f"{path.parent}: contains no {path.name}; give the folder as it was saved")
-        if path.stat().st_size > MAX_BYTES:
-            raise error(f"{path}: has more than {MAX_BYTES // 2**20} MiB, expected a file of settings")
-        return path.read_bytes()
-    except OSError as failed:
-        raise error(f"{path}: cannot be read: {failed.strerror}; check its permissions") from None
+    if not path.is_file():
+        raise error(f"{path.parent}: contains no {path.name}; give the folder as it was saved")
+    return validated(read_limited(path, error, "a file of settings"), schema, str(path), error)
 
 
 def validated(content: bytes | dict[str, Any], schema: Any, place: str, error: type[SonarError]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from acquisition.errors import SettingError
+from acquisition.io.files import read_limited
 from acquisition.survey.plan import MAX_CONDITIONS, PLANS, SurveyPlan
 
 KEYS = tuple(field.name for field in fields(SurveyPlan))
@@ -50,10 +51,7 @@ def load_plan(path: Path) -> SurveyPlan:
         SettingError: the file is missing or not TOML, a key is unknown, or a value lies outside its limits.
     """
     try:
-        with open(path, "rb") as file:
-            content = tomllib.load(file)
-    except OSError as error:
-        raise SettingError(f"{path}: {error.strerror}; give the path of a plan (TOML)") from None
+        content = tomllib.loads(read_limited(path, SettingError, "a plan (TOML)").decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingError(f"{path}: not TOML: {error}") from None
     try:

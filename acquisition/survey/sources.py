@@ -19,6 +19,7 @@ from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, SurveyPlan
 from acquisition.survey.quantities import SWEEPS
 
+MAX_CHARACTERS = 100  # of a thermometer's file
 DRIFT_STREAM = 2**31  # random stream of the drift; larger than any condition number
 TEST_PINGS, TEST_INTERVAL_S = 5, 0.07  # of the connection test before a session
 
@@ -210,7 +211,8 @@ class Thermometer:
 
     def _read(self) -> None:
         try:
-            value = int(self.path.read_text(encoding="ascii")) / 1000.0
+            with self.path.open(encoding="ascii") as file:
+                value = int(file.read(MAX_CHARACTERS)) / 1000.0
         except (OSError, ValueError) as error:
             raise DeviceError(f"thermometer {self.path}: {error}; expected thousandths of a degree Celsius") from None
         if not -60.0 <= value <= 84.9:  # a DS18B20 returns 85 degC until its first conversion

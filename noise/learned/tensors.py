@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from acquisition import ModelError
+from acquisition.io.files import read_limited
 
 WEIGHTS_FILE, CARD_FILE = "weights.safetensors", "README.md"
 Layers = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -35,7 +36,7 @@ def read_tensors(folder: Path, shapes: Mapping[str, tuple[int, ...]]) -> tuple[d
     """
     path, needed = _file(folder), 4 * sum(math.prod(shape) for shape in shapes.values())
     try:
-        size = os.path.getsize(path)
+        size = os.path.getsize(path) if path.is_file() or not path.exists() else 0  # a pipe has no end
         if not needed <= size <= needed + HEADER_BYTES:
             raise ModelError(
                 f"{path}: has {size} bytes, expected {needed} and a header; it is damaged or of another model"
@@ -54,7 +55,7 @@ def read_tensors(folder: Path, shapes: Mapping[str, tuple[int, ...]]) -> tuple[d
     if not all(value.dtype == np.float32 and np.all(np.isfinite(value)) for value in tensors.values()):
         raise ModelError(f"{path}: contains values that are not finite float32; it is damaged")
     card = folder / CARD_FILE
-    return tensors, card.read_text(encoding="utf-8") if card.is_file() else ""
+    return tensors, read_limited(card, ModelError, "a model card").decode("utf-8", "replace") if card.is_file() else ""
 
 
 def tensors_of(layers: Layers, prefix: str = "") -> dict[str, np.ndarray]:

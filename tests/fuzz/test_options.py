@@ -158,16 +158,27 @@ def test_an_unknown_name_is_named(valid, tmp_path_factory, name, field, hint, da
 
 @pytest.mark.parametrize(("name", "field", "hint"), PLACES, ids=ids(PLACES))
 def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, hint):
-    folder = extra(hint, Output).kind == "folder"
+    mark = extra(hint, Output)
+    folder = mark.kind == "folder"
     (tmp_path / "file").write_text("kept")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     bad = [tmp_path / "file" / "x", tmp_path / "link", "/proc/nowhere/x", tmp_path / ("n" * 300), "\x00"]
     bad += [tmp_path / "file", valid / "model" / "x"] if folder else [tmp_path, "/dev/full", "/dev/null"]
+    bad += [valid / "model"] if folder and mark.result != "model.json" else []
     for place in bad:
         words = command(name, valid, tmp_path / "unused", **{field: [place]})
         check_rejected(*words, names=[shown_as(name, field)])
     assert (tmp_path / "file").read_text() == "kept"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
+
+
+def test_what_is_read_is_not_written(valid, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_bytes((valid / "recording.csv").read_bytes())
+    (tmp_path / "link.csv").symlink_to(log)
+    for out in (log, tmp_path / "link.csv"):
+        check_rejected("import", log, "--out", out, "--columns", "gain=time_s", names=["--out", "is also --source"])
+    assert log.read_bytes() == (valid / "recording.csv").read_bytes()
 
 
 @pytest.mark.parametrize("name", ARGS)

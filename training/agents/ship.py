@@ -13,8 +13,11 @@ from typing import Annotated, Any
 
 import tyro
 from annotated_types import MinLen
+from pydantic import ConfigDict
 
-from acquisition.io.places import OutputFolder
+from acquisition import ModelError
+from acquisition.io.places import Output
+from acquisition.io.schema import Schema, validated
 from acquisition.limits import Count, Seed
 from noise.store import ModelName
 from sonar_gym.agent import WEIGHTS, Policy, load_policy
@@ -48,7 +51,7 @@ class Args:
 
     agent: Annotated[Path, tyro.conf.Positional]
     """Folder of a trained agent."""
-    out: OutputFolder = WEIGHTS / "parking"
+    out: Annotated[Path, Output("folder", "agent.json")] = WEIGHTS / "parking"
     """Folder for the agent and its card."""
     sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp", "rig")
     """Names of the sonar models."""
@@ -62,6 +65,37 @@ class Args:
     """Number of streets for each combination."""
     seed: Seed = 0
     """Seed of the first street."""
+
+
+class _Record(Schema):
+    """A part of a training record; further fields are not looked at."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class _Settings(_Record):
+    sonars: list[str]
+    odometry: list[str]
+    difficulty: list[str]
+    faults: bool
+    lessons: int
+    num_envs: int
+    seed: int
+
+
+class _Leg(_Record):
+    leg: int
+    steps: int
+    success: float
+    collision: float
+    seconds_an_episode: float
+
+
+class _Training(_Record):
+    settings: _Settings
+    steps: int
+    planned: int
+    history: Annotated[list[_Leg], MinLen(1)]
 
 
 def command(settings: dict[str, Any], steps: int, out: str) -> str:
@@ -143,6 +177,7 @@ def _scores(scores: dict[Scenario, Outcomes]) -> str:
 def main(args: Args) -> None:
     """Score the agent, write its card, and save it."""
     policy, scores = load_policy(args.agent), dict[Scenario, Outcomes]()
+    validated(dict(policy.about), _Training, f"{args.agent}, training record", ModelError)
     scenarios = list(product(args.sonars, args.odometry, args.difficulty))
     seeds = range(args.seed, args.seed + args.episodes)
     with bar("scoring", len(scenarios)) as on_progress:

@@ -87,7 +87,10 @@ def run(args: Args) -> pd.DataFrame:
     """Run or continue a sweep; returns the last results of each trial."""
     if not ray.is_initialized():
         local = {"num_cpus": args.workers, "include_dashboard": False} if args.address is None else {}
-        ray.init(address=args.address, **local)
+        try:
+            ray.init(address=args.address, **local)
+        except (ConnectionError, ValueError) as error:
+            raise SettingError(f"--address {args.address}: no Ray cluster answers there ({error})") from None
     results = _tuner(replace(args, out=args.out.absolute())).fit()
     if results.errors:
         raise SettingError(f"{len(results.errors)} trials of the sweep failed; the first error: {results.errors[0]}")

@@ -25,7 +25,7 @@ from torch import nn
 
 from acquisition import SettingError
 from acquisition.io.files import write_bytes
-from acquisition.io.places import OutputFolder
+from acquisition.io.places import Output
 from acquisition.limits import Limit, Rate, Seed
 from noise.credence import wilson
 from noise.fitting.threads import one_thread
@@ -50,7 +50,7 @@ MILLION = 1e6
 class Args:
     """Settings of `sonar-gym train-agent`."""
 
-    out: OutputFolder
+    out: Annotated[Path, Output("folder", "agent.json")]
     """Folder for checkpoint.safetensors, tensorboard/, and agent/, which `sonar_gym.agent.load_agent` reads."""
     sonars: Annotated[tuple[ModelName, ...], MinLen(1)] = ("ideal", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Names or folders of sonar models; the cars are divided evenly among them."""

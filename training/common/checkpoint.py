@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +34,41 @@ def save_checkpoint(path: Path, policy: ActorCriticPolicy, state: Mapping[str, A
     write_bytes(path, save(whole, metadata={STATE: json.dumps(dict(state), allow_nan=False)}))
 
 
+@contextmanager
+def _valid(path: Path) -> Iterator[None]:
+    """Raise ModelError where a block finds that the file is not a valid checkpoint."""
+    try:
+        yield
+    except (SafetensorError, OSError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ModelError(f"{path}: is not a valid checkpoint ({reason}); start again in another folder") from None
+
+
 def read_state(path: Path) -> dict[str, Any]:
     """Return the plain data of a checkpoint.
 
     Raises:
         ModelError: the file is not a valid checkpoint.
     """
-    try:
-        with safe_open(path, "pt") as file:
-            return dict(json.loads(file.metadata()[STATE]))
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"{path}: is not a valid checkpoint ({error}); start again in another folder") from None
+    with _valid(path), safe_open(path, "pt") as file:
+        state = dict(json.loads(file.metadata()[STATE]))
+        state["settings"] = dict(state["settings"])
+        return state
 
 
 def load_checkpoint(path: Path, policy: ActorCriticPolicy) -> dict[str, Any]:
-    """Load weights and optimiser state into a policy, and return the plain data."""
+    """Load weights and optimiser state into a policy, and return the plain data.
+
+    Raises:
+        ModelError: the file is not a valid checkpoint of such a policy.
+    """
     state = read_state(path)
+    with _valid(path):
+        _load(path, policy)
+    return state
+
+
+def _load(path: Path, policy: ActorCriticPolicy) -> None:
     with safe_open(path, "pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
     policy.load_state_dict({name.removeprefix(POLICY): v for name, v in tensors.items() if name.startswith(POLICY)})
@@ -59,7 +79,6 @@ def load_checkpoint(path: Path, policy: ActorCriticPolicy) -> dict[str, Any]:
             moments.setdefault(int(number), {})[key] = value
     adam = policy.optimizer.state_dict()
     policy.optimizer.load_state_dict({"state": moments, "param_groups": adam["param_groups"]})
-    return state
 
 
 def check_same(path: Path, now: Mapping[str, Any], before: Mapping[str, Any]) -> None:

@@ -17,6 +17,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from importlib.metadata import PackageNotFoundError, version
 
 from acquisition import SonarError
@@ -76,6 +77,8 @@ def reason_of(error: BaseException) -> str | None:
         return str(error)
     if isinstance(error, MemoryError):
         return f"not enough memory ({error}): use a shorter recording, smaller settings or fewer workers"
+    if isinstance(error, BrokenExecutor):
+        return "a worker process was ended by the system, perhaps for its memory: use fewer workers, and run it again"
     if isinstance(error, OSError) and error.errno is not None:
         place = error.filename if error.filename is not None else "a file"
         place = os.fsdecode(place) if isinstance(place, bytes | os.PathLike) else str(place)

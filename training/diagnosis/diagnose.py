@@ -13,7 +13,7 @@ from typing import Annotated, cast
 import tyro
 
 from acquisition import Recording, SettingError
-from acquisition.io.places import OutputFolder
+from acquisition.io.places import Output
 from acquisition.limits import Seed
 from noise.discrepancy import diagnose
 from noise.discrepancy.inputs import Progress, Simulator, as_model
@@ -28,7 +28,7 @@ class Args:
 
     recorded: Annotated[Path, tyro.conf.Positional]
     """Recording of the real sonar (CSV, one row per ping)."""
-    out: OutputFolder
+    out: Annotated[Path, Output("folder", "verdict.json")]
     """Output folder: verdict.json, report.html and, if a correction is offered, the corrected model in corrected/."""
     model: str = "ideal"
     """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from acquisition import Ping, Reading, Recording, SettingError
-from acquisition.io.places import OutputFolder
+from acquisition.io.places import Output
 from acquisition.limits import Count, Limit, PositiveMetres, Rate, Seed, Share
 from noise import load_model
 from noise.fitting.threads import one_thread
@@ -56,7 +56,7 @@ class Args:
 
     recording: Annotated[Path, tyro.conf.Positional]
     """Training data: CSV file with one row per ping."""
-    out: OutputFolder
+    out: Annotated[Path, Output("folder", "model.json")]
     """Folder to write the model to: model.json, weights.safetensors, README.md."""
     law: Law = "mlp"
     """mlp: no memory. lstm: memory of the pings of a run. hybrid: an LSTM that corrects the perceptron `base`."""

@@ -13,8 +13,9 @@ from threading import Lock
 from typing import Any
 
 from acquisition import SonarError
-from acquisition.io.files import lock, sync_folder
+from acquisition.io.files import lock, read_limited, sync_folder
 
+MAX_LEDGER = 256 * 1024 * 1024  # bytes, decompressed; the last line of a longer one is cut short
 FIRST = "0" * 64  # stands for the hash of the line before the first
 Line = dict[str, Any]
 
@@ -105,9 +106,9 @@ def load(path: Path) -> list[Line]:
         ProofError: the file is missing, or a line was changed, removed, repeated or moved.
     """
     try:
-        data = path.read_bytes()
-        data = lzma.decompress(data) if path.suffix == ".xz" else data
-    except (OSError, lzma.LZMAError) as error:
+        data = read_limited(path, ProofError, "a ledger that `sonar-gym prove` wrote", MAX_LEDGER)
+        data = lzma.LZMADecompressor().decompress(data, MAX_LEDGER) if path.suffix == ".xz" else data
+    except (EOFError, lzma.LZMAError) as error:
         raise ProofError(f"{path}: cannot be read ({error}); give a ledger that `sonar-gym prove` wrote") from None
     return parse(data, str(path))
 

@@ -17,7 +17,7 @@ from threading import Lock
 from typing import Annotated, Any
 
 from acquisition.io.files import write_bytes
-from acquisition.io.places import OutputFile, OutputFolder
+from acquisition.io.places import Output, OutputFile, OutputFolder
 from acquisition.limits import Count, Limit, Workers
 from training.common.progress import bar
 from training.diagnosis.judging.tasks import Task, case_of
@@ -64,7 +64,7 @@ LEDGER = "ledger.jsonl"
 class Args:
     """Settings of `sonar-gym prove`."""
 
-    out: OutputFolder
+    out: Annotated[Path, Output("folder", "ledger.jsonl")]
     """Folder of the ledger; an interrupted run goes on."""
     trials: Count = 300
     """Number of trials."""

@@ -75,6 +75,8 @@ class Args:
 def main(args: Args) -> None:
     """Print what holds, what does not and what cannot be checked; exit with 1 unless all holds."""
     lines = load(args.ledger)
+    if not lines or lines[0]["event"] != DECK:
+        raise ProofError(f"{args.ledger}: does not begin with a deck: expected a ledger that `sonar-gym prove` wrote")
     problems = problems_of(lines, args)
     for text in problems or passed(lines, args):
         print(("FAILED: " if problems else "holds: ") + text)

@@ -88,7 +88,8 @@ class Piston:
 
 def directivity(ka: Floats | np.float64, cosine: Floats) -> Floats:
     """Return a piston's relative pressure at angles off its axis of given cosines; 0 behind it."""
-    position = np.minimum(ka / TABLE_STEP * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), TABLE_LENGTH - 1.0)
+    # fmin: what lies behind the piston may have a cosine of NaN, and is 0 below
+    position = np.fmin(ka / TABLE_STEP * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), TABLE_LENGTH - 1.0)
     at = position.astype(np.int32)
     table = _table()
     value = table[at]

@@ -7,7 +7,7 @@ zigzag-encoded. Ids and fields: opendlv.standard-message-set 0.9.10, <https://gi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from acquisition import SettingError
+from acquisition.limits import Limit, check_choice, check_number, shown
 
 Time = tuple[int, int]  # seconds and microseconds since 1970, UTC
 HEADER = b"\x0d\xa4"
@@ -22,6 +23,7 @@ HEADER_SIZE = 5  # with the length
 MAX_DATAGRAM = 65_507  # bytes of a UDP datagram over IPv4
 NO_TIME: Time = (0, 0)
 INT32, UINT32 = (-(2**31), 2**31 - 1), (0, 2**32 - 1)
+SIGNED, STAMPS = Limit(*INT32), Limit(*UINT32)
 
 READING = "opendlv.proxy.DistanceReading"
 VOLTAGE = "opendlv.proxy.VoltageReading"
@@ -100,11 +102,9 @@ def encode(
     '0da41e0000089e1012050d0000803f1a04080210042204080010002a04080210003002'
     """
     classes = _classes()
-    stamps = {"sent": sent, "received": received, "sampled": sampled}
-    for name, (seconds, microseconds) in stamps.items():
-        _check(f"{name} seconds", seconds, INT32)
-        _check(f"{name} microseconds", microseconds, INT32)
-    _check("sender_stamp", sender_stamp, UINT32)
+    for name, stamp in {"sent": sent, "received": received, "sampled": sampled}.items():
+        _check_time(name, stamp)
+    check_number("OpenDLV sender_stamp", sender_stamp, STAMPS, whole=True)
     envelope = classes["Envelope"](
         dataType=_known(message, fields),
         serializedData=_payload(message, fields),
@@ -121,23 +121,33 @@ def _stamp(time: Time) -> Any:
 
 
 def _payload(message: str, fields: Mapping[str, float]) -> bytes:
-    with np.errstate(over="ignore"):  # beyond the largest float, as in C++: infinity
-        values = {name: float(np.float32(fields.get(name, 0.0))) for name in MESSAGES[message][1]}
+    values = {name: _single(f"{message} {name}", fields.get(name, 0.0)) for name in MESSAGES[message][1]}
     data: bytes = _classes()[_class_name(message)](**values).SerializeToString(deterministic=True)
     return data
 
 
+def _single(name: str, value: Any) -> float:
+    """Return a value rounded to 32 bits; beyond the largest float, as in C++, infinity."""
+    try:
+        with np.errstate(over="ignore"):
+            return float(np.float32(value))
+    except (OverflowError, TypeError, ValueError):
+        raise SettingError(f"{name}: expected a number, got {shown(value)}") from None
+
+
 def _known(message: str, fields: Mapping[str, float]) -> int:
     """Return the id of a message whose fields are all known."""
-    if message not in MESSAGES:
-        raise SettingError(f"OpenDLV message {message!r}: unknown; expected {', '.join(MESSAGES)}")
+    check_choice("OpenDLV message", message, tuple(MESSAGES))
     number, names = MESSAGES[message]
+    if not isinstance(fields, Mapping):
+        raise SettingError(f"{message}: expected a mapping of {', '.join(names)}, got {shown(fields)}")
     for name in fields:
-        if name not in names:
-            raise SettingError(f"{message}: unknown field {name!r}; expected {', '.join(names)}")
+        check_choice(f"{message} field", name, names)
     return number
 
 
-def _check(name: str, value: int, limits: tuple[int, int]) -> None:
-    if not limits[0] <= value <= limits[1]:
-        raise SettingError(f"OpenDLV {name} must lie in [{limits[0]}, {limits[1]}], got {value}")
+def _check_time(name: str, time: Any) -> None:
+    if not (isinstance(time, Sequence) and len(time) == len(_TIMES)):
+        raise SettingError(f"OpenDLV {name}: expected seconds and microseconds, got {shown(time)}")
+    for (part, _), value in zip(_TIMES, time, strict=True):
+        check_number(f"OpenDLV {name} {part}", value, SIGNED, whole=True)

@@ -19,15 +19,15 @@ from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, Re
 from acquisition.arrays import Floats
 from acquisition.io.bags import TimeSeries
 from acquisition.io.files import write_bytes
-from sonar_gym.bridges.opendlv.messages import FRAME, INT32, READING, encode
+from sonar_gym.bridges.opendlv.messages import FRAME, HEADER, HEADER_SIZE, INT32, READING, encode
 from sonar_gym.bridges.opendlv.session import seconds_of, time_of
 from sonar_gym.bridges.opendlv.walls import interpolate_pose
-from sonar_gym.bridges.opendlv.wire import Envelope, decode, envelope_end
+from sonar_gym.bridges.opendlv.wire import Envelope, decode
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.scene import Scene
 
 SAME_PING = 0.5  # periods; a reading closer than this to an expected ping belongs to it
-MAX_FILE = 2**31  # bytes
+MAX_SILENT = 1_000_000  # pings of a sensor that are added as no echo
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ def read_rec(path: Path) -> Iterator[Envelope]:
     """
     if not path.is_file():
         raise RecordingNotFoundError(f"{path}: no such file; give a .rec file of OpenDLV")
-    if path.stat().st_size > MAX_FILE:
-        raise RecordingError(f"{path}: has {path.stat().st_size} bytes, at most {MAX_FILE} are read; split the file")
-    data, at = path.read_bytes(), 0
-    while at < len(data):
-        if data[at : at + 2] != b"\x0d\xa4"[: len(data) - at]:
-            raise RecordingError(f"{path}, byte {at}: expected the beginning of an envelope (0d a4)")
-        end = envelope_end(data, at)
-        if end is None:  # the recorder was stopped while it wrote
-            return
-        yield from decode(data[at:end])
-        at = end
+    with path.open("rb") as file:
+        at = 0
+        while head := file.read(HEADER_SIZE):
+            if head[:2] != HEADER[: len(head)]:
+                raise RecordingError(f"{path}, byte {at}: expected the beginning of an envelope (0d a4)")
+            size = int.from_bytes(head[2:], "little")
+            body = file.read(size)
+            if len(head) < HEADER_SIZE or len(body) < size:  # the recorder was stopped while it wrote
+                return
+            yield from decode(head + body)
+            at += HEADER_SIZE + size
 
 
 def first_stamp(path: Path) -> float:
@@ -98,7 +98,7 @@ def recording_of(
     constants = constants or {}
     if truth is None and "distance_mm" not in constants:
         raise SettingError(f"{path}: a .rec file has no true distance; give a map, a table, or a constant distance_mm")
-    envelopes = list(read_rec(path))
+    envelopes = [e for e in read_rec(path) if e.message in (READING, FRAME)]
     pings = _pings([e for e in envelopes if e.message == READING], path, period_s)
     if isinstance(truth, Geometry):
         known = _seen(truth, envelopes, pings, path, longest_gap_s)
@@ -127,7 +127,7 @@ def _pings(readings: Sequence[Envelope], path: Path, period_s: float) -> pd.Data
     table["reading_mm"] = table["reading_mm"].round(3)
     valid = np.isfinite(table["reading_mm"].to_numpy()) & (table["reading_mm"].to_numpy() >= 0.0)
     table = table[valid]
-    if period_s > 0.0:
+    if period_s > 0.0 and len(table):
         table = pd.concat([_with_silence(group, period_s) for _, group in table.groupby("sensor", sort=False)])
     return table.sort_values(["stamp_s", "sensor"], kind="stable", ignore_index=True)
 
@@ -135,6 +135,11 @@ def _pings(readings: Sequence[Envelope], path: Path, period_s: float) -> pd.Data
 def _with_silence(group: pd.DataFrame, period_s: float) -> pd.DataFrame:
     """Return the pings of a sensor with those added, as no echo, that published nothing."""
     stamp = np.sort(group["stamp_s"].to_numpy())
+    if (stamp[-1] - stamp[0]) / period_s > MAX_SILENT + len(stamp):
+        raise SettingError(
+            f"period: {period_s:g} s leaves more than {MAX_SILENT:,} pings without an echo; "
+            "expected the time between two pings of a sensor"
+        )
     added = []
     for before, gap in zip(stamp[:-1], np.diff(stamp), strict=True):
         missing = round(gap / period_s) - 1

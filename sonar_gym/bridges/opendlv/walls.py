@@ -12,6 +12,7 @@ import numpy as np
 
 from acquisition import RecordingError, RecordingNotFoundError
 from acquisition.arrays import Floats
+from acquisition.io.files import read_limited
 from sonar_gym.sensing.scene import Scene, WallSegment
 
 REFLECTANCE = 0.9  # of a wall: smooth and hard
@@ -34,7 +35,7 @@ def load_map(path: Path, reflectance: float = REFLECTANCE) -> Scene:
     if not path.is_file():
         raise RecordingNotFoundError(f"{path}: no such map; give a text file with one wall a line, x1,y1,x2,y2; in m")
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_limited(path, RecordingError, "a map").decode().splitlines()
     except UnicodeDecodeError:
         raise RecordingError(f"{path}: not text; expected one wall a line, x1,y1,x2,y2; in m") from None
     walls = [_wall(path, number, line, reflectance) for number, line in enumerate(lines, 1) if line.strip()]

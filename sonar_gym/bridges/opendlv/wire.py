@@ -100,26 +100,17 @@ def _fields(name: str, payload: bytes) -> dict[str, float]:
     if name not in MESSAGES:
         return {}
     names = MESSAGES[name][1]
-    found = [0.0] * len(names)
-    for number, four in _first(payload, FIXED32).items():
-        if 1 <= number <= len(names):
-            found[number - 1] = struct.unpack("<f", four.four)[0]
-    return dict(zip(names, found, strict=True))
+    first: dict[int, _Field] = {}
+    for field in _read(payload):
+        first.setdefault(field.number, field)
+    floats = {number: field.four for number, field in first.items() if field.kind == FIXED32}
+    return {name: struct.unpack("<f", floats.get(number, bytes(4)))[0] for number, name in enumerate(names, 1)}
 
 
 def _time(text: bytes, before: Time) -> Time:
     """Return a time stamp; parts that it lacks stay as in an earlier one of the same envelope."""
-    given = _first(text, VARINT)
-    seconds, microseconds = (_zigzag(given[k].value) if k in given else before[k - 1] for k in (1, 2))
-    return seconds, microseconds
-
-
-def _first(data: bytes, kind: int) -> dict[int, _Field]:
-    """Return the first field of each number, if it has the expected wire type."""
-    first: dict[int, _Field] = {}
-    for field in _read(data):
-        first.setdefault(field.number, field)
-    return {number: field for number, field in first.items() if field.kind == kind}
+    given = {field.number: _zigzag(field.value) for field in _read(text)}  # of a repeated part the last
+    return given.get(1, before[0]), given.get(2, before[1])
 
 
 def _text(field: _Field) -> bytes:
@@ -155,17 +146,19 @@ def _read(data: bytes) -> Iterator[_Field]:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a number and the index behind it; seven ones stand for the byte behind the end, libcluon's end of file."""
+    """Return a number and the index behind it; seven ones stand for the byte behind the end, libcluon's end of file.
+
+    Of more than ten bytes, the further ones begin again at the lowest bits, as the processor shifts by 64 bits at most.
+    """
     value = shift = 0
     while at < len(data):
         byte = data[at]
         at += 1
-        if shift < BITS:
-            value |= (byte & 0x7F) << shift
-        shift += 7
+        value |= (byte & 0x7F) << shift
+        shift = (shift + 7) % BITS
         if byte < 0x80:
             return value & MASK64, at
-    return (value | (0x7F << shift if shift < BITS else 0)) & MASK64, at
+    return (value | 0x7F << shift) & MASK64, at
 
 
 def _zigzag(value: int) -> int:

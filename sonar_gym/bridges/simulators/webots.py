@@ -14,6 +14,7 @@ import numpy as np
 
 from acquisition import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.arrays import Floats
+from acquisition.io.files import read_limited
 from noise import SonarModel
 from noise.table import TableModel
 from sonar_gym.bridges.simulators.nearest import Nearest, nearest_table
@@ -25,6 +26,7 @@ SENSOR = re.compile(r"\bDistanceSensor\s*\{")
 TABLE = re.compile(r"\blookupTable\s*\[([^\]]*)\]")
 NAME = re.compile(r'\bname\s+"([^"]*)"')
 TYPE = re.compile(r'\btype\s+"([^"]*)"')
+BRACE, MAX_DEPTH = re.compile(r"[{}]"), 100
 COMMENT = re.compile(r"#[^\n]*")
 
 
@@ -43,10 +45,13 @@ def load_tables(path: Path, metres_per_unit: float | None = None) -> dict[str, T
     """
     if not path.is_file():
         raise RecordingNotFoundError(f"{path}: no such file; give a .wbt or .proto file of Webots")
-    text = COMMENT.sub("", path.read_text(encoding="utf-8", errors="replace"))
+    text = COMMENT.sub("", read_limited(path, RecordingError, "a world or PROTO file").decode("utf-8", "replace"))
     models: dict[str, TableModel] = {}
     for start in SENSOR.finditer(text):
-        body = _braced(text, start.end())
+        try:
+            body = _braced(text, start.end())
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {error}") from None
         found = TABLE.search(body)
         if found is None:
             continue
@@ -61,13 +66,19 @@ def load_tables(path: Path, metres_per_unit: float | None = None) -> dict[str, T
 
 
 def _braced(text: str, start: int) -> str:
-    """Return the text from behind an opening brace to the closing one."""
+    """Return the text from behind an opening brace to the closing one.
+
+    Raises:
+        RecordingError: there is none, or the nodes in between are nested too deeply.
+    """
     depth = 1
-    for at in range(start, len(text)):
-        depth += {"{": 1, "}": -1}.get(text[at], 0)
+    for brace in BRACE.finditer(text, start):
+        depth += 1 if brace[0] == "{" else -1
         if depth == 0:
-            return text[start:at]
-    return text[start:]
+            return text[start : brace.start()]
+        if depth > MAX_DEPTH:
+            break
+    raise RecordingError(f"a DistanceSensor is not closed by }}, or has more than {MAX_DEPTH} nodes in each other")
 
 
 def _rows(where: str, text: str) -> Floats:

@@ -110,6 +110,12 @@ ECHOING = replace(Unit.nominal(), sensitivity_db=40.0, noise=0.01, leak_db=-300.
 BACK_WALL = replace(HALL, range_register=100, reflector=None, room=Room(None, None, 9.0))
 
 
+@pytest.mark.parametrize("distance", [0.0, 1e-6, 1e-3])
+def test_a_reflector_at_the_sensor_or_behind_it_is_answered(distance):
+    ping = Ping.of([distance] * 3, [0.0, 0.5, 3.0], incidence=[0.0, 3.0, 0.0], reflectance=0.9, time=[0.0, 1.0, 2.0])
+    assert Rig().ping(ping, np.random.default_rng(0)).reading(Setup()).answered.all()
+
+
 def test_echo_of_the_previous_ping_is_one_interval_earlier():
     """A wall at 9 m: its echo is 52.4 ms after the ping, so 52.4 ms less the interval after the next one."""
     interval = np.array([2.4, 0.048, 0.049, 0.0473, 2.4, 0.048])

@@ -95,7 +95,7 @@ def test_plans_are_found_by_name_or_path(tmp_path):
     assert find_plan("vertical") is PLANS["vertical"]
     with pytest.raises(SettingError, match=r"plan 'verticle': expected one of quick, .*, or the path of a .toml file"):
         find_plan("verticle")
-    with pytest.raises(SettingError, match=r"no.toml: No such file or directory; give the path of a plan"):
+    with pytest.raises(SettingError, match=r"no.toml: cannot be read: No such file or directory; give a plan"):
         find_plan(str(tmp_path / "no.toml"))
 
 

@@ -73,6 +73,16 @@ def test_doubled_messages_count_once_and_values_that_are_no_distance_not_at_all(
     data += [message(READING, {"distance": value}, START + 1.0 + k) for k, value in enumerate((np.nan, -1.0, np.inf))]
     path.write_bytes(b"".join(data))
     assert len(recording_of(path, constants={"distance_mm": 1000.0})) == 1
+    path.write_bytes(message(READING, {"distance": np.nan}, START))
+    with pytest.raises(RecordingError, match="no reading lies within"):
+        recording_of(path, period_s=0.1, constants={"distance_mm": 1000.0})
+
+
+def test_a_period_far_below_that_of_the_readings_is_named(tmp_path):
+    path = tmp_path / "drive.rec"
+    path.write_bytes(b"".join(message(READING, {"distance": 1.0}, START + k) for k in range(3)))
+    with pytest.raises(SettingError, match=r"period: 1e-09 s leaves more than 1,000,000 pings without an echo"):
+        recording_of(path, period_s=1e-9, constants={"distance_mm": 1000.0})
 
 
 def test_an_envelope_that_was_cut_off_is_left_out(tmp_path):

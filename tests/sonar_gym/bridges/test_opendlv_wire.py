@@ -140,6 +140,8 @@ def test_repeated_fields_are_read_as_libcluon_reads_them():
     again = [field(6, 0, varint(9)), field(3, 2, field(1, 0, zigzag(77)))]
     (envelope,) = decode(datagram(*PARTS.values(), *again))
     assert (envelope.sender_stamp, envelope.sent) == (9, (77, 20))  # of an envelope the last, part by part
+    (envelope,) = decode(datagram(field(5, 2, stamp(1, 2) + field(1, 0, zigzag(-7)) + field(2, 5, bytes(4)))))
+    assert envelope.sampled == (-7, -7)  # of a time stamp too; a part of another type repeats the last number
     data = field(2, 2, field(1, 5, struct.pack("<f", 1.0)) + field(1, 5, struct.pack("<f", 2.0)))
     (envelope,) = decode(datagram(PARTS["type"], data))
     assert envelope.fields["distance"] == 1.0  # of a message the first
@@ -152,16 +154,22 @@ def test_content_of_another_type_is_zero_and_content_cut_short_is_filled_up():
     assert envelope.fields["distance"] == struct.unpack("<f", b"\0\0\x80\0")[0]
     (envelope,) = decode(datagram(PARTS["type"], field(6, 0, b"\x85")))
     assert envelope.sender_stamp == 0x85 & 0x7F | 0x7F << 7  # the end of the stream reads as -1
+    (envelope,) = decode(datagram(field(6, 0, b"\x85" + 9 * b"\x80" + b"\x03")))
+    assert envelope.sender_stamp == 5 | 3 << 70 - 64  # more than 64 bits begin again at the lowest
 
 
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"message": "opendlv.Nothing"}, "'opendlv.Nothing': unknown; expected opendlv.proxy.DistanceReading"),
-        ({"fields": {"range": 1.0}}, "unknown field 'range'; expected distance"),
-        ({"sender_stamp": -1}, r"sender_stamp must lie in \[0, 4294967295\], got -1"),
-        ({"sent": (2**31, 0)}, "sent seconds must lie in"),
-        ({"sampled": (0, -(2**31) - 1)}, "sampled microseconds must lie in"),
+        ({"message": "opendlv.sim.Frames"}, "did you mean opendlv.sim.Frame"),
+        ({"message": []}, "OpenDLV message: expected one of"),
+        ({"fields": {"range": 1.0}}, "DistanceReading field: expected one of distance, got 'range'"),
+        ({"fields": [1.0]}, "expected a mapping of distance"),
+        ({"fields": {"distance": "far"}}, "distance: expected a number, got 'far'"),
+        ({"sender_stamp": -1}, "sender_stamp: expected a whole number from 0 to 4294967295, got -1"),
+        ({"sent": (2**31, 0)}, "sent seconds: expected a whole number from"),
+        ({"sampled": (0, -(2**31) - 1)}, "sampled microseconds: expected"),
+        ({"sampled": 5.0}, "sampled: expected seconds and microseconds, got 5"),
     ],
 )
 def test_what_cannot_be_encoded_is_named(change, text):

@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
+from acquisition import RecordingError
 from training.common.progress import bar
 from training.diagnosis.judging.record import Record, record_of
 from training.diagnosis.judging.tasks import Task
@@ -64,5 +65,10 @@ def read(out: Path) -> list[Record]:
     if len(whole) < len(text):
         with path.open("ab") as file:
             file.truncate(len(whole))
-    found: Iterable[Record] = map(json.loads, whole.splitlines())
-    return list({record["id"]: record for record in found}.values())
+    try:
+        found: Iterable[Record] = map(json.loads, whole.splitlines())
+        return list({record["id"]: record for record in found}.values())
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"{path}: a line is no record of a trial ({error}); remove it, or give another --out"
+        ) from None
