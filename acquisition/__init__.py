@@ -3,6 +3,7 @@
 errors: the exceptions of the project.
 ping: `Ping` (the true conditions), `Reading` (the output of the sensor), `EchoStatus`.
 name_check: detects another distribution's package `noise`.
+brief: short representations. extras: modules that need an extra.
 io: recordings, the journal of a session, imports of ROS bags and of other logs.
 survey: survey plans, and the sessions that measure them.
 drivers: drivers of real sonars.
@@ -11,6 +12,7 @@ bench: waveform-level simulation of sonar and laboratory.
 firmware: the sketch of the Arduino bridge.
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from acquisition.errors import (
@@ -32,6 +34,7 @@ from acquisition.errors import (
 from acquisition.ping import EchoStatus, Ping, Reading, previous
 
 if TYPE_CHECKING:
+    from acquisition.io.given import as_recording
     from acquisition.io.recording import Recording
 
 
@@ -54,14 +57,18 @@ __all__ = [
     "StaleError",
     "UnknownModelError",
     "UnpluggedError",
+    "as_recording",
     "previous",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    """Import `Recording` on first use: it needs pandas, which takes longer to import than all the rest."""
-    if name == "Recording":
-        from acquisition.io.recording import Recording
+    """Import on first use what needs pandas, which takes longer to import than all the rest."""
+    if name not in ("Recording", "as_recording"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module("acquisition.io.given"), name)
 
-        return Recording
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    """Return the public names, whether or not they have been imported."""
+    return list(__all__)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.brief import brief
 from acquisition.errors import SettingError
 from acquisition.limits import as_numbers
 
@@ -56,6 +57,8 @@ class Ping:
         run: index of the uninterrupted run (session and sensor) of each ping, (n,) int.
         covariates: further logged quantities by column name (with its unit), each (n,).
     """
+
+    __repr__ = brief
 
     distance: Floats
     angle: Floats
@@ -134,6 +137,8 @@ class Reading:
         status: an `EchoStatus` for each ping, (n,) uint8.
         echoes: ranges of the echoes after the first, m, (n, k); 0 where there is none.
     """
+
+    __repr__ = brief
 
     range: Floats
     status: NDArray[np.uint8]

@@ -15,6 +15,7 @@ from . import store as store
 from .composed import ComposedModel, compose
 from .credence import ConditionPrior, CredenceTable
 from .discrepancy import diagnose
+from .discrepancy.result import Diagnosis
 from .effects import CATALOGUE
 from .faults import Faulty
 from .law import EchoLaw
@@ -30,6 +31,7 @@ __all__ = [
     "ComposedModel",
     "ConditionPrior",
     "CredenceTable",
+    "Diagnosis",
     "EchoLaw",
     "Faulty",
     "GaussianModel",

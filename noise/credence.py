@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acquisition import Ping, Reading
+from acquisition.brief import brief
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel
 
@@ -59,6 +60,8 @@ class CredenceTable:
         values: credence of a reading in each bin, (bins,); 0 where the model gives no reading.
         share: probability of each bin under the prior, (bins,).
     """
+
+    __repr__ = brief
 
     edges: Floats
     values: Floats

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
 import tyro
+import tyro.extras
 
 from acquisition import MissingExtraError, SettingError
 from acquisition.io.places import check_places
@@ -16,38 +19,57 @@ from acquisition.limits import check_settings, near, shown
 from acquisition.name_check import check_noise
 from training.common.door import door, parsing
 
-# subcommand -> (module below `training` with `Args` and `main(args)`, summary). A module is imported only when its
-# command runs, so that recording on a small machine needs none of the heavy packages.
-COMMANDS = {
-    "demo": ("diagnosis.demo", "record with a concealed effect, diagnose, correct, and park; three minutes"),
-    "record": ("recordings.record", "record a survey with a sonar or with the simulated waveform rig"),
-    "import": ("recordings.import_log", "convert the log of another program into a recording"),
-    "plot": ("recordings.plot", "plot a recording: credence, detection, readings, readings over time"),
-    "train-noise": ("noise.train", "train a noise model on a recording"),
-    "train-agent": ("agents.train", "train a parking agent with the sonar models you choose"),
-    "zoo": ("agents.zoo.command", "train a plain algorithm with tuned settings and test it on unseen streets"),
-    "evaluate-agent": ("agents.evaluate", "measure how often agents park in the same streets"),
-    "make-noise": ("noise.make", "train the shipped noise models again"),
-    "noise-report": ("noise.report", "write the page that compares all noise models"),
-    "ship-agent": ("agents.ship", "score an agent on unseen streets and write it with its card"),
-    "sweep": ("agents.sweep", "train agents with many seeds and settings on Ray Tune"),
-    "transfer": ("agents.transfer", "train agents with several sonar models and test all of them in the rig"),
-    "compare-noise": ("noise.compare", "score noise models and baselines on recordings of other sensors"),
-    "compare-optimizers": ("thesis.compare_optimizers", "train the thesis's networks and compare with its tables"),
-    "compare-thesis": ("thesis.compare_thesis", "compare the rig with the networks published with the thesis"),
-    "compare-drivers": ("agents.compare_drivers", "park with ideal and noisy sonars, with and without credence"),
-    "diagnose": ("diagnosis.diagnose", "find where a simulation and a recording differ, and why; correct the model"),
-    "bridge": ("bridges.bridge", "connect to OpenDLV, ROS and Webots: sonars, a car, an agent, files"),
-    "serve": ("bridges.serve", "answer other programs' pings over TCP"),
-    "export": ("bridges.export", "write the nearest sonar that Webots or Gazebo can hold"),
-    "prove": ("proof.run", "run blind trials of the diagnosis: sealed, scored, published"),
-    "verify-proof": ("proof.verify", "verify the ledger of such trials"),
-    "generate-trials": ("diagnosis.generators.command", "write labelled pairs of a simulation and a recording"),
-    "effects": ("diagnosis.effects", "list the effects that a diagnosis can name"),
-    "judge": ("diagnosis.judging.command", "measure the diagnosis on labelled trials and on real recordings"),
-    "fit-decision": ("diagnosis.judging.fit_command", "fit the probabilities of causes on labelled trials"),
+# group -> subcommand -> (module below `training` with `Args` and `main(args)`, summary). A module is imported only when
+# its command runs, so that recording on a small machine needs none of the heavy packages.
+GROUPS = {
+    "use": {
+        "demo": ("diagnosis.demo", "record with a concealed effect, diagnose, correct, and park; three minutes"),
+        "record": ("recordings.record", "record a survey with a sonar or with the simulated waveform rig"),
+        "import": ("recordings.import_log", "convert the log of another program into a recording"),
+        "plot": ("recordings.plot", "plot a recording: credence, detection, readings, readings over time"),
+        "diagnose": (
+            "diagnosis.diagnose",
+            "find where a simulation and a recording differ, and why; correct the model",
+        ),
+        "train-noise": ("noise.train", "train a noise model on a recording"),
+        "train-agent": ("agents.train", "train a parking agent with the sonar models you choose"),
+        "evaluate-agent": ("agents.evaluate", "measure how often agents park in the same streets"),
+        "zoo": ("agents.zoo.command", "train a plain algorithm with tuned settings and test it on unseen streets"),
+        "sweep": ("agents.sweep", "train agents with many seeds and settings on Ray Tune"),
+        "effects": ("pages.effects", "list the effects that a diagnosis can name"),
+        "view": ("pages.view", "show a folder of results as a page in the browser"),
+    },
+    "other programs": {
+        "bridge": ("bridges.bridge", "connect to OpenDLV, ROS and Webots: sonars, a car, an agent, files"),
+        "serve": ("bridges.serve", "answer other programs' pings over TCP"),
+        "export": ("bridges.export", "write the nearest sonar that Webots or Gazebo can hold"),
+    },
+    "evidence": {
+        "prove": ("proof.run", "run blind trials of the diagnosis: sealed, scored, published"),
+        "verify-proof": ("proof.verify", "verify the ledger of such trials"),
+        "judge": ("diagnosis.judging.command", "measure the diagnosis on labelled trials and on real recordings"),
+        "transfer": ("agents.transfer", "train agents with several sonar models and test all of them in the rig"),
+        "compare-noise": ("noise.compare", "score noise models and baselines on recordings of other sensors"),
+        "compare-drivers": ("agents.compare_drivers", "park with ideal and noisy sonars, with and without credence"),
+        "compare-optimizers": ("thesis.compare_optimizers", "train the thesis's networks and compare with its tables"),
+        "compare-thesis": ("thesis.compare_thesis", "compare the rig with the networks published with the thesis"),
+        "noise-report": ("noise.report", "write the page that compares all noise models"),
+    },
+    "make what is shipped": {
+        "make-noise": ("noise.make", "train the shipped noise models again"),
+        "ship-agent": ("agents.ship", "score an agent on unseen streets and write it with its card"),
+        "generate-trials": (
+            "diagnosis.generators.command",
+            "write labelled pairs of a simulation and a recording",
+        ),
+        "fit-decision": ("diagnosis.judging.fit_command", "fit the probabilities of causes on labelled trials"),
+    },
 }
-FOOT = "`sonar-gym COMMAND --help` lists the options of each; --debug shows the traceback of a failure."
+COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
+COMPLETION = "completion"
+SHELLS = ("bash", "zsh", "fish")
+FOOT = """`sonar-gym COMMAND --help` lists the options of each; --debug shows the traceback of a failure.
+`sonar-gym --version`; `sonar-gym completion bash|zsh|fish` prints a script for the shell."""
 DEBUG = "--debug"  # of every command: shows the traceback of a failure
 
 
@@ -60,24 +82,41 @@ def main(argv: Sequence[str] | None = None) -> None:
             print(overview())
         elif argv[0] == "--version":
             print(f"sonar-gym {version('sonar-gym')}")
+        elif argv[0] == COMPLETION:
+            print(completion(argv[1:]))
         elif argv[0] not in COMMANDS:
-            hint = near(argv[0], COMMANDS) or f"; commands: {', '.join(COMMANDS)}"
+            hint = near(argv[0], [*COMMANDS, COMPLETION]) or f"; commands: {', '.join(COMMANDS)}"
             raise SettingError(f"{shown(argv[0])} is not a command{hint} See `sonar-gym --help`")
         else:
             _run(argv[0], argv[1:])
 
 
 def overview() -> str:
-    """Return the help text: one line per command."""
-    lines = [f"  {name:<19} {summary}" for name, (_, summary) in COMMANDS.items()]
-    head = "sonar-gym: realistic sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]\n\ncommands:"
-    return "\n".join(
-        [
-            head,
-            *lines,
-            "\n" + FOOT,
-        ]
-    )
+    """Return the help text: one line per command, by group."""
+    head = "sonar-gym: realistic sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]"
+    blocks = [
+        "\n".join([f"{title}:", *(f"  {name:<19} {summary}" for name, (_, summary) in group.items())])
+        for title, group in GROUPS.items()
+    ]
+    return "\n\n".join([head, *blocks, FOOT])
+
+
+def completion(argv: Sequence[str]) -> str:
+    """Return the script by which a shell completes commands and options; commands that lack an extra are left out.
+
+    Raises:
+        SettingError: not the name of one shell.
+    """
+    if len(argv) != 1 or argv[0] not in SHELLS:
+        raise SettingError(f"{COMPLETION}: expected one shell of {', '.join(SHELLS)}, got {shown(' '.join(argv))}")
+    settings = {}
+    for name in COMMANDS:
+        with contextlib.suppress(MissingExtraError):
+            settings[name] = _load(name).Args
+    script = io.StringIO()
+    with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
+        tyro.extras.subcommand_cli_from_dict(settings, prog="sonar-gym", args=["--tyro-print-completion", argv[0]])
+    return script.getvalue()
 
 
 def _run(name: str, argv: Sequence[str]) -> None:

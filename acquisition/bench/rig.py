@@ -18,6 +18,7 @@ from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
 from acquisition.bench.registers import Registers, TrueEchoes
 from acquisition.bench.visits import Visits
 from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
+from acquisition.brief import brief
 from acquisition.io.recording import Recording
 from acquisition.ping import Ping
 
@@ -34,6 +35,8 @@ class Rig:
     >>> bool(5_700 < registers.code[0, 0] < 5_900)
     True
     """
+
+    __repr__ = brief
 
     unit: Unit = field(default_factory=Unit.nominal)
     setup: Setup = field(default_factory=Setup)

@@ -12,14 +12,17 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from acquisition.arrays import Bits, Ints
+from acquisition.brief import shortened
 from acquisition.errors import RecordingError
+from acquisition.extras import FigureLike, load_extra
 from acquisition.io.files import write_atomic
 from acquisition.io.tables import parse_table, read_bytes
 from acquisition.ping import EchoStatus, Ping, Reading, interval
@@ -150,7 +153,7 @@ class Recording:
         return cls(table, name, tuple(faults))
 
     @classmethod
-    def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
+    def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: ArrayLike) -> Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         table = pd.DataFrame(
             {
@@ -171,6 +174,35 @@ class Recording:
         )
         return cls(table.assign(**columns).round(6), name)
 
+    def __repr__(self) -> str:
+        return shortened(f"<Recording {self.name}: {', '.join(self._counts())}>")
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(self.summary())}</p>{self.table.head(5).to_html(index=False, na_rep='no answer')}"
+
+    def summary(self) -> str:
+        """Return number of pings and conditions, range of distances, and shares of echoes, in one line."""
+        return f"{self.name}: {', '.join(self._counts())}; columns {', '.join(self.table.columns)}"
+
+    def _counts(self) -> list[str]:
+        distance, reading = self.ping.distance, self.reading
+        return [
+            f"{len(self):,} pings",
+            f"{len(np.unique(self.condition)):,} conditions",
+            f"{distance.min():.3g} to {distance.max():.3g} m",
+            f"{np.mean(reading.echo):.1%} echoes",
+            f"{np.mean(~reading.answered):.1%} no answer",
+        ]
+
+    def plot(self) -> FigureLike:
+        """Return a matplotlib figure: share of echoes, and readings against true distances.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
+        """
+        figure: FigureLike = load_extra("training.recordings.figures", "train").overview(self)
+        return figure
+
     def __len__(self) -> int:
         """Return the number of pings."""
         return len(self.table)
@@ -179,7 +211,7 @@ class Recording:
         """Return whether the recording has a column."""
         return column in self.table.columns
 
-    def select(self, mask: NDArray[Any]) -> Recording:
+    def select(self, mask: Bits | Ints) -> Recording:
         """Return the recording of the rows at a mask or array of indices."""
         rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
         return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))

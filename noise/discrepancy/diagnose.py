@@ -10,13 +10,13 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
-import pandas as pd
 
 from acquisition import Recording, SettingError
+from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.nearest import NearestVisits
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
-from noise.discrepancy.inputs import Progress, Simulator, as_model, as_recording, check_conditions, warnings_of
+from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.held_out import best_of, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
@@ -90,9 +90,9 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
 @one_thread()
 def diagnose(
     model: SonarModel | Simulator | str | os.PathLike[str],
-    recording: Recording | pd.DataFrame | str | os.PathLike[str],
+    recording: RecordingLike,
     *,
-    simulated: Recording | pd.DataFrame | str | os.PathLike[str] | None = None,
+    simulated: RecordingLike | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     without: Sequence[str] = (),

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from acquisition import Ping, Reading, Recording, RecordingError, SettingError
 from acquisition.arrays import Floats
@@ -21,29 +20,6 @@ MIN_RANGE_MM = 20.0  # least range of an HC-SR04 by its data sheet; no ultrasoni
 MAX_RATIO_ERROR = 0.15  # relative deviation of reading / distance from a power of ten; more than any scale error
 MIN_CONDITIONS = 5  # as many as `name.folds` deals at a time
 MIN_OVERLAP = 0.5  # share of recorded pings within the simulated conditions, below which a warning is due
-
-
-def as_recording(given: Recording | pd.DataFrame | str | os.PathLike[str], name: str = "recording") -> Recording:
-    """Return a recording given as such, as a table, or by the path of a CSV file.
-
-    Args:
-        given: recording, table with the columns of the recording format, or path.
-        name: name of a table, for messages.
-
-    Raises:
-        RecordingError: a column is missing or a value violates the format.
-        SettingError: of another type.
-    """
-    if isinstance(given, Recording):
-        return given
-    if isinstance(given, pd.DataFrame):
-        text = given.reset_index(drop=True).astype(object)
-        return Recording.from_text(text.where(given.notna().to_numpy(), "").astype(str), name)
-    if isinstance(given, str | os.PathLike):
-        return Recording.load(given)
-    raise SettingError(
-        f"{name}: is a {type(given).__name__}, expected a Recording, a DataFrame or the path of a CSV file"
-    )
 
 
 def as_model(given: Any) -> SonarModel | Simulator:

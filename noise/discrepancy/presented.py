@@ -6,26 +6,19 @@ this package does not require.
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import shutil
 from pathlib import Path
 from typing import Any
 
-from acquisition import MissingExtraError
+from acquisition.brief import shortened
+from acquisition.extras import FigureLike, load_extra
 from acquisition.io.files import write_text
 from noise.store import save_model
 
 REPORT = "noise.discrepancy.report."
 FIGURES = "training.diagnosis."
-
-
-def _load(module: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(f"figures and pages need {error.name}: pip install 'sonar-gym[training]'") from None
 
 
 class Presented:
@@ -35,22 +28,23 @@ class Presented:
     corrected: Any
 
     def __repr__(self) -> str:
-        return str(_load(REPORT + "words").one_line(self))
+        return shortened(str(load_extra(REPORT + "words", "noise").one_line(self)))
 
     def _repr_html_(self) -> str:
-        return str(_load(REPORT + "markup").compact(self))
+        return str(load_extra(REPORT + "markup", "noise").compact(self))
 
     def summary(self) -> str:
         """Return the verdict as about ten lines of text."""
-        return "\n".join(_load(REPORT + "words").summary_lines(self))
+        return "\n".join(load_extra(REPORT + "words", "noise").summary_lines(self))
 
-    def plot(self) -> Any:
+    def plot(self) -> FigureLike:
         """Return a matplotlib figure: mismatch where it was located, histogram of errors, and scores.
 
         Raises:
             MissingExtraError: matplotlib is not installed.
         """
-        return _load(FIGURES + "figures").overview(self)
+        figure: FigureLike = load_extra(FIGURES + "figures", "train").overview(self)
+        return figure
 
     def report(self, path: str | os.PathLike[str], seed: int = 0) -> Path:
         """Write the HTML report and return its path.
@@ -63,7 +57,9 @@ class Presented:
             MissingExtraError: matplotlib or jinja2 is not installed.
         """
         path = Path(path)
-        return write_text(path, _load(FIGURES + "report").render(self, str(path.parent / "corrected"), seed))
+        return write_text(
+            path, load_extra(FIGURES + "report", "train").render(self, str(path.parent / "corrected"), seed)
+        )
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write verdict.json and, if a correction is offered, the model in corrected/; return the folder."""

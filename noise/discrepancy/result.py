@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.brief import shortened
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.presented import Presented
 from noise.discrepancy.thresholds import BELIEVED
@@ -248,6 +249,9 @@ class Verdict:
     next_measurement: tuple[Measurement, ...]
     baseline_check: BaselineCheck
     warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return shortened(f"<Verdict {self.verdict}: {self.summary}>")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of verdict.json."""

@@ -39,12 +39,11 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
     """n environments stepped together; each gives the same results as a `SonarParkingEnv` with its seed.
 
     Environment i is seeded with `seed + i`, or with item i of a list of seeds, and has its own random streams. Infos
-    are arrays with a leading axis of n, each with a mask under its name preceded by "_", as in Gymnasium.
+    are arrays with a leading axis of n, each with a mask under its name preceded by "_", as in Gymnasium. Arguments
+    that are not listed are those of `SonarParkingEnv`.
 
     Args:
         num_envs: number of environments.
-        sonar, sonar_layout, street, car, reward, odometry, difficulty, credence_driver, crosstalk: see
-            `SonarParkingEnv`, and so for `randomize` and `render_mode`.
         max_episode_steps: number of steps after which an episode is truncated; None for no limit.
         autoreset_mode: `AutoresetMode` or its value: "NextStep" (default), "SameStep" or "Disabled".
         threads: number of threads; default: one per processor.

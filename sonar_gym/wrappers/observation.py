@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -20,10 +20,11 @@ from sonar_gym.checks import settings_of
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE, Fleet
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
+from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.pipeline import Sensing
 from sonar_gym.sensing.sonar import Sonar, SonarChoice, resolve, sonar_spaces
 from sonar_gym.wrappers.highway import RoadSource, is_road
-from sonar_gym.wrappers.settings import SonarSettings
+from sonar_gym.wrappers.settings import ConditionSetting, SonarSettings, given_settings
 from sonar_gym.wrappers.sources import ObservedSonars, PathSource, RangesSource
 
 WRAPPER_TAG = 0x5EA2  # of the random stream; differs from that of the sonars inside the environment
@@ -89,13 +90,32 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
 
     Each sonar may have its own period, phase and latency, in seconds; a reading is shown until the next one arrives.
     Models with memory carry it from ping to ping and lose it at each reset. The wrapper has its own random stream: for
-    the same seed the environment behaves identically with and without the wrapper. All fields of `SonarSettings`, and
-    models given by name or path, are stored in the environment's spec and its JSON.
+    the same seed the environment behaves identically with and without the wrapper. All arguments that
+    differ from their defaults, and models given by name or path, are stored in the environment's spec and its JSON.
 
     Args:
         env: environment to wrap.
         sonar: name, path or model.
-        settings: fields of `sonar_gym.wrappers.settings.SonarSettings`.
+        key: key of the ranges in a `Dict` observation.
+        indices: indices of the ranges in the flattened array; None: all.
+        empty: value of the observation for a ray that hits nothing, as -1 of MuJoCo's rangefinders. Infinity, and any
+            value at or beyond `max_range`, always means that nothing is in reach.
+        metres_per_unit: length in metres, for the sonar, of one unit of the observation, or of 1 m of a road.
+        max_range: maximum range of the sonars, m; anything at or beyond it gives no echo. None: 3.01 m in the parking
+            street, 6 m elsewhere.
+        incidence: angle between beam and surface normal, rad: a constant, a pair (uniform, drawn at every step), or a
+            key of the observation or of `info`.
+        bearing: angle of the reflector off the beam axis, rad; same choices.
+        reflectance: reflectance of the reflector; same choices, but a pair is drawn once per episode and sonar.
+        sonar_layout: on a road, mounts relative to the centre of the vehicle, or mappings of their fields; times given
+            there take precedence. None: eight sonars, four per bumper.
+        keep: part of a road observation to retain: "own" (the state of the controlled vehicle), "all" or "nothing".
+        step_s: time between observations, s. None: that of the environment, else 0.1 s.
+        period_s: time between pings, s, one number or one per sonar; 0: one ping per observation, or fewer where the
+            real sensor needs longer.
+        phase_s: time of the first ping, s, one number or one per sonar.
+        latency_s: time from a ping to its reading, s, one number or one per sonar. None: that of the real sensor, 65 ms
+            for a maximum range of 11 m.
 
     >>> import gymnasium, sonar_gym
     >>> env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", latency_s=0.05)
@@ -103,7 +123,27 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
     ['age', 'credence', 'echo', 'ego', 'ranges']
     """
 
-    def __init__(self, env: gymnasium.Env, sonar: SonarChoice = "ideal", **settings: Any) -> None:
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        sonar: SonarChoice = "ideal",
+        *,
+        key: str | None = None,
+        indices: Sequence[int] | None = None,
+        empty: float | None = None,
+        metres_per_unit: float = 1.0,
+        max_range: float | None = None,
+        incidence: ConditionSetting = (0.0, 0.4),
+        bearing: ConditionSetting = 0.0,
+        reflectance: ConditionSetting = (0.1, 0.9),
+        sonar_layout: Layout | None = None,
+        keep: Literal["own", "all", "nothing"] = "own",
+        step_s: float | None = None,
+        period_s: float | Sequence[float] = 0.0,
+        phase_s: float | Sequence[float] = 0.0,
+        latency_s: float | Sequence[float] | None = None,
+    ) -> None:
+        settings = given_settings(locals())
         sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
@@ -163,15 +203,31 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
 
     The random stream of environment i is seeded with `seed + i`, or with item i of a list of seeds. The memory of a
     model is cleared where an episode begins, in all three autoreset modes. Environments of highway-env are wrapped one
-    by one instead: `gymnasium.make_vec(..., wrappers=[SonarObservation])`.
-
-    Args:
-        env: vector environment to wrap.
-        sonar: name, path or model, shared by all environments.
-        settings: fields of `sonar_gym.wrappers.settings.SonarSettings`.
+    by one instead: `gymnasium.make_vec(..., wrappers=[SonarObservation])`. The arguments are those of
+    `SonarObservation`; the sonar is shared by all environments.
     """
 
-    def __init__(self, env: VectorEnv, sonar: SonarChoice = "ideal", **settings: Any) -> None:
+    def __init__(
+        self,
+        env: VectorEnv,
+        sonar: SonarChoice = "ideal",
+        *,
+        key: str | None = None,
+        indices: Sequence[int] | None = None,
+        empty: float | None = None,
+        metres_per_unit: float = 1.0,
+        max_range: float | None = None,
+        incidence: ConditionSetting = (0.0, 0.4),
+        bearing: ConditionSetting = 0.0,
+        reflectance: ConditionSetting = (0.1, 0.9),
+        sonar_layout: Layout | None = None,
+        keep: Literal["own", "all", "nothing"] = "own",
+        step_s: float | None = None,
+        period_s: float | Sequence[float] = 0.0,
+        phase_s: float | Sequence[float] = 0.0,
+        latency_s: float | Sequence[float] | None = None,
+    ) -> None:
+        settings = given_settings(locals())
         sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)

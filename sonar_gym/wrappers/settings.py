@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -43,27 +43,7 @@ def check_condition(name: str, given: Any) -> ConditionSetting:
 class SonarSettings:
     """How sonars are attached to an environment.
 
-    Attributes:
-        key: key of the ranges in a `Dict` observation.
-        indices: indices of the ranges in the flattened array; None: all.
-        empty: value of the observation for a ray that hits nothing, as -1 of MuJoCo's rangefinders. Infinity, and any
-            value at or beyond `max_range`, always means that nothing is in reach.
-        metres_per_unit: length in metres, for the sonar, of one unit of the observation, or of 1 m of a road.
-        max_range: maximum range of the sonars, m; anything at or beyond it gives no echo. None: 3.01 m in the parking
-            street, 6 m elsewhere.
-        incidence: angle between beam and surface normal, rad: a constant, a pair (uniform, drawn at every step), or a
-            key of the observation or of `info`.
-        bearing: angle of the reflector off the beam axis, rad; same choices.
-        reflectance: reflectance of the reflector; same choices, but a pair is drawn once per episode and sonar.
-        sonar_layout: on a road, mounts relative to the centre of the vehicle, or mappings of their fields; times given
-            there take precedence. None: eight sonars, four per bumper.
-        keep: part of a road observation to retain: "own" (the state of the controlled vehicle), "all" or "nothing".
-        step_s: time between observations, s. None: that of the environment, else 0.1 s.
-        period_s: time between pings, s, one number or one per sonar; 0: one ping per observation, or fewer where the
-            real sensor needs longer.
-        phase_s: time of the first ping, s, one number or one per sonar.
-        latency_s: time from a ping to its reading, s, one number or one per sonar. None: that of the real sensor, 65 ms
-            for a maximum range of 11 m.
+    The fields are the arguments of `sonar_gym.SonarObservation`, where each is described.
     """
 
     key: str | None = None
@@ -107,6 +87,16 @@ class SonarSettings:
     def times(self) -> Times:
         """Period, phase and latency, s."""
         return self.period_s, self.phase_s, self.latency_s
+
+
+def given_settings(arguments: Mapping[str, object]) -> dict[str, object]:
+    """Return those arguments of a call that are settings and differ from their defaults."""
+    defaults = {field.name: field.default for field in fields(SonarSettings)}
+    return {
+        name: arguments[name]
+        for name, default in defaults.items()
+        if type(arguments[name]) is not type(default) or arguments[name] != default
+    }
 
 
 def prior_ping(conditions: Mapping[str, ConditionSetting], max_range: float) -> Ping:

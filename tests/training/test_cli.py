@@ -40,7 +40,7 @@ def test_a_name_like_no_other_lists_the_commands():
 
 
 def test_a_fault_of_the_program_is_one_line_and_a_crash_file(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr("training.diagnosis.effects.main", lambda args: [][0])
+    monkeypatch.setattr("training.pages.effects.main", lambda args: [][0])
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with pytest.raises(SystemExit) as stop:
         main(["effects"])
@@ -56,7 +56,7 @@ def test_a_fault_of_the_program_is_one_line_and_a_crash_file(monkeypatch, capsys
 
 
 def test_debug_shows_the_traceback(monkeypatch):
-    monkeypatch.setattr("training.diagnosis.effects.main", lambda args: [][0])
+    monkeypatch.setattr("training.pages.effects.main", lambda args: [][0])
     with pytest.raises(IndexError):
         main(["effects", "--debug"])
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from acquisition import EchoStatus, Recording
 from acquisition.arrays import Floats, Ints
-from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, PolarAxes, panels
+from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, Figure, PolarAxes, figure_of, panels
 
 TOLERANCE = 0.10  # a reading is correct within this share of the true distance (Esmi 2016, section 4.1)
 MAX_PANELS, MAX_POINTS = 4, 6000
 MAX_ANGLES, MAX_DISTANCES = 61, 250  # levels of a surface; more are binned
 MAX_HALF_WIDTH_DEG, MAX_HALF_WIDTH = 2.5, 0.04  # of the area of one level: deg, and share of the distance span
 BLANK = "#eceff3"
-DEG, CM = np.pi / 180.0, 0.01
+DEG = np.pi / 180.0
 
 
 @dataclass(frozen=True)
@@ -148,14 +148,14 @@ def credence_plane(recording: Recording) -> bytes:
     """Return a figure of credence in the plane, from above; one-sided data are mirrored (symmetric beam)."""
 
     def draw(axes: Axes, part: Part) -> None:
-        distance, value = part.distances.edges / CM, part.surface(part.right)
+        distance, value = part.distances.edges, part.surface(part.right)
         one_sided = part.recording.ping.angle.min() >= 0.0
         for side in (1.0, -1.0) if one_sided else (1.0,):
             a, d = np.meshgrid(side * part.angles.edges, distance, indexing="ij")
             axes.pcolormesh(d * np.sin(a), d * np.cos(a), value, vmin=0, vmax=1, cmap="viridis", rasterized=True)
         reach = distance[-1] * max(float(np.abs(np.sin(part.angles.edges)).max()), 0.15)
         axes.set(aspect="equal", facecolor=BLANK, xlim=(-reach, reach), ylim=(0.0, 1.02 * distance[-1]))
-        axes.set(xlabel="to the side (cm)", ylabel="ahead of the sonar (cm)")
+        axes.set(xlabel="to the side (m)", ylabel="ahead of the sonar (m)")
         axes.plot(0.0, 0.0, "^", color=INK, ms=8, clip_on=False)
 
     draws = _each(recording, draw)
@@ -191,28 +191,34 @@ def _along(axes: Axes, part: Part, share: Floats) -> None:
 
 def readings(recording: Recording) -> bytes:
     """Return a figure of readings against true distance; pings without echo or answer are marked below."""
-
-    def draw(axes: Axes, part: Part) -> None:
-        ping, reading = part.recording.ping, part.recording.reading
-        shown = _some(len(ping))
-        reach = float(ping.distance.max())
-        line = np.array([0.0, 1.05 * reach])
-        axes.fill_between(line, 0.9 * line, 1.1 * line, color=AFTER, alpha=0.12, lw=0, label="within 10 %")
-        axes.plot(line, line, color=AFTER, lw=0.9, label="the truth")
-        top = float(np.quantile(reading.range[reading.echo], 0.999)) if reading.echo.any() else reach
-        foot = 0.04 * max(top, reach)
-        marks = ((EchoStatus.NO_ECHO, -foot, SOFT, "no echo"), (EchoStatus.NO_ANSWER, -2 * foot, BEFORE, "no answer"))
-        echo = shown[reading.echo[shown]]
-        axes.plot(ping.distance[echo], reading.range[echo], ".", ms=2.5, color=INK, alpha=0.35, rasterized=True)
-        for status, height, colour, label in marks:
-            x = ping.distance[shown[reading.status[shown] == status]]
-            if len(x):
-                axes.plot(x, np.full(len(x), height), "|", ms=5, color=colour, label=label, rasterized=True)
-        axes.set(xlabel="true distance (m)", ylabel="reading (m)", ylim=(-3 * foot, 1.08 * max(top, reach)))
-        axes.legend(loc="upper left", fontsize=8)
-
-    draws = _each(recording, draw)
+    draws = _each(recording, _readings)
     return panels(draws, (5.4 * len(draws), 4.0), share_y=True)
+
+
+def _readings(axes: Axes, part: Part) -> None:
+    ping, reading = part.recording.ping, part.recording.reading
+    shown = _some(len(ping))
+    reach = float(ping.distance.max())
+    line = np.array([0.0, 1.05 * reach])
+    axes.fill_between(line, 0.9 * line, 1.1 * line, color=AFTER, alpha=0.12, lw=0, label="within 10 %")
+    axes.plot(line, line, color=AFTER, lw=0.9, label="the truth")
+    top = float(np.quantile(reading.range[reading.echo], 0.999)) if reading.echo.any() else reach
+    foot = 0.04 * max(top, reach)
+    marks = ((EchoStatus.NO_ECHO, -foot, SOFT, "no echo"), (EchoStatus.NO_ANSWER, -2 * foot, BEFORE, "no answer"))
+    echo = shown[reading.echo[shown]]
+    axes.plot(ping.distance[echo], reading.range[echo], ".", ms=2.5, color=INK, alpha=0.35, rasterized=True)
+    for status, height, colour, label in marks:
+        x = ping.distance[shown[reading.status[shown] == status]]
+        if len(x):
+            axes.plot(x, np.full(len(x), height), "|", ms=5, color=colour, label=label, rasterized=True)
+    axes.set(xlabel="true distance (m)", ylabel="reading (m)", ylim=(-3 * foot, 1.08 * max(top, reach)))
+    axes.legend(loc="upper left", fontsize=8)
+
+
+def overview(recording: Recording) -> Figure:
+    """Return readings over true distance, for each reflectance, as one figure."""
+    draws = _each(recording, _readings)
+    return figure_of(draws, (5.4 * len(draws), 4.0))
 
 
 def course(recording: Recording) -> bytes:

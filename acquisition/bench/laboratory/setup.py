@@ -10,6 +10,7 @@ import numpy as np
 from acquisition.bench.laboratory.air import Gradient
 from acquisition.bench.laboratory.interference import Ambient, Hum, Mover, Neighbour, Reverberation
 from acquisition.bench.laboratory.shapes import Shape
+from acquisition.brief import brief
 from acquisition.errors import SettingError
 
 Output = Literal["inch", "cm", "us"]
@@ -148,6 +149,8 @@ class Setup:
         hum: mains ripple on the sensor's supply, or none.
         bus: fault rates of the bus.
     """
+
+    __repr__ = brief
 
     gain: int = 14
     range_register: int = 140

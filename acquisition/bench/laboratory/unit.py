@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from acquisition.brief import brief
+
 DEG = np.pi / 180.0
 TICKS = (1e-6, 2e-6, 4e-6, 8e-6, 16e-6, 32e-6, 64e-6)  # s; the datasheet does not state which
 # limits of each unknown parameter; the order must not change, as units are drawn from it by serial number
@@ -70,6 +72,8 @@ class Unit:
         spill: pressure emitted and received outside the beam, by the housing, relative to that on the axis, each way.
         light: value of the light register.
     """
+
+    __repr__ = brief
 
     serial: int = 0
     q_tx: float = 35.0

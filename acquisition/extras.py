@@ -1,0 +1,32 @@
+"""Modules that need an extra: imported by name on first use, from packages that do not require them."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from typing import Any, Protocol
+
+from acquisition.errors import MissingExtraError
+
+
+class FigureLike(Protocol):
+    """A matplotlib figure, which notebooks show; matplotlib itself is an extra."""
+
+    def savefig(self, fname: str | os.PathLike[str], /) -> None:
+        """Write the figure as a picture of the kind that the name ends in."""
+
+
+def load_extra(module: str, extra: str) -> Any:
+    """Import and return a module.
+
+    Args:
+        module: full name.
+        extra: that provides what the module needs.
+
+    Raises:
+        MissingExtraError: a package that it needs is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(f"this needs the package {error.name!r}: pip install 'sonar-gym[{extra}]'") from None
