@@ -20,7 +20,7 @@ from noise.discrepancy.result import Diagnosis
 from sonar_gym.agent import load_agent
 from training.common.progress import bar
 from training.diagnosis import diagnose
-from training.diagnosis.demo_page import DemoResult, gif, render
+from training.diagnosis.demo_page import CORRECTED, DemoResult, gif, reason, render
 from training.diagnosis.drive import Drive, drive
 from training.diagnosis.envelope import CONCEALED, Envelope, conceal
 
@@ -32,7 +32,7 @@ PLAN = SurveyPlan(
 )
 HIDDEN = ["temperature_c", "humidity_pct"]  # columns that would reveal the effect
 SONARS = ("ideal", "srf08-mlp")
-AGENT = "srf08-mlp, trained agent"
+AGENT = "srf08-mlp, trained agent"  # the other drives are those of the scripted driver
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ def main(args: Args) -> None:
     console.print("[bold]3[/] " + "\n  ".join(diagnose.summary(diagnosis, args.out / "diagnosis")))
     drives = park(args)
     for name, one in drives.items():
-        console.print(f"[bold]4[/] {name}: {one.summary}")
+        console.print(f"[bold]4[/] sonar {name}: {one.summary}")
+        if name == CORRECTED and not one.success:
+            console.print(f"  why: {reason(one, diagnosis)}")
     finish(args, envelope, diagnosis, drives)
     console.print(f"[bold]5[/] concealed effect: {envelope.effect}: {envelope.description}")
     console.print(f"see {args.out / 'report.html'} and {args.out / 'parking.gif'}")
@@ -84,7 +86,7 @@ def record(setup: Setup, path: Path, seed: int, stream: int) -> Recording:
 def park(args: Args) -> dict[str, Drive]:
     """Park on one street with the ideal, learned and, if there is one, corrected sonar, and with the shipped agent."""
     corrected = args.out / "diagnosis" / "corrected"
-    sonars = {name: name for name in SONARS} | ({"corrected": str(corrected)} if corrected.exists() else {})
+    sonars = {name: name for name in SONARS} | ({CORRECTED: str(corrected)} if corrected.exists() else {})
     with bar("parking", len(sonars) + 1) as update:
         drives = {}
         for k, (name, sonar) in enumerate(sonars.items()):
@@ -97,6 +99,6 @@ def park(args: Args) -> dict[str, Drive]:
 def finish(args: Args, envelope: Envelope, diagnosis: Diagnosis, drives: dict[str, Drive]) -> None:
     """Write the concealed effect, the film and the page."""
     envelope.save(args.out / "envelope.json")
-    film = gif({name: one.frames for name, one in drives.items()}, args.out / "parking.gif")
+    film = gif(drives, args.out / "parking.gif")
     result = DemoResult(envelope, diagnosis, drives, film, args.seed)
     render(result, args.out / "report.html")

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from acquisition.io.files import write_bytes, write_text
 from noise.discrepancy.result import Diagnosis
+from sonar_gym.parking.drawing import credence_colour
 from training.diagnosis.drive import Drive
 from training.diagnosis.envelope import Envelope
 from training.diagnosis.report import fill
 
-Picture = NDArray[np.uint8]
-WIDTH = 620  # px, of a film
+WIDTH, COLUMNS, GAP = 480, 2, 10  # of a film: px, films in a row, px between them
 SCENE = (0.08, 0.735)  # top and bottom of the street, as shares of the height
 FRAME_MS, LAST_MS = 160, 2500
 INK, PAPER = (29, 39, 51), (247, 246, 241)
-TITLE = 26  # px
+TITLE, LEGEND, LEGEND_BAR = 30, 34, 120  # px
+CORRECTED = "corrected"  # name of the sonar that the diagnosis found
+OUTCOME = {"parked": (22, 110, 84), "not": (176, 52, 32)}
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class DemoResult:
     seed: int
 
 
-def gif(films: Mapping[str, Sequence[Picture]], path: Path) -> Path:
-    """Write films one above the other, each with its name; shorter films end with a still picture.
+def gif(drives: Mapping[str, Drive], path: Path) -> Path:
+    """Write the films of drives side by side, each with its name and outcome, above a legend of credence.
 
     Args:
-        films: frames of each drive, (height, width, 3) uint8.
+        drives: by name of the sonar; a drive that ends earlier ends with a still picture.
         path: GIF file to write.
     """
-    length = max(map(len, films.values()))
-    frames = [_stack({name: film[min(k, len(film) - 1)] for name, film in films.items()}) for k in range(length)]
-    palette = frames[length // 2].quantize(96)
+    length = max(len(drive.frames) for drive in drives.values())
+    frames = [_grid({name: _panel(name, drive, k) for name, drive in drives.items()}) for k in range(length)]
+    palette = frames[length // 2].quantize(128)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     buffer = io.BytesIO()
     durations = [FRAME_MS] * (length - 1) + [LAST_MS]
@@ -54,23 +54,52 @@ def gif(films: Mapping[str, Sequence[Picture]], path: Path) -> Path:
     return write_bytes(path, buffer.getvalue())
 
 
-def _stack(pictures: Mapping[str, Picture]) -> Image.Image:
-    strips = [_strip(name, picture) for name, picture in pictures.items()]
-    height = sum(strip.height for strip in strips)
-    whole = Image.new("RGB", (WIDTH, height), PAPER)
-    for k, strip in enumerate(strips):
-        whole.paste(strip, (0, sum(s.height for s in strips[:k])))
+def _grid(panels: Mapping[str, Image.Image]) -> Image.Image:
+    width, height = next(iter(panels.values())).size
+    rows = -(-len(panels) // COLUMNS)
+    whole = Image.new("RGB", (COLUMNS * width + (COLUMNS + 1) * GAP, rows * (height + GAP) + GAP + LEGEND), PAPER)
+    for k, panel in enumerate(panels.values()):
+        whole.paste(panel, (GAP + (k % COLUMNS) * (width + GAP), GAP + (k // COLUMNS) * (height + GAP)))
+    _legend(whole, whole.height - LEGEND)
     return whole
 
 
-def _strip(name: str, picture: Picture) -> Image.Image:
+def _panel(name: str, drive: Drive, k: int) -> Image.Image:
+    """Return picture k of a drive below its name and, once it has ended, its outcome."""
+    picture, over = drive.frames[min(k, len(drive.frames) - 1)], k >= len(drive.frames) - 1
     top, bottom = (round(share * picture.shape[0]) for share in SCENE)
     scene = Image.fromarray(picture[top:bottom])
     scene = scene.resize((WIDTH, round(WIDTH * scene.height / scene.width)), Image.Resampling.LANCZOS)
-    strip = Image.new("RGB", (WIDTH, scene.height + TITLE), PAPER)
-    strip.paste(scene, (0, TITLE))
-    ImageDraw.Draw(strip).text((10, 5), f"sonar: {name}", INK, ImageFont.load_default(15))
-    return strip
+    panel = Image.new("RGB", (WIDTH, scene.height + TITLE), PAPER)
+    panel.paste(scene, (0, TITLE))
+    pen, font = ImageDraw.Draw(panel), ImageFont.load_default(19)
+    pen.text((4, 4), f"sonar: {name}", INK, font)
+    if over:
+        pen.text((WIDTH - 4, 4), drive.end, OUTCOME["parked" if drive.success else "not"], font, anchor="ra")
+    return panel
+
+
+def _legend(whole: Image.Image, top: int) -> None:
+    """Draw the colours of credence, and what rings and dots are."""
+    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(17)
+    pen.text((GAP, top + 6), "cones and rings: readings, by credence   0", INK, font)
+    left = GAP + round(pen.textlength("cones and rings: readings, by credence   0 ", font))
+    for x in range(LEGEND_BAR):
+        pen.line([(left + x, top + 8), (left + x, top + 26)], credence_colour(x / (LEGEND_BAR - 1)))
+    pen.text((left + LEGEND_BAR + 6, top + 6), "1", INK, font)
+    pen.text((whole.width - GAP, top + 6), "white dots: the truth", INK, font, anchor="ra")
+
+
+def reason(drive: Drive, diagnosis: Diagnosis) -> str:
+    """Return why a drive with the corrected model did not park, as one sentence; empty if it parked."""
+    if drive.success:
+        return ""
+    causes = [cause.statement for cause in diagnosis.verdict.causes if cause.believed]
+    found = " ".join(causes) or "The recorded sonar differs from the simulated one."
+    return (
+        f"{found} The corrected model reads like the recorded sonar, and the driver was made for one without this "
+        "error: the car would fail on the street, too. The simulation shows it first."
+    )
 
 
 def render(result: DemoResult, path: Path) -> Path:
@@ -81,6 +110,7 @@ def render(result: DemoResult, path: Path) -> Path:
         result.diagnosis,
         envelope=result.envelope,
         drives=result.drives,
+        reasons={name: reason(drive, result.diagnosis) for name, drive in result.drives.items() if name == CORRECTED},
         film=film,
         street=result.seed,
     )

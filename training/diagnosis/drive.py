@@ -45,11 +45,15 @@ class Drive:
         return cls(episode.success, episode.collision, episode.steps, median, float(silent), episode.frames)
 
     @property
+    def end(self) -> str:
+        """How the drive ended, in a word or three."""
+        return "parked" if self.success else "collided" if self.collision else "did not park"
+
+    @property
     def summary(self) -> str:
         """Result as one line of text."""
-        end = "parked" if self.success else "collided" if self.collision else "did not park"
-        silent = f"{100 * self.silent:.0f} % without echo"
-        return f"{end} after {self.steps} steps; median error {self.error_mm:.0f} mm, {silent}"
+        silent = f"{100 * self.silent:.0f} % no echo"
+        return f"{self.end} after {self.steps} steps; median error {self.error_mm:.0f} mm, {silent}"
 
 
 def drive(sonar: str, seed: int, driver: Controller | None = None) -> Drive:

@@ -2,17 +2,24 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from PIL import Image
 
-from training.diagnosis.demo_page import DemoResult, render
+from training.diagnosis.demo_page import DemoResult, gif, reason, render
 from training.diagnosis.drive import Drive
 from training.diagnosis.envelope import Envelope
+
+
+def drive(success, frames=2):
+    pictures = [np.full((300, 600, 3), 40 * k, np.uint8) for k in range(frames)]
+    return Drive(success, not success, 40, 12.0, 0.1, pictures)
 
 
 @pytest.mark.parametrize("name", ["scale", "unexplained"])
 def test_the_page_shows_diagnosis_and_drives(situations, tmp_path, name):
     made = situations[name]
-    one = SimpleNamespace(success=True, collision=False, steps=40, error_mm=12.0, silent=0.1)
+    one = drive(success=True)
     drives = {"ideal": one, "srf08-mlp": one} | ({"corrected": one} if made.corrected is not None else {})
     envelope = SimpleNamespace(effect="sound_speed", description="air at 14 degC", seal="ab" * 32)
     film = tmp_path / "parking.gif"
@@ -23,6 +30,23 @@ def test_the_page_shows_diagnosis_and_drives(situations, tmp_path, name):
     assert "<svg" in page
 
 
-def test_the_stand_ins_have_the_attributes_of_the_real_classes():
-    assert {"success", "collision", "steps", "error_mm", "silent"} <= {*Drive.__dataclass_fields__, *dir(Drive)}
+def test_a_failure_of_the_corrected_model_comes_with_its_reason(situations, tmp_path):
+    made, film = situations["scale"], tmp_path / "parking.gif"
+    film.write_bytes(b"GIF89a")
+    drives = {"ideal": drive(success=True), "corrected": drive(success=False)}
+    envelope = SimpleNamespace(effect="sound_speed", description="air at 14 degC", seal="ab" * 32)
+    page = render(DemoResult(envelope, made, drives, film, 12), tmp_path / "report.html").read_text()
+    assert "Why corrected collided." in page
+    assert all(cause.statement in reason(drives["corrected"], made) for cause in made.verdict.causes if cause.believed)
+    assert reason(drives["ideal"], made) == ""
+
+
+def test_films_are_side_by_side_and_the_shorter_ones_wait(tmp_path):
+    drives = {str(k): drive(success=k > 0, frames=k + 2) for k in range(4)}
+    with Image.open(gif(drives, tmp_path / "film.gif")) as film:
+        assert film.n_frames == 5
+        assert film.width > 1.5 * film.height
+
+
+def test_the_stand_in_has_the_attributes_of_the_real_class():
     assert {"effect", "description", "seal"} <= {*Envelope.__dataclass_fields__, *dir(Envelope)}
