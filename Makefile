@@ -47,10 +47,10 @@ benchmarks: $(STAMP)  ## performance figures, as ratios measured in one run
 	$(BIN)/python -m pytest benchmarks -m '' -q -s
 
 judge: $(STAMP)  ## measure the diagnosis on labelled trials (hours; stop at any time, the same command goes on)
-	$(BIN)/sonar-gym judge --out runs/judge --n $(TRIALS) --workers $(WORKERS) --page docs/diagnosis-judged.md
+	$(BIN)/sonar-gym judge --out runs/judge --n $(TRIALS) --workers $(WORKERS) --page docs/explanation/diagnosis-judged.md
 
 proof: $(STAMP)  ## 300 blind trials (hours; stop at any time, the same command goes on)
-	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --workers $(WORKERS) --announce $(ANNOUNCED) --pages docs
+	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --workers $(WORKERS) --announce $(ANNOUNCED) --pages docs/explanation
 	$(BIN)/sonar-gym verify-proof runs/proof/ledger.jsonl --workers $(WORKERS)
 
 firmware:  ## compile the Arduino sketch; needs apt install gcc-avr avr-libc arduino-core-avr

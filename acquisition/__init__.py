@@ -32,6 +32,7 @@ from acquisition.errors import (
     UnpluggedError,
 )
 from acquisition.ping import EchoStatus, Ping, Reading, previous
+from acquisition.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from acquisition.io.given import as_recording

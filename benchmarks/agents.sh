@@ -1,5 +1,5 @@
 #!/bin/sh
-# Reproduce the results of docs/agents.md in runs/agents. To continue after an interruption, give the same command again.
+# Reproduce the results of docs/explanation/agents.md in runs/agents. To continue after an interruption, give the same command again.
 # Two jobs run in parallel, about 90 minutes on two processors. With the argument "quick", check every step in minutes.
 set -eu
 cd "$(dirname "$0")/.."

@@ -26,6 +26,7 @@ from .model import GaussianModel, IdealModel, SonarModel, follow, listener, simu
 from .physical import PhysicalModel
 from .store import load_model, model_names, save_model
 
+__version__: str
 __all__ = [
     "CATALOGUE",
     "ComposedModel",

@@ -10,6 +10,7 @@ import gymnasium
 import lazy_loader
 
 from acquisition.name_check import check_noise
+from acquisition.version import __version__ as __version__
 
 __getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
 ENV_ID = "SonarParking-v0"

@@ -9,6 +9,7 @@ from .sb3 import SonarVecEnv as SonarVecEnv
 from .wrappers.observation import SonarObservation as SonarObservation
 from .wrappers.observation import SonarVectorObservation as SonarVectorObservation
 
+__version__: str
 ENV_ID: str
 GOAL_ENV_ID: str
 ENVIRONMENTS: dict[str, tuple[str, float]]

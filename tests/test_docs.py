@@ -1,5 +1,6 @@
 """Links and paths in the documentation lead somewhere."""
 
+import json
 import re
 from pathlib import Path
 
@@ -7,12 +8,39 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
-PACKAGES = sorted((ROOT / "docs" / "packages").glob("*.md"))
+PACKAGES = sorted((ROOT / "docs" / "how-to" / "change-the-code").glob("*.md"))
+NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
+MAX_PAGE, MAX_DOCS = 1500, 25_000  # words
+
+
+def prose(path):
+    """Return the text of a page or of a notebook without code, targets of links and formulas."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"<!--.*?-->|\$\$.*?\$\$|(?<=\])\([^)]*\)", "", text, flags=re.DOTALL)
+
+
+def n_words(path):
+    return len(re.findall(r"\S*[A-Za-z]\S*", prose(path)))
+
+
+def test_pages_are_short_and_few():
+    words = {str(path.relative_to(ROOT)): n_words(path) for path in [*PAGES[1:], *NOTEBOOKS]}
+    assert {name: n for name, n in words.items() if n > MAX_PAGE} == {}
+    assert sum(words.values()) <= MAX_DOCS
+
+
+def test_the_readme_has_a_hundred_lines():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_relative_links_resolve(page):
-    links = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    links = re.findall(r"\]\(([^)#\s]+)", text)
     missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
     assert not missing
 

@@ -7,7 +7,6 @@ import importlib
 import io
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import tyro
@@ -17,6 +16,7 @@ from acquisition import MissingExtraError, SettingError
 from acquisition.io.places import check_places
 from acquisition.limits import check_settings, near, shown
 from acquisition.name_check import check_noise
+from acquisition.version import __version__
 from training.common.door import door, parsing
 
 # group -> subcommand -> (module below `training` with `Args` and `main(args)`, summary). A module is imported only when
@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         if not argv or argv[0] in ("-h", "--help"):
             print(overview())
         elif argv[0] == "--version":
-            print(f"sonar-gym {version('sonar-gym')}")
+            print(f"sonar-gym {__version__}")
         elif argv[0] == COMPLETION:
             print(completion(argv[1:]))
         elif argv[0] not in COMMANDS:
@@ -121,12 +121,17 @@ def completion(argv: Sequence[str]) -> str:
 
 def _run(name: str, argv: Sequence[str]) -> None:
     check_noise()
-    module = _load(name)
-    with parsing(name):
-        args = tyro.cli(module.Args, prog=f"sonar-gym {name}", description=module.__doc__, args=argv)
+    args = settings_of(name, argv)
     check_settings(args, lambda field: f"--{field.replace('_', '-')}")
     check_places(args)
-    module.main(args)
+    _load(name).main(args)
+
+
+def settings_of(name: str, argv: Sequence[str]) -> Any:
+    """Return the `Args` of a command from the words after it; values are not checked yet."""
+    module = _load(name)
+    with parsing(name):
+        return tyro.cli(module.Args, prog=f"sonar-gym {name}", description=module.__doc__, args=argv)
 
 
 def _load(name: str) -> Any:  # a module with Args and main

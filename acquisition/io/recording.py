@@ -190,8 +190,8 @@ class Recording:
             f"{len(self):,} pings",
             f"{len(np.unique(self.condition)):,} conditions",
             f"{distance.min():.3g} to {distance.max():.3g} m",
-            f"{np.mean(reading.echo):.1%} echoes",
-            f"{np.mean(~reading.answered):.1%} no answer",
+            f"{100 * np.mean(reading.echo):.1f} % echoes",
+            f"{100 * np.mean(~reading.answered):.1f} % no answer",
         ]
 
     def plot(self) -> FigureLike:

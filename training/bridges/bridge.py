@@ -1,4 +1,4 @@
-"""Bridges to OpenDLV sessions, ROS bags and nodes, and sensors of Webots (docs/bridges.md)."""
+"""Bridges to OpenDLV sessions, ROS bags and nodes, and sensors of Webots (docs/how-to/opendlv.md)."""
 
 from __future__ import annotations
 

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from acquisition import Recording, SettingError
 from acquisition.arrays import Floats
+from acquisition.io.files import write_text
+from acquisition.io.places import OutputFile
 from noise import IdealModel, SonarModel, load_model
 from noise.beam import fit_beam
 from noise.faults import Faulty, Short
@@ -44,6 +46,8 @@ class Args:
     """Recordings to score all models on: other sensors, other conditions. Each condition needs at least two pings."""
     models: Annotated[tuple[ModelName, ...], MinLen(1)] = ("srf08-mlp", "srf08-lstm", "srf08-hybrid")
     """Models to compare with the baselines, by name or folder."""
+    out: OutputFile | None = None
+    """Markdown file for the tables, which are also printed."""
 
 
 @dataclass(frozen=True)
@@ -156,3 +160,5 @@ def main(args: Args) -> None:
             pages.append(f"{path.name}: {comparison_text(compare(Recording.load(path), models))}")
             progress(done, len(args.test))
     print("\n\n".join(pages))
+    if args.out is not None:
+        write_text(args.out, "\n\n".join(pages) + "\n")

@@ -64,7 +64,7 @@ class Args:
 
     data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
-    docs: OutputFolder = Path("docs")
+    out: OutputFolder = Path("docs/explanation")
     """Folder to write noise-models.md and images/noise-credence.png to."""
     models: Annotated[tuple[ModelName, ...], MinLen(1)] = SHIPPED
     """Models to compare with the baselines, by name or folder; a perceptron first."""
@@ -89,9 +89,9 @@ def main(args: Args) -> None:
             recordings[name] = Recording.load(ensure_recorded(args.data, name))
             tick()
         found = collect(models, recordings, MemoryExperiment(sessions=args.sessions), tick)
-    write_bytes(args.docs / "images" / "noise-credence.png", figure(models, recordings, found.given))
-    write_text(args.docs / "noise-models.md", page(found, made_by))
-    print(f"{args.docs / 'noise-models.md'}: written")
+    write_bytes(args.out / "images" / "noise-credence.png", figure(models, recordings, found.given))
+    write_text(args.out / "noise-models.md", page(found, made_by))
+    print(f"{args.out / 'noise-models.md'}: written")
 
 
 def collect(

@@ -71,13 +71,16 @@ def main(args: Args) -> None:
 
 
 def index() -> str:
-    """Return the page that lists all effects."""
+    """Return the page that lists all effects by stage."""
     rows = [
-        [f"[`{effect.name}`]({PAGES[stage][0]}.md#{effect.name})", PAGES[stage][0], effect.summary]
+        [f"[{PAGES[stage][1]}]({PAGES[stage][0]}.md)", ", ".join(_link(stage, effect.name) for effect in _of(stage))]
         for stage in Stage
-        for effect in _of(stage)
     ]
-    return "\n".join([HEAD, markdown_table(["effect", "place", "in one sentence"], rows), ""])
+    return "\n".join([HEAD, markdown_table(["stage", "effects"], rows), ""])
+
+
+def _link(stage: Stage, name: str) -> str:
+    return f"[`{name}`]({PAGES[stage][0]}.md#{name})"
 
 
 def page(stage: Stage) -> str:

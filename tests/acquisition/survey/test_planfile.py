@@ -53,7 +53,7 @@ def test_a_file_can_set_every_field_of_a_plan(tmp_path):
 
 
 def test_the_file_in_the_documentation_is_a_plan(tmp_path):
-    manual = (Path(__file__).parents[3] / "docs" / "surveys.md").read_text(encoding="utf-8")
+    manual = (Path(__file__).parents[3] / "docs" / "how-to" / "survey.md").read_text(encoding="utf-8")
     plan = plan_of(tmp_path, manual.split("```toml\n")[1].split("```")[0])
     assert set(plan.sweep) == set(SWEEPS)
     assert plan.distances_mm[-1] == 3000.0

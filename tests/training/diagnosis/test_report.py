@@ -172,3 +172,9 @@ def test_the_first_numbers_fit_the_verdict(situations):
     assert "Unexplained" in titles["unexplained"]
     assert "Explained" not in titles["none"]
     assert situations["none"].verdict.verdict is Kind.NONE
+
+
+def test_a_notebook_prints_two_lines_of_a_diagnosis(situations):
+    for made in situations.values():
+        assert len(repr(made)) <= 200
+        assert len(repr(made.verdict)) <= 200

@@ -84,7 +84,7 @@ def made(tmp_path_factory):
         patch.setattr(report, "RecentCredencePlan", lambda depth: plan(depth, epochs=1))
         main(["make-noise", "--out", str(folder / "weights"), "--data", str(folder / "corpus")])
         models = [str(folder / "weights" / f"srf08-{law}") for law in make.TRAINING_SETTINGS]
-        command = ["noise-report", "--data", str(folder / "corpus"), "--docs", str(folder / "docs"), "--sessions", "4"]
+        command = ["noise-report", "--data", str(folder / "corpus"), "--out", str(folder / "docs"), "--sessions", "4"]
         main([*command, "--models", *models])
     return folder
 

@@ -1,0 +1,52 @@
+"""The page of a folder of results."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import noise
+import sonar_gym
+from acquisition import Ping, Reading, Recording
+from training.cli import main
+
+
+@pytest.fixture
+def results(tmp_path):
+    distance = np.linspace(0.3, 3.0, 50)
+    recording = Recording.of(Ping.of(distance=distance, reflectance=0.9), Reading.of(distance))
+    recording.save(tmp_path / "rec & <b>.csv")
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    noise.save_model(noise.load_model("gaussian"), tmp_path / "mysonar")
+    shutil.copytree(Path(sonar_gym.__file__).parent / "weights" / "parking", tmp_path / "run" / "agent")
+    (tmp_path / "diagnosis").mkdir()
+    (tmp_path / "diagnosis" / "verdict.json").write_text('{"verdict": "none", "summary": "No difference."}')
+    return tmp_path
+
+
+def test_each_kind_of_result_is_listed_with_its_picture(results, capsys):
+    main(["view", str(results)])
+    path = Path(capsys.readouterr().out.strip())
+    text = path.read_text()
+    assert [f'id="{kind}"' in text for kind in ("Diagnoses", "Recordings", "Models", "Agents")] == [True] * 4
+    assert "none: No difference." in text
+    assert "rec &amp; &lt;b&gt;.csv" in text
+    assert "notes.csv" not in text
+    assert text.count("data:image/png;base64,") == 2  # of the recording and of the model
+    for target in re.findall(r'href="([^"#]+)"', text):
+        assert (
+            path.parent / target.replace("%20", " ").replace("%26", "&").replace("%3C", "<").replace("%3E", ">")
+        ).exists()
+
+
+def test_a_result_that_cannot_be_read_says_why(results, capsys):
+    (results / "mysonar" / "model.json").write_text('{"kind": "gaussian"')
+    main(["view", str(results), "--out", str(results / "page.html")])
+    assert "cannot be read" in (results / "page.html").read_text()
+
+
+def test_an_empty_folder_says_so(tmp_path):
+    main(["view", str(tmp_path)])
+    assert "No recording, model, diagnosis or agent" in (tmp_path / "index.html").read_text()
