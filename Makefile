@@ -9,7 +9,9 @@ FUZZ_SECONDS ?= 600
 EXAMPLES ?= 20
 ANNOUNCED := benchmarks/records/proof/announced.txt
 
-.PHONY: help demo test check audit fuzz install benchmarks judge proof firmware clean
+URL ?=  # of the project, for the site and the release
+
+.PHONY: help demo test docs figures release check audit fuzz install benchmarks judge proof firmware clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -28,6 +30,17 @@ demo: $(STAMP)  ## record, diagnose, correct and drive; leaves demo/report.html 
 
 test: $(STAMP) check  ## lint, types, import contracts, and every test that is not slow
 	$(BIN)/python -m pytest -n 2 --dist loadfile -q
+
+docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an error
+	NO_MKDOCS_2_WARNING=1 SONAR_GYM_URL=$(URL) $(BIN)/mkdocs build --quiet
+
+figures: $(STAMP)  ## make the pictures of the docs again: effects, film, tutorials (a quarter of an hour)
+	$(BIN)/sonar-gym effects --out docs/reference/effects
+	$(BIN)/sonar-gym demo --out demo && cp demo/parking.gif docs/images/parking.gif
+	for book in docs/tutorials/*.ipynb; do PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/jupyter execute --inplace $$book || exit 1; done
+
+release: $(STAMP)  ## check what a release needs: make release VERSION=0.2.0
+	PYTHON=$(BIN)/python .ci/release $(VERSION)
 
 check: $(STAMP)  ## lint, types and import contracts only
 	$(BIN)/ruff check .
@@ -58,4 +71,4 @@ firmware:  ## compile the Arduino sketch; needs apt install gcc-avr avr-libc ard
 	$(MAKE) -s -C acquisition/firmware BUILD=$(CURDIR)/build/firmware
 
 clean:  ## remove what was made, the environment included
-	rm -rf $(VENV) demo runs build *.egg-info
+	rm -rf $(VENV) demo runs build dist site *.egg-info

@@ -7,6 +7,7 @@ import os
 from typing import Any, Protocol
 
 from acquisition.errors import MissingExtraError
+from acquisition.name_check import check_names
 
 
 class FigureLike(Protocol):
@@ -24,8 +25,10 @@ def load_extra(module: str, extra: str) -> Any:
         extra: that provides what the module needs.
 
     Raises:
+        ForeignNameError: a file of the user's shadows the package.
         MissingExtraError: a package that it needs is not installed.
     """
+    check_names(module.partition(".")[0])
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Check that `import noise` finds the package of this project; PyPI has another distribution of that name."""
+"""Check that `import noise` and the like find the packages of this project, and not a file or distribution of that name."""
 
 from __future__ import annotations
 
@@ -7,21 +7,36 @@ from pathlib import Path
 
 from acquisition.errors import SonarError
 
+# package -> a module that no other package of that name has
+OURS = {"noise": "law.py", "sonar_gym": "wrappers", "training": "cli.py"}
 
-class ForeignNoiseError(SonarError, ImportError):
-    """`import noise` finds a package of another distribution."""
+
+class ForeignNameError(SonarError, ImportError):
+    """A package of this project is shadowed by a file or by a package of another distribution."""
 
 
-def check_noise() -> None:
-    """Check that `import noise` would import the package of this project, without importing it.
+def check_names(*names: str) -> None:
+    """Check that packages of this project would be imported under their names, without importing them.
+
+    Args:
+        names: of `OURS`; all by default.
 
     Raises:
-        ForeignNoiseError: it would import another package; the message gives its path and the remedy.
+        ForeignNameError: another file or package would be; the message gives its path and the remedy.
     """
-    spec = find_spec("noise")
-    origin = Path(spec.origin) if spec is not None and spec.origin else None
-    if origin is None or not (origin.parent / "law.py").is_file():
-        raise ForeignNoiseError(
-            f"the package `noise` at {origin or 'nowhere'} is not the package of sonar-gym: "
-            "run `pip uninstall noise`, then `pip install --force-reinstall --no-deps sonar-gym`"
-        )
+    for name in names or OURS:
+        spec, member = find_spec(name), OURS[name]
+        origin = Path(spec.origin) if spec is not None and spec.origin else None
+        if origin is None or not (origin.parent / member).exists() or origin.name != "__init__.py":
+            raise ForeignNameError(
+                f"`import {name}` finds {origin or 'nothing'}, not sonar-gym: {remedy(name, origin)}"
+            )
+
+
+def remedy(name: str, origin: Path | None) -> str:
+    """Return what to do about a package that shadows one of this project."""
+    if origin is not None and "site-packages" not in origin.parts:
+        found = origin if origin.name != "__init__.py" else origin.parent
+        return f"rename {found}, since Python finds it first"
+    uninstall = "" if origin is None else f"run `pip uninstall {name}`, then "
+    return f"{uninstall}`pip install --force-reinstall --no-deps sonar-gym`"

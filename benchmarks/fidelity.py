@@ -4,7 +4,8 @@
 
 The same cars drive the same streets; their sonars are simulated by the rig, with several units, and drawn from each
 model. Every score of a model is set against the same score between one unit of the rig and the others, the best that a
-law can do which does not know the unit. Prints Markdown for docs/explanation/realism.md and writes docs/images/fidelity.png.
+law can do which does not know the unit. Prints Markdown for docs/explanation/realism.md and
+writes docs/images/fidelity.png.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Speed of the sonar server, and punctuality of the OpenDLV sonars.
 
-Run by `make benchmarks`; prints the figures of docs/how-to/simulators.md. Times are those of the wall clock, so that other load
-makes them worse. The sonars run for ten minutes in a network namespace of their own.
+Run by `make benchmarks`; prints the figures of docs/how-to/simulators.md. Times are those of the wall clock, so that
+other load makes them worse. The sonars run for ten minutes in a network namespace of their own.
 """
 
 from __future__ import annotations

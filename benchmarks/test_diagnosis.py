@@ -1,6 +1,6 @@
 """Time and memory of a diagnosis of 10,000 pings and of the thesis's 133,100.
 
-Run by `make benchmarks`; prints Markdown for the record of the diagnosis. The limits apply to wall time on two idle cores.
+Run by `make benchmarks`; prints Markdown. The limits apply to wall time on two idle cores.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Time to sample the shipped laws, for the eight sonars of a car and for 1,024 cars, and alternatives to numpy.
 
-Run by `make benchmarks` with one thread per library; prints the tables of docs/explanation/noise-models.md, section Speed. Times
-are processor times, the best of several repetitions, as other load can only increase them.
+Run by `make benchmarks` with one thread per library; prints the tables of docs/explanation/noise-models.md,
+section Speed. Times are processor times, the best of several repetitions, as other load can only increase them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Run time of the rig: the thesis's survey on disk, and batches of different conditions as in a simulator.
 
-Run by `make benchmarks` with one thread per library; prints Markdown for docs/explanation/rig.md. Batches are processor time, the
-best of several repetitions.
+Run by `make benchmarks` with one thread per library; prints Markdown for docs/explanation/rig.md. Batches are processor
+time, the best of several repetitions.
 """
 
 from __future__ import annotations

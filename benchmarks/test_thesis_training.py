@@ -1,7 +1,8 @@
 """Duration of the thesis's training: online, compiled and by torch, and in mini-batches to the same loss.
 
 The thesis: a network of 30 neurons, 20 online epochs of 123,100 pings with Nadam, 13.3 minutes (listing A.1).
-Run by `make benchmarks`; prints Markdown for docs/explanation/thesis-training.md. Both methods are timed in turn on the same pings.
+Run by `make benchmarks`; prints Markdown for docs/explanation/thesis-training.md. Both methods are timed in turn on the
+same pings.
 """
 
 from __future__ import annotations

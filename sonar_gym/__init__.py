@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import lazy_loader
 
-from acquisition.name_check import check_noise
+from acquisition.name_check import check_names
 from acquisition.version import __version__ as __version__
 
 __getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
@@ -32,7 +32,7 @@ def _register(env_id: str, **spec: Any) -> None:
         gymnasium.register(id=env_id, max_episode_steps=MAX_EPISODE_STEPS, **spec)
 
 
-check_noise()
+check_names("noise")
 for _id, (_difficulty, _threshold) in ENVIRONMENTS.items():
     _register(
         _id,

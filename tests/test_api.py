@@ -36,9 +36,9 @@ def own(cls):
     """Yield the public methods that a class of this project defines."""
     for name, member in inspect.getmembers(cls):
         function = getattr(member, "__func__", member)
-        if name[0] != "_" and name not in FOREIGN and inspect.isfunction(function):
-            if function.__module__.split(".")[0] in ("acquisition", "noise", "sonar_gym"):
-                yield name, inspect.signature(function)
+        public = name[0] != "_" and name not in FOREIGN and inspect.isfunction(function)
+        if public and function.__module__.split(".")[0] in ("acquisition", "noise", "sonar_gym"):
+            yield name, inspect.signature(function)
 
 
 def stable():

@@ -15,7 +15,7 @@ import tyro.extras
 from acquisition import MissingExtraError, SettingError
 from acquisition.io.places import check_places
 from acquisition.limits import check_settings, near, shown
-from acquisition.name_check import check_noise
+from acquisition.name_check import check_names
 from acquisition.version import __version__
 from training.common.door import door, parsing
 
@@ -120,7 +120,7 @@ def completion(argv: Sequence[str]) -> str:
 
 
 def _run(name: str, argv: Sequence[str]) -> None:
-    check_noise()
+    check_names()
     args = settings_of(name, argv)
     check_settings(args, lambda field: f"--{field.replace('_', '-')}")
     check_places(args)

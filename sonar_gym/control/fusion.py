@@ -2,7 +2,8 @@
 
 A reading is either correct, close to its expected value, or arbitrary. Its credence is the prior probability of the
 first case, and the posterior probability weights the update (probabilistic data association: Bar-Shalom and Tse 1975,
-"Tracking in a cluttered environment with probabilistic data association"). docs/explanation/decisions gives the reasons for it.
+"Tracking in a cluttered environment with probabilistic data association"). docs/explanation/decisions gives the reasons
+for it.
 
 The frame is that of the street: x along the boxes from the initial position of the car, y to the left.
 """

@@ -1,4 +1,4 @@
-"""Another distribution's package `noise` is an error with a remedy."""
+"""A file or a distribution that shadows a package of this project is an error with a remedy."""
 
 import subprocess
 import sys
@@ -6,21 +6,37 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.name_check import check_noise
+from acquisition.name_check import ForeignNameError, check_names, remedy
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_package_of_this_project_passes():
-    check_noise()
+def test_the_packages_of_this_project_pass():
+    check_names()
 
 
 @pytest.mark.parametrize("code", ["import sonar_gym", "from training.cli import main; main(['effects'])"])
-def test_another_package_noise_is_an_error(tmp_path, code):
+def test_another_package_is_an_error(tmp_path, code):
     (tmp_path / "noise").mkdir()
     (tmp_path / "noise" / "__init__.py").write_text("def pnoise2(): ...\n", encoding="utf-8")
     path = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; "
     done = subprocess.run([sys.executable, "-c", path + code], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode != 0
-    assert str(tmp_path / "noise" / "__init__.py") in done.stderr
-    assert "pip uninstall noise" in done.stderr
+    assert f"rename {tmp_path / 'noise'}" in done.stderr
+
+
+def test_a_file_of_the_users_is_named(tmp_path):
+    (tmp_path / "noise.py").write_text("x = 1\n", encoding="utf-8")
+    path = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; import sonar_gym"
+    done = subprocess.run([sys.executable, "-c", path], capture_output=True, text=True, cwd=tmp_path)
+    assert f"rename {tmp_path / 'noise.py'}, since Python finds it first" in done.stderr
+
+
+def test_another_distribution_is_uninstalled():
+    assert remedy("noise", Path("/env/lib/site-packages/noise/__init__.py")).startswith("run `pip uninstall noise`")
+
+
+def test_a_package_that_is_missing_is_reinstalled(monkeypatch):
+    monkeypatch.setattr("acquisition.name_check.find_spec", lambda name: None)
+    with pytest.raises(ForeignNameError, match="finds nothing, not sonar-gym: `pip install --force-reinstall"):
+        check_names("noise")

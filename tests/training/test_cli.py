@@ -5,7 +5,8 @@ import sys
 
 import pytest
 
-from training.cli import COMMANDS, main
+import acquisition
+from training.cli import COMMANDS, GROUPS, SHELLS, main
 from training.common.door import MAX_LINE, one_line
 
 
@@ -17,6 +18,33 @@ def test_help_names_every_command(capsys):
     main(["--help"])
     text = capsys.readouterr().out
     assert all(f"  {name} " in text for name in COMMANDS)
+
+
+def test_the_help_is_grouped(capsys):
+    main([])
+    text = capsys.readouterr().out
+    places = [text.index(f"{group}:\n") for group in GROUPS]
+    assert places == sorted(places)
+
+
+def test_the_version_is_that_of_the_packages(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"sonar-gym {acquisition.__version__}\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shell", SHELLS)
+def test_a_shell_completes_commands_and_options(shell, capsys):
+    main(["completion", shell])
+    text = capsys.readouterr().out
+    assert all(name in text for name in COMMANDS)
+    assert "--range-register" in text
+
+
+def test_an_unknown_shell_is_named():
+    done = sonar_gym("completion", "dos")
+    assert done.returncode == 2
+    assert "expected one shell of bash, zsh, fish, got 'dos'" in done.stderr
 
 
 @pytest.mark.parametrize("name", COMMANDS)

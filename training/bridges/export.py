@@ -1,4 +1,4 @@
-"""The sonar nearest to a model that Webots or Gazebo can hold, and the error that it leaves (docs/how-to/simulators.md)."""
+"""The sonar nearest to a model that Webots or Gazebo can hold, and its error (docs/how-to/simulators.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sonar that other programs ask over TCP: batches of pings in, readings with credence out (docs/how-to/simulators.md)."""
+"""A sonar that other programs ask over TCP: pings in, readings with credence out (docs/how-to/simulators.md)."""
 
 from __future__ import annotations
 

@@ -28,6 +28,7 @@ MAX_LINE, MAX_PATH, MAX_WORD = 300, 160, 60  # characters of a message, and of a
 BORDER = "│╭╮╰╯─|+- \t"  # of the box around an error of the parser, also in plain ASCII
 GAP = "..."  # in place of words that are left out
 PACKAGES = ("sonar-gym", "numpy", "pandas", "torch", "gymnasium", "numba", "scipy")  # whose versions explain a crash
+EXTRAS = {"serial": "record", "smbus2": "record"}  # package -> extra, of packages that a core install lacks
 ADVICE = {
     errno.ENOSPC: "free disk space or give another folder",
     errno.EDQUOT: "free disk space or give another folder",
@@ -75,6 +76,8 @@ def reason_of(error: BaseException) -> str | None:
     """Return what the user is told about a foreseeable failure; None for any other."""
     if isinstance(error, SonarError):
         return str(error)
+    if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
+        return f"needs the package {error.name!r}: pip install 'sonar-gym[{EXTRAS[error.name]}]'"
     if isinstance(error, MemoryError):
         return f"not enough memory ({error}): use a shorter recording, smaller settings or fewer workers"
     if isinstance(error, BrokenExecutor):

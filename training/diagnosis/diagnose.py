@@ -34,7 +34,8 @@ class Args:
     """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""
     simulated: Path | None = None
     """Simulator in place of the model: its readings in the recording format; module:function, which is called as
-    function(pings, rng) and returns readings; or tcp://HOST:PORT of a server that answers pings (docs/how-to/simulators.md)."""
+    function(pings, rng) and returns readings; or tcp://HOST:PORT of a server that answers pings
+    (docs/how-to/simulators.md)."""
     seed: Seed = 0
     """Seed; the same seed gives the same verdict."""
 

@@ -79,8 +79,8 @@ class Args:
     patience: Count = 10
     """Real sensors: consecutive pings without an answer after which the connection is considered lost."""
     port: str | None = None
-    """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch (see
-    docs/how-to/connect-a-sensor.md; srf*: either; hcsr04: the Arduino) or of a MaxBotix. Defaults: /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0."""
+    """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch (srf*: either; hcsr04:
+    the Arduino) or of a MaxBotix. Defaults: /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0."""
     address: Annotated[int, Limit(0x70, 0x7F)] = 0x70
     """srf*: 7-bit address, 112..127."""
     trigger: Annotated[int, Limit(2, 69)] = 9

@@ -1,0 +1,66 @@
+"""Wheel and sdist: built, and installed beside nothing else in fresh environments."""
+
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PYTHONS = [name for name in ("python3.11", "python3.13") if shutil.which(name)]
+CORE = (
+    "import sys; from training.cli import main; "
+    "main(['record', '--driver', 'rig', '--pings', '1', '--out', 'rec.csv']); "
+    "assert not {'torch', 'gymnasium', 'serial'} & set(sys.modules)"
+)
+DRIVE = (
+    "import gymnasium, sonar_gym; env = gymnasium.make('SonarParking-v0', sonar='srf08-mlp', credence_driver='random'); "
+    "env.reset(seed=0); env.step([0.0, 0.5]); print(sonar_gym.__version__)"
+)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    out = tmp_path_factory.mktemp("dist")
+    subprocess.run([sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)], check=True, capture_output=True)
+    return out
+
+
+def test_the_archives_hold_weights_types_and_templates(built):
+    (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    for member in (
+        "noise/weights/srf08-mlp/weights.safetensors",
+        "noise/py.typed",
+        "sonar_gym/__init__.pyi",
+        "training/pages/templates/view.html",
+    ):
+        assert member in names
+    assert {name.split("/")[0] for name in names} - {"acquisition", "noise", "sonar_gym", "training"} == {
+        next(name.split("/")[0] for name in names if ".dist-info" in name)
+    }
+    with tarfile.open(sdist) as archive:
+        assert any(name.endswith("/pyproject.toml") for name in archive.getnames())
+
+
+def run_fresh(python, tmp_path, what, code):
+    subprocess.run([python, "-m", "venv", str(tmp_path / "venv")], check=True)
+    own = str(tmp_path / "venv" / "bin" / "python")
+    subprocess.run([own, "-m", "pip", "install", "-q", what], check=True)
+    return subprocess.run([own, "-c", code], check=True, cwd=tmp_path, capture_output=True, text=True).stdout
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_the_wheel_runs_the_environment(built, tmp_path, python):
+    (wheel,) = built.glob("*.whl")
+    assert run_fresh(python, tmp_path, f"{wheel}[noise,gym]", DRIVE).strip()
+
+
+def test_the_core_records_without_torch(built, tmp_path):
+    (sdist,) = built.glob("*.tar.gz")
+    run_fresh(sys.executable, tmp_path, str(sdist), CORE)
+    assert (tmp_path / "rec.csv").stat().st_size > 1000
