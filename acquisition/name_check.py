@@ -1,4 +1,4 @@
-"""Check that `import noise` and the like find the packages of this project, and not a file or distribution of that name."""
+"""Check that `import noise` and the like find the packages of this project, and nothing else of that name."""
 
 from __future__ import annotations
 

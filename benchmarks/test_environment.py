@@ -1,7 +1,7 @@
 """Speed and memory of the environment, compared with highway-env in the same run.
 
-Run by `make benchmarks`; prints Markdown for docs/reference/environment.md. Environments are timed in alternating rounds,
-so that other load affects both. Results with one thread are processor times; set OMP_NUM_THREADS=1.
+Run by `make benchmarks`; prints Markdown for docs/reference/environment.md. Environments are timed in alternating
+rounds, so that other load affects both. Results with one thread are processor times; set OMP_NUM_THREADS=1.
 """
 
 from __future__ import annotations

@@ -17,7 +17,8 @@ CORE = (
     "assert not {'torch', 'gymnasium', 'serial'} & set(sys.modules)"
 )
 DRIVE = (
-    "import gymnasium, sonar_gym; env = gymnasium.make('SonarParking-v0', sonar='srf08-mlp', credence_driver='random'); "
+    "import gymnasium, sonar_gym; "
+    "env = gymnasium.make('SonarParking-v0', sonar='srf08-mlp', credence_driver='random'); "
     "env.reset(seed=0); env.step([0.0, 0.5]); print(sonar_gym.__version__)"
 )
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]

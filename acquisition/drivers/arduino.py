@@ -1,7 +1,8 @@
 """An Arduino with the sketch of `acquisition/firmware` as a bridge to an I2C bus and to the pulses of an HC-SR04.
 
 The protocol is described in docs/reference/protocols.md: one line per request and per answer, each with a sequence
-number and a CRC-16/XMODEM with initial value 0xFFFF. The board reports its errors by number; the driver adds the message.
+number and a CRC-16/XMODEM with initial value 0xFFFF. The board reports its errors by number; the driver adds the
+message.
 """
 
 from __future__ import annotations
