@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading
+from acquisition.brief import shortened
 from noise.effects import CATALOGUE, Conditions, Effect, Path, State
 from noise.effects.state import DETECTION_WIDTH_DB, direct_path, number
 from noise.law import EchoLaw, Floats
@@ -247,4 +248,4 @@ class PhysicalModel:
             raise ModelError(f"model: cannot be built from its parameters ({error}); it may be damaged") from None
 
     def __repr__(self) -> str:
-        return f"PhysicalModel([{', '.join(map(repr, self.effects))}], resolution={self.resolution:g})"
+        return shortened(f"PhysicalModel([{', '.join(map(repr, self.effects))}], resolution={self.resolution:g})")

@@ -17,9 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from acquisition.arrays import Bits, Ints
 from acquisition.brief import shortened
 from acquisition.errors import RecordingError
 from acquisition.extras import FigureLike, load_extra
@@ -153,7 +152,7 @@ class Recording:
         return cls(table, name, tuple(faults))
 
     @classmethod
-    def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: ArrayLike) -> Recording:
+    def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         table = pd.DataFrame(
             {
@@ -211,7 +210,7 @@ class Recording:
         """Return whether the recording has a column."""
         return column in self.table.columns
 
-    def select(self, mask: Bits | Ints) -> Recording:
+    def select(self, mask: NDArray[Any]) -> Recording:
         """Return the recording of the rows at a mask or array of indices."""
         rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
         return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))

@@ -316,8 +316,9 @@ def main(args: Args) -> None:
         write_text(args.out, json.dumps(records(args, results), indent=2) + "\n")
     if args.film is not None:
         from training.diagnosis.demo_page import gif  # loads the whole diagnosis
+        from training.diagnosis.drive import Drive
 
-        gif({Path(sonar).name: drive(args, sonar, "rgb_array").frames for sonar in args.sonars}, args.film)
+        gif({Path(sonar).name: Drive.of(drive(args, sonar, "rgb_array")) for sonar in args.sonars}, args.film)
     if args.render:
         for sonar in args.sonars:
             drive(args, sonar, "human")
