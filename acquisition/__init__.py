@@ -1,4 +1,4 @@
-"""Pings, readings and recordings, and the drivers of the sensors. Requires only numpy, pandas, pyserial and smbus2.
+"""Pings, readings and recordings, and the drivers of the sensors. Requires only numpy and pandas.
 
 errors: the exceptions of the project.
 ping: `Ping` (the true conditions), `Reading` (the output of the sensor), `EchoStatus`.
