@@ -19,7 +19,7 @@ try:
     from cryptography.exceptions import InvalidTag
     from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 except ModuleNotFoundError:
-    raise MissingExtraError("the proof needs the package 'cryptography': pip install 'sonar-gym[training]'") from None
+    raise MissingExtraError("the proof needs the package 'cryptography': pip install 'sonar-gym[train]'") from None
 
 BLOCK = 2048  # bytes of a padded answer; four times the longest of 144 pairs and faults
 N_NONCE = 12  # bytes, as the cipher requires

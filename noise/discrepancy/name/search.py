@@ -38,6 +38,7 @@ NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
+FIRST_GAIN = 3.0  # nats: odds of 20 to 1 against the law of the simulation
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
 STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
@@ -153,9 +154,14 @@ class Search:
         return out
 
     def worthwhile(self, current: Hypothesis) -> float:
-        """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained."""
-        explained = current.value - self.null().value if current.effects else 0.0
-        return max(self.least_gain, MIN_SHARE * explained)
+        """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained.
+
+        A search begins where a test has found a difference, at a level that allows for all that it looked at. The first
+        effect need not prove it again for each candidate, only that it describes it.
+        """
+        if not current.effects:
+            return FIRST_GAIN
+        return max(self.least_gain, MIN_SHARE * (current.value - self.null().value))
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
