@@ -78,7 +78,7 @@ N_VIEW = 3
 
 @compiled
 def write_view(pose: Floats, cosine: float, sine: float, segment: Floats, view: Floats) -> None:
-    """Write how a sonar stands to a face: distance from its line, signed, foot along it, m, and whether it may see it."""
+    """Write how a sonar stands to a face: signed distance from its line, foot along it, m, and if it may see it."""
     ax, ay = segment[0] - pose[0], segment[1] - pose[1]
     ex, ey = segment[2] - segment[0], segment[3] - segment[1]
     x1, y1 = cosine * ax + sine * ay, cosine * ay - sine * ax
