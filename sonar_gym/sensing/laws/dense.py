@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
-from acquisition.arrays import Floats, Ints, Singles
+from acquisition.arrays import Ints, Singles
 from noise.learned.tensors import Layers
 
 BLOCK = 32  # pings
@@ -94,13 +94,3 @@ def network(weights: Singles, sizes: Ints, x: Singles, y: Singles) -> Singles:
 def logistic(x: float) -> float:
     """Return 1 / (1 + exp(-x))."""
     return 1.0 / (1.0 + math.exp(-x)) if x > -700.0 else 0.0
-
-
-def width(*sizes: Ints) -> int:
-    """Return the room that networks need, in rows of a block."""
-    return int(max(size.max() for size in sizes))
-
-
-def block(rows: int) -> Floats:
-    """Return an empty block with a number of rows."""
-    return np.zeros((rows, BLOCK), np.float32)
