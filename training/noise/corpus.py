@@ -119,7 +119,7 @@ def _draw_conditions(scene: Ints, rng: np.random.Generator) -> tuple[Floats, Flo
     turned = rng.choice(3, n, p=[0.35, 0.45, 0.20])  # parallel to the sensor's face, any orientation, facing the sensor
     incidence = np.choose(turned, [bearing, MAX_INCIDENCE_DEG * rng.random(n) ** 2, np.zeros(n)])
     at_edge = rng.random(n) < EDGE_PROBABILITY
-    near = np.exp(rng.uniform(*np.log(EDGE_DISTANCE_M), n))
+    near = np.exp(rng.uniform(np.log(EDGE_DISTANCE_M[0]), np.log(EDGE_DISTANCE_M[1]), n))
     distance = np.where(at_edge, near, distance)
     bearing = np.where(at_edge, rng.uniform(*EDGE_DEG, n), bearing)
     incidence = np.where(at_edge, rng.uniform(0.0, MAX_INCIDENCE_DEG, n), incidence)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from acquisition.arrays import Singles
+from acquisition.arrays import Floats, Singles
 from noise.law import CREDENCE_TOLERANCE
 from noise.learned.mixture import FLOOR, HALF_UNIFORM_EXCESS, UNIT_M, WIDENING, Head
 from sonar_gym.sensing.laws.dense import fused, logistic
@@ -63,7 +63,7 @@ def scale(y: Singles, r: int, k: int, shape: Shape, excess: float) -> float:
 
 
 @fused
-def shares(y: Singles, r: int, shape: Shape, excess: float, out: Singles) -> None:
+def shares(y: Singles, r: int, shape: Shape, excess: float, out: Floats) -> None:
     """Write the probabilities of the components, the uniform component and no echo of ping r."""
     outcomes = shape.near + shape.fixed + shape.anchored + 2
     top, total = y[0, r], 0.0
@@ -96,7 +96,7 @@ def draw(
     excess: float,
     anchors: tuple[float, float],
     uniform: tuple[float, float],
-    share: Singles,
+    share: Floats,
 ) -> tuple[float, int, float]:
     """Return the range, m, the status, and the credence given the condition of ping r.
 
