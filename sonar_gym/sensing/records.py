@@ -67,7 +67,9 @@ class PingArrays(NamedTuple):
             depth: greatest number of readings in flight, and one.
             rows: greatest number of cars in an update.
         """
-        observed = {name: np.zeros((n, s), np.float32) for name in ("ranges", "credence", "echo", "age")}
+        observed: dict[str, Any] = {
+            name: np.zeros((n, s), np.float32) for name in ("ranges", "credence", "echo", "age")
+        }
         return cls(
             **cls.scratch(rows, s),
             in_flight=np.zeros((n, s, depth, N_RECORD)),

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from acquisition import Reading, SettingError
 from acquisition.arrays import Bits, Floats, Ints
@@ -21,7 +22,6 @@ from sonar_gym.sensing import paths as columns
 from sonar_gym.sensing import records
 from sonar_gym.sensing.laws.choose import path_law
 from sonar_gym.sensing.laws.drawn import PathPings, PathSource
-from sonar_gym.sensing.laws.general import GeneralLaw
 from sonar_gym.sensing.laws.numbers import Streams, mixed
 from sonar_gym.sensing.paths import MAX_PATHS
 from sonar_gym.sensing.persistence import PersistentStream, latents
@@ -96,7 +96,7 @@ def new_episodes(copies: Ints, keys: Ints, counters: Ints) -> Ints:
 
 
 @compiled
-def assign_slots(sensors: Ints, faces: Ints, slot_faces: Ints, slot_used: Ints) -> tuple[Ints, Bits]:
+def assign_slots(sensors: Ints, faces: Ints, slot_faces: NDArray[Any], slot_used: NDArray[Any]) -> tuple[Ints, Bits]:
     """Return the place in memory of each path, and whether its face is new there, both (m,).
 
     Args:
@@ -159,9 +159,7 @@ class Sonar:
         self.rngs = Streams(copies, tag)
         self._slots = SLOTS if isinstance(self.model, StatefulModel) else 1
         self.law = path_law(self.model, copies * count * self._slots, max_range)
-        general = isinstance(self.law, GeneralLaw)
-        self.batched = self.law.batched if general else True
-        self.has_credence = self.law.has_probabilities if general else True
+        self.batched, self.has_credence = self.law.batched, self.law.has_probabilities
         self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
         self.persistence = persistence_of(shared) if persists else None
         self._episodes = np.zeros(copies, dtype=np.int64)  # numbers from which the persisting errors are derived

@@ -16,6 +16,7 @@ from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints
 from noise import CredenceTable, SonarModel
 from sonar_gym.sensing import paths, records
+from sonar_gym.sensing.laws.numbers import Streams
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH
 from sonar_gym.sensing.pipeline import Sensing
 from sonar_gym.sensing.sonar import Sonar, bin_edges
@@ -29,7 +30,7 @@ from sonar_gym.wrappers.settings import (
     prior_ping,
 )
 
-Generators = Sequence[np.random.Generator]
+Generators = Sequence[np.random.Generator] | Streams
 REST = "rest"  # key of the numbers that are not ranges, if the observation was a single array
 
 

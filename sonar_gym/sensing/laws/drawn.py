@@ -50,7 +50,15 @@ class PathSource(UniformSource, Protocol):
 
 
 class PathLaw(ABC):
-    """Draws readings of paths, with a memory if the model has one."""
+    """Draws readings of paths, with a memory if the model has one.
+
+    Attributes:
+        batched: whether several copies are sampled in one call.
+        has_probabilities: whether there is a credence given the condition.
+    """
+
+    batched: bool = True
+    has_probabilities: bool = True
 
     @abstractmethod
     def draw(self, pings: PathPings, source: PathSource) -> PathDraws:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from acquisition import EchoStatus, Ping, Reading
@@ -36,7 +38,8 @@ class GeneralLaw(PathLaw):
 
     def draw(self, pings: PathPings, source: PathSource) -> PathDraws:
         """Draw the readings of m paths, copy by copy if the law cannot be sampled from several streams at once."""
-        ping = Ping(*pings.conditions, pings.time, pings.places)
+        distance, angle, incidence, reflectance = pings.conditions
+        ping = Ping(distance, angle, incidence, reflectance, pings.time, pings.places)
         past = self._previous(pings.places) if self._model.remembers else None
         if self.batched:
             drawn = self._sample(ping, past, source)
@@ -83,5 +86,5 @@ def _part(past: Reading | None, rows: slice) -> Reading | None:
 
 
 def _joined(parts: list[PathDraws]) -> PathDraws:
-    columns = zip(*parts, strict=True)
+    columns: Any = zip(*parts, strict=True)
     return PathDraws(*(None if column[0] is None else np.concatenate(column) for column in columns))

@@ -7,7 +7,7 @@ The features of earlier pings are those of `noise.learned.recurrent_state.PingHi
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ class Weights(NamedTuple):
     def of(cls, model: LstmModel) -> Weights:
         """Return the weights of a model."""
         gates = np.concatenate([model.cell.on_input, model.cell.on_hidden], axis=1)
-        base = (np.zeros(0, np.float32), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        base: tuple[Any, ...] = (np.zeros(0, np.float32), np.zeros(0, np.int64), np.zeros(0, np.int64))
         if isinstance(model.base, MlpModel):
             base = *packed(model.base.layers), model.head.indices_of(model.base.head)
         return cls(packed([(gates, model.cell.bias)])[0], *packed(model.layers), *base)

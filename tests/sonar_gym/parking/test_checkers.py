@@ -29,7 +29,7 @@ def check(env_id, seeds):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the wrapper differs from the unwrapped environment, on purpose
         check_env(env.unwrapped if env_id in FORMS else env, skip_render_check=True)
-        check_for_sb3(env, warn=False)
+        check_for_sb3(env.unwrapped if env_id in FORMS else env, warn=False)  # `make` hides `compute_reward`
     for seed in seeds:
         env.action_space.seed(seed)
         first = env.reset(seed=seed)[0]
