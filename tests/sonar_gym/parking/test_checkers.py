@@ -44,12 +44,14 @@ def check(env_id, seeds):
     env.close()
 
 
+@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 @pytest.mark.parametrize("env_id", [*FORMS, *ROADS])
 def test_checkers_pass(env_id):
     check(env_id, range(SHORT))
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 @pytest.mark.parametrize("env_id", [*FORMS, *ROADS])
 def test_checkers_pass_on_200_seeds(env_id):
     check(env_id, range(200))
