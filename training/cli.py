@@ -57,6 +57,10 @@ GROUPS = {
     },
     "make what is shipped": {
         "make-noise": ("noise.make", "train the shipped noise models again"),
+        "make-credence": (
+            "agents.credence",
+            "count the credence of the shipped models on the registered streets again",
+        ),
         "ship-agent": ("agents.ship", "score an agent on unseen streets and write it with its card"),
         "generate-trials": (
             "diagnosis.generators.command",

@@ -107,7 +107,7 @@ class Inputs:
 
     def features(self, ping: Ping) -> FeatureBatch:
         """Return the features of pings; numpy calls are few, since a simulator calls this at every step."""
-        value, (low, high, span) = self.raw(ping), self._ranges
+        value, (low, high, span) = self.raw(ping), self.ranges
         inside = np.minimum(np.maximum(value, low), high)
         off = np.abs(value - inside) / span
         if self.open_end:
@@ -135,7 +135,7 @@ class Inputs:
         return np.array([k for k, name in enumerate(self.names) if name in self.covariates], dtype=np.int64)
 
     @cached_property
-    def _ranges(self) -> tuple[Floats, Floats, Floats]:
+    def ranges(self) -> tuple[Floats, Floats, Floats]:
         """Low, high and scale of each quantity; the scale is limited below by `NATURAL_SPAN`."""
         known = zip(self.names, self.high, strict=True)
         natural = [NATURAL_SPAN.get(name, 1e-6 + 0.1 * abs(high)) for name, high in known]

@@ -46,7 +46,7 @@ from sonar_gym.sensing.mounts import Layout, layout, mount_arrays, times_of
 from sonar_gym.sensing.odometry import Odometer, OdometryChoice
 from sonar_gym.sensing.odometry import odometry as odometry_settings
 from sonar_gym.sensing.pipeline import Sensing
-from sonar_gym.sensing.records import CAUSES
+from sonar_gym.sensing.records import CAUSES, PingArrays
 from sonar_gym.sensing.sonar import STREAM_TAG, Sonar, SonarChoice, resolve, sonar_spaces
 from sonar_gym.sensing.timing import Times, timing
 
@@ -58,9 +58,15 @@ ODOMETRY_SPAN = (10.0, 2.0)  # m; scales of the odometry along and across the in
 PARKED_ANGLE = np.radians(10.0)
 PARKED_SPEED = 0.03  # m/s
 PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's line
+CHUNK = 64  # worlds that are stepped at a time
 THREAD_ROWS = 64  # worlds per thread below which threads are slower than none
 EGO = 7  # length of `ego`
 OPTIONS = ("difficulty", "street", "boxes", "obstacles", "start")
+
+
+def chunks(values: Any) -> list[Any]:
+    """Return an array in parts of at most `CHUNK` rows."""
+    return [values] if len(values) <= CHUNK else [values[k : k + CHUNK] for k in range(0, len(values), CHUNK)]
 
 
 def _empty_faces(n: int, faces: int) -> dict[str, Any]:
@@ -113,6 +119,7 @@ class Fleet:
         check_value("threads", threads, Annotated[int, Limit(1, 1024)])
         self.mounts = layout(sonar_layout)
         self.randomization: Randomization = settings_of(Randomization, randomize)
+        self._randomizes = self.randomization != Randomization()
         self._levels = np.full(count, -1)
         self.street_settings = street_settings(difficulty, street)
         self.car_settings: CarSettings = settings_of(CarSettings, car)
@@ -141,7 +148,8 @@ class Fleet:
         tables = street_credence(model, *key)
         sonars = Sonar(model, len(names), max_range, tag, tables, self.count)
         when = timing(names, STEP_S, times_of(self.mounts) if times is None else times, max_range)
-        self.sensing = Sensing(sonars, when, STEP_S)
+        self.sensing = Sensing(sonars, when, STEP_S, min(CHUNK, self.count))
+        self._pings = [self.sensing.pings, *(self.sensing.pings.for_thread() for _ in range(self._threads - 1))]
         by_name = isinstance(sonar, (str, os.PathLike))
         self.sonar_name = Path(str(sonar)).name if by_name else type(model).__name__
         self.close()
@@ -228,10 +236,11 @@ class Fleet:
         """
         for row, rng in zip(rows, rngs, strict=True):
             self._place_street(int(row), self.street_for(rng, self._randomized(int(row), rng, options or {})))
-        self.sensing.begin(rows)
         self.odometer.begin(rows)
-        step_kernel.begin(rows, self.worlds, self.constants, self.sensing.pings)
-        self._update(rows)
+        for chunk in chunks(rows):
+            self.sensing.begin(chunk)
+            step_kernel.begin(chunk, self.worlds, self.constants, self.sensing.pings)
+            self._update(chunk, self.sensing.pings)
 
     def _randomized(self, row: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Mapping[str, Any]:
         """Draw what an episode randomizes, and return its options; what the options fix is not replaced."""
@@ -252,18 +261,20 @@ class Fleet:
         """
         self.odometer.slip(rows)
         if self._pool is None or len(rows) < THREAD_ROWS * self._threads:
-            self._step(rows, actions)
+            self._step(rows, actions, self.sensing.pings)
         else:
             parts = np.array_split(rows, self._threads), np.array_split(actions, self._threads)
-            list(self._pool.map(self._step, *parts))
+            list(self._pool.map(self._step, *parts, self._pings))
 
-    def _step(self, rows: Ints, actions: Floats) -> None:
-        step_kernel.advance(rows, actions, self.worlds, self.constants, self.sensing.pings)
-        self._update(rows)
+    def _step(self, rows: Ints, actions: Floats, pings: PingArrays) -> None:
+        """Step some worlds, a few at a time, so that what their pings face stays in the processor's cache."""
+        for chunk, command in zip(chunks(rows), chunks(actions), strict=True):
+            step_kernel.advance(chunk, command, self.worlds, self.constants, pings)
+            self._update(chunk, pings)
 
-    def _update(self, rows: Ints) -> None:
+    def _update(self, rows: Ints, pings: PingArrays) -> None:
         now: Floats = self.worlds.steps[rows] * np.float64(STEP_S)
-        self.sensing.update(rows, now)
+        self.sensing.update(rows, now, pings)
 
     # ---- streets -----------------------------------------------------------------------------------------------------
 
@@ -347,9 +358,9 @@ class Fleet:
     def truth(self, which: int | slice | Ints) -> dict[str, Any]:
         """Return the info of one world or several: true conditions of the pings shown, and state of the episode."""
         ended = self.worlds.ended[which].copy()
-        drawn = {"level": self._levels[which], "mounts": self.worlds.mounts[which].copy()}
+        drawn = {"level": self._levels[which], "mounts": self.worlds.mounts[which].copy()} if self._randomizes else {}
         return {
-            **({} if self.randomization == Randomization() else {"randomized": drawn}),
+            **({"randomized": drawn} if self._randomizes else {}),
             "is_success": ended[..., step_kernel.PARKED],
             "collision": ended[..., step_kernel.COLLISION],
             "left_street": ended[..., step_kernel.LEFT_STREET],

@@ -181,9 +181,6 @@ def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool
     return True
 
 
-# The kernels below unpack the named tuples once: each access counts references, which costs more than the work.
-
-
 @compiled
 def measure_ping(
     out: Floats,
@@ -191,9 +188,7 @@ def measure_ping(
     pose: tuple[float, float, float],
     mounts: Floats,
     half_angles: Floats,
-    segments: Floats,
-    surface: Floats,
-    owner: Ints,
+    faces: tuple[Floats, Floats, Ints],
     max_range: float,
     detection: Floats,
     sensors: Floats,
@@ -203,7 +198,9 @@ def measure_ping(
     x, y = pose[0] + c * mounts[s, 0] - sn * mounts[s, 1], pose[1] + sn * mounts[s, 0] + c * mounts[s, 1]
     heading = pose[2] + mounts[s, 2]
     sensors[s, 0], sensors[s, 1], sensors[s, 2] = x, y, heading
-    return cast_paths(x, y, heading, half_angles[s], segments, surface, owner, max_range, detection, out)
+    return cast_paths(
+        x, y, heading, half_angles[s], faces[0], faces[1], faces[2], max_range, detection, out
+    )  # fmt: skip
 
 
 @compiled
@@ -233,22 +230,36 @@ def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int,
 
 
 @compiled
-def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
-    """Begin episodes in worlds whose car and street are set: all sonars ping, and the reward is zero."""
-    n_paths, paths, half_angles = p.n_paths, p.paths, r.half_angles
-    sensors = np.empty((half_angles.shape[0], 3))
-    for i in rows:
-        w.steps[i] = 0
-        pose, count = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), w.counts[i]
-        segments, surface, owner, mounts = w.segments[i, :count], w.surface[i], w.owner[i], w.mounts[i]
-        for s in range(half_angles.shape[0]):
-            n_paths[i, s] = measure_ping(
-                paths[i, s], s, pose, mounts, half_angles, segments, surface, owner, r.max_range, r.detection, sensors
+def faces_of(i: int, w: WorldArrays) -> tuple[Floats, Floats, Ints]:
+    """Return segments, surfaces and owners of the faces of a street."""
+    count = w.counts[i]
+    return w.segments[i, :count], w.surface[i, :count], w.owner[i, :count]
+
+
+@compiled
+def measure(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
+    """Write the paths of pings of all sonars where the cars of some worlds stand; their times are given in `p.sent`."""
+    sensors = np.empty((r.half_angles.shape[0], 3))
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        pose, faces = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), faces_of(i, w)
+        for s in range(r.half_angles.shape[0]):
+            p.n_paths[k, s] = measure_ping(
+                p.paths[k, s], s, pose, w.mounts[i], r.half_angles, faces, r.max_range, r.detection, sensors
             )
         if r.crosstalk:
             add_crosstalk(
-                sensors, p.fired[i], p.sent[i], segments, surface, owner, r.max_range, r.detection, paths[i], n_paths[i]
-            )
+                sensors, p.fired[k], p.sent[k], faces[0], faces[1], faces[2], r.max_range, r.detection, p.paths[k],
+                p.n_paths[k],
+            )  # fmt: skip
+
+
+@compiled
+def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
+    """Begin episodes in worlds whose car and street are set: all sonars ping, and the reward is zero."""
+    measure(rows, w, r, p)
+    for i in rows:
+        w.steps[i] = 0
         w.ended[i] = False
         update_reward(w.terms, w.car, w.task, w.ended, i, r.arc, r.weights)
         w.terms[i] = 0.0
@@ -256,8 +267,56 @@ def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
 
 
 @compiled
+def drive(
+    state: Floats,
+    command: tuple[float, float],
+    begin_s: float,
+    delay: Floats,
+    mounts: Floats,
+    faces: tuple[Floats, Floats, Ints],
+    r: StepConstants,
+    paths: Floats,
+    n_paths: Ints,
+    sensors: Floats,
+) -> int:
+    """Drive a car for one step; each sonar pings from the pose of the car at its firing time.
+
+    Args:
+        state: state of the car, (5,); modified.
+        command: steering angle, rad, and speed, m/s.
+        begin_s: time at the begin of the step, s.
+        delay: delay of the ping of each sonar from there, s, (s,); not positive for none.
+        mounts: poses of the sonars in the frame of the car, (s, 3).
+        faces: see `faces_of`.
+        r: constants.
+        paths: paths of the pings, (s, MAX_PATHS, N_PATH); written.
+        n_paths: numbers of these, (s,); written.
+        sensors: poses of the sonars that ping, (s, 3); written.
+
+    Returns:
+        The index of the face that was touched, or -1.
+    """
+    dynamics, body, half_angles, detection, max_range = r.dynamics, r.body, r.half_angles, r.detection, r.max_range
+    h, before, segments = r.dt / PARTS, np.empty(3), faces[0]
+    for part in range(PARTS):
+        before[0], before[1], before[2] = state[0], state[1], state[2]
+        hit, curvature = drive_part(state, command[0], command[1], dynamics, body, segments, h)
+        last = part == PARTS - 1 or hit != NO_HIT
+        for s in range(delay.shape[0]):
+            since = delay[s] - part * h
+            # each delay belongs to one part, also where rounding puts it on the border of two
+            if delay[s] > 0.0 and since > SAME_TIME_S and (last or since <= h + SAME_TIME_S):
+                at_end = since >= h - SAME_TIME_S  # at the end of the part, or later if the car was stopped
+                pose = (state[0], state[1], state[2]) if at_end else roll(before, state[3] * since, curvature)
+                n_paths[s] = measure_ping(paths[s], s, pose, mounts, half_angles, faces, max_range, detection, sensors)
+        if last:
+            break
+    return hit
+
+
+@compiled
 def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
-    """Drive the cars of some worlds for one step; each sonar pings from the pose of the car at its firing time.
+    """Drive the cars of some worlds for one step.
 
     Args:
         rows: numbers of the worlds, (k,).
@@ -266,58 +325,34 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
         r: constants.
         p: pings of all worlds.
     """
-    steps, car, task, counts, faces, surfaces, owners = w.steps, w.car, w.task, w.counts, w.segments, w.surface, w.owner
-    terms, ended, ego, odometry, fired, sent, n_paths, paths = (
-        w.terms, w.ended, w.ego, w.odometry, p.fired, p.sent, p.n_paths, p.paths,
-    )  # fmt: skip
-    dynamics, body, all_mounts, half_angles, timing = r.dynamics, r.body, w.mounts, r.half_angles, r.timing
-    arc, weights, scale, limits, dt, max_range = r.arc, r.weights, r.scale, r.limits, r.dt, r.max_range
-    detection, crosstalk, count = r.detection, r.crosstalk, timing.shape[0]
-    sensors = np.zeros((count, 3))
-    h, start, before, delay = dt / PARTS, np.empty(3), np.empty(3), np.empty(count)
+    count = r.timing.shape[0]
+    sensors, start, delay = np.zeros((count, 3)), np.empty(3), np.empty(count)
     for k in range(rows.shape[0]):
         i = rows[k]
-        begin_s, hit, state, own_paths = steps[i] * dt, NO_HIT, car[i], paths[i]
-        segments, surface, owner, mounts = faces[i, : counts[i]], surfaces[i], owners[i], all_mounts[i]
-        steps[i] += 1
+        begin_s, state, faces = w.steps[i] * r.dt, w.car[i], faces_of(i, w)
+        w.steps[i] += 1
         start[0], start[1], start[2] = state[0], state[1], state[2]
         for s in range(count):
-            delay[s] = firing_delay(begin_s, dt, timing[s, 0], timing[s, 1])
-            fired[i, s] = delay[s] > 0.0
-        for part in range(PARTS):
-            before[0], before[1], before[2] = state[0], state[1], state[2]
-            steering, speed = actions[k, 0] * dynamics[5], actions[k, 1] * dynamics[6]
-            hit, curvature = drive_part(state, steering, speed, dynamics, body, segments, h)
-            last = part == PARTS - 1 or hit != NO_HIT
-            for s in range(count):
-                since = delay[s] - part * h
-                if delay[s] > 0.0 and since > 0.0 and (last or since <= h):
-                    at_end = since >= h - SAME_TIME_S  # at the end of the part, or later if the car was stopped
-                    pose = (state[0], state[1], state[2]) if at_end else roll(before, state[3] * since, curvature)
-                    sent[i, s] = begin_s + delay[s]
-                    n_paths[i, s] = measure_ping(
-                        own_paths[s],
-                        s,
-                        pose,
-                        mounts,
-                        half_angles,
-                        segments,
-                        surface,
-                        owner,
-                        max_range,
-                        detection,
-                        sensors,
-                    )
-            if last:
-                break
-        if crosstalk:
+            delay[s] = firing_delay(begin_s, r.dt, r.timing[s, 0], r.timing[s, 1])
+            p.fired[k, s], p.sent[k, s] = delay[s] > 0.0, begin_s + delay[s]
+        command = actions[k, 0] * r.dynamics[5], actions[k, 1] * r.dynamics[6]
+        hit = drive(state, command, begin_s, delay, w.mounts[i], faces, r, p.paths[k], p.n_paths[k], sensors)
+        if r.crosstalk:
             add_crosstalk(
-                sensors, fired[i], sent[i], segments, surface, owner, max_range, detection, own_paths, n_paths[i]
-            )
-        if hit != NO_HIT:
-            state[3] = 0.0
-        ended[i, COLLISION], ended[i, LEFT_STREET] = hit != NO_HIT, state[0] < limits[3]
-        ended[i, PARKED] = hit == NO_HIT and is_parked(state, body, task[i], limits)
-        update_odometry(odometry[i], start, state[:3])
-        update_reward(terms, car, task, ended, i, arc, weights)
-        update_ego(ego, car, odometry, i, scale, dynamics[0], steps[i])
+                sensors, p.fired[k], p.sent[k], faces[0], faces[1], faces[2], r.max_range, r.detection, p.paths[k],
+                p.n_paths[k],
+            )  # fmt: skip
+        finish(i, hit, start, w, r)
+
+
+@compiled
+def finish(i: int, hit: int, start: Floats, w: WorldArrays, r: StepConstants) -> None:
+    """Write how a step ended, its odometry since a pose, its reward and the observation of the car."""
+    state, ended = w.car[i], w.ended[i]
+    if hit != NO_HIT:
+        state[3] = 0.0
+    ended[COLLISION], ended[LEFT_STREET] = hit != NO_HIT, state[0] < r.limits[3]
+    ended[PARKED] = hit == NO_HIT and is_parked(state, r.body, w.task[i], r.limits)
+    update_odometry(w.odometry[i], start, state[:3])
+    update_reward(w.terms, w.car, w.task, w.ended, i, r.arc, r.weights)
+    update_ego(w.ego, w.car, w.odometry, i, r.scale, r.dynamics[0], w.steps[i])

@@ -25,6 +25,7 @@ from sonar_gym.sensing.paths import (
     MAX_OWN_PATHS,
     MAX_PATHS,
     MIN_DETECTION,
+    N_PATH,
     OBSTACLE,
     REFLECTANCE,
     SHIFT,
@@ -36,7 +37,8 @@ from sonar_gym.sensing.paths import (
 
 SOUND_SPEED = 343.0  # m/s, air of 20 degC
 FACE_STRIDE = 1000  # a face heard by way of sonar k has number k + 1 times this, and its own
-MIN_COSINE2 = math.cos(MAX_BEARING) ** 2
+MIN_COSINE, MAX_SINE = math.cos(MAX_BEARING), math.sin(MAX_BEARING)
+MIN_COSINE2 = MIN_COSINE**2
 CLEAR = 1e-6  # part of a leg at its ends in which no other face blocks it
 
 
@@ -70,25 +72,76 @@ def blocked(x1: float, y1: float, x2: float, y2: float, segments: Floats, own: i
     return False
 
 
+SIDE, FOOT, SEEN = range(3)  # columns of `views`
+N_VIEW = 3
+
+
 @compiled
-def mirror_point(ax: float, ay: float, bx: float, by: float, segment: Floats) -> tuple[float, float, float]:
-    """Return where a face reflects sound from (ax, ay) to (bx, by), and the length of the path; 0 for nowhere, m."""
+def write_view(pose: Floats, cosine: float, sine: float, segment: Floats, view: Floats) -> None:
+    """Write how a sonar stands to a face: signed distance from its line, foot along it, m, and if it may see it."""
+    ax, ay = segment[0] - pose[0], segment[1] - pose[1]
     ex, ey = segment[2] - segment[0], segment[3] - segment[1]
-    length2 = ex * ex + ey * ey
-    side_a, side_b = (
-        ex * (ay - segment[1]) - ey * (ax - segment[0]),
-        ex * (by - segment[1]) - ey * (bx - segment[0]),
-    )
-    if side_a * side_b <= 0.0:
-        return 0.0, 0.0, 0.0
-    share = side_a / (side_a + side_b)  # of the way along the face from the foot of A to that of B
-    foot_a = (ex * (ax - segment[0]) + ey * (ay - segment[1])) / length2
-    foot_b = (ex * (bx - segment[0]) + ey * (by - segment[1])) / length2
-    t = foot_a + share * (foot_b - foot_a)
-    if not 0.0 <= t <= 1.0:
-        return 0.0, 0.0, 0.0
-    across, along = (abs(side_a) + abs(side_b)) / math.sqrt(length2), (foot_b - foot_a) * math.sqrt(length2)
-    return segment[0] + t * ex, segment[1] + t * ey, math.sqrt(across * across + along * along)
+    x1, y1 = cosine * ax + sine * ay, cosine * ay - sine * ax
+    x2, y2 = x1 + cosine * ex + sine * ey, y1 + cosine * ey - sine * ex
+    behind = x1 < 0.0 and x2 < 0.0
+    left = MAX_SINE * x1 < MIN_COSINE * y1 and MAX_SINE * x2 < MIN_COSINE * y2
+    right = MAX_SINE * x1 < -MIN_COSINE * y1 and MAX_SINE * x2 < -MIN_COSINE * y2
+    view[SEEN] = 0.0 if behind or left or right else 1.0
+    if view[SEEN] > 0.0:
+        length = math.sqrt(ex * ex + ey * ey)
+        view[SIDE], view[FOOT] = (ey * ax - ex * ay) / length, -(ex * ax + ey * ay) / length
+
+
+@compiled
+def reach_of(paths: Floats, count: int, limit: float, table: Floats) -> float:
+    """Return the distance of the nearest own path that hides all behind it, m."""
+    reach = limit
+    for j in range(count):
+        own = paths[j]
+        if own[OBSTACLE] >= 0.0 and own[DISTANCE] < reach:
+            often = detection(table, limit, own[DISTANCE], own[BEARING], own[INCIDENCE], own[REFLECTANCE])
+            reach = own[DISTANCE] if often >= CERTAIN else reach
+    return reach
+
+
+@compiled
+def write_mirror(view_a: Floats, view_b: Floats, segment: Floats, out: Floats) -> bool:
+    """Write distance and point of the path from A by a face to B, if both see one side of it at a point on it."""
+    if view_a[SEEN] == 0.0 or view_a[SIDE] * view_b[SIDE] <= 0.0:
+        return False
+    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
+    across, along = abs(view_a[SIDE] + view_b[SIDE]), view_b[FOOT] - view_a[FOOT]
+    size = math.sqrt(ex * ex + ey * ey)
+    t = (view_a[FOOT] + abs(view_a[SIDE]) / across * along) / size
+    out[DISTANCE] = 0.5 * math.sqrt(across * across + along * along)
+    out[X], out[Y] = segment[0] + t * ex, segment[1] + t * ey
+    return 0.0 <= t <= 1.0
+
+
+@compiled
+def insert(row: Floats, often: float, paths: Floats, own_count: int, best: Floats) -> int:
+    """Insert a path of another burst before the last own one, in place of the weakest if there are too many.
+
+    Args:
+        row: the path.
+        often: how often it is detected.
+        paths: paths of the ping.
+        own_count: number of its own paths.
+        best: how often those of other bursts are detected, 0 for none; updated.
+
+    Returns:
+        The number of paths added.
+    """
+    weakest = int(np.argmin(best))
+    added = int(best[weakest] == 0.0)
+    if added:  # the own path that is detected most often stays last
+        count = own_count + int(np.sum(best > 0.0))
+        paths[count] = paths[count - 1]
+        paths[count - 1] = row
+    else:
+        paths[own_count - 1 + weakest] = row
+    best[weakest] = often
+    return added
 
 
 @compiled
@@ -118,50 +171,47 @@ def add_crosstalk(
         paths: paths of the pings, (s, MAX_PATHS, N_PATH).
         counts: number of paths, (s,).
     """
-    cosines, sines = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    best, row = np.zeros(MAX_PATHS - MAX_OWN_PATHS), np.zeros(paths.shape[2])
-    for b in range(poses.shape[0]):
+    count, faces = poses.shape[0], segments.shape[0]
+    views, row = np.empty((count, faces, N_VIEW)), np.zeros(N_PATH)
+    axes, best = np.empty((count, 2)), np.empty(MAX_PATHS - MAX_OWN_PATHS)
+    for s in range(count):
+        axes[s, 0], axes[s, 1] = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        for k in range(faces):
+            write_view(poses[s], axes[s, 0], axes[s, 1], segments[k], views[s, k])
+    for b in range(count):
+        if not fired[b]:
+            continue
         best[:] = 0.0
-        own_count, reach = counts[b], limit
-        for j in range(own_count):
-            own = paths[b, j]
-            if own[OBSTACLE] >= 0.0 and own[DISTANCE] < reach:
-                often = detection(table, limit, own[DISTANCE], own[BEARING], own[INCIDENCE], own[REFLECTANCE])
-                reach = own[DISTANCE] if often >= CERTAIN else reach
-        for a in range(poses.shape[0]):
-            shift = 0.5 * SOUND_SPEED * (sent[a] - sent[b])
-            if a == b or not (fired[a] and fired[b]) or abs(shift) >= limit:
+        own_count, reach = counts[b], reach_of(paths[b], counts[b], limit, table)
+        for k in range(faces):
+            if views[b, k, SEEN] == 0.0:
                 continue
-            for k in range(segments.shape[0]):
-                x, y, length = mirror_point(poses[a, 0], poses[a, 1], poses[b, 0], poses[b, 1], segments[k])
-                if length <= 0.0 or 0.5 * length > limit or not 0.0 < 0.5 * length + shift <= reach:
+            for a in range(count):
+                shift = 0.5 * SOUND_SPEED * (sent[a] - sent[b])
+                if a == b or not fired[a] or not write_mirror(views[a, k], views[b, k], segments[k], row):
                     continue
-                if not (
-                    in_front(x, y, poses[b], cosines[b], sines[b]) and in_front(x, y, poses[a], cosines[a], sines[a])
+                if row[DISTANCE] > limit or not 0.0 < row[DISTANCE] + shift <= reach:
+                    continue
+                often = level(poses, axes, a, b, surface[k, 0], limit, table, row)
+                if often < MIN_DETECTION or often <= best.min():
+                    continue
+                if blocked(poses[a, 0], poses[a, 1], row[X], row[Y], segments, k) or blocked(
+                    poses[b, 0], poses[b, 1], row[X], row[Y], segments, k
                 ):
                     continue
-                theta_a, theta_b = off_axis(x, y, poses[a]), off_axis(x, y, poses[b])
-                bearing = math.sqrt(0.5 * (theta_a * theta_a + theta_b * theta_b))
-                often = detection(table, limit, 0.5 * length, bearing, 0.0, surface[k, 0])
-                weakest = int(np.argmin(best))
-                if often < MIN_DETECTION or often <= best[weakest]:
-                    continue
-                if blocked(poses[a, 0], poses[a, 1], x, y, segments, k) or blocked(
-                    poses[b, 0], poses[b, 1], x, y, segments, k
-                ):
-                    continue
-                row[DISTANCE], row[BEARING], row[INCIDENCE], row[REFLECTANCE] = (
-                    0.5 * length,
-                    bearing,
-                    0.0,
-                    surface[k, 0],
-                )
-                row[OBSTACLE], row[FACE], row[X], row[Y] = owner[k], FACE_STRIDE * (a + 1) + k, x, y
-                row[TEXTURE], row[SHIFT], row[SOURCE] = surface[k, 1], shift, a + 1.0
-                if best[weakest] == 0.0:  # the own path that is detected most often stays last
-                    paths[b, counts[b]] = paths[b, counts[b] - 1]
-                    paths[b, counts[b] - 1] = row
-                    counts[b] += 1
-                else:
-                    paths[b, own_count - 1 + weakest] = row
-                best[weakest] = often
+                row[OBSTACLE], row[FACE], row[TEXTURE] = owner[k], FACE_STRIDE * (a + 1) + k, surface[k, 1]
+                row[SHIFT], row[SOURCE] = shift, a + 1.0
+                counts[b] += insert(row, often, paths[b], own_count, best)
+
+
+@compiled
+def level(
+    poses: Floats, axes: Floats, a: int, b: int, reflectance: float, limit: float, table: Floats, out: Floats
+) -> float:
+    """Write the conditions of the path at `out` as those of an own echo; return how often it is detected."""
+    x, y = out[X], out[Y]
+    if not (in_front(x, y, poses[b], axes[b, 0], axes[b, 1]) and in_front(x, y, poses[a], axes[a, 0], axes[a, 1])):
+        return 0.0
+    theta_a, theta_b = off_axis(x, y, poses[a]), off_axis(x, y, poses[b])
+    out[BEARING], out[REFLECTANCE] = math.sqrt(0.5 * (theta_a * theta_a + theta_b * theta_b)), reflectance
+    return detection(table, limit, out[DISTANCE], out[BEARING], 0.0, reflectance)

@@ -93,8 +93,11 @@ def detection(
     k, c = node_below(incidence, 0.0, MAX_INCIDENCE, table.shape[2])
     m, d = node_below(reflectance, 0.0, 1.0, table.shape[3])
     total = 0.0
-    for corner in range(16):
-        p, q, r, t = corner & 1, (corner >> 1) & 1, (corner >> 2) & 1, corner >> 3
-        weight = (a if p else 1.0 - a) * (b if q else 1.0 - b) * (c if r else 1.0 - c) * (d if t else 1.0 - d)
-        total += weight * table[i + p, j + q, k + r, m + t]
+    for p in range(2):
+        for q in range(2):
+            x, y = i + p, j + q
+            low = table[x, y, k, m] + d * (table[x, y, k, m + 1] - table[x, y, k, m])
+            high = table[x, y, k + 1, m] + d * (table[x, y, k + 1, m + 1] - table[x, y, k + 1, m])
+            weight = (a if p else 1.0 - a) * (b if q else 1.0 - b)
+            total += weight * (low + c * (high - low))
     return total

@@ -8,14 +8,16 @@ random phases (Rahimi and Recht 2007, "Random features for large-scale kernel ma
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from acquisition.arrays import Floats, Ints
 from noise.law import UniformSource
 from noise.learned.persistence import Persistence
 from sonar_gym.compiled import compiled
+from sonar_gym.sensing.laws.numbers import mixed, normal_cdf, normal_quantile, to_unit
 from sonar_gym.sensing.paths import BEARING, DISTANCE, FACE, INCIDENCE, TEXTURE, X, Y
 
 WAVES = 6  # plane waves in a sum; their number limits the extremes of the sum, not its variance
@@ -24,20 +26,6 @@ _SCALES = np.array([0.4, 0.6, 1.0, 1.0, 1.6, 2.5])  # spread of the wavelengths,
 _VECTORS = np.random.default_rng(2016).standard_normal((64, 5))  # directions of the waves, shared by all faces
 _TWO_PI = 2.0 * math.pi
 LATENTS = 2  # numbers per path: one decides on an echo, one on its range
-
-
-@compiled
-def mixed(value: np.uint64) -> np.uint64:
-    """Return a well-mixed function of 64 bits (splitmix64, Steele, Lea and Flood 2014)."""
-    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return value ^ (value >> np.uint64(31))
-
-
-@compiled
-def to_unit(value: np.uint64) -> float:
-    """Return a number in (0, 1) from 64 bits."""
-    return ((value >> np.uint64(11)) + np.uint64(1)) * (1.0 / 9007199254740994.0)
 
 
 @compiled
@@ -75,6 +63,23 @@ def latents(paths: Floats, keys: Ints, lasting: float, length: float) -> Floats:
     return out
 
 
+@compiled
+def persisting(new: Floats, latent: Floats, shares: Floats) -> Floats:
+    """Return uniform numbers with a persisting part, (LATENTS, m).
+
+    Args:
+        new: uniform numbers, (LATENTS, m).
+        latent: the persisting normal numbers, (LATENTS, m).
+        shares: share of the persisting part in the variance of each row, (LATENTS,).
+    """
+    out = np.empty_like(new)
+    for row in range(new.shape[0]):
+        held, drawn = math.sqrt(shares[row]), math.sqrt(1.0 - shares[row])
+        for i in range(new.shape[1]):
+            out[row, i] = normal_cdf(held * latent[row, i] + drawn * normal_quantile(new[row, i]))
+    return out
+
+
 class PersistentStream:
     """Uniform random numbers with a part that persists; see `noise.learned.persistence`.
 
@@ -88,12 +93,16 @@ class PersistentStream:
     """
 
     def __init__(self, stream: UniformSource, latent: Floats, persistence: Persistence) -> None:
-        self._stream, self._latent = stream, latent
-        self._share = np.array([[persistence.detection], [persistence.range]])
+        self._stream, self._latent, self._persistence = stream, latent, persistence
+        self._shares = np.array([persistence.detection, persistence.range])
 
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of shape `size`."""
         new = self._stream.random(size)
-        if new.shape != self._latent.shape:
-            return new
-        return ndtr(np.sqrt(self._share) * self._latent + np.sqrt(1.0 - self._share) * ndtri(new))
+        return persisting(new, self._latent, self._shares) if new.shape == self._latent.shape else new
+
+    def parts(self) -> Iterator[tuple[slice, UniformSource]]:
+        """Yield the columns of each copy and their source."""
+        stream: Any = self._stream
+        for rows, rng in stream.parts():
+            yield rows, PersistentStream(rng, np.ascontiguousarray(self._latent[:, rows]), self._persistence)

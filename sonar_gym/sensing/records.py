@@ -1,25 +1,28 @@
 """Pings of the sonars of n cars as arrays: what they face, their readings in flight, and the readings shown.
 
 A ping is a record in columns. Its reading is shown from the first observation at or after its arrival until the next
-one arrives. Rows are independent, so they can be updated in any order and in several threads.
+one arrives. Cars are independent, so they can be updated in any order and in several threads. What pings face is
+needed within one update only, so it is held for a few cars at a time: row k of it belongs to the k-th car of an update.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from acquisition.arrays import Bits, Floats, Ints, Singles
+from acquisition.arrays import Bits, Bytes, Floats, Ints, Singles
 from sonar_gym.compiled import compiled
-from sonar_gym.sensing.paths import DISTANCE, MAX_PATHS, N_PATH, OBSTACLE
+from sonar_gym.sensing.detection import OWN_ECHO
+from sonar_gym.sensing.paths import DISTANCE, MAX_PATHS, N_PATH, OBSTACLE, SHIFT, SOURCE
 
 # Columns of a record: those of the path that answered, or of the path detected most often, then the reading
 SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT, SECOND, BY_CROSSTALK = range(N_PATH, N_PATH + 7)
 N_RECORD = N_PATH + 7
 SAME_TIME_S = 1e-9  # s; times closer than this are equal
 MAX_AGE_S = 1.0  # upper limit of the age in an observation
+REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at the earliest (`Unit.rearm` of the rig)
 # Causes of readings, by number; the faults of the model follow
 EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, CROSSTALK, FIRST_FAULT = range(9)
 CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer", "cross-talk")
@@ -30,10 +33,10 @@ class PingArrays(NamedTuple):
     """Pings and readings of n cars with s sonars each, modified at every observation.
 
     Attributes:
-        paths: paths of the last ping of each sonar, see `paths.cast_paths`, (n, s, MAX_PATHS, N_PATH).
-        n_paths: number of these paths, (n, s).
-        sent: time of the last ping, s, (n, s).
-        fired: whether that ping was sent since the last observation, (n, s).
+        paths: paths of the pings in an update of r cars, see `paths.cast_paths`, (r, s, MAX_PATHS, N_PATH).
+        n_paths: number of these paths, (r, s).
+        sent: time of these pings, s, (r, s).
+        fired: whether a sonar has pinged since the last observation, (r, s).
         in_flight: records of the last pings, (n, s, d, N_RECORD).
         slot: place of the next record in `in_flight`, (n, s).
         shown: records whose readings arrived last, (n, s, N_RECORD).
@@ -46,35 +49,74 @@ class PingArrays(NamedTuple):
     sent: Floats
     fired: Bits
     in_flight: Floats
-    slot: Ints
+    slot: Bytes
     shown: Floats
     ranges: Singles
     credence: Singles
     echo: Singles
     age: Singles
-    cause: Ints
+    cause: Bytes
 
     @classmethod
-    def of(cls, n: int, s: int, depth: int) -> PingArrays:
+    def of(cls, n: int, s: int, depth: int, rows: int) -> PingArrays:
         """Return empty arrays.
 
         Args:
             n: number of cars.
             s: number of sonars on each.
             depth: greatest number of readings in flight, and one.
+            rows: greatest number of cars in an update.
         """
-        observed = {name: np.zeros((n, s), np.float32) for name in ("ranges", "credence", "echo", "age")}
+        observed: dict[str, Any] = {
+            name: np.zeros((n, s), np.float32) for name in ("ranges", "credence", "echo", "age")
+        }
         return cls(
-            paths=np.zeros((n, s, MAX_PATHS, N_PATH)),
-            n_paths=np.ones((n, s), np.int64),
-            sent=np.zeros((n, s)),
-            fired=np.zeros((n, s), np.bool_),
+            **cls.scratch(rows, s),
             in_flight=np.zeros((n, s, depth, N_RECORD)),
-            slot=np.zeros((n, s), np.int64),
+            slot=np.zeros((n, s), np.uint8),
             shown=np.zeros((n, s, N_RECORD)),
-            cause=np.zeros((n, s), np.int64),
+            cause=np.zeros((n, s), np.uint8),
             **observed,
         )
+
+    @staticmethod
+    def scratch(rows: int, s: int) -> dict[str, Any]:
+        """Return empty arrays of what pings face, by name."""
+        return {
+            "paths": np.zeros((rows, s, MAX_PATHS, N_PATH)),
+            "n_paths": np.ones((rows, s), np.int64),
+            "sent": np.zeros((rows, s)),
+            "fired": np.zeros((rows, s), np.bool_),
+        }
+
+    def for_thread(self) -> PingArrays:
+        """Return the same arrays for another thread, with what pings face apart."""
+        return self._replace(**self.scratch(*self.n_paths.shape))
+
+
+class FiredPings(NamedTuple):
+    """The n pings of an update, and their m paths side by side.
+
+    Attributes:
+        car, sonar: numbers of car and sonar of each ping, (n,).
+        first: number of the first path of each ping, and m, (n + 1,).
+        sent: time of each ping, s, (n,).
+        counts: number of paths of each car of the update, (r,).
+        paths: the paths, (m, N_PATH).
+        conditions: distance, bearing, incidence, reflectance of the paths as conditions of a model, (4, m).
+        time: time of the ping of each path, s, (m,).
+        owner: number of the ping of each path, (m,).
+    """
+
+    car: Ints
+    sonar: Ints
+    first: Ints
+    sent: Floats
+    counts: Ints
+    paths: Floats
+    conditions: Floats
+    time: Floats
+    owner: Ints
 
 
 @compiled
@@ -120,13 +162,101 @@ def fire(
         i = rows[k]
         for s in range(timing.shape[0]):
             delay = firing_delay(begin[k], dt, timing[s, 0], timing[s, 1])
-            p.fired[i, s] = delay > 0.0
+            p.fired[k, s] = delay > 0.0
             if delay > 0.0:
-                p.sent[i, s] = begin[k] + delay
+                p.sent[k, s] = begin[k] + delay
                 late = delay > 0.5 * dt + SAME_TIME_S
-                p.paths[i, s] = now[k, s] if late else before[i, s]
-                p.n_paths[i, s] = n_now[k, s] if late else n_before[i, s]
+                p.paths[k, s] = now[k, s] if late else before[i, s]
+                p.n_paths[k, s] = n_now[k, s] if late else n_before[i, s]
             before[i, s], n_before[i, s] = now[k, s], n_now[k, s]
+
+
+@compiled
+def gather(rows: Ints, empty: float, p: PingArrays) -> FiredPings:
+    """Return the pings of some cars that have fired, (r,), with `empty` as the distance of an empty cone, m."""
+    cars, sonars = rows.shape[0], p.fired.shape[1]
+    counts, n, m = np.zeros(cars, np.int64), 0, 0
+    for k in range(cars):
+        for s in range(sonars):
+            if p.fired[k, s]:
+                n, counts[k] = n + 1, counts[k] + p.n_paths[k, s]
+        m += counts[k]
+    out = FiredPings(
+        np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n + 1, np.int64), np.empty(n), counts,
+        np.empty((m, N_PATH)), np.empty((4, m)), np.empty(m), np.empty(m, np.int64),
+    )  # fmt: skip
+    n, m = 0, 0
+    for k in range(cars):
+        for s in range(sonars):
+            if not p.fired[k, s]:
+                continue
+            out.car[n], out.sonar[n], out.first[n], out.sent[n] = rows[k], s, m, p.sent[k, s]
+            for j in range(p.n_paths[k, s]):
+                path = p.paths[k, s, j]
+                out.paths[m], out.time[m], out.owner[m] = path, p.sent[k, s], n
+                for c in range(4):
+                    out.conditions[c, m] = path[c]
+                if path[OBSTACLE] < 0.0:
+                    out.conditions[0, m] = empty
+                m += 1
+            n += 1
+    out.first[n] = m
+    return out
+
+
+@compiled
+def counts_as_echo(path: Floats, reading: float, main: bool, faulty: bool, alone: bool) -> bool:
+    """Return whether the echo of a path competes: a path but the main one adds echoes of its own reflector alone."""
+    own = abs(reading - path[DISTANCE]) <= OWN_ECHO[0] * path[DISTANCE] + OWN_ECHO[1]
+    return main or (own and not faulty and not alone)
+
+
+@compiled
+def first_echoes(
+    fired: FiredPings, reading: Floats, status: Bytes, credence: Floats, fault: Ints, max_range: float
+) -> Floats:
+    """Return the records of pings, (n, N_RECORD): the first echo of the paths of each, and the second.
+
+    The last path of a ping is the one detected most often: its law also holds false alarms and silence, which a sensor
+    has once per ping, and faults. Each other path adds an echo of its own reflector, so that a reflector masks another
+    only by an echo that is received.
+
+    Args:
+        fired: the pings and their paths.
+        reading: reading of each path as if it were alone, m, (m,).
+        status: its status, (m,).
+        credence: credence given the condition of each path, (m,); empty if the model has none.
+        fault: number of the fault of each reading, (m,); empty if the model has no faults.
+        max_range: range beyond which an echo is none, m.
+    """
+    out, echoes = np.zeros((fired.car.shape[0], N_RECORD)), np.empty(MAX_PATHS)
+    for n in range(fired.car.shape[0]):
+        begin, last, record = fired.first[n], fired.first[n + 1] - 1, out[n]
+        faulty = fault.shape[0] > 0 and fault[last] > 0
+        alone, nearest, answered, missed = status[last] == _NO_ANSWER or faulty, math.inf, last, 1.0
+        for i in range(begin, last + 1):
+            own, echo = fired.paths[i], math.inf
+            fails = fault.shape[0] > 0 and fault[i] > 0
+            if status[i] == _ECHO and counts_as_echo(own, reading[i], i == last, fails, alone):
+                echo = reading[i] + own[SHIFT]
+            echoes[i - begin] = echo if echo <= max_range else math.inf
+            if echoes[i - begin] < nearest:
+                nearest, answered = echoes[i - begin], i
+            missed *= 1.0 - (credence[i] if credence.shape[0] > 0 else 0.0)
+        second = math.inf
+        for i in range(last + 1 - begin):
+            if echoes[i] > nearest + REARM_M:
+                second = min(second, echoes[i])
+        source = fired.paths[answered, SOURCE]
+        # the truth about a sonar is its own path, also if it reads another's burst
+        record[:N_PATH] = fired.paths[last if source > 0.0 else answered]
+        record[BY_CROSSTALK], record[SENT] = source, fired.sent[n]
+        record[SECOND] = 0.0 if math.isinf(second) else second
+        record[RANGE] = 0.0 if math.isinf(nearest) else nearest
+        record[STATUS] = status[last] if math.isinf(nearest) else _ECHO
+        record[GIVEN_CONDITION] = 1.0 - missed if fired.paths[last, OBSTACLE] >= 0.0 else 0.0
+        record[FAULT] = fault[last] if fault.shape[0] > 0 else 0.0
+    return out
 
 
 @compiled
@@ -142,8 +272,9 @@ def store(car: Ints, sonar: Ints, records: Floats, p: PingArrays) -> None:
 @compiled
 def clear(rows: Ints, p: PingArrays) -> None:
     """Begin episodes of some cars: nothing is in flight, and all sonars ping now."""
-    for i in rows:
-        p.fired[i], p.sent[i] = True, 0.0
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        p.fired[k], p.sent[k] = True, 0.0
         p.in_flight[i, :, :, SENT] = np.inf
         p.shown[i, :, SENT] = -np.inf
 

@@ -14,7 +14,7 @@ from gymnasium import spaces
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints
-from noise import CredenceTable, SonarModel
+from noise import SonarModel
 from sonar_gym.sensing.detection import detection_table
 from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays, times_of
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH, cast_paths
@@ -89,9 +89,9 @@ class RoadSource:
         self._filter = RetainedObservation(base, space, settings.keep)
         self.retained_spaces = self._filter.spaces
 
-    def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading under the broad prior, one table per sonar."""
-        return [broad_table(model, self.max_range)] * len(self.mounts)
+    def tables(self, model: SonarModel) -> Floats:
+        """Return the credence given a reading under the broad prior, for each sonar, (s, BINS)."""
+        return np.tile(broad_table(model, self.max_range).values, (len(self.mounts), 1))
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
         """Begin an episode with new reflectances."""

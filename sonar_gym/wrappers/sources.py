@@ -16,6 +16,7 @@ from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints
 from noise import CredenceTable, SonarModel
 from sonar_gym.sensing import paths, records
+from sonar_gym.sensing.laws.numbers import Streams
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH
 from sonar_gym.sensing.pipeline import Sensing
 from sonar_gym.sensing.sonar import Sonar, bin_edges
@@ -29,7 +30,7 @@ from sonar_gym.wrappers.settings import (
     prior_ping,
 )
 
-Generators = Sequence[np.random.Generator]
+Generators = Sequence[np.random.Generator] | Streams
 REST = "rest"  # key of the numbers that are not ranges, if the observation was a single array
 
 
@@ -62,8 +63,8 @@ class PathSource(Protocol):
     times: Times
     retained_spaces: dict[str, spaces.Space[Any]]
 
-    def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading, one table per sonar."""
+    def tables(self, model: SonarModel) -> Floats:
+        """Return the credence given a reading for each sonar, on `bin_edges`, (s, BINS)."""
         ...
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
@@ -133,10 +134,10 @@ class RangesSource:
             out[self.key or REST] = spaces.Box(low, high, dtype=box.dtype.type)
         return out
 
-    def tables(self, model: SonarModel) -> Sequence[CredenceTable]:
-        """Return the credence given a reading under the prior that the settings imply, one table per sonar."""
-        ping = prior_ping(self._sources, self.max_range)
-        return [CredenceTable.over(model, ping, bin_edges(self.max_range))] * self.count
+    def tables(self, model: SonarModel) -> Floats:
+        """Return the credence given a reading under the prior that the settings imply, (s, BINS)."""
+        table = CredenceTable.over(model, prior_ping(self._sources, self.max_range), bin_edges(self.max_range))
+        return np.tile(table.values, (self.count, 1))
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> None:
         """Draw the reflectances of the episode."""
@@ -206,7 +207,8 @@ class ObservedSonars:
         self.sensing = Sensing(
             sonar, timing(source.names, source.step_s, source.times, source.max_range), source.step_s
         )
-        self._before = np.zeros_like(self.sensing.pings.paths), np.ones_like(self.sensing.pings.n_paths)
+        pings = self.sensing.pings
+        self._before = np.zeros_like(pings.paths), np.ones_like(pings.n_paths)
         self._steps = np.zeros(sonar.copies, np.int64)
 
     def begin(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
@@ -216,7 +218,7 @@ class ObservedSonars:
         now = self.source.paths(rows, observation, info, rngs)
         self._steps[rows] = 0
         self.sensing.begin(rows)
-        pings.paths[rows], pings.n_paths[rows] = now
+        pings.paths[: len(rows)], pings.n_paths[: len(rows)] = now
         self._before[0][rows], self._before[1][rows] = now
         self.sensing.update(rows, np.zeros(len(rows)))
 

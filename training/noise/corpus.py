@@ -38,6 +38,10 @@ SCENES = {
 }
 SCENES_PROBABILITY = (0.82, 0.10, 0.08)
 TEMPERATURE_C = (14.0, 26.0)
+EDGE_PROBABILITY = 0.35  # of a reflector at the edge of the cone; 42 % of the faces that a driven car meets
+EDGE_DEG = (20.0, 35.0)  # deg; bearings about the edge of a cone of 55 deg
+EDGE_DISTANCE_M = (0.08, 4.0)
+MAX_INCIDENCE_DEG = 85.0
 
 
 @dataclass(frozen=True)
@@ -88,11 +92,12 @@ def drive(pings: int, rng: np.random.Generator) -> SessionCourse:
     """Draw a session in which one reflector moves to and fro and turns, with a new condition at each ping."""
     scene = np.full(pings, rng.choice([STAND, WALL]))
     far_m = np.exp(rng.uniform(np.log(0.3), np.log(MAX_DISTANCE_M)))
-    turns, phase = rng.uniform(0.5, 3.0), rng.uniform(0.0, 1.0)
+    turns, phase = np.exp(rng.uniform(np.log(0.1), np.log(3.0))), rng.uniform(0.0, 1.0)
     position = np.abs(2.0 * ((turns * np.arange(pings) / pings + phase) % 1.0) - 1.0)  # to and fro
     distance = MIN_DISTANCE_M + (far_m - MIN_DISTANCE_M) * position
-    bearing = _angle_sweep(30.0, pings, rng)
-    incidence = _angle_sweep(40.0, pings, rng)
+    at_edge = rng.random() < EDGE_PROBABILITY
+    bearing = np.full(pings, rng.uniform(*EDGE_DEG) * DEG) if at_edge else _angle_sweep(30.0, pings, rng)
+    incidence = _angle_sweep(MAX_INCIDENCE_DEG if at_edge else 40.0, pings, rng)
     incidence = np.where(scene == WALL, 0.0, incidence)
     return SessionCourse(Ping.of(distance, bearing, incidence, rng.uniform(0.1, 1.0), STEP_S * np.arange(pings)), scene)
 
@@ -112,7 +117,12 @@ def _draw_conditions(scene: Ints, rng: np.random.Generator) -> tuple[Floats, Flo
     bearing = np.where(rng.random(n) < 0.15, 0.0, rng.uniform(0.0, 30.0, n))
     bearing = np.where(rng.random(n) < 0.1, rng.uniform(30.0, 45.0, n), bearing)
     turned = rng.choice(3, n, p=[0.35, 0.45, 0.20])  # parallel to the sensor's face, any orientation, facing the sensor
-    incidence = np.choose(turned, [bearing, 85.0 * rng.random(n) ** 2, np.zeros(n)])
+    incidence = np.choose(turned, [bearing, MAX_INCIDENCE_DEG * rng.random(n) ** 2, np.zeros(n)])
+    at_edge = rng.random(n) < EDGE_PROBABILITY
+    near = np.exp(rng.uniform(np.log(EDGE_DISTANCE_M[0]), np.log(EDGE_DISTANCE_M[1]), n))
+    distance = np.where(at_edge, near, distance)
+    bearing = np.where(at_edge, rng.uniform(*EDGE_DEG, n), bearing)
+    incidence = np.where(at_edge, rng.uniform(0.0, MAX_INCIDENCE_DEG, n), incidence)
     incidence = np.where(scene == WALL, 0.0, incidence)
     thesis = rng.choice([0.1, 0.9], n)
     reflectance = np.where(rng.random(n) < 0.5, thesis, rng.uniform(0.1, 1.0, n))

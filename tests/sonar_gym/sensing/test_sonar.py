@@ -10,9 +10,12 @@ from sonar_gym.parking.prior import DRIVERS, driver_of, street_credence
 from sonar_gym.parking.street import LEVELS, StreetSettings
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.mounts import LAYOUTS
+from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.sonar import BINS, Sonar, bin_edges, broad_table, resolve
 
+ROW = np.zeros(1, dtype=np.int64)
 STREET = (StreetSettings(), CarSettings(), LAYOUTS["eight"], MAX_RANGE)
 
 
@@ -58,15 +61,14 @@ def test_credence_is_calibrated_for_each_sonar_model_and_driver(sonar, driver):
 def test_credence_depends_on_the_driver_and_follows_the_street():
     model = GaussianModel(sigma=0.05)
     tables = {driver: street_credence(model, *STREET, driver) for driver in ("agent", "random")}
-    assert not np.allclose(tables["agent"][0].values, tables["random"][0].values)
+    assert not np.allclose(tables["agent"], tables["random"])
     assert street_credence(model, *STREET, "agent") is tables["agent"]
     hard = street_credence(model, LEVELS["hard"], *STREET[1:], "random")
-    assert not np.allclose(hard[0].values, tables["random"][0].values)
+    assert not np.allclose(hard, tables["random"])
 
 
 def test_credence_of_a_sonar_without_noise_is_one():
-    for table in street_credence(IdealModel(), *STREET, "agent"):
-        assert np.all(table.values[: int(BINS / 1.1)] == 1.0)
+    assert np.all(street_credence(IdealModel(), *STREET, "agent")[:, : int(BINS / 1.1)] == 1.0)
 
 
 def test_mixture_of_tables_is_the_table_of_the_mixture():
@@ -82,18 +84,17 @@ def test_mixture_of_tables_is_the_table_of_the_mixture():
 def test_each_sonar_has_its_own_table():
     model = GaussianModel()
     table = broad_table(model, 3.0)
-    halved = CredenceTable(table.edges, 0.5 * table.values, table.share)
-    sonar = Sonar(model, 3, 3.0, tables=[table, halved, table])
+    sonar = Sonar(model, 3, 3.0, tables=np.outer([1.0, 0.5, 1.0], table.values))
     credence = sonar.credence(Reading.of([1.0, 1.0, 0.0]))
     assert credence == pytest.approx([table.given(Reading.of([1.0]))[0], 0.5 * credence[0], 0.0])
 
 
 def test_readings_beyond_the_maximum_range_are_no_echo():
-    sonar = Sonar(IdealModel(), 2, 1.0)
-    place = np.arange(2)
-    reading = sonar.draw(Ping.of([0.5, 2.0]), [0], [2], place, place, place).reading
-    assert list(reading.echo) == [True, False]
-    assert list(reading.range) == [0.5, 0.0]
+    pings = PingArrays.of(1, 2, 1, 1)
+    pings.paths[0, :, 0, paths.DISTANCE], pings.fired[:] = (0.5, 2.0), True
+    record = Sonar(IdealModel(), 2, 1.0).draw(ROW, records.gather(ROW, 20.0, pings))
+    assert record[:, records.STATUS].tolist() == [1.0, 0.0]
+    assert record[:, records.RANGE].tolist() == [0.5, 0.0]
 
 
 def test_a_named_model_is_loaded_once_and_one_in_a_folder_each_time(tmp_path):

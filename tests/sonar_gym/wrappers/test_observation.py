@@ -275,6 +275,7 @@ def test_path_of_a_model_survives_spec_and_json(tmp_path):
 def test_conditions_come_from_info_constants_and_priors():
     model = recorder()
     env = rays(model, incidence="tilt", bearing=0.05, reflectance=(0.2, 0.4), latency_s=0.0)
+    model.asked.clear()  # what the environment asked when it was made
     env.reset(seed=0)
     step(env)
     (first, _), (second, _) = model.asked
@@ -287,6 +288,7 @@ def test_conditions_come_from_info_constants_and_priors():
     assert not np.array_equal(model.asked[-1][0].reflectance, first.reflectance)
     drawn = recorder()
     env = rays(drawn, incidence=(0.0, 0.4))
+    drawn.asked.clear()
     env.reset(seed=0)
     step(env)
     assert not np.array_equal(drawn.asked[0][0].incidence, drawn.asked[1][0].incidence)
@@ -295,6 +297,7 @@ def test_conditions_come_from_info_constants_and_priors():
 def test_past_readings_are_passed_to_the_model_and_cleared_at_reset():
     model = recorder()
     env = rays(model)
+    model.asked.clear()
     env.reset(seed=0)
     step(env)
     env.reset()
