@@ -55,7 +55,8 @@ def tables(choices: list[tuple[str, str, str]]) -> Iterator[dict[str, Floats]]:
 
 def main(args: Args) -> None:
     """Count and write."""
-    choices, found = list(product(MODELS, LEVELS, DRIVERS)), {}
+    choices = list(product(MODELS, LEVELS, DRIVERS))
+    found: dict[str, Floats] = {}
     with bar("driving", len(choices)) as progress:
         for k, each in enumerate(tables(choices)):
             found |= each
@@ -68,5 +69,5 @@ def write(found: dict[str, Floats], path: Path) -> None:
     """Write tables, those of fewer sonars filled with zeros, in half precision."""
     most = max(len(table) for table in found.values())
     stacked = [np.pad(table, ((0, most - len(table)), (0, 0))) for table in found.values()]
-    arrays = {"keys": np.array(list(found)), "tables": np.array(stacked, dtype=np.float16)}
-    write_atomic(path, lambda file: np.savez_compressed(file, **arrays), binary=True)
+    keys, halves = np.array(list(found)), np.array(stacked, dtype=np.float16)
+    write_atomic(path, lambda file: np.savez_compressed(file, keys=keys, tables=halves), binary=True)

@@ -87,4 +87,5 @@ def _part(past: Reading | None, rows: slice) -> Reading | None:
 
 def _joined(parts: list[PathDraws]) -> PathDraws:
     columns: Any = zip(*parts, strict=True)
-    return PathDraws(*(None if column[0] is None else np.concatenate(column) for column in columns))
+    joined: Any = [None if column[0] is None else np.concatenate(column) for column in columns]
+    return PathDraws(*joined)
