@@ -1,0 +1,141 @@
+"""Randomised regression trees over pings: their inputs, their growth on whole visits, and the search for a leaf."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import rankdata
+from sklearn.tree import ExtraTreeRegressor
+
+from acquisition import Ping, Reading
+from acquisition.arrays import Bits, Floats, Ints
+from noise.effects import Conditions
+from noise.fitting.batch import Batch
+from noise.fitting.smooth import MEMORY, column
+
+INTERVAL = "interval_s"  # logged with every recording; it describes the past, not the condition
+ORDER, SIGNED_ANGLE, SIGNED_INCIDENCE = "order", "signed_angle", "signed_incidence"
+CONDITIONS = ("log_distance", "angle", "incidence", "reflectance", SIGNED_ANGLE, SIGNED_INCIDENCE)
+OWN = (*CONDITIONS, ORDER, *MEMORY, "time")  # inputs that every ping has
+N_FOLDS, N_DEALS = 5, 10  # each deal of the visits to folds gives one tree without each fold
+MIN_LEAF = 4  # pings in a leaf; the average over trees smooths further
+MEAN_ABS_NORMAL = float(np.sqrt(2.0 / np.pi))
+
+
+def order_in_visit(ping: Ping) -> Floats:
+    """Return log(1 + number of earlier pings under the same condition in an unbroken series), (n,)."""
+    condition = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run])
+    starts = np.any(np.diff(condition, axis=1, prepend=np.nan) != 0.0, axis=0)
+    row = np.arange(len(ping))
+    return np.log1p(row - np.maximum.accumulate(np.where(starts, row, 0)))
+
+
+def columns(names: Sequence[str], ping: Ping, past: Reading | None, typical: Mapping[str, float]) -> Floats:
+    """Return inputs of trees, (n, d) in single precision; a covariate that was not logged has its typical value."""
+    c = Conditions.of(ping, past)
+    special = {ORDER: order_in_visit, SIGNED_ANGLE: lambda p: p.angle, SIGNED_INCIDENCE: lambda p: p.incidence}
+    out = np.empty((len(ping), len(names)), dtype=np.float32)
+    for k, name in enumerate(names):
+        if name in special:
+            out[:, k] = special[name](ping)
+        elif name in OWN or name in ping.covariates:
+            out[:, k] = column(name, c).numpy()
+        else:
+            out[:, k] = typical[name]
+    return out
+
+
+def input_groups(batch: Batch) -> tuple[tuple[str, ...], ...]:
+    """Return the inputs to choose from, the fewest first: conditions; with the past; with the past and the time."""
+    logged = tuple(name for name in batch.ping.covariates if name != INTERVAL)
+    past = (ORDER, *MEMORY, *((INTERVAL,) if INTERVAL in batch.ping.covariates else ()))
+    groups = [(*CONDITIONS, *logged), (*CONDITIONS, *logged, *past)]
+    if batch.timed:
+        groups.append((*groups[1], "time"))
+    return tuple(dict.fromkeys(_varying(names, batch) for names in groups))
+
+
+def _varying(names: Sequence[str], batch: Batch) -> tuple[str, ...]:
+    """Return the inputs that vary, without those equal to an earlier one; at least one."""
+    x = columns(names, batch.ping, batch.past, {})
+    first = [not any(np.array_equal(x[:, k], x[:, j]) for j in range(k)) for k in range(len(names))]
+    varied = [name for name, spread, new in zip(names, np.ptp(x, axis=0), first, strict=True) if spread > 0 and new]
+    return tuple(varied or names[:1])
+
+
+def outcomes(batch: Batch) -> Floats:
+    """Return what the leaves of a tree are to agree in, standardised, (n, k).
+
+    Whether there is an echo, before and behind the target; the normal score of the target's errors, which no outlier
+    dominates; and how far the score is from the middle.
+    """
+    error, target = batch.error, batch.is_target(batch.error)
+    score = np.zeros(len(batch))
+    score[target] = ndtri((rankdata(error[target]) - 0.5) / max(int(target.sum()), 1))
+    outlier = batch.reading.echo & ~target
+    spread = np.where(target, np.abs(score) - MEAN_ABS_NORMAL, 0.0)
+    every = np.stack([batch.reading.echo, outlier & (error < 0), outlier & (error > 0), score, spread], axis=1)
+    deviation = every.std(axis=0)
+    return every[:, deviation > 0] / deviation[deviation > 0] if (deviation > 0).any() else every[:, :1].astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class Trees:
+    """Binary trees in one numbering of nodes; a child has a greater number than its parent.
+
+    Attributes:
+        root: first node of each tree, (t,).
+        feature: input that each node compares, -1 for a leaf, (nodes,).
+        threshold: up to which a ping goes left, (nodes,).
+        left, right: children, -1 for a leaf, (nodes,).
+    """
+
+    root: Ints
+    feature: Ints
+    threshold: Floats
+    left: Ints
+    right: Ints
+
+    def leaves(self, x: Floats) -> Ints:
+        """Return the leaf of n pings with inputs x, (n, d), in each tree, (n, t)."""
+        node = np.tile(self.root, (len(x), 1))
+        row = np.arange(len(x))[:, None]
+        while np.any(inner := self.feature[node] >= 0):
+            goes_left = x[row, np.maximum(self.feature[node], 0)] <= self.threshold[node]
+            child = np.where(goes_left, self.left[node], self.right[node])
+            node = np.where(inner, child, node)
+        return node
+
+
+def grow(batch: Batch, x: Floats, rng: np.random.Generator) -> tuple[Trees, Bits]:
+    """Return extremely randomised trees (Geurts et al. 2006), each grown without one fold of the visits.
+
+    Args:
+        batch: readings.
+        x: inputs, (n, d).
+        rng: deals visits to folds, and draws thresholds.
+
+    Returns:
+        The trees, and whether each was grown on each ping, (n, t).
+    """
+    y, grown, drawn = outcomes(batch), [], []
+    n_folds = min(N_FOLDS, batch.n_visits)
+    for _ in range(N_DEALS):
+        fold = rng.permutation(np.arange(batch.n_visits) % n_folds)[batch.visit]
+        for k in range(n_folds):
+            used = fold != k if n_folds > 1 else fold == k
+            seed = int(rng.integers(2**31))
+            tree = ExtraTreeRegressor(min_samples_leaf=MIN_LEAF, max_features=1.0, random_state=seed)
+            grown.append(tree.fit(x[used], y[used]).tree_)
+            drawn.append(used)
+    root = np.cumsum([0, *(tree.node_count for tree in grown[:-1])])
+    feature = np.concatenate([np.where(tree.children_left < 0, -1, tree.feature) for tree in grown])
+    threshold = np.concatenate([np.where(tree.children_left < 0, 0.0, tree.threshold) for tree in grown])
+    left, right = (
+        np.concatenate([np.where(child < 0, -1, child + r) for child, r in zip(children, root, strict=True)])
+        for children in ([tree.children_left for tree in grown], [tree.children_right for tree in grown])
+    )
+    return Trees(root, feature, threshold, left, right), np.stack(drawn, axis=1)
