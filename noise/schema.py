@@ -145,15 +145,25 @@ class Empirical(Registered):
     terms: list[Term]
 
 
-class Nearest(Registered):
-    """See `noise.discrepancy.baseline.nearest.NearestVisits`."""
+class Trees(Schema):
+    """See `noise.discrepancy.baseline.trees.Trees`."""
 
-    kind: Literal["nearest"]
-    names: list[str]
-    middle: Numbers
-    scale: Numbers
-    position: Annotated[list[Numbers], MinLen(1)]
-    error: Annotated[list[list[float | None]], MinLen(1)]
+    root: Annotated[list[int], MinLen(1)]
+    feature: list[int]
+    threshold: Numbers
+    left: list[int]
+    right: list[int]
+
+
+class Forest(Registered):
+    """See `noise.discrepancy.baseline.forest.AnalogueForest`."""
+
+    kind: Literal["forest"]
+    names: Annotated[list[str], MinLen(1)]
+    typical: Numbers
+    leaf: Annotated[list[list[int]], MinLen(1)]
+    error: Annotated[list[float | None], MinLen(1)]
+    trees: Trees
 
 
 class Table(Registered):
@@ -208,7 +218,7 @@ class Composed(Kind):
 
 
 Model = Annotated[
-    Ideal | Gaussian | Beam | Physical | Empirical | Nearest | Table | Mlp | Lstm | Faulty | Composed,
+    Ideal | Gaussian | Beam | Physical | Empirical | Forest | Table | Mlp | Lstm | Faulty | Composed,
     Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()

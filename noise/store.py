@@ -31,7 +31,7 @@ BUILT_IN = {
 KINDS = {
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.fitting.empirical", "EmpiricalModel"),
-    "nearest": ("noise.discrepancy.baseline.nearest", "NearestVisits"),
+    "forest": ("noise.discrepancy.baseline.forest", "AnalogueForest"),
     "beam": ("noise.beam", "BeamModel"),
     "table": ("noise.table", "TableModel"),
     "mlp": ("noise.learned.networks", "MlpModel"),

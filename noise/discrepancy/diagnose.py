@@ -14,7 +14,7 @@ import numpy as np
 from acquisition import Recording, SettingError
 from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
-from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.held_out import best_of, gains, held_out
@@ -223,7 +223,8 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     """Return the model with the causes alone, and the corrected model that is offered; None where there is none.
 
     What no cause explains joins the corrected model as an empirical term, where that improves unseen visits; where the
-    recording's own nearest visits predict unseen ones better than any law, they are the corrected model. A correction
+    recording's own readings under similar conditions predict
+    unseen ones better than any law, they are the corrected model. A correction
     is offered only if it beats the user's simulation on unseen visits beyond chance.
     """
     stack = judged.final.single.stack
@@ -232,7 +233,7 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
         options.append(offered(judged.learned.stack, recorded))
     unseen = data.folds.unseen
-    best = best_of(options, NearestVisits.of(data.folds.both), unseen)
+    best = best_of(options, AnalogueForest.of(data.folds.both, data.rng("forest")), unseen)
     return causes_only, best if gains(best, data.baseline.before, unseen) else None
 
 
@@ -255,7 +256,9 @@ def _diagnosis(
     places: Sequence[Place],
 ) -> Diagnosis:
     base, folds = data.baseline, data.folds
-    scores = held_out(base.before, base.emulator, corrected or base.before, folds.both, folds.unseen)
+    scores = held_out(
+        base.before, base.emulator, corrected or base.before, folds.both, folds.unseen, data.rng("forest")
+    )
     verdict = Verdict(
         kind,
         summary_of(kind, [cause for cause in causes if cause.believed], where, rest, visible, len(data.batch)),

@@ -191,7 +191,7 @@ class HeldOut:
         before: the user's own simulation.
         emulator: the law that describes the simulation.
         after: the corrected model; that of `before` where no correction is offered.
-        repeatability: CRPS of the recording's own nearest visits, m: what the best model could reach.
+        repeatability: CRPS of a forest of the recording's own readings, m: what the best model could reach.
         gain_per_ping: log-likelihood per ping of `after` minus `before`, nats, with its interval over visits.
     """
 

@@ -15,7 +15,7 @@ from sklearn.model_selection import GroupKFold
 
 from acquisition.arrays import Floats, Ints
 from noise.beam import fit_beam
-from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.discrepancy.name.candidates import candidate_names, keys_of, with_sampled_bounds
 from noise.discrepancy.result import Diagnosis
 from noise.fitting.batch import Batch
@@ -42,7 +42,7 @@ def baselines(case: Case, found: Diagnosis) -> tuple[dict[str, Any], dict[str, f
     x, label, group = _features(simulated, recorded)
     said: dict[str, Any] = {"classifier_p": classifier_p(x, label, group, rng), "mmd_p": mmd_p(x, label, group, rng)}
     said["independent"] = independent_name(found, rng)
-    return said, corrections(simulated, recorded, Batch.of(case.fresh[0])) if case.fresh else {}
+    return said, corrections(simulated, recorded, Batch.of(case.fresh[0]), rng) if case.fresh else {}
 
 
 def _features(simulated: Batch, recorded: Batch) -> tuple[Floats, Ints, Ints]:
@@ -113,15 +113,15 @@ def independent_name(found: Diagnosis, rng: np.random.Generator) -> str:
     return max(gains, key=lambda name: gains[name])
 
 
-def corrections(simulated: Batch, recorded: Batch, fresh: Batch) -> dict[str, float]:
+def corrections(simulated: Batch, recorded: Batch, fresh: Batch, rng: np.random.Generator) -> dict[str, float]:
     """Return the CRPS, m, of a Gaussian-process discrepancy and of a beam model on a fresh recording.
 
-    The process corrects the mean of the simulation's nearest readings (Kennedy and O'Hagan 2001); the beam model is
-    fitted to the recording alone by expectation maximisation (Thrun et al. 2005).
+    The process corrects the median of the simulation's readings under similar conditions (Kennedy and O'Hagan 2001);
+    the beam model is fitted to the recording alone by expectation maximisation (Thrun et al. 2005).
     """
-    nearest = NearestVisits.of(simulated)
-    moved = np.maximum(fresh.ping.distance + process_shift(nearest, recorded, fresh), 1e-3)
-    process = nearest.law(replace(fresh.ping, distance=moved))
+    forest = AnalogueForest.of(simulated, rng)
+    moved = np.maximum(fresh.ping.distance + process_shift(forest, recorded, fresh), 1e-3)
+    process = forest.law(replace(fresh.ping, distance=moved))
     beam, _ = fit_beam(recorded.ping, recorded.reading, recorded.resolution, MAX_RANGE)
     return {"process": _crps(process, fresh), "beam": _crps(beam.law(fresh.ping), fresh)}
 
@@ -130,9 +130,9 @@ def _crps(law: EchoLaw, batch: Batch) -> float:
     return float(crps_with_silence(law, batch.reading, MAX_RANGE).mean())
 
 
-def process_shift(nearest: NearestVisits, recorded: Batch, fresh: Batch) -> Floats:
+def process_shift(forest: AnalogueForest, recorded: Batch, fresh: Batch) -> Floats:
     """Return the mean difference between recording and simulation by a Gaussian process, m, (n,)."""
-    expected = nearest.law(recorded.ping).quantile(0.5)
+    expected = forest.law(recorded.ping).quantile(0.5)
     near = recorded.reading.echo & np.isfinite(expected) & (np.abs(recorded.reading.range - expected) < NEAR_M)
     if near.sum() < 20:
         return np.zeros(len(fresh))

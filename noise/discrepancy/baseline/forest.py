@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from acquisition import ModelError, Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.baseline.forest_law import N_LEVELS, QuantileLaw, quantiles
-from noise.discrepancy.baseline.trees import OWN, Trees, columns, grow, input_groups
+from noise.discrepancy.baseline.trees import Trees, columns, grow, input_groups
 from noise.fitting.batch import Batch
 from noise.fitting.smooth import MEMORY
 from noise.fitting.visit_effects import FLOOR
@@ -25,7 +25,6 @@ from noise.model import MAX_RANGE
 
 MAX_PINGS = 4000  # of the forest, thinned by visit; bounds time and the size of the file
 MAX_VALUES = 4_000_000  # computed at once; bounds the memory
-MIN_T = 2.0  # gain of more inputs in standard errors over visits: chance alone brings as much in 2 of 100 recordings
 INTEGERS, NUMBERS = ("root", "feature", "left", "right"), ("threshold",)
 
 
@@ -164,22 +163,16 @@ def _grown(batch: Batch, names: tuple[str, ...], rng: np.random.Generator, max_r
     error = np.where(batch.reading.echo, batch.error, np.inf)
     order = np.argsort(error, kind="stable")
     leaf = np.where(drawn, reached, -1)[order]
-    typical = np.median(x, axis=0).astype(np.float64)
+    typical = np.median(x, axis=0)
     model = AnalogueForest(names, typical, trees, leaf, error[order], batch.resolution, max_range)
     # with a single visit every tree was grown on it, and it can only be predicted from itself
     return Grown(model, model.mixture(batch.ping, reached, ~drawn if batch.n_visits > 1 else drawn))
 
 
 def _chosen(batch: Batch, rng: np.random.Generator, max_range: float) -> Grown:
-    """Return the forest with the inputs that predict best; more inputs where they improve unseen visits clearly."""
-    best, *more = (_grown(batch, names, rng, max_range) for names in input_groups(batch))
-    score = crps_with_silence(best.crossed, batch.reading, MAX_RANGE)
-    for each in more:
-        other = crps_with_silence(each.crossed, batch.reading, MAX_RANGE)
-        gain = batch.visit_sums(score - other)
-        if gain.sum() > MIN_T * np.sqrt(len(gain)) * gain.std():
-            best, score = each, other
-    return best
+    """Return the forest with the inputs that predict visits best which the trees have not seen."""
+    forests = [_grown(batch, names, rng, max_range) for names in input_groups(batch)]
+    return min(forests, key=lambda each: float(crps_with_silence(each.crossed, batch.reading, MAX_RANGE).mean()))
 
 
 def crossed_law(batch: Batch, rng: np.random.Generator, max_range: float = MAX_RANGE) -> EchoLaw:

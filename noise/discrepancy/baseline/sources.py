@@ -10,7 +10,7 @@ import numpy as np
 from acquisition import ModelError, Ping, Reading, Recording
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.emulator import emulate
-from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.model import IdealModel, SonarModel, simulate
@@ -30,7 +30,7 @@ class Baseline:
     Attributes:
         law: describes the simulation, with the nuisance parameters of visits.
         readings: of the simulation; None where the law is known exactly.
-        before: the user's own simulation: the given model, or the readings of its nearest visits.
+        before: the user's own simulation: the given model, or a forest of its readings.
         emulator: `law` as a model of single pings, which can be saved; the given model where the law is known exactly.
         held_out: readings under conditions that the law was not fitted to; None where it is known exactly.
     """
@@ -76,7 +76,7 @@ def emulated(simulated: Recording, model: SonarModel | None, rng: np.random.Gene
     unseen = (rng.permutation(np.arange(len(conditions)) % HELD_OUT) == 0)[which]
     held_out = readings.select(unseen) if len(conditions) > 1 else None
     law = emulate(readings.select(~unseen) if held_out is not None else readings, rng)
-    before = model if model is not None else NearestVisits.of(readings, law.max_range)
+    before = model if model is not None else AnalogueForest.of(readings, rng, law.max_range)
     return Baseline(law, readings, before, law.single_ping_model, held_out)
 
 

@@ -20,7 +20,7 @@ INTERVAL = "interval_s"  # logged with every recording; it describes the past, n
 ORDER, SIGNED_ANGLE, SIGNED_INCIDENCE = "order", "signed_angle", "signed_incidence"
 CONDITIONS = ("log_distance", "angle", "incidence", "reflectance", SIGNED_ANGLE, SIGNED_INCIDENCE)
 OWN = (*CONDITIONS, ORDER, *MEMORY, "time")  # inputs that every ping has
-N_FOLDS, N_DEALS = 5, 10  # each deal of the visits to folds gives one tree without each fold
+N_FOLDS, N_DEALS = 5, 6  # each deal of the visits to folds gives one tree without each fold
 MIN_LEAF = 4  # pings in a leaf; the average over trees smooths further
 MEAN_ABS_NORMAL = float(np.sqrt(2.0 / np.pi))
 
@@ -34,10 +34,10 @@ def order_in_visit(ping: Ping) -> Floats:
 
 
 def columns(names: Sequence[str], ping: Ping, past: Reading | None, typical: Mapping[str, float]) -> Floats:
-    """Return inputs of trees, (n, d) in single precision; a covariate that was not logged has its typical value."""
+    """Return inputs of trees, (n, d); a covariate that was not logged has its typical value."""
     c = Conditions.of(ping, past)
     special = {ORDER: order_in_visit, SIGNED_ANGLE: lambda p: p.angle, SIGNED_INCIDENCE: lambda p: p.incidence}
-    out = np.empty((len(ping), len(names)), dtype=np.float32)
+    out = np.empty((len(ping), len(names)))
     for k, name in enumerate(names):
         if name in special:
             out[:, k] = special[name](ping)
@@ -45,7 +45,7 @@ def columns(names: Sequence[str], ping: Ping, past: Reading | None, typical: Map
             out[:, k] = column(name, c).numpy()
         else:
             out[:, k] = typical[name]
-    return out
+    return out.astype(np.float32).astype(np.float64)  # scikit-learn compares single precision
 
 
 def input_groups(batch: Batch) -> tuple[tuple[str, ...], ...]:
@@ -121,7 +121,7 @@ def grow(batch: Batch, x: Floats, rng: np.random.Generator) -> tuple[Trees, Bits
     Returns:
         The trees, and whether each was grown on each ping, (n, t).
     """
-    y, grown, drawn = outcomes(batch), [], []
+    y, single, grown, drawn = outcomes(batch), x.astype(np.float32), [], []
     n_folds = min(N_FOLDS, batch.n_visits)
     for _ in range(N_DEALS):
         fold = rng.permutation(np.arange(batch.n_visits) % n_folds)[batch.visit]
@@ -129,7 +129,7 @@ def grow(batch: Batch, x: Floats, rng: np.random.Generator) -> tuple[Trees, Bits
             used = fold != k if n_folds > 1 else fold == k
             seed = int(rng.integers(2**31))
             tree = ExtraTreeRegressor(min_samples_leaf=MIN_LEAF, max_features=1.0, random_state=seed)
-            grown.append(tree.fit(x[used], y[used]).tree_)
+            grown.append(tree.fit(single[used], y[used], check_input=False).tree_)
             drawn.append(used)
     root = np.cumsum([0, *(tree.node_count for tree in grown[:-1])])
     feature = np.concatenate([np.where(tree.children_left < 0, -1, tree.feature) for tree in grown])

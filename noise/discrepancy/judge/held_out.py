@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.baseline.forest import AnalogueForest, floored_log_prob
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.search import standard_error
 from noise.discrepancy.result import HeldOut, Interval, Score
 from noise.fitting.batch import Batch
-from noise.fitting.visit_effects import FLOOR
 from noise.metrics import crps_with_silence
 from noise.model import SonarModel
 
@@ -36,7 +35,7 @@ def gains(model: SonarModel, other: SonarModel, batch: Batch) -> bool:
 def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) -> SonarModel:
     """Return the model with the least CRPS; the fallback only where it gains beyond chance.
 
-    Laws with causes hold under other conditions too, and the readings of the nearest visits under their own alone.
+    Laws with causes hold under other conditions too, and a forest of readings under their own alone.
 
     Args:
         models: laws.
@@ -49,15 +48,17 @@ def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) ->
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:
     """Return the log probability of each reading, nats, (n,), with a floor for what a law calls impossible."""
-    law = model.law(batch.ping, batch.past)
-    steps = max(law.last_step, 1)
-    coarser = np.log(steps * batch.resolution / law.max_range) if batch.reading.echo.any() else 0.0
-    nats = law.log_prob(batch.reading) + np.where(batch.reading.echo, min(coarser, 0.0), 0.0)
-    floor = np.where(batch.reading.echo, FLOOR / steps, FLOOR)
-    return np.log((1.0 - 2.0 * FLOOR) * np.exp(nats) + floor)
+    return floored_log_prob(model.law(batch.ping, batch.past), batch)
 
 
-def held_out(before: SonarModel, emulator: SonarModel, after: SonarModel, seen: Batch, unseen: Batch) -> HeldOut:
+def held_out(
+    before: SonarModel,
+    emulator: SonarModel,
+    after: SonarModel,
+    seen: Batch,
+    unseen: Batch,
+    rng: np.random.Generator,
+) -> HeldOut:
     """Return the scores on unseen visits.
 
     Args:
@@ -66,6 +67,7 @@ def held_out(before: SonarModel, emulator: SonarModel, after: SonarModel, seen: 
         after: the corrected model.
         seen: the recording's other visits, whose readings show how well it repeats itself.
         unseen: readings to score.
+        rng: grows the forest of the other visits.
     """
     nats = [log_score(model, unseen) for model in (before, emulator, after)]
     scores = [
@@ -74,5 +76,5 @@ def held_out(before: SonarModel, emulator: SonarModel, after: SonarModel, seen: 
     gain = unseen.visit_sums(nats[2] - nats[0])
     mean, error = float(gain.sum()) / len(unseen), Z * standard_error(gain) / len(unseen)
     gained = Interval(mean, mean - error, mean + error, "nats")
-    itself = crps(NearestVisits.of(seen), unseen)
+    itself = crps(AnalogueForest.of(seen, rng), unseen)
     return HeldOut(len(unseen), unseen.n_visits, scores[0], scores[1], scores[2], itself, gained)

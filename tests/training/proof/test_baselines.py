@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.baseline.nearest import NearestVisits
+from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.fitting.batch import Batch
 from training.proof.baselines import _features, classifier_p, corrections, mmd_p, process_shift
 
@@ -39,8 +39,8 @@ def test_two_sample_tests_are_valid_without_a_difference():
 
 def test_a_gaussian_process_finds_an_offset_and_closes_the_gap():
     simulated, recorded, fresh = (Batch.of(recording(k, offset)) for k, offset in enumerate((0.0, OFFSET_M, OFFSET_M)))
-    shift = process_shift(NearestVisits.of(simulated), recorded, fresh)
+    shift = process_shift(AnalogueForest.of(simulated, np.random.default_rng(0)), recorded, fresh)
     assert np.median(shift) == pytest.approx(OFFSET_M, abs=0.003)
-    scores = corrections(simulated, recorded, fresh)
+    scores = corrections(simulated, recorded, fresh, np.random.default_rng(0))
     assert scores["process"] < 0.3 * OFFSET_M
     assert scores["beam"] < OFFSET_M + 0.01

@@ -20,9 +20,9 @@ The row "{STRONG_NATS:g} nats apart in CRPS" does not use the test: the readings
 recording worse than those of a second recording, by so many nats or more. Shares have Wilson intervals, medians and
 percentiles bootstrap intervals. The gap closed on a fresh recording is that between the simulation's own readings and a
 second recording in the same visits, in CRPS with silence counted; trials without a gap of two standard errors are left
-out of it. On unseen visits the oracle is the recording's own nearest visits. Times are those of this run, with all its
-workers busy. Region overlap (IoU) is counted in pings. Not measured here: the width of intervals relative to an oracle,
-and whether the next measurement settles."""
+out of it. On unseen visits the oracle is a forest of the recording's own readings. Times are those of this run, with
+all its workers busy. Region overlap (IoU) is counted in pings. Not measured here: the width of intervals relative to an
+oracle, and whether the next measurement settles."""
 
 
 @dataclass(frozen=True)

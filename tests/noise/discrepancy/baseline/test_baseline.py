@@ -1,4 +1,4 @@
-"""The law of a simulation: known, emulated, sampled or asked; the nearest visits; the empirical term."""
+"""The law of a simulation: known, emulated, sampled or asked; the empirical term."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import GaussianModel, IdealModel, load_model, save_model
 from noise.discrepancy.baseline.emulator import empirical_term
-from noise.discrepancy.baseline.nearest import NearestVisits
 from noise.discrepancy.baseline.sources import asked, baseline_of
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
@@ -60,7 +59,7 @@ def test_the_emulator_predicts_unseen_readings_nearly_as_well_as_the_true_law(ba
     assert found < 1.15 * true
 
 
-def test_the_emulator_predicts_better_than_the_nearest_visits(baseline):
+def test_the_emulator_predicts_better_than_a_forest(baseline):
     test = Batch.of(recording(SONAR, 3))
     near, found = (
         crps_with_silence(m.law(test.ping), test.reading).mean() for m in (baseline.before, baseline.emulator)
@@ -114,38 +113,6 @@ def test_another_model_is_sampled_under_the_conditions_of_the_recording():
     found = baseline_of(model, real, None, np.random.default_rng(0))
     assert found.before is model
     assert set(found.readings.ping.distance) <= set(real.ping.distance)
-
-
-def test_the_nearest_visits_repeat_a_visit_that_was_simulated():
-    batch = Batch.of(recording(SONAR, 1))
-    row = batch.starts[:1]
-    law = NearestVisits.of(batch).law(batch.ping[row])
-    alike = batch.visit == batch.visit[row[0]]
-    own = np.median(batch.error[alike & batch.reading.echo]) if batch.reading.echo[alike].any() else 0.0
-    assert abs(law.quantile(0.5)[0] - law.distance[0] - own) < 0.02
-
-
-def test_saved_nearest_visits_have_the_same_law(tmp_path):
-    batch = Batch.of(recording(SONAR, 1))
-    model = NearestVisits.of(batch)
-    same = load_model(save_model(model, tmp_path / "nearest"))
-    z = np.linspace(0.1, 6.0, 30)[:, None] + np.zeros(len(batch))
-    assert np.array_equal(same.law(batch.ping).arrival(z), model.law(batch.ping).arrival(z))
-    assert (same.resolution, same.max_range) == (model.resolution, model.max_range)
-
-
-@pytest.mark.parametrize("damage", [{"error": []}, {"scale": [0.0] * 4}, {"names": ["more"]}, {"position": None}])
-def test_damaged_nearest_visits_are_a_clear_error(damage):
-    data = NearestVisits.of(Batch.of(recording(SONAR, 1))).to_dict()
-    with pytest.raises(ModelError, match="may be damaged"):
-        NearestVisits.from_dict(data | damage)
-
-
-def test_the_nearest_visits_transport_errors_and_not_ranges():
-    ping = survey(1)
-    batch = Batch.of(Recording.of(ping, Reading.of(ping.distance + 0.05)))
-    law = NearestVisits.of(batch).law(survey(9))
-    assert np.allclose(law.quantile(0.5), law.distance + 0.05, atol=0.002)
 
 
 def test_a_law_that_describes_the_recording_gets_no_empirical_term_that_does_harm():

@@ -1,0 +1,217 @@
+"""A forest of readings is a law, finds what readings depend on, and can be saved."""
+
+import numpy as np
+import pytest
+
+from acquisition import ModelError, Ping, Reading, Recording
+from noise import load_model, save_model
+from noise.discrepancy.baseline.forest import AnalogueForest, crossed_crps, crossed_log_prob
+from noise.discrepancy.baseline.forest_law import LEVELS, quantiles
+from noise.discrepancy.baseline.trees import order_in_visit
+from noise.fitting.batch import Batch
+from noise.metrics import crps_with_silence
+from noise.model import MAX_RANGE
+
+STEP_M = 0.08
+NOISE_M = 0.002
+
+
+def survey(seed, n_visits=60, n_pings=10):
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(np.round(rng.uniform(0.5, 4.0, n_visits), 3), n_pings)
+    time = np.cumsum(np.where(np.arange(len(distance)) % n_pings == 0, 10.0, 0.1))
+    return Ping.of(distance, reflectance=np.repeat(rng.choice([0.1, 0.9], n_visits), n_pings), time=time)
+
+
+def batch_of(ping, error, rng, miss=0.0):
+    value = np.round(ping.distance + error + rng.normal(0.0, NOISE_M, len(ping)), 3)
+    return Batch.of(Recording.of(ping, Reading.of(np.where(rng.random(len(ping)) < miss, 0.0, value))))
+
+
+def step_in_reflectance(seed):
+    """Soft targets read longer, and are missed in a third of the pings."""
+    ping, rng = survey(seed), np.random.default_rng(seed)
+    soft = ping.reflectance < 0.5
+    return batch_of(ping, STEP_M * soft, rng, soft / 3.0)
+
+
+def alternating(seed):
+    """The error is `STEP_M` after a reading without it, and 0 after one with it."""
+    ping, rng = survey(seed), np.random.default_rng(seed)
+    return batch_of(ping, STEP_M * (np.arange(len(ping)) % 2), rng)
+
+
+def forest_of(batch, seed=0):
+    return AnalogueForest.of(batch, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return step_in_reflectance(1)
+
+
+@pytest.fixture(scope="module")
+def forest(batch):
+    return forest_of(batch)
+
+
+@pytest.fixture(scope="module")
+def with_memory():
+    return forest_of(alternating(1))
+
+
+def test_the_probabilities_of_all_outcomes_sum_to_one(forest, batch):
+    law = forest.law(batch.ping[:40], batch.past[:40])
+    step = np.arange(1, law.last_step + 1)
+    ranges = step * law.resolution
+    total = sum(np.exp(law.log_prob(Reading.of(np.full(40, r)))) for r in ranges[ranges < 6.0])
+    assert np.allclose(total + law.no_echo, 1.0, atol=1e-9)
+
+
+def test_samples_have_the_probabilities_of_the_law(forest, batch):
+    row = batch.starts[batch.ping.reflectance[batch.starts] < 0.5][:1]
+    n = 20_000
+    law, many = (forest.law(batch.ping[rows], batch.past[rows]) for rows in (row, np.repeat(row, n)))
+    drawn = many.sample(np.random.default_rng(0))
+    error = 4.0 * np.sqrt(0.25 / n)
+    assert np.mean(drawn.echo) == pytest.approx(law.echo[0], abs=error)
+    z = law.quantile(np.full((5, 1), [[0.1], [0.3], [0.5], [0.7], [0.9]]))[:, 0]
+    below = np.mean(drawn.echo & (drawn.range <= z[:, None] + 1e-9), axis=1)
+    assert np.allclose(below, law.cdf(z[:, None])[:, 0], atol=error)
+
+
+def test_a_step_in_a_condition_is_recovered(batch, forest):
+    share = np.mean(batch.reading.echo[batch.ping.reflectance < 0.5])
+    new = survey(2)
+    law, soft = forest.law(new), new.reflectance < 0.5
+    assert np.allclose(law.quantile(0.5) - new.distance, STEP_M * soft, atol=NOISE_M)
+    assert np.mean(law.echo[soft]) == pytest.approx(share, abs=0.02)
+    assert np.min(law.echo[~soft]) == 1.0
+
+
+def test_errors_are_transported_and_not_ranges():
+    ping = survey(1)
+    new = survey(9)
+    law = forest_of(Batch.of(Recording.of(ping, Reading.of(ping.distance + 0.05)))).law(new)
+    assert np.allclose(law.quantile(0.5), law.distance + 0.05, atol=0.0015)
+
+
+def test_a_dependence_on_the_previous_reading_is_recovered(with_memory):
+    assert with_memory.remembers
+    ping = Ping.of(np.full(2, 2.0))
+    law = with_memory.law(ping, Reading.of(np.array([2.0, 2.0 + STEP_M])))
+    assert np.allclose(law.quantile(0.5) - ping.distance, [STEP_M, 0.0], atol=2.0 * NOISE_M)
+
+
+def test_inputs_that_tell_nothing_do_no_harm(batch, forest):
+    """The error of a law that knows the two medians is NOISE_M; silence is at the end of the register."""
+    new = step_in_reflectance(4)
+    hard = new.ping.reflectance > 0.5
+    score = crps_with_silence(forest.law(new.ping, new.past), new.reading, MAX_RANGE)
+    assert np.mean(score[hard]) < NOISE_M
+
+
+def test_equal_seeds_give_equal_laws(batch, forest):
+    assert forest_of(batch).to_dict() == forest.to_dict()
+    assert forest_of(batch, seed=1).to_dict() != forest.to_dict()
+
+
+def test_a_single_ping_has_the_law_of_its_row_in_a_batch(with_memory):
+    batch = alternating(2)
+    rows = batch.starts[:5]  # a ping alone is the first of its visit
+    together = with_memory.law(batch.ping, batch.past)
+    for row in rows:
+        alone = with_memory.law(batch.ping[[row]], batch.past[[row]])
+        assert alone.echo[0] == pytest.approx(together.echo[row])
+        assert np.allclose(alone.knots[0], together.knots[row])
+
+
+def test_a_saved_forest_has_the_same_law(with_memory, tmp_path):
+    batch = alternating(2)
+    same = load_model(save_model(with_memory, tmp_path / "forest"))
+    laws = [model.law(batch.ping, batch.past) for model in (with_memory, same)]
+    assert np.array_equal(laws[0].knots, laws[1].knots)
+    assert np.array_equal(laws[0].echo, laws[1].echo)
+    assert (same.resolution, same.max_range, same.remembers) == (with_memory.resolution, with_memory.max_range, True)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"error": []},
+        {"error": None},
+        {"names": []},
+        {"typical": [0.0, float("nan")]},
+        {"resolution": 0.0},
+        {"leaf": [[-1]]},
+        {"trees": {}},
+    ],
+)
+def test_a_damaged_forest_is_a_clear_error(forest, damage):
+    with pytest.raises(ModelError, match="may be damaged"):
+        AnalogueForest.from_dict(forest.to_dict() | damage)
+
+
+@pytest.mark.parametrize(("part", "value"), [("left", 0), ("right", 10**6), ("feature", 99), ("threshold", np.inf)])
+def test_a_damaged_tree_is_a_clear_error(forest, part, value):
+    data = forest.to_dict()
+    trees = {name: list(values) for name, values in data["trees"].items()}
+    trees[part][0] = value  # the first root
+    with pytest.raises(ModelError, match="may be damaged"):
+        AnalogueForest.from_dict(data | {"trees": trees})
+
+
+def test_cross_fitted_scores_are_those_of_unseen_visits(batch, forest):
+    rng = np.random.default_rng
+    crossed, new = crossed_crps(batch, rng(0)), step_in_reflectance(3)
+    assert crossed.shape == crossed_log_prob(batch, rng(0)).shape == (len(batch),)
+    fresh = crps_with_silence(forest.law(new.ping, new.past), new.reading, MAX_RANGE)
+    assert np.mean(crossed) == pytest.approx(np.mean(fresh), rel=0.2)
+
+
+def test_cross_fitted_predictions_do_not_see_the_visit():
+    """Errors that are a matter of the visit alone can be read back, but not be predicted."""
+    rng, ping = np.random.default_rng(5), survey(5)
+    own = np.repeat(rng.normal(0.0, 0.05, 60), 10)
+    batch = batch_of(ping, own, rng)
+    first = batch.count == 0
+    inside = crps_with_silence(forest_of(batch).law(batch.ping, batch.past), batch.reading, MAX_RANGE)[first]
+    # of a normal law with a known spread: sigma / sqrt(pi)
+    assert np.mean(crossed_crps(batch, np.random.default_rng(0))[first]) > 0.8 * 0.05 / np.sqrt(np.pi)
+    assert np.mean(inside) < 0.8 * 0.05 / np.sqrt(np.pi)
+
+
+@pytest.mark.parametrize("n_visits", [1, 2])
+def test_few_visits_make_a_forest(n_visits):
+    ping = survey(0, n_visits)
+    batch = batch_of(ping, 0.0, np.random.default_rng(0))
+    assert np.allclose(forest_of(batch).law(ping).quantile(0.5), ping.distance, atol=5.0 * NOISE_M)
+
+
+def test_readings_without_any_echo_make_a_forest(tmp_path):
+    ping = survey(0, 10)
+    silent = forest_of(Batch.of(Recording.of(ping, Reading.of(np.zeros(len(ping))))))
+    law = load_model(save_model(silent, tmp_path / "silent")).law(ping)
+    assert np.array_equal(law.no_echo, np.ones(len(ping)))
+    assert not law.sample(np.random.default_rng(0)).echo.any()
+
+
+def test_a_covariate_that_is_not_given_has_its_typical_value():
+    ping, rng = survey(1), np.random.default_rng(1)
+    warm = np.repeat(np.arange(60) % 3, 10)  # 0, 1 and 2, of which 1 is the median
+    logged = Ping.of(ping.distance, reflectance=ping.reflectance, time=ping.time, level=warm)
+    forest = forest_of(batch_of(logged, STEP_M * warm, rng))
+    law = forest.law(Ping.of([1.0, 3.0]))
+    assert np.allclose(law.quantile(0.5) - law.distance, STEP_M, atol=2.0 * NOISE_M)
+
+
+def test_the_order_in_a_visit_counts_pings_since_the_condition_changed():
+    ping = Ping.of([1.0, 1.0, 1.0, 2.0, 1.0, 1.0], run=[0, 0, 0, 0, 0, 1])
+    assert np.allclose(np.expm1(order_in_visit(ping)), [0, 1, 2, 0, 0, 0])
+
+
+def test_quantiles_of_equal_weights_are_those_of_the_values():
+    value = np.arange(5.0)
+    found = quantiles(np.array([[1.0, 1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]), value)
+    assert np.allclose(found[0], np.clip(5.0 * LEVELS - 0.5, 0.0, 4.0))
+    assert np.allclose(found[1], 2.0)
