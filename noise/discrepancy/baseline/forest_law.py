@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from acquisition import Ping
-from acquisition.arrays import Bits, Floats, Ints
+from acquisition.arrays import Floats, Ints
 from noise.law import EchoLaw
 
 N_LEVELS = 101
@@ -77,8 +77,7 @@ def quantiles(weight: Floats, value: Floats) -> Floats:
         return np.zeros((n, N_LEVELS))
     total = np.cumsum(weight, axis=1)
     middle = (total - 0.5 * weight) / np.maximum(total[:, -1:], 1e-300)
-    row = np.arange(n)[:, None]
-    counted: Bits = np.asarray(weight > 0.0)
+    row, counted = np.arange(n)[:, None], weight > 0.0
     first, last = counted.argmax(axis=1)[:, None], k - 1 - counted[:, ::-1].argmax(axis=1)[:, None]
     # levels lie in 0..1, so rows two apart make one sorted array
     found = np.searchsorted((middle + 2.0 * row).ravel(), (LEVELS + 2.0 * row).ravel()).reshape(n, -1) - k * row
@@ -87,4 +86,4 @@ def quantiles(weight: Floats, value: Floats) -> Floats:
     below, above = middle[row, low], middle[row, high]
     share = np.divide(LEVELS - below, above - below, out=np.ones_like(above), where=above > below)
     out = value[low] + np.clip(share, 0.0, 1.0) * (value[high] - value[low])
-    return np.where(counted.any(axis=1)[:, None], out, 0.0)
+    return np.where(total[:, -1:] > 0.0, out, 0.0)

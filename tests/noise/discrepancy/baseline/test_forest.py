@@ -81,12 +81,12 @@ def test_samples_have_the_probabilities_of_the_law(forest, batch):
 
 
 def test_a_step_in_a_condition_is_recovered(batch, forest):
-    share = np.mean(batch.reading.echo[batch.ping.reflectance < 0.5])
+    own, were_soft = forest.law(batch.ping, batch.past).echo, batch.ping.reflectance < 0.5
+    assert np.mean(own[were_soft]) == pytest.approx(np.mean(batch.reading.echo[were_soft]), abs=0.02)
+    assert np.min(own[~were_soft]) == pytest.approx(1.0)
     new = survey(2)
     law, soft = forest.law(new), new.reflectance < 0.5
     assert np.allclose(law.quantile(0.5) - new.distance, STEP_M * soft, atol=NOISE_M)
-    assert np.mean(law.echo[soft]) == pytest.approx(share, abs=0.02)
-    assert np.min(law.echo[~soft]) == 1.0
 
 
 def test_errors_are_transported_and_not_ranges():
