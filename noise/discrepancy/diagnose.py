@@ -17,7 +17,7 @@ from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
-from noise.discrepancy.judge.held_out import best_of, gains, held_out
+from noise.discrepancy.judge.held_out import best_of, forest_gains, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import directed_test
@@ -223,18 +223,21 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     """Return the model with the causes alone, and the corrected model that is offered; None where there is none.
 
     What no cause explains joins the corrected model as an empirical term, where that improves unseen visits; where the
-    recording's own readings under similar conditions predict
-    unseen ones better than any law, they are the corrected model. A correction
-    is offered only if it beats the user's simulation on unseen visits beyond chance.
+    recording's own readings under similar conditions predict unseen ones better than any law, they are the corrected
+    model. A correction is offered only if it beats the user's simulation on unseen visits beyond chance: for a law on
+    those that nothing was fitted to, and for a forest on all, each by trees that have not seen it.
     """
     stack = judged.final.single.stack
     causes_only = offered(stack, recorded) if judged.believed else None
     options = [] if causes_only is None else [causes_only]
     if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
         options.append(offered(judged.learned.stack, recorded))
-    unseen = data.folds.unseen
-    best = best_of(options, AnalogueForest.of(data.folds.both, data.rng("forest")), unseen)
-    return causes_only, best if gains(best, data.baseline.before, unseen) else None
+    unseen, before = data.folds.unseen, data.baseline.before
+    forest = AnalogueForest.of(data.folds.both, data.rng("forest"))
+    best = best_of(options, forest, unseen)
+    if gains(best, before, unseen):
+        return causes_only, best
+    return causes_only, forest if forest_gains(before, data.batch, data.rng("out of bag")) else None
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:

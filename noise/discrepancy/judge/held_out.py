@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.forest import AnalogueForest, floored_log_prob
+from noise.discrepancy.baseline.forest import MAX_PINGS, AnalogueForest, crossed_crps, floored_log_prob
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.search import standard_error
 from noise.discrepancy.result import HeldOut, Interval, Score
@@ -28,7 +28,16 @@ def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
 
 def gains(model: SonarModel, other: SonarModel, batch: Batch) -> bool:
     """Return whether a model's CRPS is less than another's beyond chance: the interval over visits excludes zero."""
-    gain = batch.visit_sums(crps_of_each(other, batch) - crps_of_each(model, batch))
+    return _beyond_chance(batch.visit_sums(crps_of_each(other, batch) - crps_of_each(model, batch)))
+
+
+def forest_gains(other: SonarModel, batch: Batch, rng: np.random.Generator) -> bool:
+    """Return whether a forest's CRPS on visits that its trees have not seen is less than a model's beyond chance."""
+    few = batch.thin(MAX_PINGS)
+    return _beyond_chance(few.visit_sums(crps_of_each(other, few) - crossed_crps(few, rng)))
+
+
+def _beyond_chance(gain: Floats) -> bool:
     return bool(gain.sum() > Z * standard_error(gain))
 
 

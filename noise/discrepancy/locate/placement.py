@@ -14,6 +14,7 @@ from noise.fitting.visit_effects import placement_scatter
 from noise.statistics import winsorised
 
 BIAS = ASPECTS.index(Aspect.BIAS)
+LEAST_CARE_M = 0.005  # ruler and mount, 1 to 5 mm: more is a difference, and no lack of care
 
 
 def with_own_placement(law: Stack, sample: Sample) -> tuple[Stack, Stack]:
@@ -38,4 +39,5 @@ def _placed(law: Stack, batch: Batch, part: Ints) -> Stack:
     within = float(np.sum(valid * (error - mean[batch.visit]) ** 2) / np.sum(np.maximum(count - 1.0, 0.0)))
     several = count >= 2
     between = float(np.var(winsorised(mean[several]))) - within * float(np.mean(1.0 / count[several]))
-    return law.put([PLACEMENT], [np.sqrt(max(between, 0.0)) / placement_scatter(1.0)])
+    care = max(LEAST_CARE_M, law.get(PLACEMENT))
+    return law.put([PLACEMENT], [min(np.sqrt(max(between, 0.0)) / placement_scatter(1.0), care)])
