@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from acquisition import Ping, Reading, Recording, RecordingError, SettingError, UnknownModelError
+from acquisition import Ping, Reading, Recording, RecordingError, SettingError, UnknownModelError, as_recording
 from noise import GaussianModel, IdealModel, PhysicalModel, save_model
-from noise.discrepancy.inputs import as_model, as_recording, warnings_of
+from noise.discrepancy.inputs import as_model, warnings_of
 
 
 def recording(low=0.3, high=3.0, n=60, name="recorded", scale=1.0, angle=0.0, **columns):

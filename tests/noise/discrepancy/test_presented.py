@@ -7,6 +7,8 @@ from noise.discrepancy.presented import Presented
 
 
 def test_figures_without_their_packages_name_the_extra(monkeypatch):
-    monkeypatch.setattr("noise.discrepancy.presented.FIGURES", "no_such_package.")
-    with pytest.raises(MissingExtraError, match=r"need no_such_package: pip install 'sonar-gym\[training\]'"):
+    monkeypatch.setattr("noise.discrepancy.presented.FIGURES", "training.no_such_room.")
+    with pytest.raises(
+        MissingExtraError, match=r"needs the package 'training.no_such_room': pip install 'sonar-gym\[train\]'"
+    ):
         Presented().plot()

@@ -223,7 +223,8 @@ def test_the_shipped_network_is_small_documented_and_physical():
     assert np.all(facing.missing), "the temperature is missing"
     # a 200 mm disc is lost when its perpendicular misses the sensor, beyond 1.0 deg at 6 m and 5.7 deg at 1 m
     turned = model.law(Ping.of(distance=[3.0, 4.0, 5.0], angle=0.0, incidence=np.radians(30), reflectance=0.9))
-    assert np.all(turned.echo < 0.15), "its stand gives some echoes"
+    # its stand gives some echoes: 5 % of such pings in the survey, from 2.5 to 5.5 m
+    assert turned.echo.mean() == pytest.approx(0.05, abs=0.05)
     assert np.all(model.law(Ping.of([1.0, 1.0], [0.0, 1.0], 0.0, 0.9)).extrapolated == [False, True])
 
 
