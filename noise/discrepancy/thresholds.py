@@ -4,8 +4,10 @@ from __future__ import annotations
 
 FALSE_ALARM = 0.01  # probability of a false difference between two recordings of one sonar
 BIAS_TOLERANCE_M = 0.002  # two recordings of one sonar differ by this much: placement with a ruler
+MAX_PLACEMENT_M = 0.005  # ruler and mount scatter by 1 to 5 mm: more is a difference, and no lack of care
 SHARE_TOLERANCE = 0.02  # of pings: two recordings of one sonar differ by this much in echoes heard
 BELIEVED = 0.5  # probability from which an effect or one of its alternatives is reported as a cause
+FIRST_GAIN = 3.0  # nats that the first effect must gain: odds of 20 to 1, since the test has found a difference before
 MIN_SHARE = 0.03  # share of what is explained below which a further effect is not sought beside others
 EXPLAINED_SHARE = 0.9  # share from which causes explain the difference
 PARTLY_SHARE = 0.3  # share from which they explain a part of it

@@ -8,13 +8,13 @@ from acquisition.arrays import Ints
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import ASPECTS, scores
 from noise.discrepancy.result import Aspect
+from noise.discrepancy.thresholds import MAX_PLACEMENT_M
 from noise.fitting.batch import Batch
 from noise.fitting.stack import PLACEMENT, Stack
 from noise.fitting.visit_effects import placement_scatter
 from noise.statistics import winsorised
 
 BIAS = ASPECTS.index(Aspect.BIAS)
-LEAST_CARE_M = 0.005  # ruler and mount, 1 to 5 mm: more is a difference, and no lack of care
 
 
 def with_own_placement(law: Stack, sample: Sample) -> tuple[Stack, Stack]:
@@ -39,5 +39,5 @@ def _placed(law: Stack, batch: Batch, part: Ints) -> Stack:
     within = float(np.sum(valid * (error - mean[batch.visit]) ** 2) / np.sum(np.maximum(count - 1.0, 0.0)))
     several = count >= 2
     between = float(np.var(winsorised(mean[several]))) - within * float(np.mean(1.0 / count[several]))
-    care = max(LEAST_CARE_M, law.get(PLACEMENT))
-    return law.put([PLACEMENT], [min(np.sqrt(max(between, 0.0)) / placement_scatter(1.0), care)])
+    most = max(MAX_PLACEMENT_M, law.get(PLACEMENT))
+    return law.put([PLACEMENT], [min(np.sqrt(max(between, 0.0)) / placement_scatter(1.0), most)])

@@ -18,10 +18,11 @@ from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.locate.sample import Sample, positions
 from noise.discrepancy.locate.scores import ASPECTS, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
+from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.stack import Stack
 
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
-LEVEL, POWER, TWO_SIDED = 0.01, 0.9, 0.95
+POWER, TWO_SIDED = 0.9, 0.95
 N_TESTS = 3  # of one hypothesis, for which the level is adjusted: this one, the orthogonal and the directed one
 ROUNDING = 1e-9  # m, below which errors are alike
 
@@ -32,7 +33,7 @@ class Trend:
 
     Attributes:
         p_value: of the most significant coefficient.
-        where: the mean difference, if the test rejects at `LEVEL`.
+        where: the mean difference, if the test rejects at `FALSE_ALARM`.
         visible: the least mean difference that is seen with a power of 90 %; None where nothing can be tested.
     """
 
@@ -82,8 +83,8 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
     half = float(mean.error[0] * student.ppf(TWO_SIDED, mean.freedom))
     size = Interval(float(mean.value[0]), float(mean.value[0]) - half, float(mean.value[0]) + half, "m")
     p_value = PValue(value, 0, len(p), 1)
-    least = student.ppf(1.0 - LEVEL / (2.0 * N_TESTS * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
-    where = (Location(Aspect.BIAS, {}, size, p_value),) if value < LEVEL else ()
+    least = student.ppf(1.0 - FALSE_ALARM / (2.0 * N_TESTS * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
+    where = (Location(Aspect.BIAS, {}, size, p_value),) if value < FALSE_ALARM else ()
     return Trend(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
 
 

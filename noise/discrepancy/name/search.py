@@ -26,7 +26,7 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.folds import Folds
-from noise.discrepancy.thresholds import FALSE_ALARM, MAX_CAUSES, MIN_SHARE
+from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
@@ -38,7 +38,6 @@ NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
-FIRST_GAIN = 3.0  # nats: odds of 20 to 1 against the law of the simulation
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
 STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
