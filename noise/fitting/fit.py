@@ -53,7 +53,7 @@ class Fit:
     Attributes:
         stack: parameters at the maximum.
         free: free parameters.
-        nats: log-likelihood at the maximum.
+        nats: log-likelihood at the maximum, with the prior of the nuisance parameters.
     """
 
     stack: Stack
@@ -62,7 +62,7 @@ class Fit:
 
 
 class Objective:
-    """Negative log-likelihood and its gradient with respect to the free parameters."""
+    """Negative log posterior and its gradient with respect to the free parameters."""
 
     def __init__(self, stack: Stack, free: Sequence[Key], batch: Batch) -> None:
         self.stack, self.free, self.batch = stack, tuple(free), batch
@@ -79,6 +79,7 @@ class Objective:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
         model, visits = self.stack.build(self.free, numbers)
         total = -log_prob(law_of(model, self.batch), visits, self.batch).sum()
+        total = total - self.stack.log_prior(self.free, numbers)
         if not total.requires_grad:  # a stack of stepwise effects, such as rounding, has no gradient
             return float(total), np.zeros(len(x))
         (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from acquisition.arrays import Floats, Ints
 from noise.effects import CATALOGUE, Effect, Parameter
+from noise.effects.state import number
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel, PlacementScatter
 from noise.fitting.smooth import Smooth
@@ -34,6 +35,7 @@ SHARED = (
     SIMULATION_CORRELATION,
 )
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
+FAMILIAR_SD = float(np.log(2.0))  # of the ratio of a nuisance parameter in two recordings of one kind; chosen here
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,7 @@ class Stack:
         terms: smooth corrections without parameters, at most one of each id.
         bounds: parameters with narrower bounds than the catalogue's.
         left_out: the smooth correction without each part of the readings it was fitted to; None where there is none.
+        familiar: nuisance parameters in another recording of such a sonar, the centres of their priors; none without it.
     """
 
     values: Values
@@ -75,6 +78,7 @@ class Stack:
     terms: tuple[Smooth, ...] = ()
     bounds: Mapping[Key, Parameter] = field(default_factory=dict)
     left_out: LeftOut | None = None
+    familiar: Mapping[Key, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: PhysicalModel) -> Stack:
@@ -134,6 +138,20 @@ class Stack:
         effects = [self.known[name](**inner) for name, inner in values.items()]
         kind = EmpiricalModel if self.terms else PhysicalModel
         return kind([*effects, *self.terms], self.resolution, self.max_range), visits
+
+    def log_prior(self, keys: Sequence[Key], numbers: Tensor) -> Tensor:
+        """Return the log prior of parameters, nats, up to a constant: two recordings of one kind scatter alike.
+
+        Few visits say little of their scatter, and one that is free explains any difference. The prior is log-normal
+        above the size at which the parameter begins to matter, which is its starting value.
+        """
+        total = number(0.0)
+        for key, value in zip(keys, numbers, strict=True):
+            if key in self.familiar:
+                floor = self.parameter(key).starts[0]
+                ratio = (value + floor) / (self.familiar[key] + floor)
+                total = total - 0.5 * (torch.log(ratio) / FAMILIAR_SD) ** 2
+        return total
 
     def expected(self, batch: Batch) -> Floats:
         """Return the median of the law of each ping, m, (n,)."""

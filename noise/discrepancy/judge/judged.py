@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.judge.decision import decision_model
-from noise.discrepancy.judge.shares import Learner, Shares, shares
+from noise.discrepancy.judge.shares import Rest, Shares, shares
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.name.alternatives import Place, place_of
@@ -64,33 +65,28 @@ class Judgement:
     Attributes:
         search: readings and candidates.
         test: tests whether the recording differs from a law.
-        learner: learns what a law lacks.
         found: the hypothesis.
         final: its effects fitted to both folds.
         after: test of that law.
-        learned: that law with what it lacks; None where the test finds nothing left.
     """
 
     search: Search
     test: Test
-    learner: Learner
     found: Hypothesis
     final: Final = field(init=False)
     after: Tested = field(init=False)
-    learned: Learned | None = field(init=False)
 
     def __post_init__(self) -> None:
-        """Fit, test and learn."""
+        """Fit and test."""
         self.final = conclude(self.search, self.found)
         self.after = self.test(self.final.stack)
-        self.learned = self.learner.learned(self.final.stack) if is_left(self.after) else None
 
     def with_effects(self, effects: Sequence[str]) -> Judgement:
         """Return the judgement of the hypothesis with some of its effects."""
         found = self.found
         for name in [each for each in found.effects if each not in effects]:
             found = self.search.left_out(found, name)
-        return self if found is self.found else Judgement(self.search, self.test, self.learner, found)
+        return self if found is self.found else Judgement(self.search, self.test, found)
 
 
 def is_left(tested: Tested) -> bool:
@@ -109,12 +105,11 @@ def judge(
         found: the selected hypothesis.
         before: p-value of the test of the simulation's law.
         test: tests whether the recording differs from a law.
-        rng: draws the bootstrap samples of the shares, and the seed of the learner.
+        rng: draws the bootstrap samples of the shares, and grows trees.
     """
-    learner = Learner(search, int(rng.integers(2**32)))
-    selected = Judgement(search, test, learner, found)
+    selected = Judgement(search, test, found)
     places = tuple(place_of(search, found, name) for name in found.effects)
-    divided = shares(learner, none, found, selected.learned, rng)
+    divided = shares(Rest(search, int(rng.integers(2**32))), none, found, rng)
     evidence = {place.effect: evidence_of(selected, place, divided, before) for place in places}
     certain = {name: decision_model().probability(each) for name, each in evidence.items()}
     believed = kept(certain, divided)
@@ -125,7 +120,8 @@ def judge(
     causes = [_cause(search, place, certain[place.effect], divided, known) for place in places]
     causes.sort(key=lambda cause: (cause.effect not in believed, -cause.share.value))
     together, rest = _divided(divided, [name for name in found.effects if name not in believed])
-    return Judged(tuple(causes), believed, final.final, places, evidence, together, rest, final.after, final.learned)
+    learned = empirical_term(final.final.stack, search.joined, rng) if is_left(final.after) else None
+    return Judged(tuple(causes), believed, final.final, places, evidence, together, rest, final.after, learned)
 
 
 def kept(certain: Mapping[str, float], divided: Shares) -> tuple[str, ...]:

@@ -1,8 +1,9 @@
 """Shares: how much of the misfit each cause explains, and how much nothing explains, on visits nothing was fitted to.
 
-With the log-likelihoods L0 of the law, L1 of the corrected law and L2 of the corrected law plus a flexible learner of
-conditions, time and memory, the misfit is L2 - L0 and the causes explain (L1 - L0) / (L2 - L0) of it. What the same
-learner gains on the simulation under its own law is subtracted from L2: the law, not the recording, lacks it.
+With the log-likelihoods L0 of the law, L1 of the corrected law and L2 of the corrected law pooled with a quantile
+regression forest of conditions, time and memory, the misfit is L2 - L0 and the causes explain (L1 - L0) / (L2 - L0) of
+it. What the same pool gains on the simulation under its own law is subtracted from L2: the law, not the recording,
+lacks it.
 """
 
 from __future__ import annotations
@@ -11,14 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.emulator import empirical_term, learner_pings
+from noise.discrepancy.baseline.forest import crossed_log_prob
 from noise.discrepancy.name.search import Hypothesis, Search, standard_error
 from noise.discrepancy.result import LEVEL, Interval
-from noise.fitting.batch import Batch
-from noise.fitting.learn_smooth import Learned
-from noise.fitting.stack import Stack
+from noise.fitting.fit import log_likelihood
 
 N_BOOTSTRAP = 1000
 
@@ -41,64 +41,72 @@ class Shares:
 
 
 @dataclass(eq=False)
-class Learner:
-    """A flexible learner of conditions, time and memory, as a measure of what a law lacks.
+class Rest:
+    """What a forest knows of readings that a law lacks.
 
     Attributes:
         search: readings and the law of the simulation.
-        seed: of its folds and centres, so that laws are compared on the same ones.
+        seed: of its trees.
     """
 
     search: Search
     seed: int
 
+    def gain(self, found: Hypothesis) -> Floats:
+        """Return what the pool gains on each visit beyond what it gains on simulated ones, nats, (n_visits,)."""
+        parts, stacks = self.search.parts, found.stacks[::-1]
+        law = [log_likelihood(stack, part) for stack, part in zip(stacks, parts, strict=True)]
+        gained = pool_gain(np.concatenate(law), np.concatenate(self._forest))
+        sums = [p.visit_sums(g) for p, g in zip(parts, np.split(gained, [len(parts[0])]), strict=True)]
+        count = np.concatenate([np.bincount(part.visit) for part in parts])
+        return np.concatenate(sums) - self._on_simulation * count
+
     @cached_property
-    def batch(self) -> Batch:
-        """Recorded readings of both folds that it learns from."""
-        return learner_pings(self.search.joined)
-
-    def learned(self, law: Stack) -> Learned:
-        """Return a law with what the recording shows beyond it, and the gain on unseen visits."""
-        return empirical_term(law, self.batch, np.random.default_rng(self.seed))
-
-    def gain(self, learned: Learned) -> Floats:
-        """Return what it gains on each visit beyond what it gains on simulated ones, nats, (n_visits,)."""
-        count = np.bincount(self.batch.visit)
-        return np.asarray(learned.gain - self._on_simulation * count)
+    def _forest(self) -> tuple[Floats, Floats]:
+        """Log probability of the readings of both folds by trees that have not seen their visits, nats."""
+        nats, first = crossed_log_prob(self.search.joined, np.random.default_rng(self.seed)), self.search.in_first
+        return nats[first], nats[~first]
 
     @cached_property
     def _on_simulation(self) -> float:
-        """What it gains on the simulation under its own law, nats per ping."""
+        """What the pool gains on the simulation beyond its own law, nats per ping."""
         simulated = self.search.simulated
         if simulated is None:
             return 0.0
-        own = empirical_term(self.search.common, simulated, np.random.default_rng(self.seed))
-        return max(float(own.gain.sum()), 0.0) / len(learner_pings(simulated))
+        forest = crossed_log_prob(simulated, np.random.default_rng(self.seed))
+        return float(pool_gain(log_likelihood(self.search.common, simulated), forest).mean())
 
 
-def shares(
-    learner: Learner, none: Hypothesis, found: Hypothesis, rest: Learned | None, rng: np.random.Generator
-) -> Shares:
+def pool_gain(law: Floats, other: Floats) -> Floats:
+    """Return what the best linear opinion pool of two predictions gains beyond the first, nats, (n,).
+
+    The pool is the mixture of both with one weight (Stone 1961; Hall and Mitchell 2007).
+
+    Args:
+        law, other: log probability of each reading, nats, (n,).
+    """
+    ratio = np.exp(np.clip(other - law, -700.0, 700.0))
+    found = minimize_scalar(lambda w: -np.log1p(w * (ratio - 1.0)).sum(), bounds=(0.0, 1.0), method="bounded")
+    gain = np.log1p(found.x * (ratio - 1.0))
+    return np.asarray(gain if gain.sum() > 0.0 else np.zeros_like(gain))
+
+
+def shares(rest: Rest, none: Hypothesis, found: Hypothesis, rng: np.random.Generator) -> Shares:
     """Return the shares of the effects of a hypothesis.
 
     Args:
-        learner: learns what a law lacks.
+        rest: what a forest knows beyond it.
         none: hypothesis without differences.
         found: the selected hypothesis.
-        rest: what was learned beyond it; None where a test finds nothing left.
         rng: draws the bootstrap samples.
     """
-    search, batch = learner.search, learner.batch
+    search = rest.search
     others = {name: none if len(found.effects) == 1 else search.left_out(found, name) for name in found.effects}
-    nats = search.crossed_nats(found, batch)
-    explained = nats - search.crossed_nats(none, batch)
-    lost = {name: nats - search.crossed_nats(other, batch) for name, other in others.items()}
-    learnt = np.zeros_like(explained) if rest is None else learner.gain(rest)
-    draws = _bootstrap(np.stack([explained, learnt, *lost.values()]), rng)
-    gains = {name: found.nats - other.nats for name, other in others.items()}
+    lost = {name: found.nats - other.nats for name, other in others.items()}
+    draws = _bootstrap(np.stack([found.nats - none.nats, rest.gain(found), *lost.values()]), rng)
     return Shares(
         {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)},
-        {name: (float(gain.sum()), standard_error(gain)) for name, gain in gains.items()},
+        {name: (float(gain.sum()), standard_error(gain)) for name, gain in lost.items()},
         _ratio(draws[0], draws),
         _ratio(draws[1].clip(min=0.0), draws),
     )

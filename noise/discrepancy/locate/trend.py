@@ -93,8 +93,8 @@ def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> 
 
     Visits of one position may share its error, so that positions are the independent units.
     """
-    laws = (law_recorded, law_simulated)
-    scored = [scores(law, batch) for law, batch in zip(laws, sample.batches, strict=False)]
+    laws, parts = (law_recorded, law_simulated), sample.left_out(law_simulated)
+    scored = [scores(law, batch, part) for law, batch, part in zip(laws, sample.batches, parts, strict=False)]
     bias = ASPECTS.index(Aspect.BIAS)
     valid = np.concatenate([each.valid[:, bias] for each in scored])
     natural = np.concatenate([each.natural[:, bias] for each in scored])

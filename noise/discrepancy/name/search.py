@@ -13,10 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+import pandas as pd
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Bits, Floats
+from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.candidates import (
     at_bound,
     candidate_names,
@@ -33,10 +36,10 @@ from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
-SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2500, 2000
+SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2000, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
-N_SCREENED, N_CROSSED = 6, 3  # candidates that are fitted, and cross-fitted, in a round
+N_SCREENED, N_CROSSED = 6, 6  # candidates that are fitted, and cross-fitted, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
@@ -80,6 +83,21 @@ class Attempt:
     decision: str
 
 
+def with_simulated_offset(batch: Batch, law: Stack, simulated: Batch) -> Batch:
+    """Return a recording with the mean error of the simulation beside its law at the same position, where it has one.
+
+    What the law of the simulation gets wrong at a position, and a target that both files heard in one place, is then no
+    difference.
+    """
+    middle, _ = law.direct(simulated)
+    error = simulated.reading.range - middle
+    heard = simulated.is_target(error)
+    known = pd.DataFrame(positions(simulated)[simulated.visit][heard]).assign(error=error[heard])
+    mean = known.groupby([0, 1, 2, 3]).error.mean()
+    at = pd.MultiIndex.from_frame(pd.DataFrame(positions(batch)))
+    return replace(batch, simulated_offset=mean.reindex(at).to_numpy()[batch.visit])
+
+
 def standard_error(per_visit: Floats) -> float:
     """Return the standard error of a sum over independent visits."""
     return float(np.sqrt(len(per_visit)) * np.std(per_visit)) if len(per_visit) > 1 else float("inf")
@@ -114,15 +132,24 @@ class Search:
     tried: dict[tuple[str, ...], dict[str, Hypothesis]] = field(default_factory=dict)
     _scales: dict[int, Scales] = field(default_factory=dict)
     _null: tuple[Stack, Hypothesis] | None = None
+    _without: dict[tuple[Hypothesis, str], Hypothesis] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
+        self.common = self._familiar(with_sampled_bounds(self.common, self.folds.both))
         self.joined = self.folds.both.thin(2 * FOLD_PINGS)
-        self.parts = first, _ = self.split(self.joined)
+        if self.simulated is not None:
+            self.joined = with_simulated_offset(self.joined, self.common, self.simulated)
+            self.simulated = self.simulated.thin(SIMULATED_PINGS)
+        self.parts = first, _ = self.joined.select(self.in_first), self.joined.select(~self.in_first)
         self.screen = first.thin(SCREEN_PINGS)
-        self.simulated = None if self.simulated is None else self.simulated.thin(SIMULATED_PINGS)
-        self.common = with_sampled_bounds(self.common, self.folds.both)
         self.names = candidate_names(self.common, self.folds.both, self.without)
+
+    def _familiar(self, common: Stack) -> Stack:
+        """Return the law of the simulation with its nuisance parameters as the expectation for the recording."""
+        return (
+            common if self.simulated is None else replace(common, familiar={key: common.get(key) for key in NUISANCES})
+        )
 
     @property
     def nuisances(self) -> tuple[Key, ...]:
@@ -139,18 +166,10 @@ class Search:
         """Gain on unseen visits, nats, that no candidate reaches by chance but with probability `FALSE_ALARM`."""
         return float(np.log(len(self.names) / FALSE_ALARM))
 
-    def split(self, batch: Batch) -> tuple[Batch, Batch]:
-        """Return the readings of a batch in the first and in the second fold."""
-        in_first = np.isin(batch.condition, self.folds.first.condition)
-        return batch.select(in_first), batch.select(~in_first)
-
-    def crossed_nats(self, found: Hypothesis, batch: Batch) -> Floats:
-        """Return the log-likelihood of each visit by the fit of the other fold, nats, (n_visits,)."""
-        in_first = np.isin(batch.condition, self.folds.first.condition)[batch.starts]
-        out = np.empty(batch.n_visits)
-        for mask, stack, part in zip((in_first, ~in_first), found.stacks[::-1], self.split(batch), strict=True):
-            out[mask] = part.visit_sums(log_likelihood(stack, part))
-        return out
+    @cached_property
+    def in_first(self) -> Bits:
+        """Which pings of `joined` are in the first fold, (n,)."""
+        return np.isin(self.joined.condition, self.folds.first.condition)
 
     def worthwhile(self, current: Hypothesis) -> float:
         """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained.
@@ -383,7 +402,13 @@ class Search:
         return current
 
     def left_out(self, current: Hypothesis, name: str) -> Hypothesis:
-        """Return a hypothesis fitted anew without one of its effects."""
+        """Return a hypothesis fitted anew without one of its effects; the last answers are known."""
+        key = current, name
+        if key not in self._without:
+            self._without[key] = self._fitted_without(current, name)
+        return self._without[key]
+
+    def _fitted_without(self, current: Hypothesis, name: str) -> Hypothesis:
         if name == JITTER:
             return self.held_scatter(current)
         others = tuple(each for each in current.effects if each != name)
@@ -392,10 +417,8 @@ class Search:
         keys = [(name, p.name) for p in self.common.known[name].parameters]
         reset = [stack.put(keys, [self.common.get(key) for key in keys]) for stack in current.stacks]
         reset = [stack if name in self.common.values else stack.without(name) for stack in reset]
-        near = replace(current, stacks=(reset[0], reset[1]))
-        narrow = self.crossed(reset[0], near, others, own_scatter=False)
-        loose = self.crossed(reset[0], near, others, own_scatter=True)
-        return max(narrow, loose, key=lambda each: each.value)
+        free, pairs = (*self.keys(others), *self.nuisances), zip(reset, self.parts, strict=True)
+        return self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
 
     def lacks_threshold(self) -> bool:
         """Return whether pings are silent although the law of the simulation hears everything."""

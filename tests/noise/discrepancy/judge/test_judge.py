@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from acquisition import Reading, Recording
 from noise.discrepancy.evidence import FEATURES, Evidence
 from noise.discrepancy.judge.decision import decision_model
-from noise.discrepancy.judge.shares import Learner, shares
+from noise.discrepancy.judge.shares import Rest, pool_gain, shares
 from noise.discrepancy.judge.verdict import kind_of, shows_little
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -31,9 +31,7 @@ def test_a_single_cause_explains_nearly_everything():
     batch = batch_of({"zero_offset": {"offset_m": 0.015}}, seed=4)
     search = Search(law_of(), Folds.of(batch, np.random.default_rng(4)), None, np.random.default_rng(4))
     none, found = search.run()
-    learner = Learner(search, 5)
-    rest = learner.learned(found.stacks[0])
-    divided = shares(learner, none, found, rest, np.random.default_rng(5))
+    divided = shares(Rest(search, 5), none, found, np.random.default_rng(5))
     share = divided.causes["zero_offset"]
     assert share.low <= share.value <= share.high
     assert share.value > 0.9
@@ -51,9 +49,17 @@ def test_most_of_a_misfit_that_the_effect_does_not_describe_is_the_rest():
     none = search.null()
     start = none.stacks[0].put([("clock_scale", "error")], [0.005])
     wrong = search.crossed(start, none, ("clock_scale",), own_scatter=False)
-    learner = Learner(search, 5)
-    divided = shares(learner, none, wrong, learner.learned(wrong.stacks[0]), np.random.default_rng(5))
+    divided = shares(Rest(search, 5), none, wrong, np.random.default_rng(5))
     assert divided.rest.value > 0.5
+
+
+def test_a_pool_gains_all_of_a_better_prediction_and_loses_nothing_to_a_worse_one():
+    law = np.full(200, -3.0)
+    assert np.isclose(pool_gain(law, law + 1.0).sum(), 200.0, rtol=1e-3)
+    assert pool_gain(law, law - 1.0).sum() >= 0.0
+    mixed = law + np.where(np.arange(200) % 2, 2.0, -2.0)
+    half = np.log(0.5 + 0.5 * np.exp(mixed - law)).sum()
+    assert pool_gain(law, mixed).sum() >= half - 1e-6
 
 
 def test_every_feature_has_a_name_and_is_finite():
