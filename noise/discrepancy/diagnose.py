@@ -17,7 +17,7 @@ from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
-from noise.discrepancy.judge.held_out import best_of, forest_gains, gains, held_out
+from noise.discrepancy.judge.held_out import Simulation, best_of, forest_gains, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import directed_test
@@ -232,12 +232,18 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     options = [] if causes_only is None else [causes_only]
     if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
         options.append(offered(judged.learned.stack, recorded))
-    unseen, before = data.folds.unseen, data.baseline.before
+    unseen, before = data.folds.unseen, simulation_of(data.baseline)
     forest = AnalogueForest.of(data.folds.both, data.rng("forest"))
     best = best_of(options, forest, unseen)
     if gains(best, before, unseen):
         return causes_only, best
     return causes_only, forest if forest_gains(before, data.batch, data.rng("out of bag")) else None
+
+
+def simulation_of(baseline: Baseline) -> Simulation:
+    """Return the user's simulation as what corrections are measured against."""
+    from_readings = isinstance(baseline.before, AnalogueForest)
+    return Simulation(baseline.before, baseline.readings if from_readings else None)
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:
@@ -260,7 +266,7 @@ def _diagnosis(
 ) -> Diagnosis:
     base, folds = data.baseline, data.folds
     scores = held_out(
-        base.before, base.emulator, corrected or base.before, folds.both, folds.unseen, data.rng("forest")
+        simulation_of(base), base.emulator, corrected or base.before, folds.both, folds.unseen, data.rng("forest")
     )
     verdict = Verdict(
         kind,

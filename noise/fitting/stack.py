@@ -68,8 +68,8 @@ class Stack:
         resolution, max_range: of the register, m.
         terms: smooth corrections without parameters, at most one of each id.
         bounds: parameters with narrower bounds than the catalogue's.
-        left_out: the smooth correction without each part of the readings it was fitted to; None where there is none.
-        familiar: nuisance parameters in another recording of such a sonar, the centres of their priors; none without it.
+        left_out: the smooth correction without each part of the readings it was fitted to.
+        familiar: nuisance parameters in another recording of such a sonar, the centres of their priors.
     """
 
     values: Values
@@ -103,9 +103,9 @@ class Stack:
     def put(self, keys: Sequence[Key], numbers: Iterable[float]) -> Stack:
         """Return the stack with parameters at new values, clipped to their bounds."""
         values = {name: dict(inner) for name, inner in self.values.items()}
-        for key, number in zip(keys, numbers, strict=True):
+        for key, value in zip(keys, numbers, strict=True):
             p = self.parameter(key)
-            values.setdefault(key[0], {})[key[1]] = float(np.clip(number, min(p.low, p.null), max(p.high, p.null)))
+            values.setdefault(key[0], {})[key[1]] = float(np.clip(value, min(p.low, p.null), max(p.high, p.null)))
         return replace(self, values=values)
 
     def at(self, values: Mapping[Key, float]) -> Stack:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS, AnalogueForest, crossed_crps, floored_log_prob
+from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.search import standard_error
 from noise.discrepancy.result import HeldOut, Interval, Score
 from noise.fitting.batch import Batch
 from noise.metrics import crps_with_silence
 from noise.model import SonarModel
+
+MIN_MEMBERS = 4  # readings under one condition that stand for the simulation there
 
 
 def crps(model: SonarModel, batch: Batch) -> float:
@@ -26,15 +30,60 @@ def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
     return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading))
 
 
-def gains(model: SonarModel, other: SonarModel, batch: Batch) -> bool:
-    """Return whether a model's CRPS is less than another's beyond chance: the interval over visits excludes zero."""
-    return _beyond_chance(batch.visit_sums(crps_of_each(other, batch) - crps_of_each(model, batch)))
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """The user's own simulation: a model, and its readings where they were given as a file.
+
+    Readings under the same condition are the simulation itself; a model of them only stands for it elsewhere.
+
+    Attributes:
+        model: the given model, or a forest of the readings.
+        readings: None where the model itself is the simulation.
+    """
+
+    model: SonarModel
+    readings: Batch | None
+
+    def crps_of_each(self, batch: Batch) -> Floats:
+        """Return the CRPS of each reading with silence counted, m, (n,)."""
+        law = self.model.law(batch.ping, batch.past)
+        out = np.asarray(crps_with_silence(law, batch.reading))
+        if self.readings is None:
+            return out
+        ends = [np.where(b.reading.echo, b.error, law.max_range - b.ping.distance) for b in (self.readings, batch)]
+        places = np.concatenate([positions(self.readings)[self.readings.visit], positions(batch)[batch.visit]])
+        place = np.unique(places, axis=0, return_inverse=True)[1].ravel()
+        own, asked = np.split(place, [len(self.readings)])
+        for k in np.intersect1d(asked, own):
+            members = ends[0][own == k]
+            if len(members) >= MIN_MEMBERS:
+                out[asked == k] = fair_crps(ends[1][asked == k], members)
+        return out
 
 
-def forest_gains(other: SonarModel, batch: Batch, rng: np.random.Generator) -> bool:
-    """Return whether a forest's CRPS on visits that its trees have not seen is less than a model's beyond chance."""
+def fair_crps(value: Floats, members: Floats) -> Floats:
+    """Return the CRPS of values given an ensemble, (n,), unbiased for the law that the members are drawn from.
+
+    The estimator is that of Ferro (2014).
+
+    Args:
+        value: (n,).
+        members: (m,), at least two.
+    """
+    ordered, m = np.sort(members), len(members)
+    spread = np.sum((2.0 * np.arange(m) - m + 1.0) * ordered) / (m * (m - 1.0))
+    return np.asarray(np.abs(value[:, None] - members).mean(axis=1) - spread)
+
+
+def gains(model: SonarModel, before: Simulation, batch: Batch) -> bool:
+    """Return whether a model's CRPS is less than the simulation's beyond chance: the interval excludes zero."""
+    return _beyond_chance(batch.visit_sums(before.crps_of_each(batch) - crps_of_each(model, batch)))
+
+
+def forest_gains(before: Simulation, batch: Batch, rng: np.random.Generator) -> bool:
+    """Return whether a forest's CRPS on visits that its trees have not seen is less than a simulation's."""
     few = batch.thin(MAX_PINGS)
-    return _beyond_chance(few.visit_sums(crps_of_each(other, few) - crossed_crps(few, rng)))
+    return _beyond_chance(few.visit_sums(before.crps_of_each(few) - crossed_crps(few, rng)))
 
 
 def _beyond_chance(gain: Floats) -> bool:
@@ -52,7 +101,7 @@ def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) ->
         batch: visits that no model was fitted to.
     """
     best = min(models, key=lambda model: crps(model, batch), default=fallback)
-    return fallback if gains(fallback, best, batch) else best
+    return fallback if gains(fallback, Simulation(best, None), batch) else best
 
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:
@@ -61,7 +110,7 @@ def log_score(model: SonarModel, batch: Batch) -> Floats:
 
 
 def held_out(
-    before: SonarModel,
+    before: Simulation,
     emulator: SonarModel,
     after: SonarModel,
     seen: Batch,
@@ -78,10 +127,12 @@ def held_out(
         unseen: readings to score.
         rng: grows the forest of the other visits.
     """
-    nats = [log_score(model, unseen) for model in (before, emulator, after)]
-    scores = [
-        Score(float(n.mean()), crps(model, unseen)) for n, model in zip(nats, (before, emulator, after), strict=True)
-    ]
+    models = (before.model, emulator, after)
+    nats = [log_score(model, unseen) for model in models]
+    errors = [float(before.crps_of_each(unseen).mean()), crps(emulator, unseen), crps(after, unseen)]
+    if after is before.model:
+        errors[2] = errors[0]
+    scores = [Score(float(n.mean()), error) for n, error in zip(nats, errors, strict=True)]
     gain = unseen.visit_sums(nats[2] - nats[0])
     mean, error = float(gain.sum()) / len(unseen), Z * standard_error(gain) / len(unseen)
     gained = Interval(mean, mean - error, mean + error, "nats")

@@ -83,7 +83,8 @@ def pool_gain(law: Floats, other: Floats) -> Floats:
     The pool is the mixture of both with one weight (Stone 1961; Hall and Mitchell 2007).
 
     Args:
-        law, other: log probability of each reading, nats, (n,).
+        law: log probability of each reading by the first, nats, (n,).
+        other: by the second, nats, (n,).
     """
     ratio = np.exp(np.clip(other - law, -700.0, 700.0))
     found = minimize_scalar(lambda w: -np.log1p(w * (ratio - 1.0)).sum(), bounds=(0.0, 1.0), method="bounded")

@@ -18,8 +18,8 @@ from noise.discrepancy.locate.orthogonal import Tested, studentised
 from noise.discrepancy.locate.regressors import Regressor
 from noise.discrepancy.locate.scores import ASPECTS
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Range
+from noise.discrepancy.thresholds import BIAS_TOLERANCE_M, FALSE_ALARM
 
-LEVEL = 0.01  # of the test, adjusted for all regressors and aspects
 TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
 ORDER = {Aspect.SPREAD: 1, Aspect.REPEAT: 1, Aspect.MEMORY: 1, Aspect.SKEW: 2}  # of moments; 0 for all others
 MAX_PER_ASPECT = 3  # located mismatches of one aspect; more are hardly distinct
@@ -35,34 +35,29 @@ class _Found:
 
 
 def locate(tested: Tested) -> tuple[Location, ...]:
-    """Return the located mismatches, the strongest first; empty where the test does not reject at `LEVEL`.
+    """Return the located mismatches, the strongest first; empty where the test does not reject at `FALSE_ALARM`.
 
     Of those that no draw of the bootstrap reaches, a difference of lower order comes first, and with a bias that is
-    certain, spread and skew are left out: echoes that read long also look wider and lopsided.
+    certain and matters, spread and skew are left out: echoes that read long also look wider and lopsided.
     """
     out = []
-    shifted = any(_is_certain(tested, group) for group in tested.groups)
     for group in tested.groups:
         for j, a in enumerate(group.aspects):
-            if shifted and ASPECTS[a] in (Aspect.SPREAD, Aspect.SKEW):
-                continue
             for found in _steps(tested, group, j):
                 size = size_of(tested, group, j, found.regressor)
                 region = _region(tested, found.regressor)
                 certain = found.p_value.at_end
                 order = -ORDER.get(ASPECTS[a], 0) if certain else -max(ORDER.values()) - 1
                 out.append(((order, found.strength), Location(ASPECTS[a], region, size, found.p_value)))
-    return tuple(location for _, location in sorted(out, key=lambda pair: pair[0], reverse=True))
+    places = tuple(location for _, location in sorted(out, key=lambda pair: pair[0], reverse=True))
+    shifted = any(_shifts(each) for each in places)
+    return tuple(each for each in places if not (shifted and each.aspect in (Aspect.SPREAD, Aspect.SKEW)))
 
 
-def _is_certain(tested: Tested, group: Group) -> bool:
-    """Return whether no draw of the bootstrap reaches the bias, if the group holds it."""
-    held = [a for a in group.aspects if ASPECTS[a] is Aspect.BIAS]
-    return bool(held) and bool(np.isfinite(tested.z[held[0]]).any()) and _top(tested, held[0]).at_end
-
-
-def _top(tested: Tested, a: int) -> PValue:
-    return tested.p_of(float(np.nanmax(np.abs(tested.z[a]))))
+def _shifts(place: Location) -> bool:
+    """Return whether a mismatch is a bias that no draw of the bootstrap reaches and that matters."""
+    certain = place.aspect is Aspect.BIAS and place.p_value.at_end
+    return certain and abs(place.size.value) >= BIAS_TOLERANCE_M
 
 
 def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
@@ -76,7 +71,7 @@ def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
         if np.isnan(z).all():
             break
         p_value = tested.p_of(float(np.nanmax(np.abs(z))))
-        if p_value.value > LEVEL:
+        if p_value.value > FALSE_ALARM:
             break
         k, strength = _most_probable(tested, group, j, psi, np.isfinite(z))
         found.append(_Found(k, strength, p_value))

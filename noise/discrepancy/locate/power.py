@@ -14,12 +14,13 @@ import numpy as np
 
 from acquisition import Reading
 from acquisition.arrays import Floats, Ints
-from noise.discrepancy.locate.location import LEVEL, TWO_SIDED, size_of
+from noise.discrepancy.locate.location import TWO_SIDED, size_of
 from noise.discrepancy.locate.moments import moments
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import ASPECTS, ping_law, scores
 from noise.discrepancy.result import Aspect, Visible
+from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Key, Stack
 
@@ -66,8 +67,8 @@ def visible_aspects(tested: Tested) -> tuple[Visible, ...]:
 
 
 def _wanted(tested: Tested) -> float:
-    """Return the mean at which the greatest statistic exceeds its critical value at `LEVEL` with a power of 90 %."""
-    return float(np.quantile(tested.critical, 1.0 - LEVEL)) + POWER_QUANTILE
+    """Return the mean at which the greatest statistic exceeds its critical value at `FALSE_ALARM` with a power of 90 %."""
+    return float(np.quantile(tested.critical, 1.0 - FALSE_ALARM)) + POWER_QUANTILE
 
 
 def _aspect(tested: Tested, aspect: Aspect, wanted: float) -> Visible | None:
