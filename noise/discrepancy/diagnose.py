@@ -137,11 +137,14 @@ def diagnose(
 
 
 def any_of(*tests: PValue) -> PValue:
-    """Return the p-value of several tests of one hypothesis: the smallest times their number (Bonferroni)."""
-    n_regressors = sum(each.n_regressors for each in tests)
-    draws = (min(each.draws for each in tests if each.draws) + 1) // len(tests) - 1
-    value = max(len(tests) * min(each.value for each in tests), 1.0 / (draws + 1))
-    return PValue(min(1.0, value), draws, n_regressors, max(each.n_aspects for each in tests))
+    """Return the p-value of several tests of one hypothesis: the smallest times their number (Bonferroni).
+
+    A test without a statistic, such as one of shared positions where there are none, is no test.
+    """
+    run = [each for each in tests if each.n_regressors] or list(tests)
+    draws = (min((each.draws for each in run if each.draws), default=0) + 1) // len(run) - 1
+    value = max(len(run) * min(each.value for each in run), 1.0 / (draws + 1))
+    return PValue(min(1.0, value), draws, sum(each.n_regressors for each in run), max(each.n_aspects for each in run))
 
 
 def least_of(found: tuple[Visible, ...], other: Visible | None) -> tuple[Visible, ...]:

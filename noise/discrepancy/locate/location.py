@@ -46,7 +46,8 @@ def locate(tested: Tested) -> tuple[Location, ...]:
             for found in _steps(tested, group, j):
                 size = size_of(tested, group, j, found.regressor)
                 region = _region(tested, found.regressor)
-                certain = found.p_value.at_end
+                trifle = ASPECTS[a] is Aspect.BIAS and abs(size.value) < BIAS_TOLERANCE_M
+                certain = found.p_value.at_end and not trifle
                 order = -ORDER.get(ASPECTS[a], 0) if certain else -max(ORDER.values()) - 1
                 out.append(((order, found.strength), Location(ASPECTS[a], region, size, found.p_value)))
     places = tuple(location for _, location in sorted(out, key=lambda pair: pair[0], reverse=True))

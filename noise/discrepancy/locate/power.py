@@ -67,7 +67,7 @@ def visible_aspects(tested: Tested) -> tuple[Visible, ...]:
 
 
 def _wanted(tested: Tested) -> float:
-    """Return the mean at which the greatest statistic exceeds its critical value at `FALSE_ALARM` with a power of 90 %."""
+    """Return the mean at which the greatest statistic exceeds its critical value with a power of 90 %."""
     return float(np.quantile(tested.critical, 1.0 - FALSE_ALARM)) + POWER_QUANTILE
 
 

@@ -2,8 +2,8 @@
 
 A bootstrap over ten positions cannot reject at 1 % whatever they show. Here mean errors are regressed on a constant and
 one condition, with Student's t for either coefficient (Gosset 1908) and standard errors that allow for a scatter that
-varies (HC3; MacKinnon and White 1985). Equal positions are paired, so that what the law gets wrong for both files
-cancels; otherwise both files share a line in that condition. The p-value is Bonferroni's over all coefficients.
+varies (HC3; MacKinnon and White 1985). Only positions of both files are used: they are paired, so that what the law
+gets wrong for both cancels. The p-value is Bonferroni's over all coefficients.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Trend:
     visible: Visible | None
 
 
-NO_TREND = Trend(PValue(1.0, 0), (), None)
+NO_TREND = Trend(PValue(1.0, 0, 0), (), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,19 +109,13 @@ def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> 
 def _line(error: Floats, recorded: Bits, place: Ints, x: Floats | None) -> _Line | None:
     """Return the difference between the files, with a slope along x if given; None where positions are too few."""
     columns = [error] if x is None else [error, (x - x.mean()) / max(float(x.std()), 1e-12)]
-    files = [(np.unique(place[rows]), rows) for rows in (recorded, ~recorded) if rows.any()]
-    shared = np.intersect1d(files[0][0], files[-1][0])
-    if len(shared) >= MIN_PLACES:
-        means = [_means(columns, place, rows, shared) for _, rows in files]
-        y = means[0][0] - (means[1][0] if len(files) == 2 else 0.0)
-        return _least_squares(y, [np.ones(len(shared)), *means[0][1:]], len(columns))
-    if len(files) < 2 or min(len(known) for known, _ in files) < MIN_PLACES:
+    files = [rows for rows in (recorded, ~recorded) if rows.any()]
+    shared = np.intersect1d(place[files[0]], place[files[-1]])
+    if len(shared) < MIN_PLACES:
         return None
-    means = [_means(columns, place, rows, known) for known, rows in files]
-    y, *other = (np.concatenate(both) for both in zip(*means, strict=True))
-    each = [np.ones(len(y)), *other]
-    own = np.repeat([1.0, 0.0], [len(known) for known, _ in files])
-    return _least_squares(y, [*(own * column for column in each), *each], len(each))
+    means = [_means(columns, place, rows, shared) for rows in files]
+    y = means[0][0] - (means[1][0] if len(files) == 2 else 0.0)
+    return _least_squares(y, [np.ones(len(shared)), *means[0][1:]], len(columns))
 
 
 def _means(values: Sequence[Floats], place: Ints, rows: Bits, wanted: Ints) -> list[Floats]:
