@@ -11,7 +11,7 @@ from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS, AnalogueForest, crossed_crps, floored_log_prob
 from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.estimates import Z
-from noise.discrepancy.name.search import standard_error
+from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import HeldOut, Interval, Score
 from noise.fitting.batch import Batch
 from noise.metrics import crps_with_silence

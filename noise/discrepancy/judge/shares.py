@@ -16,7 +16,8 @@ from scipy.optimize import minimize_scalar
 
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import crossed_log_prob
-from noise.discrepancy.name.search import Hypothesis, Search, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
+from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.fit import log_likelihood
 
@@ -55,17 +56,18 @@ class Rest:
     def gain(self, found: Hypothesis) -> Floats:
         """Return what the pool gains on each visit beyond what it gains on simulated ones, nats, (n_visits,)."""
         parts, stacks = self.search.parts, found.stacks[::-1]
-        law = [log_likelihood(stack, part) for stack, part in zip(stacks, parts, strict=True)]
-        gained = pool_gain(np.concatenate(law), np.concatenate(self._forest))
-        sums = [p.visit_sums(g) for p, g in zip(parts, np.split(gained, [len(parts[0])]), strict=True)]
-        count = np.concatenate([np.bincount(part.visit) for part in parts])
-        return np.concatenate(sums) - self._on_simulation * count
+        law = np.concatenate([log_likelihood(stack, part) for stack, part in zip(stacks, parts, strict=True)])
+        ends = np.cumsum([len(part) for part in parts])[:-1]
+        gained = np.split(pool_gain(law, self._forest), ends)
+        sums = np.concatenate([part.visit_sums(each) for part, each in zip(parts, gained, strict=True)])
+        return sums - self._on_simulation * np.concatenate([np.bincount(part.visit) for part in parts])
 
     @cached_property
-    def _forest(self) -> tuple[Floats, Floats]:
-        """Log probability of the readings of both folds by trees that have not seen their visits, nats."""
-        nats, first = crossed_log_prob(self.search.joined, np.random.default_rng(self.seed)), self.search.in_first
-        return nats[first], nats[~first]
+    def _forest(self) -> Floats:
+        """Log probability of the readings of all parts by trees that have not seen their visits, nats, (n,)."""
+        joined = self.search.joined
+        nats, first = crossed_log_prob(joined, np.random.default_rng(self.seed)), self.search.folds.in_first(joined)
+        return nats if len(self.search.parts) == 1 else np.concatenate([nats[first], nats[~first]])
 
     @cached_property
     def _on_simulation(self) -> float:

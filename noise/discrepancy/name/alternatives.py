@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import softmax
 
 from noise.discrepancy.name.candidates import at_bound
-from noise.discrepancy.name.search import Hypothesis, Search
+from noise.discrepancy.name.hypothesis import Hypothesis
+from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
 from noise.fitting.stack import Stack
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from noise.discrepancy.name.search import Hypothesis, Search
+from noise.discrepancy.name.hypothesis import Hypothesis
+from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn

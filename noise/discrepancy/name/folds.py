@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Bits, Floats
+from noise.discrepancy.locate.sample import positions
 from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 
+MIN_CONDITIONS = 12  # half of fewer tell nothing of a scatter between conditions
 DEAL = np.array([0, 0, 1, 1, 2])  # of every five neighbouring conditions: two in each fold, one unseen; chosen here
 
 
@@ -48,3 +52,29 @@ class Folds:
         """Return per-visit values of both folds: `nats(k, other)` scores what was fitted on fold k on the other."""
         parts = [(0, self.second), (1, self.first)]
         return np.concatenate([batch.visit_sums(nats(k, batch)) for k, batch in parts])
+
+    def divided(self, batch: Batch) -> tuple[Batch, ...]:
+        """Return the pings of a batch in each fold; in one part where a fold would hold too few conditions."""
+        if len(np.unique(batch.condition)) < MIN_CONDITIONS:
+            return (batch,)
+        first = self.in_first(batch)
+        return batch.select(first), batch.select(~first)
+
+    def in_first(self, batch: Batch) -> Bits:
+        """Return which pings of a batch are in the first fold, (n,)."""
+        return np.isin(batch.condition, self.first.condition)
+
+
+def with_simulated_offset(batch: Batch, law: Stack, simulated: Batch) -> Batch:
+    """Return a recording with the mean error of the simulation beside its law at the same position, where it has one.
+
+    What the law of the simulation gets wrong at a position, and a target that both files heard in one place, is then no
+    difference.
+    """
+    middle, _ = law.direct(simulated)
+    error = simulated.reading.range - middle
+    heard = simulated.is_target(error)
+    known = pd.DataFrame(positions(simulated)[simulated.visit][heard]).assign(error=error[heard])
+    mean = known.groupby([0, 1, 2, 3]).error.mean()
+    at = pd.MultiIndex.from_frame(pd.DataFrame(positions(batch)))
+    return replace(batch, simulated_offset=mean.reindex(at).to_numpy()[batch.visit])

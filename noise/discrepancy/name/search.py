@@ -13,13 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
-import pandas as pd
 
-from acquisition.arrays import Bits, Floats
-from noise.discrepancy.locate.sample import positions
+from acquisition.arrays import Floats
 from noise.discrepancy.name.candidates import (
     at_bound,
     candidate_names,
@@ -28,7 +25,8 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
-from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.folds import Folds, with_simulated_offset
+from noise.discrepancy.name.hypothesis import Attempt, Hypothesis, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
@@ -48,59 +46,6 @@ THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
 Tell = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects that differ, fitted on each fold and scored on the other.
-
-    Attributes:
-        effects: effect ids, in the order in which they were added.
-        stacks: fitted on the first and on the second fold.
-        nats: log-likelihood of each recorded visit, by the fit of the other fold.
-        prior: log prior of the sizes.
-    """
-
-    effects: tuple[str, ...]
-    stacks: tuple[Stack, Stack]
-    nats: Floats
-    prior: float = 0.0
-
-    @property
-    def value(self) -> float:
-        """Log-likelihood on visits that nothing was fitted to, with the prior, nats."""
-        return float(self.nats.sum()) + self.prior
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One effect that was cross-fitted, given others: its gain, nats, its standard error, and what became of it."""
-
-    effect: str
-    given: tuple[str, ...]
-    gain: float
-    error: float
-    decision: str
-
-
-def with_simulated_offset(batch: Batch, law: Stack, simulated: Batch) -> Batch:
-    """Return a recording with the mean error of the simulation beside its law at the same position, where it has one.
-
-    What the law of the simulation gets wrong at a position, and a target that both files heard in one place, is then no
-    difference.
-    """
-    middle, _ = law.direct(simulated)
-    error = simulated.reading.range - middle
-    heard = simulated.is_target(error)
-    known = pd.DataFrame(positions(simulated)[simulated.visit][heard]).assign(error=error[heard])
-    mean = known.groupby([0, 1, 2, 3]).error.mean()
-    at = pd.MultiIndex.from_frame(pd.DataFrame(positions(batch)))
-    return replace(batch, simulated_offset=mean.reindex(at).to_numpy()[batch.visit])
-
-
-def standard_error(per_visit: Floats) -> float:
-    """Return the standard error of a sum over independent visits."""
-    return float(np.sqrt(len(per_visit)) * np.std(per_visit)) if len(per_visit) > 1 else float("inf")
 
 
 @dataclass(eq=False)
@@ -141,8 +86,8 @@ class Search:
         if self.simulated is not None:
             self.joined = with_simulated_offset(self.joined, self.common, self.simulated)
             self.simulated = self.simulated.thin(SIMULATED_PINGS)
-        self.parts = first, _ = self.joined.select(self.in_first), self.joined.select(~self.in_first)
-        self.screen = first.thin(SCREEN_PINGS)
+        self.parts = self.folds.divided(self.joined)
+        self.screen = self.parts[0].thin(SCREEN_PINGS)
         self.names = candidate_names(self.common, self.folds.both, self.without)
 
     def _familiar(self, common: Stack) -> Stack:
@@ -166,16 +111,11 @@ class Search:
         """Gain on unseen visits, nats, that no candidate reaches by chance but with probability `FALSE_ALARM`."""
         return float(np.log(len(self.names) / FALSE_ALARM))
 
-    @cached_property
-    def in_first(self) -> Bits:
-        """Which pings of `joined` are in the first fold, (n,)."""
-        return np.isin(self.joined.condition, self.folds.first.condition)
-
     def worthwhile(self, current: Hypothesis) -> float:
         """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained.
 
         A search begins where a test has found a difference, at a level that allows for all that it looked at. The first
-        effect need not prove it again for each candidate, only that it describes it.
+        effect need not prove it again for each candidate, nor that it repeats itself, only that it describes it.
         """
         if not current.effects:
             return FIRST_GAIN
@@ -214,11 +154,17 @@ class Search:
         )
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
-        """Return a fitted hypothesis with its log-likelihood on the other folds."""
+        """Return a fitted hypothesis with its log-likelihood on the other folds.
+
+        With one part, estimates are scored on their own readings, and half the logarithm of the number of visits is
+        subtracted for each (Schwarz 1978, BIC).
+        """
         pairs = zip(reversed(stacks), self.parts, strict=True)
-        nats = [part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs]
+        nats = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs])
         prior = float(np.mean([log_prior(stack, self.common, effects) for stack in stacks]))
-        return Hypothesis(tuple(effects), (stacks[0], stacks[1]), np.concatenate(nats), prior)
+        if len(self.parts) == 1:
+            prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
+        return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
 
     def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
         """Return a hypothesis fitted on both folds.
@@ -348,7 +294,8 @@ class Search:
         for name, gain in gains.items():
             value = tried[name].value - current.value
             inside = not any(at_bound(stack, self.common, name, self.folds.both) for stack in tried[name].stacks)
-            if inside and value > self.worthwhile(current) and gain.sum() > 2.0 * standard_error(gain):
+            repeated = not current.effects or gain.sum() > 2.0 * standard_error(gain)
+            if inside and value > self.worthwhile(current) and repeated:
                 good[name] = value
         if not good:
             return None
@@ -379,7 +326,7 @@ class Search:
             both.append([float(log_likelihood(stack, part).sum()) for stack, part in pairs])
         nats = np.array(both)
         best = int(np.argmax(nats.sum(axis=1)))
-        separate = nats[:, :2].sum(axis=1).max() + nats[:, 2].max()
+        separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
         alike = separate - nats[best].sum() < self.least_gain
         return own.stack.put(keys, simulated + STEPS[best] * (recorded - simulated)) if alike else own.stack
 

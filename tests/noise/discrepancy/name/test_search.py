@@ -8,7 +8,8 @@ from noise.discrepancy.name.alternatives import place_of, weights
 from noise.discrepancy.name.candidates import at_bound, resolved_periods, sampled_bounds, shows, with_sampled_bounds
 from noise.discrepancy.name.estimates import conclude, intervals
 from noise.discrepancy.name.folds import Folds
-from noise.discrepancy.name.search import Hypothesis, Search
+from noise.discrepancy.name.hypothesis import Hypothesis
+from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
 from tests.noise.discrepancy.made import batch_of, law_of
 
