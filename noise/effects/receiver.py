@@ -38,7 +38,16 @@ class Sensitivity(Effect):
     stage = Stage.MEDIUM
     summary = "The receiver is less sensitive than an ideal one: echoes near its threshold are missed"
     parameters = (
-        Parameter("loss_db", "dB", 0.0, 0.0, 80.0, "SRF08 gain table, unit spread: chosen here", (30.0, 40.0, 50.0)),
+        Parameter(
+            "loss_db",
+            "dB",
+            0.0,
+            0.0,
+            80.0,
+            "SRF08 gain table; units differ by 6 dB",
+            (30.0, 40.0, 50.0),
+            typical=6.0,
+        ),
     )
     loss_db: Tensor
 
@@ -137,7 +146,9 @@ class TimeWalk(Effect):
     stage = Stage.DETECTOR
     summary = "Weak echoes cross the threshold late: their readings are too long"
     parameters = (
-        Parameter("scale", "1", 0.0, 0.0, 2.5, "0.85 (2.6 kHz) to 1.35 (1.2 kHz); wider: chosen here", (1.0,)),
+        Parameter(
+            "scale", "1", 0.0, 0.0, 2.5, "0.85 (2.6 kHz) to 1.35 (1.2 kHz); wider: chosen here", (1.0,), typical=0.25
+        ),
     )
     scale: Tensor
 
