@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acquisition import EchoStatus, Reading
+from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
 
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
@@ -107,6 +108,7 @@ class EchoLaw(ABC):
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
         return self.cdf_step(np.floor(np.asarray(range_) / self.resolution + 1e-9).astype(np.int64))
 
+    @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
         step = self.step(reading.range)
@@ -142,6 +144,7 @@ class EchoLaw(ABC):
         """Return `cdf_step` for any number of leading axes, (..., n)."""
         return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 
+    @checked
     def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
         low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from acquisition import ModelError, SonarError, UnknownModelError
+from acquisition.arguments import checked
 from acquisition.io.files import is_folder, whole_folder
 from acquisition.io.schema import read_json
 from acquisition.limits import Loadable, near, shown
@@ -99,6 +100,7 @@ def _read(folder: Path) -> dict[str, Any]:
     return data
 
 
+@checked
 def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
     """Write a model's folder atomically, replacing an older model, and return the folder.
 

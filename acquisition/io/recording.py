@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from acquisition.arguments import checked
 from acquisition.brief import shortened
 from acquisition.errors import RecordingError
 from acquisition.extras import FigureLike, load_extra
@@ -124,6 +125,7 @@ class Recording:
     rejected: tuple[RowFault, ...] = field(default=())
 
     @classmethod
+    @checked
     def load(cls, path: str | os.PathLike[str], skip_bad_rows: bool = False) -> Recording:
         """Read and check a recording.
 
@@ -139,6 +141,7 @@ class Recording:
         return cls.from_text(_read_text(path), str(path), skip_bad_rows)
 
     @classmethod
+    @checked
     def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
         """Check a table of text as read from a CSV file; see `load`. Row k is line k + 2 of the file."""
         _check_header(name, list(text.columns))
@@ -153,6 +156,7 @@ class Recording:
         return cls(table, name, tuple(faults))
 
     @classmethod
+    @checked
     def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         table = pd.DataFrame(
@@ -207,13 +211,15 @@ class Recording:
         """Return the number of pings."""
         return len(self.table)
 
+    @checked
     def has(self, column: str) -> bool:
         """Return whether the recording has a column."""
         return column in self.table.columns
 
     def select(self, mask: NDArray[Any]) -> Recording:
         """Return the recording of the rows at a mask or array of indices."""
-        rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
+        rows = np.asarray(mask)
+        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
         return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))
 
     def _with_interval(self) -> pd.DataFrame:
