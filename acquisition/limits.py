@@ -111,7 +111,7 @@ def as_numbers(name: str, value: Any) -> Floats:
     """
     try:
         return np.asarray(value, dtype=np.float64)
-    except (OverflowError, TypeError, ValueError):
+    except (OverflowError, RuntimeError, TypeError, ValueError):  # RuntimeError: of a tensor with a gradient
         raise SettingError(f"{name}: expected numbers, got {shown(value)}") from None
 
 

@@ -203,6 +203,9 @@ def previous(reading: Reading, run: Ints) -> Reading:
         reading: n readings, in chronological order within each run.
         run: index of the run of each reading, (n,).
     """
+    run = as_numbers("previous.run", run).astype(np.int64)
+    if run.shape != reading.range.shape:
+        raise SettingError(f"previous.run has shape {run.shape}, expected {reading.range.shape}: one run per reading")
     order = np.argsort(run, kind="stable")
     before = np.full(len(run), -1)
     same = run[order][1:] == run[order][:-1]

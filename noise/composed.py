@@ -126,6 +126,7 @@ class ComposedModel:
         """Whether the law depends on the previous reading."""
         return self.model.remembers or self.after.remembers
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> PhysicalLaw:
         """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
         model = self.model

@@ -143,6 +143,7 @@ class IdealModel:
         """Raise SettingError for invalid values."""
         check_settings(self)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the deterministic law of n pings."""
         miss = (ping.distance > self.max_range).astype(np.float64)
@@ -181,6 +182,7 @@ class GaussianModel:
         """Raise SettingError for invalid values."""
         check_settings(self)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the law of n pings."""
         sigma = self.sigma + self.sigma_per_metre * ping.distance

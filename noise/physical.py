@@ -221,6 +221,7 @@ class PhysicalModel:
         """Return the law of a batch of tensors, differentiable in the parameters."""
         return PhysicalLaw(self.state(conditions), conditions.distance.numpy(), self.resolution, self.max_range)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> PhysicalLaw:
         """Return the law of n pings, given the previous reading of each."""
         return self.law_of(Conditions.of(ping, past))

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-from acquisition import ModelError, SonarError, UnknownModelError
+from acquisition import ModelError, SettingError, SonarError, UnknownModelError
 from acquisition.arguments import checked
 from acquisition.io.files import is_folder, whole_folder
 from acquisition.io.schema import read_json
@@ -108,6 +108,8 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
         model: any object with `to_dict()`; `write_weights(folder)` is called if it exists.
         folder: folder to write.
     """
+    if not hasattr(model, "to_dict"):
+        raise SettingError(f"save_model.model: expected a model with to_dict(), got {shown(model)}")
     folder = Path(folder)
     check_model_folder(folder)
     text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
