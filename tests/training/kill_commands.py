@@ -49,7 +49,7 @@ def words_of(name, folder, out):
         "train-noise": ["train-noise", folder / "small.csv", "--out", out / "m", "--epochs", 20, "--hidden", 8],
         "train-agent": ["train-agent", "--out", out / "a", "--lessons", 2, "--steps", 8000, "--num-envs", 8,
                         "--hidden", 8, "--sonars", "ideal", "--repeat", 1],
-        "zoo": ["zoo", "ppo", "--out", out / "z", "--steps", 3000, "--episodes", 2],
+        "zoo": ["zoo", "ppo", "--out", out / "z", "--steps", 15_000, "--episodes", 2],
         "prove": ["prove", "--out", out / "p", "--trials", 1, "--pings", 60, "--left-out", 0, "--workers", 1],
     }[name]  # fmt: skip
 
