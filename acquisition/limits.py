@@ -9,9 +9,11 @@ from __future__ import annotations
 import difflib
 import math
 import numbers
+import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from enum import Enum
 from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -46,10 +48,10 @@ class Limit(GroupedMetadata):
             yield Lt(self.high) if self.open_high else Le(self.high)
 
     def holds(self, value: float) -> bool:
-        """Return whether a value is finite and within the limits."""
+        """Return whether a value is finite, as a float too, and within the limits."""
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
-        return above and below and abs(value) != math.inf
+        return above and below and abs(value) <= sys.float_info.max
 
     def phrase(self, noun: str) -> str:
         """Return what is expected, for a message: "a number from 0 to 1 m"."""
@@ -109,7 +111,7 @@ def as_numbers(name: str, value: Any) -> Floats:
     """
     try:
         return np.asarray(value, dtype=np.float64)
-    except (OverflowError, TypeError, ValueError):
+    except (OverflowError, RuntimeError, TypeError, ValueError):  # RuntimeError: of a tensor with a gradient
         raise SettingError(f"{name}: expected numbers, got {shown(value)}") from None
 
 
@@ -216,7 +218,8 @@ def check_choice(name: str, value: Any, known: Sequence[Any]) -> None:
     Raises:
         SettingError: it is none of them; the message lists them, and the nearest one.
     """
-    if value not in known:
+    is_plain = isinstance(value, str | int | Enum)  # an array, for one, cannot be compared as a whole
+    if not is_plain or value not in known:
         expected = ", ".join(map(str, known))
         raise SettingError(f"{name}: expected one of {expected}, got {shown(value)}{near(value, known)}")
 

@@ -14,10 +14,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.brief import brief
 from acquisition.errors import SettingError
-from acquisition.limits import as_numbers
+from acquisition.limits import as_numbers, shown
 
 
 class EchoStatus(IntEnum):
@@ -101,9 +102,11 @@ class Ping:
 
     def __post_init__(self) -> None:
         """Raise SettingError for unequal shapes, values that are not finite and negative distances."""
-        n = self.distance.shape
+        n = getattr(self.distance, "shape", ())
         for name in ("distance", "angle", "incidence", "reflectance", "time", "run"):
             value = getattr(self, name)
+            if not isinstance(value, np.ndarray):
+                raise SettingError(f"Ping.{name}: expected an array, got {shown(value)}; `Ping.of` takes lists, too")
             if value.shape != n or value.ndim != 1:
                 raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value per ping")
             # a finite sum of squares implies finite terms, and is one fast call: simulators build a Ping every step
@@ -114,7 +117,7 @@ class Ping:
                     f"Ping.{name} holds a value that is not finite, or is too large: give the true condition of every "
                     "ping"
                 )
-        if n[0] and self.distance.min() < 0:
+        if len(self.distance) and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
 
     def __len__(self) -> int:
@@ -161,6 +164,10 @@ class Reading:
 
     def __post_init__(self) -> None:
         """Raise SettingError where range and status contradict each other or a range is not finite."""
+        for name in ("range", "status", "echoes"):
+            if not isinstance(getattr(self, name), np.ndarray):
+                given = shown(getattr(self, name))
+                raise SettingError(f"Reading.{name}: expected an array, got {given}; `Reading.of` takes lists, too")
         if self.range.shape != self.status.shape:
             raise SettingError(f"Reading.status has shape {self.status.shape}, expected {self.range.shape}")
         # comparisons with NaN are false, so NaN fails `range >= 0`
@@ -188,6 +195,7 @@ class Reading:
         return self.status != EchoStatus.NO_ANSWER
 
 
+@checked
 def previous(reading: Reading, run: Ints) -> Reading:
     """Return the previous reading of the same run for each ping; status NO_ANSWER for the first ping of a run.
 
@@ -195,6 +203,9 @@ def previous(reading: Reading, run: Ints) -> Reading:
         reading: n readings, in chronological order within each run.
         run: index of the run of each reading, (n,).
     """
+    run = as_numbers("previous.run", run).astype(np.int64)
+    if run.shape != reading.range.shape:
+        raise SettingError(f"previous.run has shape {run.shape}, expected {reading.range.shape}: one run per reading")
     order = np.argsort(run, kind="stable")
     before = np.full(len(run), -1)
     same = run[order][1:] == run[order][:-1]

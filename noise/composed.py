@@ -25,6 +25,7 @@ from scipy.special import ndtri
 from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading, SettingError, previous
+from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.medium import TEMPERATURE
@@ -106,6 +107,7 @@ class ComposedModel:
         SettingError: the law of the model can only be sampled.
     """
 
+    @checked
     def __init__(self, model: SonarModel, before: Iterable[Effect], after: Iterable[Effect]) -> None:
         if not listener(model).law(Ping.of(distance=1.0)).has_probabilities:
             raise SettingError(
@@ -124,6 +126,7 @@ class ComposedModel:
         """Whether the law depends on the previous reading."""
         return self.model.remembers or self.after.remembers
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> PhysicalLaw:
         """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
         model = self.model

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acquisition import Ping, Reading
+from acquisition.arguments import checked
 from acquisition.brief import brief
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel
@@ -68,6 +69,7 @@ class CredenceTable:
     share: Floats
 
     @classmethod
+    @checked
     def of(
         cls,
         model: SonarModel,
@@ -87,6 +89,7 @@ class CredenceTable:
         return cls.over(model, prior.grid()[0], np.linspace(0.0, prior.far * (1 + tolerance), bins + 1), tolerance)
 
     @classmethod
+    @checked
     def over(cls, model: SonarModel, ping: Ping, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
         """Tabulate a model's credence for n equally likely pings.
 
@@ -107,6 +110,7 @@ class CredenceTable:
         return cls(edges, _ratio(np.clip(right, 0.0, total), total), total / len(ping))
 
     @classmethod
+    @checked
     def by_sampling(cls, law: EchoLaw, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
         """Tabulate the credence of a law that can only be sampled, from about `N_DRAWS` draws with a fixed seed.
 
@@ -121,12 +125,14 @@ class CredenceTable:
             right += np.histogram(reading.range[within], edges)[0]
         return cls(edges, _ratio(right, total), total / (repeats * len(law)))
 
+    @checked
     def mixed(self, other: CredenceTable, weight: float) -> CredenceTable:
         """Return the table under a mixture of two priors, with weight `weight` on the other; the bins must be equal."""
         share = (1.0 - weight) * self.share + weight * other.share
         right = (1.0 - weight) * self.share * self.values + weight * other.share * other.values
         return CredenceTable(self.edges, _ratio(right, share), share)
 
+    @checked
     def given(self, reading: Reading) -> Floats:
         """Return the credence of each reading, (n,); 0 where there was no echo or no answer."""
         place = np.minimum(np.searchsorted(self.edges, reading.range, side="right") - 1, len(self.values) - 1)

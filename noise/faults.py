@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from noise.law import EchoLaw, Floats, UniformSource
 from noise.model import MAX_RANGE, SonarModel, StatefulModel, follow, listener
@@ -275,6 +276,7 @@ class Faulty:
         """Names of the causes, indexed as in `FaultyLaw.draw`."""
         return ("none", *(type(fault).__name__.upper() for fault in self.faults))
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None, sensors: NDArray[np.int64] | None = None) -> FaultyLaw:
         """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
         model = self.model

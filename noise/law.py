@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acquisition import EchoStatus, Reading
+from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
+from acquisition.limits import as_numbers
 
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 
@@ -105,8 +107,10 @@ class EchoLaw(ABC):
 
     def cdf(self, range_: ArrayLike) -> Floats:
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
-        return self.cdf_step(np.floor(np.asarray(range_) / self.resolution + 1e-9).astype(np.int64))
+        value = as_numbers("EchoLaw.cdf.range_", range_)
+        return self.cdf_step(np.floor(value / self.resolution + 1e-9).astype(np.int64))
 
+    @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
         step = self.step(reading.range)
@@ -142,6 +146,7 @@ class EchoLaw(ABC):
         """Return `cdf_step` for any number of leading axes, (..., n)."""
         return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 
+    @checked
     def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
         low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)
@@ -151,5 +156,5 @@ class EchoLaw(ABC):
 
     def quantile(self, p: ArrayLike) -> Floats:
         """Return the p-quantile of the *echoes*, m, (n,); 0 where no echo is possible."""
-        echo = self.echo
-        return np.where(echo > 0, self._invert(np.asarray(p) * echo * (1 - 1e-12)) * self.resolution, 0.0)
+        echo, share = self.echo, as_numbers("EchoLaw.quantile.p", p)
+        return np.where(echo > 0, self._invert(share * echo * (1 - 1e-12)) * self.resolution, 0.0)

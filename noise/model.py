@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
 from acquisition import ModelError, Ping, Reading, previous
+from acquisition.arguments import checked
 from acquisition.limits import Limit, Metres, PositiveMetres, Share, check_settings
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, UniformSource
 from noise.schema import Resolution
@@ -142,6 +143,7 @@ class IdealModel:
         """Raise SettingError for invalid values."""
         check_settings(self)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the deterministic law of n pings."""
         miss = (ping.distance > self.max_range).astype(np.float64)
@@ -180,6 +182,7 @@ class GaussianModel:
         """Raise SettingError for invalid values."""
         check_settings(self)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the law of n pings."""
         sigma = self.sigma + self.sigma_per_metre * ping.distance
@@ -239,6 +242,7 @@ class StatefulModel(SonarModel, Protocol):
         """Clear the state of all sensors, or of those given by index or mask."""
         ...
 
+    @checked
     def follow(self, ping: Ping, reading: Reading) -> EchoLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         ...
@@ -262,6 +266,7 @@ def follow(model: SonarModel, ping: Ping, reading: Reading) -> EchoLaw:
     return model.law(ping, previous(reading, ping.run)) if model.remembers else model.law(ping)
 
 
+@checked
 def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading:
     """Draw a reading for every ping, run by run in chronological order where the law depends on earlier readings.
 

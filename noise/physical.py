@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading
+from acquisition.arguments import checked
 from acquisition.brief import shortened
 from noise.effects import CATALOGUE, Conditions, Effect, Path, State
 from noise.effects.state import DETECTION_WIDTH_DB, direct_path, number
@@ -183,6 +184,7 @@ class PhysicalModel:
     True
     """
 
+    @checked
     def __init__(self, effects: Iterable[Effect] = (), resolution: float = 0.001, max_range: float = MAX_RANGE) -> None:
         self.effects = tuple(sorted(effects, key=lambda effect: (effect.stage, effect.name)))
         self.resolution = resolution
@@ -219,6 +221,7 @@ class PhysicalModel:
         """Return the law of a batch of tensors, differentiable in the parameters."""
         return PhysicalLaw(self.state(conditions), conditions.distance.numpy(), self.resolution, self.max_range)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> PhysicalLaw:
         """Return the law of n pings, given the previous reading of each."""
         return self.law_of(Conditions.of(ping, past))

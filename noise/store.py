@@ -12,7 +12,8 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-from acquisition import ModelError, SonarError, UnknownModelError
+from acquisition import ModelError, SettingError, SonarError, UnknownModelError
+from acquisition.arguments import checked
 from acquisition.io.files import is_folder, whole_folder
 from acquisition.io.schema import read_json
 from acquisition.limits import Loadable, near, shown
@@ -99,6 +100,7 @@ def _read(folder: Path) -> dict[str, Any]:
     return data
 
 
+@checked
 def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
     """Write a model's folder atomically, replacing an older model, and return the folder.
 
@@ -106,6 +108,8 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
         model: any object with `to_dict()`; `write_weights(folder)` is called if it exists.
         folder: folder to write.
     """
+    if not hasattr(model, "to_dict"):
+        raise SettingError(f"save_model.model: expected a model with to_dict(), got {shown(model)}")
     folder = Path(folder)
     check_model_folder(folder)
     text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)

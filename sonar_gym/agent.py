@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from acquisition import ModelError, UnknownModelError
+from acquisition.arguments import checked
 from acquisition.arrays import Ints, Singles
 from acquisition.io.files import is_folder, whole_folder
 from acquisition.io.schema import Schema, read_json
@@ -192,6 +193,7 @@ def agent_names() -> list[str]:
     return sorted(path.parent.name for path in WEIGHTS.glob(f"*/{DESCRIPTION}"))
 
 
+@checked
 def load_policy(name: str | os.PathLike[str]) -> Policy:
     """Return the policy of a shipped agent, by name, or of a saved agent, by folder.
 

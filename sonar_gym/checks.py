@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -20,18 +20,25 @@ def settings_of(cls: type[Settings], given: Any) -> Settings:
         SettingError: a field is unknown or missing, or `given` is neither settings nor a mapping.
     """
     if given is None or isinstance(given, Mapping):
-        check_fields(cls, given or {})
+        given = {} if given is None else given
+        check_fields(cls, given)
         try:
-            return cls(**(given or {}))
+            return cls(**given)
         except TypeError as error:  # a missing field, or a value of a wrong type
             raise SettingError(f"{cls.__name__}: {error}") from None
     if not isinstance(given, cls):
-        raise SettingError(f"expected {cls.__name__} or a mapping of its fields, got {shown(given)}")
+        raise _no_settings(cls, given)
     return given
 
 
-def check_fields(cls: type, given: Iterable[str]) -> None:
-    """Raise SettingError for a name that is no field of a dataclass."""
+def _no_settings(cls: type, given: Any) -> SettingError:
+    return SettingError(f"{cls.__name__}: expected {cls.__name__} or a mapping of its fields, got {shown(given)}")
+
+
+def check_fields(cls: type, given: Mapping[str, Any]) -> None:
+    """Raise SettingError for what is no mapping, and for a name that is no field of a dataclass."""
+    if not isinstance(given, Mapping):
+        raise _no_settings(cls, given)
     known = [field.name for field in fields(cls)]
     for name in given:
         if name not in known:

@@ -10,6 +10,7 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from acquisition import SettingError
+from acquisition.arguments import checked
 from sonar_gym.parking.street import StreetSettings, replaced, street_settings
 
 
@@ -53,6 +54,7 @@ class Curriculum(BaseCallback):
         share: 0 for the first streets, 1 for the last.
     """
 
+    @checked
     def __init__(
         self,
         begin: StreetSettings | Mapping[str, Any] | str = "easy",
@@ -71,6 +73,16 @@ class Curriculum(BaseCallback):
         self.begin = street_settings(begin) if isinstance(begin, str) else replaced(self.end, begin)
         self.success, self.step, self.share = success, step, 0.0
         self._ends: deque[bool] = deque(maxlen=episodes)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a checkpoint of the training must hold, as plain data."""
+        return {"share": self.share, "ends": list(self._ends)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue from a state that `state_dict` returned."""
+        self.share = float(state["share"])
+        self._ends.clear()
+        self._ends.extend(bool(parked) for parked in state["ends"])
 
     def _on_training_start(self) -> None:
         self._set_streets()
@@ -91,5 +103,10 @@ class Curriculum(BaseCallback):
     def _on_rollout_end(self) -> None:
         self.logger.record("curriculum/share", self.share)
 
+    @property
+    def streets(self) -> StreetSettings:
+        """Present streets."""
+        return between(self.begin, self.end, self.share)
+
     def _set_streets(self) -> None:
-        self.training_env.set_attr("street_settings", between(self.begin, self.end, self.share))
+        self.training_env.set_attr("street_settings", self.streets)

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
 from acquisition.errors import MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.io.recording import Recording
@@ -114,6 +115,7 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
+@checked
 def import_bag(
     path: Path,
     topics: Sequence[str] = (),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import stat
@@ -86,6 +87,9 @@ def write_bytes(path: Path, data: bytes) -> Path:
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield an empty folder that replaces `folder` when the block ends without an error.
 
+    The old and the new folder change places in one step of the operating system (Linux, macOS), so that a complete one
+    stands at the path at every instant. Elsewhere two renames leave an instant between them.
+
     Args:
         folder: to create or replace; it remains unchanged if the block raises.
     """
@@ -94,9 +98,27 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         fresh, old = Path(beside) / "fresh", Path(beside) / "old"
         fresh.mkdir()
         yield fresh
-        if folder.exists():
+        for file in fresh.rglob("*"):
+            _sync(file)
+        if folder.exists() and not _exchange(fresh, folder):
             os.replace(folder, old)
-        os.replace(fresh, folder)
+        if not folder.exists():
+            os.replace(fresh, folder)
+        sync_folder(folder.parent)
+
+
+def _sync(path: Path) -> None:
+    if path.is_file():
+        with path.open("rb+") as file:
+            os.fsync(file.fileno())
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Let two folders change places in one step; returns whether the operating system could."""
+    name, flag = {"linux": ("renameat2", 2), "darwin": ("renameatx_np", 2)}.get(sys.platform, ("", 0))
+    swap = getattr(ctypes.CDLL(None), name, None) if name else None
+    here = -100 if sys.platform == "linux" else -2  # AT_FDCWD: paths are relative to the working directory
+    return swap is not None and swap(here, os.fsencode(one), here, os.fsencode(other), ctypes.c_uint(flag)) == 0
 
 
 def lock(handle: int) -> bool:

@@ -1,4 +1,4 @@
-"""Import of CSV logs of other programs: a map from their columns and units to the columns of a recording.
+"""Import of logs of other programs, CSV or TOA5: a map from their columns and units to the columns of a recording.
 
 A mapping is written `name=source:unit`, for example `distance_mm=true_cm:cm`; a constant column `name=value`. Numeric
 columns without a mapping become covariates under their own names. `time_s` is shifted to start at 0.
@@ -6,16 +6,18 @@ columns without a mapping become covariates under their own names. `time_s` is s
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
 from acquisition.io.recording import ECHO_COLUMN, TEXT, Recording
-from acquisition.io.tables import COMMAS, Dialect, read_text_table
+from acquisition.io.tables import COMMAS, Dialect, parse_table, read_bytes
 from acquisition.limits import near
 
 MICROSECONDS_PER_CM = 58.0  # round trip; the constant in the data sheets of the HC-SR04 family
@@ -36,6 +38,8 @@ UNITS: Mapping[str, float] = {  # factor to the unit in the name of the recordin
     "pct": 1.0,
     "text": 1.0,
 }
+TOA5 = (b'"TOA5"', b"TOA5,")  # how such a file begins
+TOA5_UNITS = {"ts": "date", "meters": "m", "meter": "m", "millimeters": "mm", "degrees": "deg", "%": "pct"}
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class ColumnMap:
     Attributes:
         name: column of the recording.
         source: column of the log.
-        unit: unit of the log's column, a key of `UNITS`.
+        unit: unit of the log's column, a key of `UNITS`; "" for that which a TOA5 file states, or none.
     """
 
     name: str
@@ -88,6 +92,7 @@ def parse_constants(texts: Sequence[str]) -> dict[str, float | str]:
     return out
 
 
+@checked
 def import_table(
     path: str | Path,
     columns: Sequence[ColumnMap],
@@ -96,10 +101,10 @@ def import_table(
     skip_bad_rows: bool = False,
     dialect: Dialect = COMMAS,
 ) -> Recording:
-    """Read a CSV log of another program as a recording.
+    """Read a log of another program, CSV or TOA5, as a recording.
 
     Args:
-        path: of the CSV file.
+        path: of the file.
         columns: the map; `distance_mm`, `angle_deg` and `reading_mm` must come from it or from `constants`.
         constants: columns with one value in all rows.
         no_echo: value, in the log's unit, that means no echo in addition to 0.
@@ -111,7 +116,12 @@ def import_table(
         RecordingError: a mapped column is missing, or a value violates the format; the message names the place.
     """
     path = Path(path)
-    log = read_text_table(path, dialect, number_twins=True)
+    data = read_bytes(path)
+    if data.startswith(TOA5):
+        log, units = read_toa5(data, str(path))
+        columns = [replace(m, unit=m.unit or units.get(m.source, "")) for m in columns]
+    else:
+        log = parse_table(data, str(path), dialect, number_twins=True)
     for mapping in columns:
         if mapping.source not in log.columns:
             found = ", ".join(log.columns)
@@ -123,7 +133,32 @@ def import_table(
     used = {m.source for m in columns} | set(table.columns)
     for column in (c for c in named if c not in used):
         table[column] = log[column]
-    return Recording.from_text(table.astype(str), str(path), skip_bad_rows)
+    origin = f"{path} (line 1: its names)" if data.startswith(TOA5) else str(path)
+    return Recording.from_text(table.astype(str), origin, skip_bad_rows)
+
+
+def read_toa5(data: bytes, name: str) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Return the fields of a TOA5 file as text, and the units of those whose unit is one of `UNITS`.
+
+    TOA5 is the table of text that loggers of Campbell Scientific write: four lines with the station, the names of the
+    fields, their units and how they were processed, then one line per record (LoggerNet manual, appendix B). NAN, the
+    logger's word for a missing value, becomes an empty field.
+
+    Args:
+        data: content of the file.
+        name: of the file, for messages.
+
+    Raises:
+        RecordingError: the header is incomplete, or the rows do not fit it.
+    """
+    lines = data.splitlines(keepends=True)
+    rows = list(csv.reader(line.decode("utf-8", "replace") for line in lines[1:4]))
+    if len(rows) < 3 or len(rows[1]) != len(rows[0]) or len(rows[2]) != len(rows[0]):
+        raise RecordingError(f"{name}: TOA5 without its lines of names, units and processing; export it again")
+    log = parse_table(b"".join([lines[1], *lines[4:]]), name, number_twins=True)
+    units = {field: TOA5_UNITS.get(unit.lower(), unit) for field, unit in zip(log.columns, rows[1], strict=True)}
+    log = log.mask(log.apply(lambda column: column.str.upper()) == "NAN", "")
+    return log, {field: unit for field, unit in units.items() if unit in UNITS}
 
 
 def _column(text: pd.Series, mapping: ColumnMap, no_echo: float | None) -> pd.Series:

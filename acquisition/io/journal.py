@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from acquisition.errors import RecordingError
-from acquisition.io.files import lock, sync_folder, write_text
+from acquisition.io.files import lock, read_limited, sync_folder, write_text
 from acquisition.io.recording import unfinished_path
 
 HEADER_START = b"time_s,session,sensor,distance_mm"  # of every file that a session creates
@@ -173,8 +173,8 @@ def _open(path: Path, resume: bool) -> int:
 
 def _load_settings(saved: Path) -> dict[str, Any]:
     try:
-        return dict(json.loads(saved.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError) as error:
+        return dict(json.loads(read_limited(saved, RecordingError, "the settings of a session")))
+    except (RecordingError, RecursionError, ValueError, TypeError) as error:
         raise RecordingError(
             f"{saved}: cannot be read: {' '.join(str(error).split())}; it holds the settings of the session: "
             "make sure that the settings are the same, then delete it and continue with --resume"

@@ -20,11 +20,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from acquisition.arguments import checked
 from acquisition.brief import shortened
-from acquisition.errors import RecordingError
+from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
 from acquisition.io.files import write_atomic
 from acquisition.io.tables import parse_table, read_bytes
+from acquisition.limits import as_numbers, shown
 from acquisition.ping import EchoStatus, Ping, Reading, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
@@ -109,6 +111,24 @@ def _check_header(name: str, columns: Sequence[str]) -> None:
         )
 
 
+def as_rows(name: str, given: Any, n: int) -> NDArray[np.int64]:
+    """Return the indices at a mask of n rows, or indices as given.
+
+    Raises:
+        SettingError: it is neither a mask of n rows nor an array of indices below n.
+    """
+    number = as_numbers(name, given)
+    is_mask = np.asarray(given).dtype == bool
+    rows = np.flatnonzero(number) if is_mask else number
+    if number.ndim != 1 or (is_mask and len(number) != n) or not _are_indices(rows, n):
+        raise SettingError(f"{name}: expected a mask of {n} rows or indices below {n}, got {shown(given)}")
+    return rows.astype(np.int64)
+
+
+def _are_indices(rows: NDArray[Any], n: int) -> bool:
+    return bool(np.all((rows == np.floor(rows)) & (rows >= -n) & (rows < n)))
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Pings and readings of one CSV file, in its order.
@@ -124,6 +144,7 @@ class Recording:
     rejected: tuple[RowFault, ...] = field(default=())
 
     @classmethod
+    @checked
     def load(cls, path: str | os.PathLike[str], skip_bad_rows: bool = False) -> Recording:
         """Read and check a recording.
 
@@ -139,6 +160,7 @@ class Recording:
         return cls.from_text(_read_text(path), str(path), skip_bad_rows)
 
     @classmethod
+    @checked
     def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
         """Check a table of text as read from a CSV file; see `load`. Row k is line k + 2 of the file."""
         _check_header(name, list(text.columns))
@@ -153,6 +175,7 @@ class Recording:
         return cls(table, name, tuple(faults))
 
     @classmethod
+    @checked
     def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         table = pd.DataFrame(
@@ -207,13 +230,18 @@ class Recording:
         """Return the number of pings."""
         return len(self.table)
 
+    @checked
     def has(self, column: str) -> bool:
         """Return whether the recording has a column."""
         return column in self.table.columns
 
     def select(self, mask: NDArray[Any]) -> Recording:
-        """Return the recording of the rows at a mask or array of indices."""
-        rows = np.flatnonzero(mask) if np.asarray(mask).dtype == bool else np.asarray(mask)
+        """Return the recording of the rows at a mask or array of indices.
+
+        Raises:
+            SettingError: it is neither a mask of all rows nor an array of their indices.
+        """
+        rows = as_rows("Recording.select", mask, len(self))
         return replace(self, table=self._with_interval().iloc[rows].reset_index(drop=True))
 
     def _with_interval(self) -> pd.DataFrame:
@@ -286,6 +314,7 @@ class Recording:
         step = common if found is None or placed else found
         return MM if step is None else step * MM
 
+    @checked
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as CSV, atomically."""
         return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))

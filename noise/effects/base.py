@@ -159,6 +159,8 @@ class Effect(ABC):
 
 
 def _check_bounds(effect: str, p: Parameter, value: float | Tensor) -> None:
+    if isinstance(value, Tensor) and value.numel() != 1:
+        raise SettingError(f"{effect}.{p.name}: expected one number, got {value.numel()}")
     if not isinstance(value, Tensor):
         check_number(f"{effect}.{p.name}", value, Limit(unit=p.unit))
     plain = float(value.detach()) if isinstance(value, Tensor) else float(value)

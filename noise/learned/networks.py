@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from acquisition import ModelError, Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
@@ -61,6 +62,7 @@ class MlpModel:
         """Step of the register, m."""
         return self.head.resolution
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> MixtureLaw:
         """Return the law of n pings; the past is ignored."""
         batch = self.inputs.features(ping)

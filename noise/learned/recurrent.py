@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
@@ -78,6 +79,7 @@ class LstmModel:
         rows = rows[rows < len(self._state)]  # sensors without a ping have no state yet
         self._state.put(rows, LstmState.empty(len(rows), self.cell.hidden))
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None, sensors: NDArray[np.int64] | None = None) -> MixtureLaw:
         """Return the law of the next ping of each of n sensors, and advance the state.
 

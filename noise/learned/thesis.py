@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import ModelError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 
 Kind = Literal["mlp", "lstm"]
@@ -109,6 +110,7 @@ class ThesisNetwork:
         return (hidden @ w["dense_1_W"] + w["dense_1_b"])[:, 0]
 
 
+@checked
 def load_thesis_network(path: str | os.PathLike[str]) -> ThesisNetwork:
     """Return a network from a file published with the thesis, `*_my_model.h5` or `*_weights.hdf5`.
 

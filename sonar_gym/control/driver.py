@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition import SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints, Singles
 from sonar_gym.control.fusion import StreetFilter
 from sonar_gym.control.perception import Perception, RawPerception
@@ -129,6 +130,7 @@ class ParkingDriver:
             methods of `Perception`.
     """
 
+    @checked
     def __init__(
         self,
         mounts: Sequence[Mount] = LAYOUTS["eight"],

@@ -302,7 +302,7 @@ class Fleet:
         Raises:
             SettingError: an option is unknown or invalid.
         """
-        options = options or {}
+        options = {} if options is None else options
         if not isinstance(options, Mapping):
             raise SettingError(f"reset options: expected a mapping, got {shown(options)}")
         for name in options:

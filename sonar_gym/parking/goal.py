@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Singles
+from acquisition.limits import as_numbers
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
 from sonar_gym.parking.street import Goal
 
@@ -83,7 +84,11 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         Returns:
             Rewards, () or (k,).
         """
-        difference = np.abs(np.asarray(achieved_goal, dtype=np.float64) - desired_goal)
+        goals = [as_numbers(*one) for one in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal))]
+        if any(goal.shape != goals[0].shape or goal.shape[-1:] != WEIGHTS.shape for goal in goals):
+            shapes = " and ".join(str(goal.shape) for goal in goals)
+            raise SettingError(f"compute_reward: expected two goals of equal shape (..., {len(WEIGHTS)}), got {shapes}")
+        difference = np.abs(goals[0] - goals[1])
         return np.asarray(-(difference @ WEIGHTS))
 
     def _goal(self) -> Singles:

@@ -17,8 +17,8 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 
-from acquisition import SettingError
 from acquisition.arrays import Floats, Ints
+from acquisition.limits import check_choice
 from noise import SonarModel, load_model
 from noise.law import CREDENCE_TOLERANCE
 from sonar_gym.parking import step_kernel
@@ -55,8 +55,7 @@ def driver_of(name: str) -> Callable[[int], ActMany]:
     Raises:
         SettingError: no such kind.
     """
-    if name not in DRIVERS:
-        raise SettingError(f"credence_driver {name!r}: no such kind of driver; expected {', '.join(DRIVERS)}")
+    check_choice("credence_driver", name, list(DRIVERS))
     module, function = DRIVERS[name].split(":")
     return cast(Callable[[int], ActMany], getattr(import_module(module), function))
 

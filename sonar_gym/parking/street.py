@@ -143,8 +143,9 @@ def replaced(settings: StreetSettings, given: StreetSettings | Mapping[str, Any]
     """
     if isinstance(given, StreetSettings):
         return given
-    check_fields(StreetSettings, given or {})
-    return replace(settings, **(given or {}))
+    given = {} if given is None else given
+    check_fields(StreetSettings, given)
+    return replace(settings, **given)
 
 
 def check_gap(gap: float, car: CarSettings) -> None:

@@ -98,7 +98,11 @@ def layout(given: Layout) -> tuple[Mount, ...]:
         return LAYOUTS[given]
     if not isinstance(given, Iterable) or isinstance(given, Mapping):
         raise SettingError(f"sonar_layout: expected the name of a layout or a list of mounts, got {shown(given)}")
-    mounts = tuple(settings_of(Mount, mount) for mount in given)
+    try:
+        each = list(given)
+    except TypeError:  # an array without dimensions
+        raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from None
+    mounts = tuple(settings_of(Mount, mount) for mount in each)
     if not 1 <= len(mounts) <= MAX_MOUNTS:
         raise SettingError(f"sonar_layout has {len(mounts)} mounts, expected 1 to {MAX_MOUNTS}")
     return mounts

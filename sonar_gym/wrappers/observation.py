@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Ints
+from acquisition.limits import SEEDS, check_number, shown
 from sonar_gym.checks import settings_of
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE, Fleet
@@ -177,6 +178,7 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Clear the memory of the sonars, reset the environment, and ping."""
         if seed is not None:
+            check_number("seed", seed, SEEDS, whole=True)
             self.sonar.seed(seed)
         observation, info = self.env.reset(seed=seed, options=options)
         if self.fleet is None:
@@ -276,8 +278,13 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
     def _seeds(self, seed: int | Sequence[int | None] | None, mask: Bits) -> Iterator[tuple[int, int]]:
         """Yield index and seed of the environments to seed."""
         each = [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
-        for i, one in enumerate(each or ()):
+        if each is None:
+            return
+        if not isinstance(each, Sequence | np.ndarray) or len(each) != self.num_envs:
+            raise SettingError(f"seed: expected a whole number or {self.num_envs} of them, got {shown(seed)}")
+        for i, one in enumerate(each):
             if one is not None and mask[i]:
+                check_number("seed", one, SEEDS, whole=True)
                 yield i, int(one)
 
     def step(self, actions: Any) -> tuple[dict[str, Any], Any, Bits, Bits, dict[str, Any]]:

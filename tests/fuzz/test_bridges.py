@@ -147,7 +147,7 @@ def test_a_model_folder_with_a_pipe_or_noise_in_place_of_a_file(tmp_path, name):
 
 def test_a_ledger_that_unpacks_to_too_much_or_is_none_is_rejected(tmp_path, monkeypatch):
     monkeypatch.setattr(chain, "MAX_LEDGER", 10_000)
-    (tmp_path / "bomb.jsonl.xz").write_bytes(lzma.compress(bytes(10**7)))
+    (tmp_path / "bomb.jsonl.xz").write_bytes(lzma.compress(bytes(10**6)))
     (tmp_path / "empty.jsonl").write_bytes(b"")
     (tmp_path / "other.jsonl").write_text(json.dumps({"a": 1}) + "\n")
     for path in sorted(tmp_path.iterdir()):

@@ -113,6 +113,24 @@ def test_the_reason_is_named(tmp_path):
     check_rejected("plot", "/dev/zero", "--out", tmp_path / "out", names=["/dev/zero: is a device or a pipe"])
 
 
+TOA5 = b"""\"TOA5\",\"s\",\"CR6\",\"1\",\"o\",\"p\",\"9\",\"t\"
+\"TIMESTAMP\",\"R\",\"D\"\n\"TS\",\"m\",\"m\"\n\"\",\"Smp\",\"Smp\"
+\"2022-05-21 00:00:00\",1.5,1.5\n\"2022-05-21 00:10:00\",\"NAN\",1.5
+"""
+
+
+@FUZZ
+@given(at=st.integers(0, len(TOA5)), cut=st.integers(0, 9), more=st.binary(max_size=5))
+@example(at=0, cut=0, more=b"")
+def test_logger_files(tmp_path_factory, at, cut, more):
+    path = tmp_path_factory.mktemp("logger") / "log.dat"
+    path.write_bytes(TOA5[:at] + more + TOA5[at + cut :])
+    maps = ("reading_mm=R", "distance_mm=D", "time_s=TIMESTAMP")
+    check_used_or_rejected(
+        "import", path, "--out", path.with_suffix(".csv"), "--columns", *maps, "--constants", "angle_deg=0"
+    )
+
+
 def test_semicolons_and_decimal_commas_are_read_where_they_are_said(tmp_path):
     (tmp_path / "log.csv").write_text("d;r\n50,5;51\n60,0;61,25\n")
     words = ("import", tmp_path / "log.csv", "--out", tmp_path / "r.csv", "--delimiter", ";", "--decimal", ",")

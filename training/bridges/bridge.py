@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from threadpoolctl import threadpool_limits
 
 from acquisition import Recording, SettingError
 from acquisition.io.bags import TimeSeries, read_table
@@ -195,7 +196,8 @@ Args = (
 
 def main(args: Any) -> None:
     """Run one bridge."""
-    BRIDGES[type(args)](args)
+    with threadpool_limits(1):  # a few sonars are too few for several threads, which wait for each other
+        BRIDGES[type(args)](args)
 
 
 def _mounts(name: str) -> tuple[Mount, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from threadpoolctl import threadpool_limits
 
 from acquisition.limits import Limit, Seed
 from sonar_gym.bridges.server.server import PORT, ServerSettings, SonarServer
@@ -39,4 +40,5 @@ def main(args: Args) -> None:
     def ready() -> None:
         print(f"{args.model} at tcp://{server.address[0]}:{server.address[1]}; stop with Ctrl-C", flush=True)
 
-    asyncio.run(server.run(ready))
+    with threadpool_limits(1):  # a batch is too small for several threads, which wait for each other
+        asyncio.run(server.run(ready))

@@ -35,9 +35,11 @@ def save_checkpoint(path: Path, policy: ActorCriticPolicy, state: Mapping[str, A
 
 
 @contextmanager
-def _valid(path: Path) -> Iterator[None]:
+def valid_checkpoint(path: Path) -> Iterator[None]:
     """Raise ModelError where a block finds that the file is not a valid checkpoint."""
     try:
+        if not path.is_file():  # a pipe would block
+            raise OSError("it is no file on a disk")
         yield
     except (SafetensorError, OSError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -50,7 +52,7 @@ def read_state(path: Path) -> dict[str, Any]:
     Raises:
         ModelError: the file is not a valid checkpoint.
     """
-    with _valid(path), safe_open(path, "pt") as file:
+    with valid_checkpoint(path), safe_open(path, "pt") as file:
         state = dict(json.loads(file.metadata()[STATE]))
         state["settings"] = dict(state["settings"])
         return state
@@ -63,7 +65,7 @@ def load_checkpoint(path: Path, policy: ActorCriticPolicy) -> dict[str, Any]:
         ModelError: the file is not a valid checkpoint of such a policy.
     """
     state = read_state(path)
-    with _valid(path):
+    with valid_checkpoint(path):
         _load(path, policy)
     return state
 

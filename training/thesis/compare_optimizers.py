@@ -226,20 +226,23 @@ def _claims(findings: ThesisFindings) -> str:
 
 
 def all_figures(findings: ThesisFindings) -> dict[str, bytes]:
-    """Return each figure as PNG, by its number in the thesis."""
+    """Return each figure as PNG by its number in the thesis, without those of a reflector that was not measured."""
     comparison = findings.comparison
     tables = [_optimisers(findings, hidden) for hidden in comparison.sizes]
     mlp = _training(findings, comparison.mlp, f"MLP, {FIGURE_UNITS} neurons")
     lstm = _training(findings, comparison.lstm, f"LSTM, {FIGURE_UNITS} cells")
     a1 = _training(findings, comparison.a1, f"{A1_UNITS} neurons, this recording")
-    return {
+    figures = {
         "figure-4.3": panels(tables, (3.2 * len(tables), 3.4), share_y=True),
         "figure-4.4": panels([mlp, lstm], (7.0, 3.2), share_y=True),
         "figure-a.1": panels([a1, _printed_training], (7.0, 3.2)),
-        "figure-4.5": _surfaces(findings, (MIRROR,)),
-        "figure-4.6": _surfaces(findings, (RUBBER,)),
-        "figure-5.1": _surfaces(findings, (MIRROR, RUBBER)),
     }
+    surfaces = {"figure-4.5": (MIRROR,), "figure-4.6": (RUBBER,), "figure-5.1": (MIRROR, RUBBER)}
+    was_measured = {reflector: bool(findings.surfaces.of(reflector).any()) for reflector in (MIRROR, RUBBER)}
+    for name, reflectors in surfaces.items():
+        if all(was_measured[reflector] for reflector in reflectors):
+            figures[name] = _surfaces(findings, reflectors)
+    return figures
 
 
 def _plot_band(axes: Axes, losses: Floats, colour: str, label: str, style: str = "-") -> None:

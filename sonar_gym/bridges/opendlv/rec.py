@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.io.bags import TimeSeries
 from acquisition.io.files import write_bytes
@@ -47,6 +48,7 @@ class Geometry:
     max_range: float = 11.0
 
 
+@checked
 def read_rec(path: Path) -> Iterator[Envelope]:
     """Yield the envelopes of a file.
 
@@ -74,6 +76,7 @@ def first_stamp(path: Path) -> float:
     return min((seconds_of(e.sampled) for e in read_rec(path) if e.message == READING), default=0.0)
 
 
+@checked
 def recording_of(
     path: Path,
     truth: Geometry | TimeSeries | None = None,
@@ -190,6 +193,7 @@ def _conditions(truth: Geometry, poses: Floats, sensor: Floats) -> dict[str, Flo
     }
 
 
+@checked
 def write_rec(recording: Recording, path: Path, start_s: float) -> int:
     """Write the echoes of a recording as DistanceReadings, in chronological order, and return their number.
 

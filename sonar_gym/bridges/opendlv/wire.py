@@ -14,6 +14,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+from acquisition.arguments import checked
 from sonar_gym.bridges.opendlv.messages import HEADER, HEADER_SIZE, MESSAGES, NAMES, NO_TIME, Time
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5  # wire types
@@ -55,6 +56,7 @@ class _Field(NamedTuple):
     four: bytes
 
 
+@checked
 def decode(datagram: bytes) -> list[Envelope]:
     """Return the envelope of a datagram as a list: one, or none if libcluon refuses the datagram.
 

@@ -32,6 +32,7 @@ from sonar_gym.sensing.sonar import SonarChoice, broad_table, resolve
 
 ROOT = "/sonar"
 TRUE_TOPIC = "true"
+MAX_STAMP = 2.0**31  # s since 1970; of builtin_interfaces/Time
 MIN_RANGE = 0.03  # m; SRF08 (Devantech)
 BAG_VERSION: Literal[9] = 9
 
@@ -97,6 +98,11 @@ def write_bag(
 
 def _write(bag: _Bag, recording: Recording, table: CredenceTable | None, max_range: float, start_s: float) -> None:
     ping, reading = recording.ping, recording.reading
+    if not 0.0 <= start_s + float(ping.time.min()) <= start_s + float(ping.time.max()) < MAX_STAMP:
+        span = f"{ping.time.min():g} to {ping.time.max():g} s"
+        raise RecordingError(
+            f"{recording.name}: time_s runs from {span}; a bag that begins at {start_s:g} s holds 0 to {MAX_STAMP:g} s"
+        )
     names = recording.table["sensor"].astype(str).to_numpy() if recording.has("sensor") else np.full(len(ping), "0")
     credence = np.zeros(len(ping)) if table is None else table.given(reading)
     values, states = range_values(reading, MIN_RANGE), diagnostics(reading, credence)

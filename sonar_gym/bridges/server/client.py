@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from acquisition import GarbledError, NoAnswerError, Ping, Reading, SettingError, UnpluggedError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from sonar_gym.bridges.server import protocol
 
@@ -30,6 +31,7 @@ class SonarClient:
         UnpluggedError: nobody answers at the address.
     """
 
+    @checked
     def __init__(self, host: str, port: int, timeout_s: float = 10.0) -> None:
         self.name, self._timeout_s = f"tcp://{host}:{port}", timeout_s
         try:
@@ -44,6 +46,7 @@ class SonarClient:
         """Begin anew: random numbers of a seed, 0 to 2^64 - 1, and sonars without memory."""
         self._exchange(protocol.framed(protocol.SEED, protocol.SEED_BODY.pack(seed)))
 
+    @checked
     def ask(self, ping: Ping) -> tuple[Reading, Floats]:
         """Return the reading of each ping, and its credence given the reading, (n,); `run` numbers the sensors.
 

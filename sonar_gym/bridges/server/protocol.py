@@ -22,6 +22,7 @@ import struct
 import numpy as np
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from sonar_gym.sensing.scene import EMPTY_M
 
@@ -43,6 +44,7 @@ def framed(kind: bytes, body: bytes) -> bytes:
     return HEAD.pack(len(kind) + len(body)) + kind + body
 
 
+@checked
 def ping_message(ping: Ping) -> bytes:
     """Return the request for the readings of pings.
 
@@ -59,6 +61,7 @@ def ping_message(ping: Ping) -> bytes:
     return framed(PING, COUNTS.pack(len(ping), len(names)) + names + rows.tobytes())
 
 
+@checked
 def ping_of(body: bytes) -> Ping:
     """Return the pings of a request.
 
@@ -110,6 +113,7 @@ def read_message(reading: Reading, credence: Floats) -> bytes:
     return framed(READ, HEAD.pack(len(reading)) + rows.tobytes())
 
 
+@checked
 def reading_of(body: bytes) -> tuple[Reading, Floats]:
     """Return the readings of an answer, and the credence of each, (n,).
 

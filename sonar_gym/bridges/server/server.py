@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from acquisition import DeviceError, SettingError, SonarError
+from acquisition.arguments import checked
 from acquisition.limits import check_settings
 from sonar_gym.bridges.server import protocol
 from sonar_gym.bridges.server.sensors import Sensors
@@ -50,6 +51,8 @@ class ServerSettings:
         for name in ("max_range", "max_clients", "patience_s", "idle_s"):
             if not getattr(self, name) > 0:
                 raise SettingError(f"ServerSettings.{name} must be > 0, got {getattr(self, name):g}")
+        if not self.host:  # which asyncio would take for all addresses
+            raise SettingError("ServerSettings.host: expected an address, got ''; 0.0.0.0 stands for all of them")
         if not 0 <= self.port <= 65_535:
             raise SettingError(f"ServerSettings.port must lie in [0, 65535], got {self.port}")
 
@@ -66,6 +69,7 @@ class SonarServer:
         clients: number of clients.
     """
 
+    @checked
     def __init__(self, model: SonarChoice, settings: ServerSettings | None = None) -> None:
         self.settings = settings or ServerSettings()
         self._model = resolve(model)
@@ -82,8 +86,9 @@ class SonarServer:
         host, port = self.settings.host, self.settings.port
         try:
             server = await asyncio.start_server(self._serve, host, port)
-        except OSError as error:
-            raise DeviceError(f"{host}:{port}: cannot be bound ({error.strerror}); give another port") from None
+        except (OSError, ValueError) as error:  # a name with a null character, or too long
+            reason = getattr(error, "strerror", None) or error
+            raise DeviceError(f"{host}:{port}: cannot be bound ({reason}); give another address or port") from None
         self.address = server.sockets[0].getsockname()[:2]
         async with server:
             if ready is not None:

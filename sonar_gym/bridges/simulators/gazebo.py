@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from xml.etree import ElementTree
 
+from acquisition.arguments import checked
 from noise import SonarModel
 from sonar_gym.bridges.simulators.nearest import NEAR_M, Nearest, nearest_gaussian
 
@@ -16,6 +17,7 @@ RAYS = 9  # across the beam; a sonar is the nearest of them
 RATE_HZ = 10.0
 
 
+@checked
 def export(model: SonarModel, max_range: float, aperture_deg: float, seed: int = 0) -> tuple[str, Nearest]:
     """Return a `<sensor>` element for the nearest Gaussian noise, and what it leaves."""
     nearest = nearest_gaussian(model, max_range, seed)

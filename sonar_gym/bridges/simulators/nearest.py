@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
 from noise import ConditionPrior, SonarModel
 from noise.metrics import crps_with_silence
@@ -108,6 +109,7 @@ def fit_normal(value: Floats, offset: Floats | float = 0.0) -> tuple[float, floa
     return float(found.x[0]), max(float(np.exp(found.x[1])), MIN_SIGMA)
 
 
+@checked
 def nearest_table(model: SonarModel, max_range: float, max_incidence: float, seed: int = 0) -> Nearest:
     """Return the nearest table over distance.
 
@@ -130,6 +132,7 @@ def _fit_at(field: Field, rows: Bits) -> tuple[float, float]:
     return fit_normal(field.value[rows]) if rows.sum() >= FEW else (field.max_range, MIN_SIGMA)
 
 
+@checked
 def nearest_gaussian(model: SonarModel, max_range: float, seed: int = 0) -> Nearest:
     """Return the nearest law with one bias and one standard deviation for all distances; see `nearest_table`."""
     field = _field(model, max_range, seed, FIT)

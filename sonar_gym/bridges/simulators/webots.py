@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition import RecordingError, RecordingNotFoundError, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.io.files import read_limited
 from noise import SonarModel
@@ -30,6 +31,7 @@ BRACE, MAX_DEPTH = re.compile(r"[{}]"), 100
 COMMENT = re.compile(r"#[^\n]*")
 
 
+@checked
 def load_tables(path: Path, metres_per_unit: float | None = None) -> dict[str, TableModel]:
     """Return the distance sensors of a world or PROTO file as models, by name.
 
@@ -112,6 +114,7 @@ def _model(where: str, rows: Floats, metres_per_unit: float | None, is_sonar: bo
     return TableModel(distances, means, sigmas, distances[-1], limit)
 
 
+@checked
 def export(model: SonarModel, max_range: float, aperture_deg: float, seed: int = 0) -> tuple[str, Nearest]:
     """Return a DistanceSensor node for the nearest table, and what the table leaves.
 

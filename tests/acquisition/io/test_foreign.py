@@ -51,3 +51,50 @@ def test_constants_are_numbers_except_in_text_columns():
     assert parse_constants(["angle_deg=5", "session=lab"]) == {"angle_deg": 5.0, "session": "lab"}
     with pytest.raises(SettingError, match="expected a number"):
         parse_constants(["angle_deg=five"])
+
+
+TOA5 = """"TOA5","Station","CR1000","12345","CR1000.Std.31","CPU:snow.CR1","40406","Table10"\r
+"TIMESTAMP","RECORD","TCDT","Q","AirTC","Pole"\r
+"TS","RN","m","","Deg C","m"\r
+"","","Smp","Smp","Avg","Smp"\r
+"2022-05-21 00:00:00",12,1.946,152,12.3,2\r
+"2022-05-21 00:10:00",13,"NAN",0,12.25,2\r
+"2022-05-21 00:20:00.5",14,1.95,153,"NAN",2\r
+"""  # as the LoggerNet manual of Campbell Scientific describes it
+
+
+def test_a_logger_file_states_its_units_and_missing_values(tmp_path):
+    path = tmp_path / "snow.dat"
+    path.write_bytes(TOA5.encode())
+    columns = maps("time_s=TIMESTAMP", "reading_mm=TCDT", "distance_mm=Pole", "quality=Q")
+    recording = import_table(path, columns, {"angle_deg": 0.0})
+    assert recording.ping.time.tolist() == [0.0, 600.0, 1200.5]
+    assert recording.reading.range.tolist() == [1.946, 0.0, 1.95]
+    assert recording.reading.status.tolist() == [EchoStatus.ECHO, EchoStatus.NO_ANSWER, EchoStatus.ECHO]
+    assert recording.ping.distance.tolist() == [2.0, 2.0, 2.0]
+    assert set(recording.covariates) >= {"RECORD", "quality"}
+
+
+def test_a_unit_that_is_given_replaces_that_of_a_logger_file(tmp_path):
+    path = tmp_path / "snow.dat"
+    path.write_bytes(TOA5.replace('"m"', '"counts"').encode())
+    columns = maps("reading_mm=TCDT:cm", "distance_mm=Pole")
+    recording = import_table(path, columns, {"angle_deg": 0.0})
+    assert recording.reading.range[0] == pytest.approx(0.01946)
+    assert recording.ping.distance[0] == pytest.approx(0.002)  # no unit that is known: as it stands
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda text: text.splitlines()[0], "TOA5 without its lines of names, units and processing"),
+        (lambda text: text.replace('"TS",', ""), "TOA5 without its lines"),
+        (lambda text: text.replace(",152,", ",152,1,2,3,"), "more fields than the header"),
+        (lambda text: text.replace("1.946", "abc"), r"line 2, column reading_mm: 'abc'"),
+    ],
+)
+def test_a_damaged_logger_file_is_named(tmp_path, damage, reason):
+    path = tmp_path / "snow.dat"
+    path.write_text(damage(TOA5))
+    with pytest.raises(RecordingError, match=f"snow.dat.*{reason}"):
+        import_table(path, maps("reading_mm=TCDT", "distance_mm=Pole"), {"angle_deg": 0.0})

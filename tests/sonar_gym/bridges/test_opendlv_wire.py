@@ -205,6 +205,7 @@ def fuzz(count, rng):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_100_000_random_datagrams_raise_nothing_and_leave_no_memory():
     rng = np.random.default_rng(1)
     fuzz(1000, rng)

@@ -40,7 +40,7 @@ ARGUMENTS = {
         {"sonar_layout": [{**NOSE, "period_s": -0.1}]},
         "Mount.period_s of 'nose': expected",
     ),
-    "unknown driver": ({"credence_driver": "taxi"}, "credence_driver 'taxi': no such kind of driver; expected agent"),
+    "unknown driver": ({"credence_driver": "taxi"}, "credence_driver: expected one of agent, scripted, random, got"),
 }
 OPTIONS = {
     "start in a box": ({"boxes": BOXES, "start": [0.75, -0.45, 0.0]}, "'start': a car at x 0.75 m, y -0.45 m touches"),

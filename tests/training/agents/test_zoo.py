@@ -1,16 +1,19 @@
 """`sonar-gym zoo`: tuned settings, a short training of each row, and the files that it writes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO
 
 import sonar_gym
 from acquisition import SettingError
+from noise.fitting.threads import one_thread
 from sonar_gym.parking.street import LEVELS
 from sonar_gym.sb3 import SonarVecEnv
-from training.agents.zoo.command import Args, make_envs, parked
+from training.agents.zoo.command import Args, Training, make_envs, parked
 from training.agents.zoo.settings import tuned
 from training.cli import main
 
@@ -39,6 +42,49 @@ def test_a_row_is_trained_tested_and_written(tmp_path, capsys):
     assert (
         "sonar-gym zoo ppo --env SonarParking-v0 --sonar ideal --steps 8192 --seed 3" in (out / "README.md").read_text()
     )
+
+
+class Stopped(Exception):
+    """Ends a training between two legs, as the end of its process would."""
+
+
+def stop():
+    raise Stopped
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "env_id", "faster"),
+    [
+        ("ppo", "SonarParkingManoeuvre-v0", {"n_steps": 16, "batch_size": 256}),
+        ("sac", "SonarParkingGoal-v0", {"learning_starts": 400, "batch_size": 16, "buffer_size": 4000}),
+    ],
+)
+@one_thread()
+def test_an_interrupted_training_ends_with_the_same_model(tmp_path, algorithm, env_id, faster):
+    settings = tuned(algorithm, env_id)
+    settings = replace(settings, n_timesteps=8000, keywords={**settings.keywords, **faster})
+    steps = 3000 if algorithm == "ppo" else 1200
+    whole = Training(Args(algorithm, tmp_path / "whole", env=env_id, steps=steps, seed=3), settings)
+    whole.run()
+    assert whole.leg >= 2
+    args = Args(algorithm, tmp_path / "stopped", env=env_id, steps=steps, seed=3)
+    for leg in range(whole.leg):
+        training = Training(args, settings)
+        training.resume()
+        assert training.leg == leg
+        with pytest.raises(Stopped):
+            training.run(stop)
+    assert (training.leg, training.model.num_timesteps) == (whole.leg, whole.model.num_timesteps)
+    weights = training.model.policy.state_dict()
+    assert all(torch.equal(weights[name], value) for name, value in whole.model.policy.state_dict().items())
+
+
+def test_an_interrupted_training_keeps_its_settings(tmp_path):
+    args = Args("ppo", tmp_path, steps=10)
+    settings = replace(tuned("ppo", args.env), n_timesteps=100, keywords={"policy": "MultiInputPolicy", "n_steps": 4})
+    Training(args, settings).run()
+    with pytest.raises(SettingError, match="was started with seed = 0, not 1"):
+        Training(replace(args, seed=1), settings).resume()
 
 
 def test_the_manoeuvre_begins_with_wide_gaps():

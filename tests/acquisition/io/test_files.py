@@ -1,0 +1,60 @@
+"""Folders that are replaced as a whole."""
+
+import multiprocessing
+import os
+import signal
+import time
+
+import pytest
+
+from acquisition.io import files
+from acquisition.io.files import whole_folder
+
+NAMES = ("a", "b", "c")
+
+
+def write(folder, text):
+    with whole_folder(folder) as fresh:
+        for name in NAMES:
+            (fresh / name).write_text(text)
+
+
+def content(folder):
+    assert sorted(path.name for path in folder.iterdir()) == list(NAMES)
+    return {(folder / name).read_text() for name in NAMES}
+
+
+def keep_writing(folder):
+    number = 0
+    while True:
+        write(folder, str(number))
+        number += 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs signals: Linux or macOS")
+def test_a_complete_folder_stands_at_every_instant_and_after_kills(tmp_path):
+    folder = tmp_path / "results" / "model"
+    write(folder, "first")
+    for _ in range(5):
+        process = multiprocessing.get_context("fork").Process(target=keep_writing, args=(folder,))
+        process.start()
+        end = time.monotonic() + 0.1
+        while time.monotonic() < end:
+            assert (folder / "a").is_file()
+        os.kill(process.pid, signal.SIGKILL)
+        process.join()
+        assert len(content(folder)) == 1
+
+
+@pytest.mark.parametrize("can_exchange", [True, False])
+def test_a_folder_is_replaced_or_remains(tmp_path, monkeypatch, can_exchange):
+    if not can_exchange:
+        monkeypatch.setattr(files, "_exchange", lambda *_: False)
+    folder = tmp_path / "model"
+    for text in ("1", "2"):
+        write(folder, text)
+        assert content(folder) == {text}
+    with pytest.raises(TypeError), whole_folder(folder) as fresh:
+        (fresh / "a").write_text(3)
+    assert content(folder) == {"2"}
+    assert list(tmp_path.iterdir()) == [folder]

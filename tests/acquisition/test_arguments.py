@@ -1,0 +1,53 @@
+"""Arguments of public functions are checked against their annotations."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from acquisition import Ping, SettingError
+from acquisition.arguments import checked
+from acquisition.limits import Limit
+
+
+@checked
+def listen(
+    ping: Ping,
+    path: Path | str,
+    gain: Annotated[int, Limit(0, 31)] = 0,
+    names: Mapping[str, int] | None = None,
+    times: np.ndarray | None = None,
+    **more: float,
+) -> int:
+    """Return the gain."""
+    return gain
+
+
+PING = Ping.of(1.0)
+
+
+def test_what_fits_passes_by_place_and_by_name():
+    assert listen(PING, "a", 3, {"a": 1}, [1.0], other=2) == 3
+    assert listen(ping=PING, path=Path("a"), gain=np.int64(31), names=None) == 31
+    assert listen.__doc__ == "Return the gain."
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"ping": 1.0}, "listen.ping: expected Ping, got 1"),
+        ({"path": b"a"}, "listen.path: expected Path or str, got b'a'"),
+        ({"gain": 32}, "listen.gain: expected a whole number from 0 to 31, got 32"),
+        ({"gain": "x"}, "listen.gain: expected a whole number from 0 to 31, got 'x'"),
+        ({"gain": True}, "listen.gain: expected a whole number from 0 to 31, got True"),
+        ({"names": [1]}, r"listen.names: expected Mapping or None, got \[1\]"),
+    ],
+)
+def test_what_does_not_fit_is_named(given, message):
+    with pytest.raises(SettingError, match=message):
+        listen(**{"ping": PING, "path": "a", **given})
+    by_place = {"ping": PING, "path": "a", "gain": 0, "names": None, **given}
+    with pytest.raises(SettingError, match=message):
+        listen(*by_place.values())
