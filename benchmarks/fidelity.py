@@ -31,8 +31,8 @@ from sonar_gym.sensing.sonar import SonarChoice
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 
 MODELS = ("ideal", "gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
-UNITS, STREETS, STEPS, STAND_PINGS = 16, 16, 130, 8
-DETECTION_UNITS = range(50, 56)  # counted from the first one
+UNITS, STREETS, STEPS, STAND_PINGS = 10, 12, 130, 8
+DETECTION_UNITS = range(50, 53)  # counted from the first one
 FIRST_UNIT, SEED = 301, 2_000_000  # serial numbers that no model was trained on; streets that no agent was trained on
 TEMPERATURE_C = (14.0, 26.0)  # of the survey
 MOVED_M = {"1 cm": (0.005, 0.015), "5 cm": (0.04, 0.06), "20 cm": (0.17, 0.23)}
