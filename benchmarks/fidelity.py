@@ -31,7 +31,11 @@ from sonar_gym.sensing.sonar import SonarChoice
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 
 MODELS = ("ideal", "gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
-UNITS, STREETS, STEPS, STAND_PINGS = 10, 12, 130, 8
+SIMPLE = ("ideal", "gaussian")  # hear the nearest face always
+ORACLE = (
+    ", faces as the rig"  # a model whose faces are chosen by the rig's detection, which shows the share of the choice
+)
+UNITS, STREETS, STEPS, STAND_PINGS = 40, 8, 130, 8
 DETECTION_UNITS = range(50, 53)  # counted from the first one
 FIRST_UNIT, SEED = 301, 2_000_000  # serial numbers that no model was trained on; streets that no agent was trained on
 TEMPERATURE_C = (14.0, 26.0)  # of the survey
@@ -255,10 +259,10 @@ def table(results: dict[str, dict[str, float | Floats]]) -> str:
 
 
 def _bars(results: dict[str, dict[str, float | Floats]], axes: Axes) -> None:
-    names = [name for name in results if name != "rig"]
+    names = [name for name in results if name != "rig" and ORACLE not in name]
     for k, name in enumerate(names):
         each, _ = ratio(np.asarray(results[name]["crps"]), np.asarray(results["rig"]["crps"]))
-        colour = SOFT if name in ("ideal", "gaussian") else (AFTER, BEFORE, INK)[k % 3]
+        colour = SOFT if name in SIMPLE else (AFTER, BEFORE, INK)[k % 3]
         axes.plot(range(len(each)), each, "o-", color=colour, alpha=0.5 + 0.1 * k, label=name)
     axes.axhline(1.0, color=INK, linewidth=1.0)
     axes.set_xticks(range(8), [mount.name for mount in LAYOUTS["eight"]], rotation=35, ha="right")
@@ -282,10 +286,14 @@ def main() -> None:
     parser.add_argument("--models", nargs="*", default=MODELS)
     options = parser.parse_args()
     course = actions()
-    rig = hear([rig_unit(k) for k in range(UNITS)], course, rig_detection())
+    detection = rig_detection()
+    rig = hear([rig_unit(k) for k in range(UNITS)], course, detection)
     results = {"rig": scores(rig, rig)}
     for name in options.models:
-        results[name] = scores(hear([load_model(name)] * UNITS, course), rig)
+        draws: list[SonarChoice] = [load_model(name)] * UNITS
+        results[name] = scores(hear(draws, course), rig)
+        if name not in SIMPLE:
+            results[f"{name}{ORACLE}"] = scores(hear(draws, course, detection), rig)
     print(table(results))
     options.figure.write_bytes(panels([partial(_bars, results), partial(_lags, results)], (12.0, 4.4)))
 

@@ -23,7 +23,7 @@ MAX_PATHS = MAX_OWN_PATHS + 2  # and those of other sonars' bursts
 MIN_DETECTION = 0.02  # a further path that is detected less often is not given to the law
 # Paths that are detected less often than this count as equal, and the nearest comes first: which of several faces that
 # are hardly ever detected is so most often would be decided by the errors of the table
-HARDLY = 0.1
+HARDLY = 0.5
 CERTAIN = 0.98  # a path detected more often hides all paths behind it: at most 1 in 50 of them would be read
 SAME_POINT = 1e-6  # m
 MIN_WIDTH = 1e-9  # tangent; narrower parts of a cone are empty
