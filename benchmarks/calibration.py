@@ -3,7 +3,8 @@
     python -m benchmarks.calibration
 
 Cars drive on streets that no table of credence was counted on. Of all echoes, the credence that was observed is
-compared with the share of right readings: within 10 % of the distance of the face that answered. Prints Markdown for
+compared with the share of right readings: within 10 % of the distance of the face that answered, or would have if the
+echo is that of another sonar's burst. Prints Markdown for
 docs/explanation/realism.md and writes docs/images/calibration.png.
 """
 
@@ -16,10 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.arrays import Floats
+from noise.law import CREDENCE_TOLERANCE
 from sonar_gym.parking.prior import DRIVERS, driver_of
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.sensing.mounts import LAYOUTS
-from sonar_gym.sensing.records import TARGET
+from sonar_gym.sensing.paths import DISTANCE, OBSTACLE
+from sonar_gym.sensing.records import RANGE
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 
 MODELS = ("gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
@@ -37,7 +40,9 @@ def outcomes(model: str, driver: str) -> Floats:
     for _ in range(STEPS):
         echo, credence = observation["echo"] == 1, observation["credence"].astype(np.float64)
         where = sonar[echo], np.minimum((BINS * credence[echo]).astype(np.int64), BINS - 1)
-        for sums, weight in zip(total, (1.0, credence[echo], shown.cause[echo] == TARGET), strict=True):
+        ping = shown.shown[echo]
+        near = np.abs(ping[:, RANGE] - ping[:, DISTANCE]) <= CREDENCE_TOLERANCE * ping[:, DISTANCE]
+        for sums, weight in zip(total, (1.0, credence[echo], near & (ping[:, OBSTACLE] >= 0.0)), strict=True):
             np.add.at(sums, where, weight)
         observation = envs.step(act(observation, np.flatnonzero(begun)))[0]
         begun = envs.fleet.worlds.steps == 0
