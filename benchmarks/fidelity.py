@@ -25,13 +25,18 @@ from noise.rig import SIMULATED, RigLaw, RigModel
 from sonar_gym.agent import drive_by_agent
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.sensing.detection import own_window
+from sonar_gym.sensing.detection import SHAPE, is_own_echo, nodes, own_window
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.sonar import SonarChoice
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
 
 MODELS = ("ideal", "gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
-UNITS, STREETS, STEPS, STAND_PINGS = 5, 8, 130, 8
+SIMPLE = ("ideal", "gaussian")  # hear the nearest face always
+ORACLE = (
+    ", faces as the rig"  # a model whose faces are chosen by the rig's detection, which shows the share of the choice
+)
+UNITS, STREETS, STEPS, STAND_PINGS = 40, 8, 130, 8
+DETECTION_UNITS = range(50, 53)  # counted from the first one
 FIRST_UNIT, SEED = 301, 2_000_000  # serial numbers that no model was trained on; streets that no agent was trained on
 TEMPERATURE_C = (14.0, 26.0)  # of the survey
 MOVED_M = {"1 cm": (0.005, 0.015), "5 cm": (0.04, 0.06), "20 cm": (0.17, 0.23)}
@@ -106,9 +111,21 @@ def actions() -> Floats:
     return np.array(out, dtype=np.float64)
 
 
-def drive(sonar: SonarChoice, course: Floats, draw: int) -> tuple[Floats, ...]:
+def rig_detection() -> Floats:
+    """Return how often the rig detects a reflector alone, see `detection_table`: the mean of units not used otherwise.
+
+    By it the faces that a unit of the rig hears are chosen; one draw of one unit would choose them by chance.
+    """
+    ping, units = nodes(MAX_RANGE, SHAPE), [rig_unit(k) for k in DETECTION_UNITS]
+    readings = [unit.law(ping).sample(np.random.default_rng(k)) for k, unit in zip(DETECTION_UNITS, units, strict=True)]
+    return np.mean([is_own_echo(ping.distance, reading) for reading in readings], axis=0).reshape(SHAPE)
+
+
+def drive(sonar: SonarChoice, course: Floats, draw: int, detection: Floats | None = None) -> tuple[Floats, ...]:
     """Return what the sonars read on one drive, and of standing cars; `draw` seeds the sonars alone."""
     envs, rows = make(sonar), []
+    if detection is not None:
+        envs.fleet.constants = envs.fleet.constants._replace(detection=detection)
     envs.reset(seed=SEED)
     reseed(envs, draw)
     envs.fleet.sensing.begin(np.arange(STREETS))  # new persisting errors
@@ -143,27 +160,46 @@ def readings(envs: SonarParkingVectorEnv) -> tuple[Floats, Bits]:
     return MAX_RANGE * observation["ranges"].astype(np.float64), observation["echo"] == 1
 
 
-def hear(sonars: list[SonarChoice], course: Floats) -> Heard:
+def hear(sonars: list[SonarChoice], course: Floats, detection: Floats | None = None) -> Heard:
     """Return the readings of several draws of a model, or of several units."""
-    columns = [np.array(column) for column in zip(*(drive(s, course, k) for k, s in enumerate(sonars)), strict=True)]
+    drives = (drive(sonar, course, k, detection) for k, sonar in enumerate(sonars))
+    columns = [np.array(column) for column in zip(*drives, strict=True)]
     return Heard(*columns[:5], columns[5][0], columns[6])
 
 
 def crps(forecast: Floats, observed: Floats, same: bool) -> Floats:
-    """Return the mean CRPS of an ensemble for each sonar, m, (s,): fair for its size (Ferro 2014).
+    """Return the CRPS of an ensemble for each unit, street and sonar, m, (u, n, s): fair for its size (Ferro 2014).
 
     Args:
         forecast: readings of k members, (k, t, n, s).
         observed: readings of u units, (u, t, n, s).
         same: whether the members are the units, so that each is scored by the others.
     """
+    between = np.array([np.abs(forecast - member).mean(axis=1) for member in forecast])  # (k, k, n, s)
+    k = len(forecast) - int(same)
     scores = []
     for u, truth in enumerate(observed):
-        members = np.delete(forecast, u, axis=0) if same else forecast[: len(observed) - 1]
-        k = len(members)
-        spread = np.abs(members[:, None] - members[None]).sum(axis=(0, 1)) / (k * (k - 1))
-        scores.append((np.abs(members - truth).mean(axis=0) - 0.5 * spread).mean(axis=(0, 1)))
-    return np.mean(scores, axis=0)
+        spread = between.sum(axis=(0, 1)) - (2.0 * between[u].sum(axis=0) if same else 0.0)
+        distance = between[u].sum(axis=0) if same else np.abs(forecast - truth).mean(axis=1).sum(axis=0)
+        scores.append(distance / k - 0.5 * spread / (k * (k - 1)))
+    return np.array(scores)
+
+
+def ratio(scores: Floats, base: Floats) -> tuple[Floats, Floats]:
+    """Return the ratio of mean CRPS and its standard error, jackknifed over units and over streets.
+
+    Args:
+        scores: of a model, (u, n, ...).
+        base: of the rig, (u, n, ...).
+    """
+    variance = 0.0
+    for axis in (0, 1):
+        left_out = [
+            np.delete(scores, i, axis).mean(axis=(0, 1)) / np.delete(base, i, axis).mean(axis=(0, 1))
+            for i in range(scores.shape[axis])
+        ]
+        variance = variance + (scores.shape[axis] - 1) * np.var(left_out, axis=0)
+    return scores.mean(axis=(0, 1)) / base.mean(axis=(0, 1)), np.sqrt(variance)
 
 
 def own_errors(heard: Heard) -> Floats:
@@ -205,10 +241,10 @@ def table(results: dict[str, dict[str, float | Floats]]) -> str:
         "| model | CRPS relative to rig-versus-rig: mean | " + " | ".join(names) + " |",
         "|---|---|" + "---|" * len(names),
     ]
-    for model, one in results.items():
-        each = np.asarray(one["crps"]) / np.asarray(base["crps"])
-        mean = float(np.mean(one["crps"]) / np.mean(base["crps"]))
-        lines.append(f"| {model} | {mean:.2f} | " + " | ".join(f"{ratio:.2f}" for ratio in each) + " |")
+    for model, one in list(results.items())[1:]:
+        every, reference = np.asarray(one["crps"]), np.asarray(base["crps"])
+        pairs = [ratio(every.mean(axis=2), reference.mean(axis=2)), *zip(*ratio(every, reference), strict=True)]
+        lines.append(f"| {model} | " + " | ".join(f"{value:.2f} ± {error:.2f}" for value, error in pairs) + " |")
     moved = " | ".join(f"autocorrelation after {name}" for name in MOVED_M)
     lines += [
         "",
@@ -223,11 +259,11 @@ def table(results: dict[str, dict[str, float | Floats]]) -> str:
 
 
 def _bars(results: dict[str, dict[str, float | Floats]], axes: Axes) -> None:
-    names = [name for name in results if name != "rig"]
+    names = [name for name in results if name != "rig" and ORACLE not in name]
     for k, name in enumerate(names):
-        ratio = np.asarray(results[name]["crps"]) / np.asarray(results["rig"]["crps"])
-        colour = SOFT if name in ("ideal", "gaussian") else (AFTER, BEFORE, INK)[k % 3]
-        axes.plot(range(len(ratio)), ratio, "o-", color=colour, alpha=0.5 + 0.1 * k, label=name)
+        each, _ = ratio(np.asarray(results[name]["crps"]), np.asarray(results["rig"]["crps"]))
+        colour = SOFT if name in SIMPLE else (AFTER, BEFORE, INK)[k % 3]
+        axes.plot(range(len(each)), each, "o-", color=colour, alpha=0.5 + 0.1 * k, label=name)
     axes.axhline(1.0, color=INK, linewidth=1.0)
     axes.set_xticks(range(8), [mount.name for mount in LAYOUTS["eight"]], rotation=35, ha="right")
     axes.set_title("CRPS relative to rig-versus-rig")
@@ -250,10 +286,14 @@ def main() -> None:
     parser.add_argument("--models", nargs="*", default=MODELS)
     options = parser.parse_args()
     course = actions()
-    rig = hear([rig_unit(k) for k in range(UNITS)], course)
+    detection = rig_detection()
+    rig = hear([rig_unit(k) for k in range(UNITS)], course, detection)
     results = {"rig": scores(rig, rig)}
     for name in options.models:
-        results[name] = scores(hear([load_model(name)] * UNITS, course), rig)
+        draws: list[SonarChoice] = [load_model(name)] * UNITS
+        results[name] = scores(hear(draws, course), rig)
+        if name not in SIMPLE:
+            results[f"{name}{ORACLE}"] = scores(hear(draws, course, detection), rig)
     print(table(results))
     options.figure.write_bytes(panels([partial(_bars, results), partial(_lags, results)], (12.0, 4.4)))
 

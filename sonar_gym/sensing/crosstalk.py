@@ -10,6 +10,7 @@ face outwards is blocked by the car.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,31 +44,16 @@ CLEAR = 1e-6  # part of a leg at its ends in which no other face blocks it
 
 
 @compiled
-def off_axis(x: float, y: float, pose: Floats) -> float:
-    """Return the angle of a point off the axis of a sonar, rad."""
-    return abs((math.atan2(y - pose[1], x - pose[0]) - pose[2] + math.pi) % (2.0 * math.pi) - math.pi)
-
-
-@compiled
-def in_front(x: float, y: float, pose: Floats, cosine: float, sine: float) -> bool:
-    """Return whether a point is within `MAX_BEARING` of the axis of a sonar, whose direction is given."""
-    dx, dy = x - pose[0], y - pose[1]
-    ahead = cosine * dx + sine * dy
-    return ahead > 0.0 and ahead * ahead >= MIN_COSINE2 * (dx * dx + dy * dy)
-
-
-@compiled
 def blocked(x1: float, y1: float, x2: float, y2: float, segments: Floats, own: int) -> bool:
     """Return whether a face other than `own` crosses the straight line between two points."""
     dx, dy = x2 - x1, y2 - y1
     for k in range(segments.shape[0]):
         ex, ey = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
+        ax, ay = segments[k, 0] - x1, segments[k, 1] - y1
         turn = dx * ey - dy * ex
-        if k == own or turn == 0.0:
-            continue
-        t = ((segments[k, 0] - x1) * ey - (segments[k, 1] - y1) * ex) / turn
-        u = ((segments[k, 0] - x1) * dy - (segments[k, 1] - y1) * dx) / turn
-        if CLEAR < t < 1.0 - CLEAR and 0.0 <= u <= 1.0:
+        sign, size = (1.0 if turn > 0.0 else -1.0), abs(turn)
+        t, u = sign * (ax * ey - ay * ex), sign * (ax * dy - ay * dx)  # along line and face, times `size`
+        if CLEAR * size < t < (1.0 - CLEAR) * size and 0.0 <= u <= size and k != own:
             return True
     return False
 
@@ -76,20 +62,59 @@ SIDE, FOOT, SEEN = range(3)  # columns of `views`
 N_VIEW = 3
 
 
+class Receivers(NamedTuple):
+    """What the s sonars of a car receive.
+
+    Attributes:
+        poses: poses of the sonars, (s, 3).
+        axes: cosine and sine of their headings, (s, 2).
+        fired: whether each has fired, (s,).
+        sent: time of its ping, s, (s,).
+        own: number of its own paths, (s,).
+        reach: distance of the nearest own path that hides all behind it, m, (s,).
+        best: how often its paths of other bursts are detected, 0 for none, (s, MAX_PATHS - MAX_OWN_PATHS); updated.
+        paths: paths of its ping, (s, MAX_PATHS, N_PATH); updated.
+        counts: number of these, (s,); updated.
+    """
+
+    poses: Floats
+    axes: Floats
+    fired: Bits
+    sent: Floats
+    own: Ints
+    reach: Floats
+    best: Floats
+    paths: Floats
+    counts: Ints
+
+
 @compiled
-def write_view(pose: Floats, cosine: float, sine: float, segment: Floats, view: Floats) -> None:
-    """Write how a sonar stands to a face: signed distance from its line, foot along it, m, and if it may see it."""
-    ax, ay = segment[0] - pose[0], segment[1] - pose[1]
-    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
-    x1, y1 = cosine * ax + sine * ay, cosine * ay - sine * ax
-    x2, y2 = x1 + cosine * ex + sine * ey, y1 + cosine * ey - sine * ex
+def write_view(pose: Floats, axis: Floats, segment: Floats, face: tuple[float, float, float], view: Floats) -> None:
+    """Write how a sonar stands to a face: signed distance from its line, foot along it, m, and if it may see it.
+
+    Args:
+        pose: pose of the sonar, (3,).
+        axis: cosine and sine of its heading, (2,).
+        segment: the face, m, (4,).
+        face: its direction and length, see `direction`.
+        view: written, (N_VIEW,).
+    """
+    ax, ay, bx, by = segment[0] - pose[0], segment[1] - pose[1], segment[2] - pose[0], segment[3] - pose[1]
+    x1, y1 = axis[0] * ax + axis[1] * ay, MIN_COSINE * (axis[0] * ay - axis[1] * ax)
+    x2, y2 = axis[0] * bx + axis[1] * by, MIN_COSINE * (axis[0] * by - axis[1] * bx)
     behind = x1 < 0.0 and x2 < 0.0
-    left = MAX_SINE * x1 < MIN_COSINE * y1 and MAX_SINE * x2 < MIN_COSINE * y2
-    right = MAX_SINE * x1 < -MIN_COSINE * y1 and MAX_SINE * x2 < -MIN_COSINE * y2
+    left = MAX_SINE * x1 < y1 and MAX_SINE * x2 < y2
+    right = MAX_SINE * x1 < -y1 and MAX_SINE * x2 < -y2
     view[SEEN] = 0.0 if behind or left or right else 1.0
-    if view[SEEN] > 0.0:
-        length = math.sqrt(ex * ex + ey * ey)
-        view[SIDE], view[FOOT] = (ey * ax - ex * ay) / length, -(ex * ax + ey * ay) / length
+    view[SIDE], view[FOOT] = face[1] * ax - face[0] * ay, -(face[0] * ax + face[1] * ay)
+
+
+@compiled
+def direction(segment: Floats) -> tuple[float, float, float]:
+    """Return the direction of a face as a unit vector, and its length, m."""
+    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
+    length = max(math.sqrt(ex * ex + ey * ey), 1e-12)
+    return ex / length, ey / length, length
 
 
 @compiled
@@ -105,43 +130,127 @@ def reach_of(paths: Floats, count: int, limit: float, table: Floats) -> float:
 
 
 @compiled
-def write_mirror(view_a: Floats, view_b: Floats, segment: Floats, out: Floats) -> bool:
-    """Write distance and point of the path from A by a face to B, if both see one side of it at a point on it."""
-    if view_a[SEEN] == 0.0 or view_a[SIDE] * view_b[SIDE] <= 0.0:
+def write_mirror(
+    a: Floats, b: Floats, segment: Floats, face: tuple[float, float, float], farthest: float, out: Floats
+) -> bool:
+    """Write distance and point of the path from A by a face to B; return whether there is one.
+
+    Args:
+        a: view of A, (N_VIEW,).
+        b: view of B; both must be on one side of the face.
+        segment: the face, m, (4,).
+        face: its direction and length, see `direction`.
+        farthest: greatest distance, m.
+        out: the path, (N_PATH,).
+    """
+    across = abs(a[SIDE] + b[SIDE])
+    if a[SEEN] == 0.0 or a[SIDE] * b[SIDE] <= 0.0 or across > 2.0 * farthest:
         return False
-    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
-    across, along = abs(view_a[SIDE] + view_b[SIDE]), view_b[FOOT] - view_a[FOOT]
-    size = math.sqrt(ex * ex + ey * ey)
-    t = (view_a[FOOT] + abs(view_a[SIDE]) / across * along) / size
+    along = b[FOOT] - a[FOOT]
+    t = a[FOOT] + abs(a[SIDE]) / across * along
+    if not 0.0 <= t <= face[2]:
+        return False
     out[DISTANCE] = 0.5 * math.sqrt(across * across + along * along)
-    out[X], out[Y] = segment[0] + t * ex, segment[1] + t * ey
-    return 0.0 <= t <= 1.0
+    out[X], out[Y] = segment[0] + t * face[0], segment[1] + t * face[1]
+    return out[DISTANCE] <= farthest
 
 
 @compiled
-def insert(row: Floats, often: float, paths: Floats, own_count: int, best: Floats) -> int:
-    """Insert a path of another burst before the last own one, in place of the weakest if there are too many.
+def off_axis(x: float, y: float, pose: Floats, axis: Floats) -> float:
+    """Return the angle of a point off the axis of a sonar, rad; infinite beyond `MAX_BEARING`."""
+    dx, dy = x - pose[0], y - pose[1]
+    ahead = axis[0] * dx + axis[1] * dy
+    if ahead <= 0.0 or ahead * ahead < MIN_COSINE2 * (dx * dx + dy * dy):
+        return math.inf
+    return math.atan2(abs(axis[0] * dy - axis[1] * dx), ahead)
+
+
+@compiled
+def level(r: Receivers, a: int, b: int, reflectance: float, limit: float, table: Floats, out: Floats) -> float:
+    """Write the conditions of the path at `out` as those of an own echo; return how often it is detected."""
+    theta_b = off_axis(out[X], out[Y], r.poses[b], r.axes[b])
+    if math.isinf(theta_b):
+        return 0.0
+    theta_a = off_axis(out[X], out[Y], r.poses[a], r.axes[a])
+    if math.isinf(theta_a):
+        return 0.0
+    out[BEARING], out[REFLECTANCE] = math.sqrt(0.5 * (theta_a * theta_a + theta_b * theta_b)), reflectance
+    return detection(table, limit, out[DISTANCE], out[BEARING], 0.0, reflectance)
+
+
+@compiled
+def takes(r: Receivers, b: int, distance: float, often: float) -> bool:
+    """Return whether a sonar's ping has room for a path of another burst: not hidden, and not weaker than those it has.
 
     Args:
-        row: the path.
-        often: how often it is detected.
-        paths: paths of the ping.
-        own_count: number of its own paths.
-        best: how often those of other bursts are detected, 0 for none; updated.
-
-    Returns:
-        The number of paths added.
+        r: the sonars.
+        b: number of the sonar.
+        distance: distance that it would read, m.
+        often: how often the path is detected.
     """
-    weakest = int(np.argmin(best))
-    added = int(best[weakest] == 0.0)
-    if added:  # the own path that is detected most often stays last
-        count = own_count + int(np.sum(best > 0.0))
+    weakest = math.inf
+    for k in range(r.best.shape[1]):
+        weakest = min(weakest, r.best[b, k])
+    return 0.0 < distance <= r.reach[b] and often > weakest
+
+
+@compiled
+def insert(r: Receivers, b: int, row: Floats, often: float) -> None:
+    """Insert a path of another burst before the last own one, in place of the weakest if there are too many."""
+    best, paths, weakest, held = r.best[b], r.paths[b], 0, 0
+    for k in range(best.shape[0]):
+        held += int(best[k] > 0.0)
+        weakest = k if best[k] < best[weakest] else weakest
+    if best[weakest] == 0.0:  # the own path that is detected most often stays last
+        count = r.own[b] + held
         paths[count] = paths[count - 1]
         paths[count - 1] = row
+        r.counts[b] += 1
     else:
-        paths[own_count - 1 + weakest] = row
+        paths[r.own[b] - 1 + weakest] = row
     best[weakest] = often
-    return added
+
+
+@compiled
+def receivers(
+    poses: Floats, fired: Bits, sent: Floats, limit: float, table: Floats, paths: Floats, counts: Ints
+) -> Receivers:
+    """Return what the sonars of a car receive before the bursts of others are added; see `add_crosstalk`."""
+    count = poses.shape[0]
+    r = Receivers(
+        poses, np.empty((count, 2)), fired, sent, counts.copy(), np.zeros(count),
+        np.zeros((count, MAX_PATHS - MAX_OWN_PATHS)), paths, counts,
+    )  # fmt: skip
+    for s in range(count):
+        r.axes[s, 0], r.axes[s, 1] = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        if fired[s]:
+            r.reach[s] = reach_of(paths[s], counts[s], limit, table)
+    return r
+
+
+@compiled
+def add_pair(
+    r: Receivers, a: int, b: int, k: int, segments: Floats, surface: Floats, limit: float, table: Floats, row: Floats
+) -> None:
+    """Add the path at `row` between sonars A and B by face k, which is the same in both directions, to both pings."""
+    shift = 0.5 * SOUND_SPEED * (r.sent[a] - r.sent[b])  # of what B reads; A reads the opposite
+    to_b, to_a, certain = row[DISTANCE] + shift, row[DISTANCE] - shift, 1.0
+    if not (takes(r, b, to_b, certain) or takes(r, a, to_a, certain)):
+        return
+    often = level(r, a, b, surface[k, 0], limit, table, row)
+    b_takes, a_takes = takes(r, b, to_b, often), takes(r, a, to_a, often)
+    if often < MIN_DETECTION or not (b_takes or a_takes):
+        return
+    for s in (a, b):
+        if blocked(r.poses[s, 0], r.poses[s, 1], row[X], row[Y], segments, k):
+            return
+    row[TEXTURE] = surface[k, 1]
+    if b_takes:
+        row[FACE], row[SHIFT], row[SOURCE] = FACE_STRIDE * (a + 1) + k, shift, a + 1.0
+        insert(r, b, row, often)
+    if a_takes:
+        row[FACE], row[SHIFT], row[SOURCE] = FACE_STRIDE * (b + 1) + k, -shift, b + 1.0
+        insert(r, a, row, often)
 
 
 @compiled
@@ -171,47 +280,18 @@ def add_crosstalk(
         paths: paths of the pings, (s, MAX_PATHS, N_PATH).
         counts: number of paths, (s,).
     """
-    count, faces = poses.shape[0], segments.shape[0]
-    views, row = np.empty((count, faces, N_VIEW)), np.zeros(N_PATH)
-    axes, best = np.empty((count, 2)), np.empty(MAX_PATHS - MAX_OWN_PATHS)
-    for s in range(count):
-        axes[s, 0], axes[s, 1] = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        for k in range(faces):
-            write_view(poses[s], axes[s, 0], axes[s, 1], segments[k], views[s, k])
-    for b in range(count):
-        if not fired[b]:
-            continue
-        best[:] = 0.0
-        own_count, reach = counts[b], reach_of(paths[b], counts[b], limit, table)
-        for k in range(faces):
-            if views[b, k, SEEN] == 0.0:
+    r, row = receivers(poses, fired, sent, limit, table, paths, counts), np.zeros(N_PATH)
+    views, late = np.empty((poses.shape[0], N_VIEW)), 0.5 * SOUND_SPEED * (sent.max() - sent.min())
+    for k in range(segments.shape[0]):
+        row[OBSTACLE], face = owner[k], direction(segments[k])
+        for b in range(poses.shape[0]):
+            views[b, SEEN] = 0.0
+            if not fired[b]:
                 continue
-            for a in range(count):
-                shift = 0.5 * SOUND_SPEED * (sent[a] - sent[b])
-                if a == b or not fired[a] or not write_mirror(views[a, k], views[b, k], segments[k], row):
-                    continue
-                if row[DISTANCE] > limit or not 0.0 < row[DISTANCE] + shift <= reach:
-                    continue
-                often = level(poses, axes, a, b, surface[k, 0], limit, table, row)
-                if often < MIN_DETECTION or often <= best.min():
-                    continue
-                if blocked(poses[a, 0], poses[a, 1], row[X], row[Y], segments, k) or blocked(
-                    poses[b, 0], poses[b, 1], row[X], row[Y], segments, k
-                ):
-                    continue
-                row[OBSTACLE], row[FACE], row[TEXTURE] = owner[k], FACE_STRIDE * (a + 1) + k, surface[k, 1]
-                row[SHIFT], row[SOURCE] = shift, a + 1.0
-                counts[b] += insert(row, often, paths[b], own_count, best)
-
-
-@compiled
-def level(
-    poses: Floats, axes: Floats, a: int, b: int, reflectance: float, limit: float, table: Floats, out: Floats
-) -> float:
-    """Write the conditions of the path at `out` as those of an own echo; return how often it is detected."""
-    x, y = out[X], out[Y]
-    if not (in_front(x, y, poses[b], axes[b, 0], axes[b, 1]) and in_front(x, y, poses[a], axes[a, 0], axes[a, 1])):
-        return 0.0
-    theta_a, theta_b = off_axis(x, y, poses[a]), off_axis(x, y, poses[b])
-    out[BEARING], out[REFLECTANCE] = math.sqrt(0.5 * (theta_a * theta_a + theta_b * theta_b)), reflectance
-    return detection(table, limit, out[DISTANCE], out[BEARING], 0.0, reflectance)
+            write_view(poses[b], r.axes[b], segments[k], face, views[b])
+            if views[b, SEEN] == 0.0:
+                continue
+            for a in range(b):
+                farthest = min(max(r.reach[a], r.reach[b]) + late, limit)
+                if write_mirror(views[a], views[b], segments[k], face, farthest, row):
+                    add_pair(r, a, b, k, segments, surface, limit, table, row)

@@ -6,6 +6,7 @@ no evaluation of a law. The probabilities of the readings themselves always come
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from functools import lru_cache
 from typing import Any, cast
@@ -17,8 +18,8 @@ from acquisition.arrays import Bits, Floats
 from noise import SonarModel, listener
 from sonar_gym.compiled import compiled
 
-SHAPE = (24, 9, 13, 5)  # nodes of distance, bearing, incidence, reflectance
-SAMPLED_SHAPE = (12, 5, 7, 3)  # for a model that can only be sampled, which takes long
+SHAPE = (24, 17, 18, 6)  # nodes of distance, bearing, incidence, root of reflectance
+SAMPLED_SHAPE = (12, 7, 9, 4)  # for a model that can only be sampled, which takes long
 MAX_BEARING = np.radians(60.0)
 MAX_INCIDENCE = np.radians(85.0)  # greatest in the survey of the learned laws
 NEAREST = 0.01  # nearest node relative to the farthest
@@ -33,7 +34,8 @@ def detection_table(model: SonarModel, far: float) -> Floats:
     """Return the probabilities that a reflector alone in the cone returns an echo of its own, in four dimensions.
 
     The nodes are uniform: distances up to `far` m, bearings within +-`MAX_BEARING`, incidences up to `MAX_INCIDENCE`,
-    reflectances from 0 to 1. The table is computed once per model and distance.
+    square roots of reflectances from 0 to 1, which are denser where detection changes most. The table is computed once
+    per model and distance.
     """
     return _detection_table(cast(Hashable, model), far)
 
@@ -41,14 +43,15 @@ def detection_table(model: SonarModel, far: float) -> Floats:
 @lru_cache(maxsize=16)
 def _detection_table(model: Any, far: float) -> Floats:
     shape = SHAPE if listener(model).law(Ping.of(1.0)).has_probabilities else SAMPLED_SHAPE
-    return _own_echo(model, _nodes(far, shape)).reshape(shape)
+    return _own_echo(model, nodes(far, shape)).reshape(shape)
 
 
-def _nodes(far: float, shape: tuple[int, ...]) -> Ping:
+def nodes(far: float, shape: tuple[int, ...]) -> Ping:
+    """Return the nodes of a table as pings, up to a distance of `far` m."""
     axes = (NEAREST * far, far), (-MAX_BEARING, MAX_BEARING), (0.0, MAX_INCIDENCE), (0.0, 1.0)
     grid = np.meshgrid(*(np.linspace(*ends, n) for ends, n in zip(axes, shape, strict=True)), indexing="ij")
-    distance, bearing, incidence, reflectance = (axis.ravel() for axis in grid)
-    return Ping.of(distance, bearing, incidence, reflectance, time=0.0, run=np.arange(distance.size))
+    distance, bearing, incidence, root = (axis.ravel() for axis in grid)
+    return Ping.of(distance, bearing, incidence, root**2, time=0.0, run=np.arange(distance.size))
 
 
 def has_beam(table: Floats) -> bool:
@@ -91,7 +94,7 @@ def detection(
     i, a = node_below(distance, NEAREST * far, far, table.shape[0])
     j, b = node_below(bearing, -MAX_BEARING, MAX_BEARING, table.shape[1])
     k, c = node_below(incidence, 0.0, MAX_INCIDENCE, table.shape[2])
-    m, d = node_below(reflectance, 0.0, 1.0, table.shape[3])
+    m, d = node_below(math.sqrt(reflectance), 0.0, 1.0, table.shape[3])
     total = 0.0
     for p in range(2):
         for q in range(2):

@@ -21,6 +21,9 @@ N_PATH = 11
 MAX_OWN_PATHS = 4  # paths of the own burst given to a law at one ping, those detected most often
 MAX_PATHS = MAX_OWN_PATHS + 2  # and those of other sonars' bursts
 MIN_DETECTION = 0.02  # a further path that is detected less often is not given to the law
+# Paths that are detected less often than this count as equal, and the nearest comes first: which of several faces that
+# are hardly ever detected is so most often would be decided by the errors of the table
+HARDLY = 0.5
 CERTAIN = 0.98  # a path detected more often hides all paths behind it: at most 1 in 50 of them would be read
 SAME_POINT = 1e-6  # m
 MIN_WIDTH = 1e-9  # tangent; narrower parts of a cone are empty
@@ -177,8 +180,11 @@ def select_paths(found: Floats, count: int, table: Floats, limit: float, out: Fl
                 continue
             if (
                 best == NO_HIT
-                or expected[k] > expected[best]
-                or (expected[k] == expected[best] and found[k, DISTANCE] < found[best, DISTANCE])
+                or max(expected[k], HARDLY) > max(expected[best], HARDLY)
+                or (
+                    max(expected[k], HARDLY) == max(expected[best], HARDLY)
+                    and found[k, DISTANCE] < found[best, DISTANCE]
+                )
             ):
                 best = k
         if best == NO_HIT:

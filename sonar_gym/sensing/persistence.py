@@ -51,15 +51,16 @@ def latents(paths: Floats, keys: Ints, lasting: float, length: float) -> Floats:
         along, aside, turn = path[DISTANCE], path[DISTANCE] * path[BEARING], path[DISTANCE] * path[INCIDENCE]
         # facets of slope t shift the paths by up to 2 t per metre: the pattern repeats within a quarter wavelength
         rough = 4.0 * math.sin(path[TEXTURE]) / WAVELENGTH_M
-        for latent in range(LATENTS):
-            total = 0.0
-            for wave in range(WAVES):
-                bits = mixed(seed + np.uint64(8 + latent * WAVES + wave))
-                vector, scale = _VECTORS[int(bits & np.uint64(63))], _SCALES[wave]
-                phase = (vector[0] * along + vector[1] * aside + vector[2] * turn) / (length * scale)
+        for wave in range(WAVES):
+            bits = mixed(seed + np.uint64(8 + wave))
+            vector, scale = _VECTORS[int(bits & np.uint64(63))], _SCALES[wave]
+            phase = (vector[0] * along + vector[1] * aside + vector[2] * turn) / (length * scale)
+            if rough > 0.0:
                 phase += rough * (vector[3] * path[X] + vector[4] * path[Y]) * scale
-                total += math.cos(phase + _TWO_PI * to_unit(bits))
-            out[latent, i] += moving * total
+            phase += _TWO_PI * to_unit(bits)
+            # a wave and the same a quarter of a period on are uncorrelated
+            out[0, i] += moving * math.cos(phase)
+            out[1, i] += moving * math.sin(phase)
     return out
 
 
