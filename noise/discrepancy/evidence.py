@@ -24,7 +24,6 @@ class Evidence:
         prior: log prior of its size, nats, at most 0.
         p_before: p-value of the test of the simulation's law.
         p_after: p-value of the test of the corrected law.
-        p_aspect: p-value of the same test in the aspect that the effect explains.
         n_effects: number of selected effects.
         catch_all: whether it is an effect that many others resemble.
     """
@@ -39,7 +38,6 @@ class Evidence:
     prior: float
     p_before: float
     p_after: float
-    p_aspect: float
     n_effects: int
     catch_all: bool
 
@@ -47,11 +45,11 @@ class Evidence:
         """Return the features of the decision model.
 
         They are few, because wrong causes are few in an ensemble: how well the gain repeats itself from visit to visit,
-        on a scale that tells 2 standard errors from 4 and not 40 from 42, and whether it leaves anything of its kind.
+        on a scale that tells 2 standard errors from 4 and not 40 from 42, and what nothing explains.
         """
         t = self.gain / self.gain_error if self.gain_error > 0.0 else 0.0
-        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log(self.p_aspect)])
+        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), self.rest])
 
 
 MAX_T = 1e3  # standard errors; keeps the feature finite
-FEATURES = ("log_t", "log_p_aspect")
+FEATURES = ("log_t", "rest")

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from acquisition.arrays import Floats
 from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.shares import Rest, Shares, shares
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested
-from noise.discrepancy.locate.scores import ASPECTS
 from noise.discrepancy.name.alternatives import Place, place_of
 from noise.discrepancy.name.candidates import log_prior
 from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
@@ -84,31 +82,12 @@ class Judgement:
         self.final = conclude(self.search, self.found)
         self.after = self.test(self.final.stack)
 
-    def p_of_aspect(self, name: str) -> float:
-        """Return the p-value of what is left in the aspect that an effect explains most of.
-
-        An effect that stands for something else takes away a part of a difference, and leaves that it varies.
-        """
-        common, stack = self.search.common, self.final.stack
-        keys = [(name, p.name) for p in common.known[name].parameters]
-        without = self.test(stack.put(keys, [common.get(key) for key in keys]))
-        explained = _greatest(without) - _greatest(self.after)
-        if np.isnan(explained).all():
-            return self.after.p_value.value
-        return self.after.by_aspect[ASPECTS[int(np.nanargmax(explained))]].value
-
     def with_effects(self, effects: Sequence[str]) -> Judgement:
         """Return the judgement of the hypothesis with some of its effects."""
         found = self.found
         for name in [each for each in found.effects if each not in effects]:
             found = self.search.left_out(found, name)
         return self if found is self.found else Judgement(self.search, self.test, found)
-
-
-def _greatest(tested: Tested) -> Floats:
-    """Return the greatest |z| of each aspect, nan where nothing can be tested, (A,)."""
-    known = np.isfinite(tested.z).any(axis=1)
-    return np.where(known, np.max(np.abs(np.nan_to_num(tested.z)), axis=1), np.nan)
 
 
 def is_left(tested: Tested) -> bool:
@@ -192,7 +171,6 @@ def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PVal
         prior=float(np.mean([log_prior(stack, search.common, [name]) for stack in found.stacks])),
         p_before=before.value,
         p_after=selected.after.p_value.value,
-        p_aspect=selected.p_of_aspect(name),
         n_effects=len(found.effects),
         catch_all=search.common.known[name].by_ping,
     )
