@@ -6,7 +6,7 @@ import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Annotated
 
 import numpy as np
@@ -80,6 +80,17 @@ class Data:
     def rng(self, purpose: str) -> np.random.Generator:
         """Return the generator of a purpose; the same seed and purpose give the same numbers."""
         return stream(self.seed, purpose)
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        """The user's simulation, as what corrections are measured against."""
+        base = self.baseline
+        return Simulation(base.before, base.readings if isinstance(base.before, AnalogueForest) else None)
+
+    @cached_property
+    def forest(self) -> AnalogueForest:
+        """The readings of both folds as a law."""
+        return AnalogueForest.of(self.folds.both, self.rng("forest"))
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
@@ -235,18 +246,11 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     options = [] if causes_only is None else [causes_only]
     if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
         options.append(offered(judged.learned.stack, recorded))
-    unseen, before = data.folds.unseen, simulation_of(data.baseline)
-    forest = AnalogueForest.of(data.folds.both, data.rng("forest"))
-    best = best_of(options, forest, unseen)
+    unseen, before = data.folds.unseen, data.simulation
+    best = best_of(options, data.forest, unseen)
     if gains(best, before, unseen):
         return causes_only, best
-    return causes_only, forest if forest_gains(before, data.batch, data.rng("out of bag")) else None
-
-
-def simulation_of(baseline: Baseline) -> Simulation:
-    """Return the user's simulation as what corrections are measured against."""
-    from_readings = isinstance(baseline.before, AnalogueForest)
-    return Simulation(baseline.before, baseline.readings if from_readings else None)
+    return causes_only, data.forest if forest_gains(before, data.batch, data.rng("out of bag")) else None
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:
@@ -268,9 +272,7 @@ def _diagnosis(
     places: Sequence[Place],
 ) -> Diagnosis:
     base, folds = data.baseline, data.folds
-    scores = held_out(
-        simulation_of(base), base.emulator, corrected or base.before, folds.both, folds.unseen, data.rng("forest")
-    )
+    scores = held_out(data.simulation, base.emulator, corrected or base.before, data.forest, folds.unseen)
     verdict = Verdict(
         kind,
         summary_of(kind, [cause for cause in causes if cause.believed], where, rest, visible, len(data.batch)),

@@ -44,7 +44,7 @@ class Sensitivity(Effect):
             0.0,
             0.0,
             80.0,
-            "SRF08 gain table; units differ by 6 dB",
+            "SRF08 gain table; units differ by 3 to 6 dB",
             (30.0, 40.0, 50.0),
             typical=6.0,
         ),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.forest import MAX_PINGS, AnalogueForest, crossed_crps, floored_log_prob
+from noise.discrepancy.baseline.forest import MAX_PINGS, crossed_crps, floored_log_prob
 from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.hypothesis import standard_error
@@ -113,9 +113,8 @@ def held_out(
     before: Simulation,
     emulator: SonarModel,
     after: SonarModel,
-    seen: Batch,
+    itself: SonarModel,
     unseen: Batch,
-    rng: np.random.Generator,
 ) -> HeldOut:
     """Return the scores on unseen visits.
 
@@ -123,9 +122,8 @@ def held_out(
         before: the user's own simulation.
         emulator: law that describes it.
         after: the corrected model.
-        seen: the recording's other visits, whose readings show how well it repeats itself.
+        itself: the recording's other visits as a law, which shows how well it repeats itself.
         unseen: readings to score.
-        rng: grows the forest of the other visits.
     """
     models = (before.model, emulator, after)
     nats = [log_score(model, unseen) for model in models]
@@ -136,5 +134,4 @@ def held_out(
     gain = unseen.visit_sums(nats[2] - nats[0])
     mean, error = float(gain.sum()) / len(unseen), Z * standard_error(gain) / len(unseen)
     gained = Interval(mean, mean - error, mean + error, "nats")
-    itself = crps(AnalogueForest.of(seen, rng), unseen)
-    return HeldOut(len(unseen), unseen.n_visits, scores[0], scores[1], scores[2], itself, gained)
+    return HeldOut(len(unseen), unseen.n_visits, scores[0], scores[1], scores[2], crps(itself, unseen), gained)

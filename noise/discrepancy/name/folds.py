@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 
 from acquisition.arrays import Bits, Floats
-from noise.discrepancy.locate.sample import positions
+from noise.discrepancy.locate.sample import MIN_CLUSTERS, positions
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
-MIN_CONDITIONS = 12  # half of fewer tell nothing of a scatter between conditions
 DEAL = np.array([0, 0, 1, 1, 2])  # of every five neighbouring conditions: two in each fold, one unseen; chosen here
 
 
@@ -55,7 +54,7 @@ class Folds:
 
     def divided(self, batch: Batch) -> tuple[Batch, ...]:
         """Return the pings of a batch in each fold; in one part where a fold would hold too few conditions."""
-        if len(np.unique(batch.condition)) < MIN_CONDITIONS:
+        if len(np.unique(batch.condition)) < MIN_CLUSTERS:
             return (batch,)
         first = self.in_first(batch)
         return batch.select(first), batch.select(~first)

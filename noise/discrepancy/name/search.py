@@ -37,7 +37,7 @@ from noise.fitting.starts import nuisance_starts
 SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2000, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
-N_SCREENED, N_CROSSED = 6, 6  # candidates that are fitted, and cross-fitted, in a round
+N_SCREENED = 6  # candidates that are fitted, and cross-fitted unless they are far behind, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
@@ -92,9 +92,8 @@ class Search:
 
     def _familiar(self, common: Stack) -> Stack:
         """Return the law of the simulation with its nuisance parameters as the expectation for the recording."""
-        return (
-            common if self.simulated is None else replace(common, familiar={key: common.get(key) for key in NUISANCES})
-        )
+        known = {} if self.simulated is None else {key: common.get(key) for key in NUISANCES}
+        return replace(common, familiar=known)
 
     @property
     def nuisances(self) -> tuple[Key, ...]:
@@ -268,7 +267,7 @@ class Search:
             if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
         best_names = sorted(fits, key=lambda name: -fits[name].nats - log_prior(fits[name].stack, self.common, [name]))
-        near = self._near(best_names, fits)[:N_CROSSED]
+        near = self._near(best_names, fits)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
 
     def _refined(self, start: Stack, current: Hypothesis, name: str, iterations: int) -> Fit:

@@ -140,3 +140,15 @@ def test_a_refit_that_loses_an_effect_is_rejected():
     joint = Fit(found, (), 0.0)
     # there are no outliers, so that the probability of the refit is zero
     assert refit_without_urn(joint, (("spike", "probability"),), batch) is joint
+
+
+def test_nuisances_are_expected_where_another_recording_has_them_and_effects_are_not():
+    keys = (("visits", "placement_m"), ("clock_scale", "error"))
+    stack = replace(Stack.of(PhysicalModel()), familiar={keys[0]: 0.003})
+
+    def prior(placement, error):
+        return float(stack.log_prior(keys, torch.tensor([placement, error], dtype=torch.float64)))
+
+    assert prior(0.003, 0.0) == 0.0
+    assert prior(0.03, 0.0) < prior(0.01, 0.0) < 0.0
+    assert prior(0.01, 0.02) == prior(0.01, 0.0)

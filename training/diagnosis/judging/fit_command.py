@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +60,9 @@ def main(args: Args) -> None:
     tasks = trials(families, KINDS, args.n, args.seed, args.pings)
     records = run(tasks, args.out, args.workers) if args.n else read(args.out)
     model, card, bins = fitted([r for r in records if r["family"] in families and r["kind"] in KINDS])
-    card |= {"command": f"sonar-gym {shlex.join(sys.argv[1:])}", "commit": version}
+    # places of this machine are nobody else's
+    command = f"sonar-gym fit-decision --n {args.n} --pings {args.pings} --seed {args.seed}"
+    card |= {"command": command, "commit": version}
     args.weights.write_text(json.dumps({"model": model.to_dict(), "card": card}, indent=1) + "\n", encoding="utf-8")
     args.picture.parent.mkdir(parents=True, exist_ok=True)
     args.picture.write_bytes(panels([lambda axes: draw(axes, bins)], (4.6, 4.2)))

@@ -7,7 +7,7 @@ import torch
 from noise.discrepancy.name.alternatives import place_of, weights
 from noise.discrepancy.name.candidates import at_bound, resolved_periods, sampled_bounds, shows, with_sampled_bounds
 from noise.discrepancy.name.estimates import conclude, intervals
-from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
@@ -124,3 +124,21 @@ def test_ring_down_with_its_least_decay_explains_nothing():
     decay = next(p for p in CATALOGUE["ring_down"].parameters if p.name == "decay_m")
     assert at_bound(base.at({**values, ("ring_down", "decay_m"): decay.low}), base, "ring_down", batch)
     assert not at_bound(base.at({**values, ("ring_down", "decay_m"): 0.05}), base, "ring_down", batch)
+
+
+def test_few_conditions_are_one_part_and_each_parameter_costs_what_it_gains_by_chance():
+    few, many = search_of({}, visits=11), search_of({}, visits=40)
+    assert (len(few.parts), len(many.parts)) == (1, 2)
+    assert len(few.parts[0]) == len(few.joined)
+    stack = few.null().stacks[0]
+    costs = [few.scored(effects, [stack]).prior for effects in ((), ("zero_offset",))]
+    assert costs[0] == 0.0
+    assert np.isclose(costs[1], -0.5 * np.log(few.joined.n_visits))
+
+
+def test_an_error_that_the_simulation_has_at_the_same_position_is_expected():
+    recorded, simulated = batch_of(seed=3), batch_of({"zero_offset": {"offset_m": 0.02}}, seed=3)
+    known = with_simulated_offset(recorded, law_of(), simulated).simulated_offset
+    assert np.nanmedian(known) == pytest.approx(0.02, abs=0.003)
+    elsewhere = with_simulated_offset(recorded, law_of(), batch_of(seed=4)).simulated_offset
+    assert np.isnan(elsewhere).all()

@@ -1,0 +1,34 @@
+"""Corrections are measured against the simulation's own readings, with a library's score."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scoringrules import crps_ensemble
+
+from noise.discrepancy.judge.held_out import Simulation, fair_crps
+from tests.noise.discrepancy.made import batch_of, model_of
+
+METRES = st.floats(0.0, 11.0)
+
+
+@given(arrays(float, 5, elements=METRES), arrays(float, st.integers(2, 12), elements=METRES))
+def test_the_score_of_an_ensemble_is_that_of_the_library(value, members):
+    expected = crps_ensemble(value, np.tile(members, (len(value), 1)), estimator="fair")
+    np.testing.assert_allclose(fair_crps(value, members), expected, atol=1e-9)
+
+
+def test_a_wrong_model_of_a_simulation_does_not_speak_for_it_where_its_readings_do():
+    loud = {"sensitivity": {"loss_db": 0.0}}  # no silence, which would count metres
+    readings = batch_of(loud, seed=1)
+    wrong = model_of({**loud, "zero_offset": {"offset_m": 0.09}})
+    of_model = Simulation(wrong, None).crps_of_each(readings)
+    of_readings = Simulation(wrong, readings).crps_of_each(readings)
+    assert of_readings.mean() < 0.1 * of_model.mean()
+
+
+def test_a_model_speaks_for_a_simulation_where_it_has_no_readings():
+    recorded, elsewhere = batch_of({}, seed=1), batch_of({}, seed=2)
+    model = model_of()
+    alone = Simulation(model, None).crps_of_each(recorded)
+    np.testing.assert_array_equal(Simulation(model, elsewhere).crps_of_each(recorded), alone)
