@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +127,16 @@ class Effect(ABC):
                 hint = near(name, known)
                 raise UnknownFieldError(f"{self.name} has no parameter {name!r}; it has {', '.join(known)}{hint}")
             _check_bounds(self.name, known[name], value)
+        self._set(values)
+
+    @classmethod
+    def unchecked(cls, values: Mapping[str, float | Tensor]) -> Self:
+        """Return the effect with values that are known to lie within their bounds, as a fit has them."""
+        out = cls.__new__(cls)
+        out._set(values)
+        return out
+
+    def _set(self, values: Mapping[str, float | Tensor]) -> None:
         for p in self.parameters:
             setattr(self, p.name, number(values.get(p.name, p.null)))
 

@@ -60,12 +60,12 @@ class PreviousPing(Effect):
     def _since_last(self, state: State) -> tuple[Tensor, Tensor]:
         """Return the time since the last ping as range, m, and whether there was one, (n,) each."""
         c = state.conditions
-        if float(self.wait_m.detach()) > 0.0:
-            return c.past_range + self.wait_m, c.past_status == EchoStatus.ECHO
         interval = c.covariates.get(INTERVAL)
         if interval is None:
             interval = torch.full_like(c.distance, DEFAULT_INTERVAL_S)
-        return ASSUMED_SPEED * interval / 2.0, interval > 0
+        waits, gap = self.wait_m > 0.0, ASSUMED_SPEED * interval / 2.0
+        since = torch.where(waits, c.past_range + self.wait_m, gap)
+        return since, torch.where(waits, c.past_status == EchoStatus.ECHO, interval > 0)
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:

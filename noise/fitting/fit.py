@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 from acquisition import Recording
 from acquisition.arrays import Floats
 from noise.fitting.batch import Batch
+from noise.fitting.likelihood import likeliest, log_likelihood
 from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import nuisance_start
 from noise.fitting.visit_effects import law_of, log_prob
@@ -37,13 +38,6 @@ PROBABILITY_FACTORS = (1.0, 0.3, 0.1, 0.03)  # from a share of the new readings 
 MIN_URN_WEIGHT = 0.2  # above this, the readings of a visit repeat each other
 
 Scales = dict[Key, float]
-
-
-def log_likelihood(stack: Stack, batch: Batch) -> Floats:
-    """Return the prequential log probability of each reading, nats, (n,)."""
-    with torch.no_grad():
-        model, visits = stack.build()
-        return log_prob(law_of(model, batch), visits, batch).numpy()
 
 
 @dataclass(frozen=True)
@@ -275,7 +269,7 @@ def _likeliest_probability(stack: Stack, keys: Sequence[Key], batch: Batch) -> S
     """Return the stack with the probabilities of its effects multiplied by the likeliest of `PROBABILITY_FACTORS`."""
     probabilities = _probabilities(stack, keys)
     scaled = [stack.put(probabilities, [f * stack.get(key) for key in probabilities]) for f in PROBABILITY_FACTORS]
-    return max(scaled, key=lambda each: float(log_likelihood(each, batch).sum()))
+    return likeliest(scaled, batch)
 
 
 def _probabilities(stack: Stack, keys: Sequence[Key]) -> list[Key]:

@@ -34,6 +34,7 @@ SHARED = (
     LEVEL_SD,
     SIMULATION_CORRELATION,
 )
+STEPWISE = ("step_m", "unit_m")  # parameters that a law has no derivative in
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
 FAMILIAR_SD = float(np.log(2.0))  # of the ratio of a nuisance parameter in two recordings of one kind; chosen here
 
@@ -134,8 +135,8 @@ class Stack:
         for k, key in enumerate(keys):
             assert numbers is not None
             values.setdefault(key[0], {})[key[1]] = numbers[k]
-        visits = VisitEffects(**values.pop(VISITS, {}))
-        effects = [self.known[name](**inner) for name, inner in values.items()]
+        visits = VisitEffects.unchecked(values.pop(VISITS, {}))
+        effects = [self.known[name].unchecked(inner) for name, inner in values.items()]
         kind = EmpiricalModel if self.terms else PhysicalModel
         return kind([*effects, *self.terms], self.resolution, self.max_range), visits
 

@@ -180,25 +180,34 @@ def with_floor_and_urn(own: Tensor, visits: VisitEffects, batch: Batch, last_ste
     return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(visits.urn_weight * n_earlier)
 
 
-def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
+def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool) -> Tensor:
     """Return the probability of each reading under both banks, (banks, n), given the echoes before it in its visit."""
     banks = all_banks(law, visits, batch)
     echo, place = torch.from_numpy(batch.reading.echo), banks.echo_tensor(banks.step(batch.reading.range))
-    given_echo = place / torch.clamp(outcome_probability(banks, batch), min=MIN_PROBABILITY)
-    return torch.where(echo, given_echo, 1.0) * outcome_given_visit(law, visits, batch)
+    given_echo = place / torch.clamp(outcome_probability(banks, batch, exact), min=MIN_PROBABILITY)
+    return torch.where(echo, given_echo, 1.0) * outcome_given_visit(law, visits, batch, exact)
 
 
-def outcome_probability(law: PhysicalLaw, batch: Batch) -> Tensor:
-    """Return the probability of each ping's outcome, echo or no echo, under a law, (n,) or (banks, n)."""
+def outcome_probability(law: PhysicalLaw, batch: Batch, exact: bool = False) -> Tensor:
+    """Return the probability of each ping's outcome, echo or no echo, under a law, (n,) or (banks, n).
+
+    Args:
+        law: law of the pings.
+        batch: readings.
+        exact: whether the exact, slower form is used for every echo, not only where one is rare.
+    """
     echo, silent = torch.from_numpy(batch.reading.echo), law.no_echo_tensor()
-    return torch.where(echo, _echo_probability(law, silent, echo), silent)
+    likely = 1.0 - silent
+    if exact or bool((echo & (likely < RARE_ECHO)).any()):
+        likely = torch.where(likely < RARE_ECHO, law.any_echo_tensor(), likely)
+    return torch.where(echo, likely, silent)
 
 
-def outcome_given_visit(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
+def outcome_given_visit(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool = False) -> Tensor:
     """Return the probability of each ping's outcome, echo or no echo, given the earlier ones of its visit, (n,)."""
     sd = visits.level_sd_db
     if float(sd.detach()) == 0.0 and not sd.requires_grad:
-        return outcome_probability(law, batch)
+        return outcome_probability(law, batch, exact)
     silent = _silent_by_level(law, sd * LEVEL_NODES)
     always, never = torch.zeros_like(silent[:1]), torch.ones_like(silent[:1])
     silent = torch.cat([silent, always, never])
@@ -221,16 +230,16 @@ def _silent_by_level(law: PhysicalLaw, change_db: Tensor) -> Tensor:
     return heard + (missed - heard) * miss
 
 
-def _echo_probability(law: PhysicalLaw, silent: Tensor, echo: Tensor) -> Tensor:
-    """Return the probability of an echo for pings with one; the exact, slower form is used where it is rare."""
-    likely = 1.0 - silent
-    rare = echo & (likely < RARE_ECHO)
-    return torch.where(rare, law.any_echo_tensor(), likely) if bool(rare.any()) else likely
+def log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool = False) -> Tensor:
+    """Return the prequential log probability of each reading, nats, (n,), differentiable.
 
-
-def log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Tensor:
-    """Return the prequential log probability of each reading, nats, (n,), differentiable."""
-    own = _own(law, visits, batch)
+    Args:
+        law: law of a single ping.
+        visits: what the pings of a visit share.
+        batch: readings.
+        exact: whether no step depends on the values, as batched evaluation requires.
+    """
+    own = _own(law, visits, batch, exact)
     each = with_floor_and_urn(own, visits, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
 

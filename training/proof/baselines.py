@@ -19,7 +19,8 @@ from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.discrepancy.name.candidates import candidate_names, keys_of, with_sampled_bounds
 from noise.discrepancy.result import Diagnosis
 from noise.fitting.batch import Batch
-from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.fit import maximise
+from noise.fitting.likelihood import likeliest, log_likelihood
 from noise.fitting.stack import SPREAD, Stack
 from noise.fitting.starts import nuisance_start, starting_points
 from noise.law import EchoLaw
@@ -102,7 +103,7 @@ def independent_name(found: Diagnosis, rng: np.random.Generator) -> str:
     free = SPREAD[:2]
     null = maximise(nuisance_start(base, batch).without("visits"), free, batch, 20)
     starts = {
-        name: max(starting_points(null.stack, name, grid, rng, 2), key=lambda s: log_likelihood(s, grid).sum())
+        name: likeliest(starting_points(null.stack, name, grid, rng, 2), grid)
         for name in candidate_names(base, found.recorded, ())
     }
     near = sorted(starts, key=lambda name: -log_likelihood(starts[name], grid).sum())[:N_FITTED]

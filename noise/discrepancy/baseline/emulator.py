@@ -16,8 +16,9 @@ import numpy as np
 from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import highest, log_likelihood, maximise
+from noise.fitting.fit import highest, maximise
 from noise.fitting.learn_smooth import Learned, learn_smooth
+from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
 from noise.fitting.smooth import MEMORY, Empirical, Smooth
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import JITTER, NUISANCES, PLACEMENT, SHARED, SPREAD, VISITS, Key, Stack
@@ -128,7 +129,7 @@ def _with_other_reflector(stack: Stack, batch: Batch) -> list[Stack]:
     modes = [mode for mode in extra_modes(batch) if mode > 0.0]
     reflectors = [reflector for mode in modes for reflector in _reflectors(mode)]
     starts = [stack.at({**reflector, LOSS: loss}) for reflector in reflectors for loss in LOSSES_DB]
-    return [max(starts, key=lambda each: float(log_likelihood(each, batch).sum()))] if starts else []
+    return [likeliest(starts, batch)] if starts else []
 
 
 def _reflectors(length_m: float) -> tuple[dict[Key, float], dict[Key, float]]:
@@ -183,8 +184,8 @@ def screened(stack: Stack, names: Sequence[str], batch: Batch, rng: np.random.Ge
     now, out = float(log_likelihood(stack, batch).sum()), []
     for name in names:
         starts = starting_points(stack, name, batch, rng, DESIGN)
-        nats = [float(log_likelihood(start, batch).sum()) for start in starts]
-        out.append(Candidate(name, starts[int(np.argmax(nats))], max(nats) - now))
+        nats = log_likelihoods(starts, batch)
+        out.append(Candidate(name, starts[int(np.argmax(nats))], float(nats.max()) - now))
     return sorted((each for each in out if each.gain > 0.0), key=lambda each: -each.gain)
 
 

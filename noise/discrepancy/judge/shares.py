@@ -19,7 +19,7 @@ from noise.discrepancy.baseline.forest import crossed_log_prob
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import LEVEL, Interval
-from noise.fitting.fit import log_likelihood
+from noise.fitting.likelihood import log_likelihood
 
 N_BOOTSTRAP = 1000
 

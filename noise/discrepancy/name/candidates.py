@@ -9,14 +9,12 @@ import numpy as np
 
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
-from noise.fitting.stack import JITTER, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, SPREAD, STEPWISE, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
 DESIGN = 2  # quasi-random starting points of an effect, a power of two
-# discrete values without a derivative, whose bounds are those of the list of starts
 WIDTH = "spread_m"  # of the echoes of another reflector
-STEPWISE = ("step_m", "unit_m")
 
 
 def shows(effect: type[Effect], batch: Batch) -> bool:

@@ -29,7 +29,8 @@ from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Attempt, Hypothesis, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch, share_without_echo
-from noise.fitting.fit import Fit, Scales, highest, log_likelihood, maximise
+from noise.fitting.fit import Fit, Scales, highest, maximise
+from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
@@ -253,7 +254,7 @@ class Search:
         for name in self.names:
             if name not in current.effects:
                 starts = starts_of(stack, name, self.screen, self.parts[0], self.rng)
-                scored = [float(log_likelihood(each, self.screen).sum()) for each in starts]
+                scored = log_likelihoods(starts, self.screen)
                 best = np.argsort(scored)[::-1][:2]
                 # a second start is worth a fit where a few readings cannot tell it from the best
                 close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
@@ -377,7 +378,7 @@ class Search:
         What weakens an echo can silence it only near a threshold; one by one, neither would be found.
         """
         starts = starts_of(none.stacks[0], THRESHOLD, self.screen, self.parts[0], self.rng)
-        best = max(starts, key=lambda stack: float(log_likelihood(stack, self.screen).sum()))
+        best = likeliest(starts, self.screen)
         found = self.crossed(best, none, (THRESHOLD,), own_scatter=False)
         gain = found.nats - none.nats
         good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain))

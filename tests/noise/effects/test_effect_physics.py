@@ -15,7 +15,8 @@ from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_spe
 from noise.effects.mounting import directivity
 from noise.effects.receiver import HALF_WAVE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import best_of, log_likelihood
+from noise.fitting.fit import best_of
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import Stack
 from noise.fitting.starts import starting_points
 from noise.physical import PhysicalModel

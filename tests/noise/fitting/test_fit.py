@@ -9,7 +9,8 @@ import torch
 from acquisition import Ping, Reading, Recording
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import Fit, Objective, covariance, fit, log_likelihood, maximise, refit_without_urn
+from noise.fitting.fit import Fit, Objective, covariance, fit, maximise, refit_without_urn
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import NUISANCES, Stack
 from noise.fitting.starts import extra_modes, nuisance_start, starting_points
 from noise.physical import PhysicalModel

@@ -12,8 +12,9 @@ from noise.effects import CATALOGUE
 from noise.effects.state import Conditions
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel, PlacementScatter
-from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.fit import maximise
 from noise.fitting.learn_smooth import learn_smooth
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.smooth import HEADS, SHIFT, Inputs, Smooth, column, term_of
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import Stack

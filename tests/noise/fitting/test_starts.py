@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from acquisition import Ping, Recording
 from noise.effects import CATALOGUE, EchoSample
 from noise.fitting.batch import Batch
-from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.fit import maximise
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import NUISANCES, Stack
 from noise.fitting.starts import fitting_value, nuisance_start, starting_points
 from noise.physical import PhysicalModel

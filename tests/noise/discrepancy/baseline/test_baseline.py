@@ -9,7 +9,8 @@ from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.baseline.sources import asked, baseline_of
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import log_likelihood, maximise
+from noise.fitting.fit import maximise
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.smooth import Empirical
 from noise.fitting.stack import NUISANCES, Stack
 from noise.fitting.starts import nuisance_start
