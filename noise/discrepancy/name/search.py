@@ -195,34 +195,31 @@ class Search:
         return maximise(start, free, batch, iterations, ENOUGH, self._scales.setdefault(id(batch), {}))
 
     def with_scatter(self, current: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with the scatter of single pings as a difference, where that gains beyond chance.
+        """Return the hypothesis with the scatter of single pings as the difference, where that gains beyond chance.
 
         Every fit frees the scatter, so that outliers do not pass for other effects; here it is held at the value of the
-        simulation instead.
+        simulation instead. Beside an effect it is no cause: what a fit of the effect gets wrong scatters too.
         """
-        if JITTER in self.without:
+        if current.effects or JITTER in self.without:
             return current
-        held = self.held_scatter(current)
-        gain = current.nats - held.nats
+        gain = current.nats - self.held_scatter().nats
         value = float(gain.sum())
         good = value > self.least_gain and value > 2.0 * standard_error(gain)
         decision = "added last" if good else "gained less"
-        self.attempts.append(Attempt(JITTER, current.effects, value, standard_error(gain), decision))
-        return replace(current, effects=(*current.effects, JITTER)) if good else current
+        self.attempts.append(Attempt(JITTER, (), value, standard_error(gain), decision))
+        return replace(current, effects=(JITTER,)) if good else current
 
-    def held_scatter(self, current: Hypothesis) -> Hypothesis:
-        """Return a hypothesis fitted with the scatter of single pings at its value in the simulation."""
-        effects = tuple(name for name in current.effects if name != JITTER)
+    def held_scatter(self) -> Hypothesis:
+        """Return the hypothesis without differences with the scatter of single pings at its value in the simulation."""
         held = [key for key in SPREAD if key[0] == JITTER]
-        free = (*self.keys(effects), *(key for key in self.nuisances if key not in held))
+        free = tuple(key for key in self.nuisances if key not in held)
         values = [self.common.get(key) for key in held]
-        pairs = zip(current.stacks, self.parts, strict=True)
-        return self.scored(effects, [self.fitted(s.put(held, values), free, p, 40).stack for s, p in pairs])
+        pairs = zip(self.null().stacks, self.parts, strict=True)
+        return self.scored((), [self.fitted(s.put(held, values), free, p, 40).stack for s, p in pairs])
 
     def nothing(self, found: Hypothesis) -> Hypothesis:
         """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
-        none = self.null()
-        return self.held_scatter(none) if JITTER in found.effects else none
+        return self.left_out(found, JITTER) if JITTER in found.effects else self.null()
 
     def keys(self, effects: Sequence[str]) -> tuple[Key, ...]:
         """Return the parameters of effects that the recording can identify."""
@@ -357,7 +354,7 @@ class Search:
 
     def _fitted_without(self, current: Hypothesis, name: str) -> Hypothesis:
         if name == JITTER:
-            return self.held_scatter(current)
+            return self.held_scatter()
         others = tuple(each for each in current.effects if each != name)
         if not others:
             return self.null()
