@@ -19,12 +19,16 @@ from noise.discrepancy.locate.sample import Sample, positions
 from noise.discrepancy.locate.scores import ASPECTS, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
-from noise.fitting.stack import Stack
+from noise.effects.medium import TEMPERATURE
+from noise.fitting.stack import Key, Stack
+from noise.fitting.starts import target_echo
 
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 POWER, TWO_SIDED = 0.9, 0.95
 N_TESTS = 3  # of one hypothesis, for which the level is adjusted: this one, the orthogonal and the directed one
 ROUNDING = 1e-9  # m, below which errors are alike
+UNCOMPENSATED: Key = ("sound_speed", "logged_share")
+SHARES = np.linspace(0.0, 1.0, 21)  # from full compensation to none
 
 
 @dataclass(frozen=True)
@@ -73,8 +77,11 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
         sample: readings.
     """
     error, recorded, place, first = _visit_errors(law_recorded, law_simulated, sample)
-    conditions = [value[first] for value in sample.conditions.values()]
-    lines = [line for x in (None, *conditions) if (line := _line(error, recorded, place, x)) is not None]
+    conditions = [None, *(value[first] for value in sample.conditions.values())]
+    change = _of_temperature(law_simulated, sample)
+    possible = [error] if change is None else [error - share * change[first] for share in SHARES]
+    fits = [[line for x in conditions if (line := _line(each, recorded, place, x)) is not None] for each in possible]
+    lines = max(fits, key=lambda each: min((line.p.min() for line in each), default=1.0))
     if not lines:
         return NO_TREND
     p = np.concatenate([line.p for line in lines])
@@ -86,6 +93,18 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
     least = student.ppf(1.0 - FALSE_ALARM / (2.0 * N_TESTS * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
     where = (Location(Aspect.BIAS, {}, size, p_value),) if value < FALSE_ALARM else ()
     return Trend(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
+
+
+def _of_temperature(law: Stack, sample: Sample) -> Floats | None:
+    """Return the change of each reading without compensation for temperature, m, (n,).
+
+    None where a file does not log it, or the law knows the compensation from the simulation's own readings.
+    """
+    logged = all(TEMPERATURE in batch.ping.covariates for batch in sample.batches)
+    if sample.simulated is None or not logged or UNCOMPENSATED[0] in law.values:
+        return None
+    ends = [np.concatenate([target_echo(law.at({UNCOMPENSATED: x}), b) for b in sample.batches]) for x in (0.0, 1.0)]
+    return ends[1] - ends[0]
 
 
 def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> tuple[Floats, Bits, Ints, Ints]:

@@ -61,6 +61,21 @@ def test_what_the_law_lacks_at_positions_of_one_file_alone_is_no_difference(law)
     assert p_value(law, *bent) > 0.01
 
 
+def in_air_of(batch, temperature_c):
+    """Return readings of a sensor that assumes 20 degC, made in other air."""
+    far = batch.reading.range * np.sqrt((273.15 + 20.0) / (273.15 + temperature_c))
+    ping = replace(batch.ping, covariates={"temperature_c": np.full(len(batch), float(temperature_c))})
+    return Batch.of(Recording.of(ping, Reading.of(np.round(far, 3))))
+
+
+def test_the_sound_speed_of_logged_air_is_no_difference_unless_it_errs_the_other_way(law):
+    far = np.linspace(0.5, 5.0, 30)
+    warm, cold = (in_air_of(marks(seed, marks=far), at) for seed, at in ((7, 24.0), (8, 14.0)))
+    assert p_value(law, warm, cold) > 0.01
+    swapped = [replace(a, ping=replace(a.ping, covariates=b.ping.covariates)) for a, b in ((warm, cold), (cold, warm))]
+    assert p_value(law, *swapped) < 1e-4
+
+
 def test_four_marks_tell_nothing(law):
     found = trend_test(law, law, Sample(marks(1, 0.05, marks=MARKS[:4]), marks(2, marks=MARKS[:4])))
     assert found.p_value.value == 1.0
