@@ -10,7 +10,7 @@ import torch
 from scipy.stats import qmc
 
 from acquisition.arrays import Floats
-from noise.effects import EchoSample, Effect, Parameter
+from noise.effects import EchoSample, Effect, Parameter, Stage
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std
@@ -90,6 +90,8 @@ def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
     It is the median of error / slope weighted by |slope|, which outliers hardly affect. None if the parameter does not
     shift the echo.
     """
+    if stack.known[key[0]].stage == Stage.SEQUENCE:  # after the echo was timed
+        return None
     p, expected = stack.parameter(key), target_echo(stack, batch)
     rate, error = slope(stack, key, batch, expected), batch.reading.range - expected
     moves = batch.is_target(error) & (np.abs(rate) * (p.high - p.low) > MIN_SHIFT_M)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from acquisition import previous
 from acquisition.arrays import Floats, Ints
@@ -23,7 +24,8 @@ from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
-from noise.fitting.stack import JITTER, Key, Stack
+from noise.fitting.stack import JITTER, STEPWISE, Key, Stack
+from noise.fitting.visit_effects import law_of, single_ping_law
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
@@ -83,14 +85,14 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
         pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([_log_prob(each, batch) for each, batch, _ in pairs])
+    base = np.concatenate([_log_prob(each, [{}], batch)[0] for each, batch, _ in pairs])
     names, ratios = [], []
     for name in CATALOGUE:
         if name in ELSEWHERE or not _shown(name, pairs[0][1]):
             continue
-        for change in changes(law, name):
-            nats = np.concatenate([_log_prob(each.at(change), batch) for each, batch, _ in pairs])
-            ratio = np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[back]
+        every = changes(law, name)
+        nats = np.concatenate([_log_prob(each, every, batch) for each, batch, _ in pairs], axis=1)
+        for ratio in np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[:, back]:
             if np.ptp(ratio) > 1e-6:
                 names.append(name)
                 ratios.append(ratio)
@@ -125,11 +127,19 @@ def changes(law: Stack, name: str) -> list[dict[Key, float]]:
     return out
 
 
-def _log_prob(law: Stack, batch: Batch) -> Floats:
-    """Return the log probability of each reading as a single ping, nats, (n,)."""
+def _log_prob(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+    """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
+    keys = list(every[0])
+
+    def probability(numbers: Tensor) -> Tensor:
+        model, visits = law.build(keys, numbers)
+        return single_ping_law(law_of(model, batch), visits).probability_tensor(batch.reading)
+
+    values = torch.tensor([list(change.values()) for change in every], dtype=torch.float64)
+    at_once = bool(keys) and not any(key[1] in STEPWISE for key in keys)
     with torch.no_grad():
-        probability = ping_law(law, batch).probability_tensor(batch.reading).numpy()
-    return np.log(np.maximum(probability, np.exp(LOWEST_LOG)))
+        each = torch.vmap(probability)(values) if at_once else torch.stack([probability(row) for row in values])
+    return np.asarray(torch.log(torch.clamp(each, min=np.exp(LOWEST_LOG))).numpy())
 
 
 def _sums(law: Stack, sample: Sample, ratios: Floats, rng: np.random.Generator) -> Floats:
