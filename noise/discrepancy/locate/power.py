@@ -1,6 +1,7 @@
 """What could have been seen: the least sizes of aspects and effects that the test finds with a power of 90 %.
 
 A statistic with mean mu and standard deviation 1 exceeds the critical value c with a power of 90 % if mu = c + 1.28.
+One of few clusters is divided by their own root mean square, which is Student's t in other words, and mu is larger.
 For an aspect everywhere, mu is its size over its standard error. For an effect, readings of the law with the effect and
 without it are drawn from the same uniform numbers under the recording's conditions; mu is the difference of their
 scores in the statistic that shows it best.
@@ -62,27 +63,43 @@ def could_have_seen(law: Stack, sample: Sample, tested: Tested, rng: np.random.G
 
 def visible_aspects(tested: Tested) -> tuple[Visible, ...]:
     """Return the least size of each aspect, if it differs everywhere, that is seen with a power of 90 %."""
-    found = [_aspect(tested, aspect, _wanted(tested)) for aspect in SHOWN]
+    found = [_aspect(tested, aspect) for aspect in SHOWN]
     return tuple(each for each in found if each is not None)
 
 
 def _wanted(tested: Tested) -> float:
-    """Return the mean at which the greatest statistic exceeds its critical value with a power of 90 %."""
-    return float(np.quantile(tested.critical, 1.0 - FALSE_ALARM)) + POWER_QUANTILE
+    """Return the statistic that is expected where the greatest one is significant with a power of 90 %."""
+    n = len(np.unique(tested.cluster))
+    mean = least_mean(_critical(tested), n)
+    return mean * float(np.sqrt(n / (n - 1.0 + mean**2))) if np.isfinite(mean) else mean
 
 
-def _aspect(tested: Tested, aspect: Aspect, wanted: float) -> Visible | None:
+def _critical(tested: Tested) -> float:
+    return float(np.quantile(tested.critical, 1.0 - FALSE_ALARM))
+
+
+def least_mean(critical: float, n: int) -> float:
+    """Return the size, in standard errors, at which a statistic of n clusters is significant with a power of 90 %.
+
+    With z the sum over the root of the sum of squares, t = z sqrt((n - 1) / (n - z^2)) is Student's; the quantile of
+    its noncentral law is approximated (Johnson and Welch 1940). Infinite where z, at most sqrt(n), cannot be critical.
+    """
+    if critical**2 >= n:
+        return float("inf")
+    t = critical * np.sqrt((n - 1.0) / (n - critical**2))
+    return float(t + POWER_QUANTILE * np.sqrt(1.0 + t**2 / (2.0 * (n - 1.0))))
+
+
+def _aspect(tested: Tested, aspect: Aspect) -> Visible | None:
     """Return the least size of an aspect that differs everywhere; None where it cannot be tested."""
     a = ASPECTS.index(aspect)
     if not np.isfinite(tested.z[a, EVERYWHERE]):
         return None
     group = next(g for g in tested.groups if a in g.aspects)
     size = size_of(tested, group, int(np.flatnonzero(group.aspects == a)[0]), EVERYWHERE)
-    n = len(np.unique(tested.cluster[group.valid]))
-    if wanted**2 >= n:
+    mean = least_mean(_critical(tested), len(np.unique(tested.cluster[group.valid])))
+    if not np.isfinite(mean):
         return None
-    # a statistic that is divided by its own root mean square cannot exceed the root of the number of clusters
-    mean = wanted / np.sqrt(1.0 - wanted**2 / n)
     return Visible(str(aspect), float(mean * (size.high - size.value) / TWO_SIDED), aspect.unit)
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import nct
 
 from noise.discrepancy.locate.orthogonal import orthogonal_test
-from noise.discrepancy.locate.power import could_have_seen, visible_aspects
+from noise.discrepancy.locate.power import could_have_seen, least_mean, visible_aspects
 
 
 @pytest.fixture(scope="module")
@@ -34,3 +35,11 @@ def test_the_stated_size_is_found(lab, least, effect, parameter):
         tested = orthogonal_test(lab.exact, lab.exact, sample, np.random.default_rng(seed), draws=999)
         found += tested.p_value.value <= 0.01
     assert found >= 28  # 90 % of 40 is 36; the critical value is itself an estimate from 60 visits
+
+
+@pytest.mark.parametrize("n", [14, 20, 60, 1000])
+def test_the_least_mean_of_few_clusters_is_that_of_the_noncentral_t_law(n):
+    critical = 3.3
+    t = critical * np.sqrt((n - 1) / (n - critical**2))
+    assert nct.sf(t, n - 1, least_mean(critical, n)) == pytest.approx(0.9, abs=0.02)
+    assert least_mean(critical, 10) == np.inf
