@@ -139,7 +139,7 @@ def independent_length(batch: Batch) -> int:
         return 1
     distance, error = batch.ping.distance[echo], winsorised(batch.error[echo])
     left = np.zeros(len(batch))
-    degree = 3 if np.ptp(distance) > 0 else 0
+    degree = min(3, len(np.unique(distance)) - 1)
     left[echo] = error - np.polyval(np.polyfit(distance - distance.mean(), error, degree), distance - distance.mean())
     length = 1
     while batch.n_visits // (2 * length) >= MIN_CLUSTERS:
