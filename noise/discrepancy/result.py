@@ -324,8 +324,9 @@ def _plain(value: float) -> float | None:
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-COLUMNS = {"distance": ("distance_mm", MM), "angle": ("angle_deg", 180.0 / math.pi), "time": ("time_s", 1.0)}
-COLUMNS |= {"incidence": ("incidence_deg", 180.0 / math.pi)}
+DEG = 180.0 / math.pi
+COLUMNS = {"distance": ("distance_mm", MM), "angle": ("angle_deg", DEG), "incidence": ("incidence_deg", DEG)}
+COLUMNS |= {"time": ("time_s", 1.0)}
 
 
 def _location(found: Location) -> dict[str, Any]:
@@ -371,10 +372,7 @@ def _visible(each: Visible) -> dict[str, Any]:
 
 
 def _score(score: Score) -> dict[str, Any]:
-    return {
-        "log_likelihood_per_ping": _plain(score.log_likelihood_per_ping),
-        "crps_mm": _plain(MM * score.crps_m),
-    }
+    return {"log_likelihood_per_ping": _plain(score.log_likelihood_per_ping), "crps_mm": _plain(MM * score.crps_m)}
 
 
 def _held_out(held: HeldOut) -> dict[str, Any]:
@@ -397,10 +395,5 @@ def _measurement(each: Measurement) -> dict[str, Any]:
         {name: _plain(factor * value[k]) for (name, factor), value in columns.items()}
         for k in range(max((len(value) for value in columns.values()), default=0))
     ]
-    return {
-        "do": each.do,
-        "separates": list(each.separates),
-        "pings": each.pings,
-        "conditions": rows,
-        "also": dict(each.also),
-    }
+    named = {"do": each.do, "separates": list(each.separates), "pings": each.pings}
+    return {**named, "conditions": rows, "also": dict(each.also)}
