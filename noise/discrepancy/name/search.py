@@ -148,10 +148,7 @@ class Search:
         if self._null is not None:
             known = [[stack.get(key) for key in self.nuisances] for stack in self._null[1].stacks]
             starts = [[self.common.put(self.nuisances, values)] for values in known]
-        pairs = zip(starts, self.parts, strict=True)
-        return self.scored(
-            (), [highest(self.fitted(s, self.nuisances, part, 40) for s in each).stack for each, part in pairs]
-        )
+        return self.best(starts, lambda start, part: self.fitted(start, self.nuisances, part, 40))
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
         """Return a fitted hypothesis with its log-likelihood on the other folds.
@@ -214,8 +211,15 @@ class Search:
         held = [key for key in SPREAD if key[0] == JITTER]
         free = tuple(key for key in self.nuisances if key not in held)
         values = [self.common.get(key) for key in held]
-        pairs = zip(self.null().stacks, self.parts, strict=True)
-        return self.scored((), [self.fitted(s.put(held, values), free, p, 40).stack for s, p in pairs])
+        starts = [
+            [near, *nuisance_starts(self.common, p)] for near, p in zip(self.null().stacks, self.parts, strict=True)
+        ]
+        return self.best(starts, lambda start, part: self.fitted(start.put(held, values), free, part, 40))
+
+    def best(self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit]) -> Hypothesis:
+        """Return the hypothesis without differences of the best fit to each part, given starts for each."""
+        pairs = zip(starts, self.parts, strict=True)
+        return self.scored((), [highest(fit(start, part) for start in each).stack for each, part in pairs])
 
     def nothing(self, found: Hypothesis) -> Hypothesis:
         """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
@@ -306,7 +310,7 @@ class Search:
         The simulation's own readings decide whether it has the effect. Its value there is that of the recording too
         where separate values gain no more than chance; if they do, the difference from it remains to be found.
         """
-        if self.simulated is None:
+        if self.simulated is None or name in self.shared:
             return None
         keys = self.keys([name])
         recorded = np.mean([[stack.get(key) for key in keys] for stack in found.stacks], axis=0)
