@@ -45,11 +45,12 @@ class Evidence:
         """Return the features of the decision model.
 
         They are few, because wrong causes are few in an ensemble: how well the gain repeats itself from visit to visit,
-        on a scale that tells 2 standard errors from 4 and not 40 from 42, and what nothing explains.
+        on a scale that tells 2 standard errors from 4 and not 40 from 42, what nothing explains, and whether the test
+        finds anything left.
         """
         t = self.gain / self.gain_error if self.gain_error > 0.0 else 0.0
-        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), self.rest])
+        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), self.rest, np.log(self.p_after)])
 
 
 MAX_T = 1e3  # standard errors; keeps the feature finite
-FEATURES = ("log_t", "rest")
+FEATURES = ("log_t", "rest", "log_p_after")
