@@ -8,8 +8,8 @@ probabilities is a proper joint log-likelihood, whatever the true dependence (Da
 The prediction combines, in this order:
 1. a normal offset shared by the visit (`placement_m`), estimated by a Kalman filter, with a correlation from ping to
    ping (`ping_correlation`); where a simulation has the same condition, the prior mean is the simulation's own offset
-   times `simulation_correlation`. A bank of two filters allows for a share `CARELESS` of visits with an offset `WIDE`
-   times as large;
+   times `simulation_correlation`. A bank of three filters allows for a share `CARELESS` of visits with an offset `WIDE`
+   times as large, and for an arbitrary one of probability `FLOOR`, which limits what a misplaced target costs;
 2. a normal deviation of the level shared by the visit (`level_sd_db`): close to the detection threshold the placement
    of the target decides, not each ping, so that a visit is heard or missed as a whole; it is integrated over nodes, and
    two more of probability `FLOOR`, always heard and never heard, limit what a visit against all odds costs;
@@ -106,9 +106,11 @@ def predicted_offset(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tu
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
     start, prior = prior_offset(visits, batch, number([wider for wider, _ in BANKS])[:, None])
+    prior = torch.cat([prior, torch.from_numpy((0.5 * batch.reach) ** 2)[None]])
     # robust weight: readings beyond 4 standard deviations are hardly the direct path's
     near = (error - start) ** 2 / (16.0 * (variance + prior))
-    weight = torch.where(echo, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
+    heard = torch.stack([*[echo] * len(BANKS), torch.from_numpy(batch.is_target(batch.error))])
+    weight = torch.where(heard, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
     precision = 1.0 / prior + batch.before(weight)
     mean = (start / prior + batch.before(weight * error)) / precision
     innovation = visits.ping_correlation * (weight * variance) * (error - mean)
@@ -159,7 +161,7 @@ def single_ping_law(law: PhysicalLaw, visits: VisitEffects, scale_sd: float = 0.
 
 def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
     """Return the log probability of each bank given the earlier readings of the visit, (banks, n)."""
-    prior = torch.log(number([share for _, share in BANKS]))[:, None]
+    prior = torch.log(number([*((1.0 - FLOOR) * share for _, share in BANKS), FLOOR]))[:, None]
     return torch.log_softmax(prior + batch.before(log_likelihood), dim=0)
 
 

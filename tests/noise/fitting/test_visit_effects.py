@@ -111,6 +111,15 @@ def test_a_repeated_reading_counts_about_once():
     assert with_urn > 4 * first
 
 
+def test_a_misplaced_target_counts_about_once():
+    # 60 mm off with 2 mm of placement: its readings agree with each other, and cost little more than the first
+    rng = np.random.default_rng(0)
+    batch = Batch.of(recording_of(np.full(50, 2.0), np.round(2.06 + 0.005 * rng.standard_normal(50), 3)))
+    each = log_prob(law_of(jittering(0.005), batch), VisitEffects(placement_m=0.002), batch).numpy()
+    right = log_prob(law_of(jittering(0.005), batch), VisitEffects(placement_m=0.06), batch).numpy()
+    assert each.sum() > right.sum() - 20.0
+
+
 def test_the_shared_offset_scatters_only_by_what_the_simulation_does_not_explain():
     batch = Batch.of(Recording.of(Ping.of(distance=np.linspace(0.5, 3.0, 40)), Reading.of(np.linspace(0.5, 3.0, 40))))
     unknown = VisitEffects(placement_m=0.06)
