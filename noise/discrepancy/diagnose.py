@@ -275,7 +275,7 @@ def _diagnosis(
     scores = held_out(data.simulation, base.emulator, corrected or base.before, data.forest, folds.unseen)
     verdict = Verdict(
         kind,
-        summary_of(kind, [cause for cause in causes if cause.believed], where, rest, visible, len(data.batch)),
+        summary_of(kind, causes, where, rest, visible, len(data.batch)),
         tested.p_value,
         where,
         causes,

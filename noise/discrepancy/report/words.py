@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from noise.discrepancy.report.numbers import bounds, place, plain, quantity, with_interval
 from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Unexplained, Verdict, Visible
+from noise.discrepancy.thresholds import LISTED, PARTLY_SHARE
 
 # effects whose id is not already their plain name
 NAMES = {
@@ -147,7 +148,7 @@ def summary_of(
 
     Args:
         kind: verdict in one word.
-        causes: believed causes, the greatest share first.
+        causes: selected causes, the believed ones and the greatest shares first.
         where: located mismatches, the most certain first.
         unexplained: the rest.
         could_have_seen: least visible sizes.
@@ -157,14 +158,25 @@ def summary_of(
         return f"No difference found in {_pings(n_pings)}{_would_show(could_have_seen)}."
     if kind is Kind.TOO_LITTLE_DATA:
         return f"Too little data: {_pings(n_pings)} cannot decide{_needs(could_have_seen)}."
-    if kind is Kind.UNEXPLAINED or not causes:
+    believed = [cause for cause in causes if cause.believed]
+    if kind is Kind.UNEXPLAINED or not believed:
         found = location((*where, *unexplained.where)[0]) if where or unexplained.where else "The readings differ"
-        return f"{found}: no known effect explains it."
-    told = _causes(causes)
+        return f"{found}: {_possible(causes)}."
+    told = _causes(believed)
     if kind is Kind.EXPLAINED:
         return told if told.endswith("?") else f"{told}."
     rest = quantity(unexplained.share.value, "1")
     return f"{told}{'' if told.endswith('?') else '.'} {rest} of the difference remains unexplained."
+
+
+def _possible(causes: Sequence[Cause]) -> str:
+    """Return the likeliest of the causes that are not believed and would explain more than a part."""
+    doubtful = [cause for cause in causes if cause.probability >= LISTED and not cause.believed]
+    whole = [cause for cause in doubtful if cause.share.value >= PARTLY_SHARE]
+    best = max(whole, key=lambda cause: cause.probability, default=None)
+    if best is None:
+        return "no known effect explains it"
+    return f"{name(best.effect)} may be the cause, with probability {quantity(best.probability, '1')}"
 
 
 def _pings(count: int) -> str:

@@ -1,6 +1,7 @@
 """Numbers and sentences: units, signs, singular cases; the fragments are valid and complete."""
 
 import math
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -143,6 +144,10 @@ def test_summaries_of_every_kind_are_sentences():
     assert told[Kind.EXPLAINED] == "All ranges have an offset of +12.0 mm: a reason."
     assert told[Kind.PARTLY_EXPLAINED].endswith("30 % of the difference remains unexplained.")
     assert told[Kind.UNEXPLAINED] == "Echoes read 10 mm long (8 to 12 mm) at 1 to 2 m: no known effect explains it."
+    likely = replace(cause(), probability=0.46)
+    assert words.summary_of(Kind.UNEXPLAINED, [likely], where, rest(0.3), seen, 1234).endswith(
+        "at 1 to 2 m: zero offset may be the cause, with probability 46 %."
+    )
     assert "Too little data" in told[Kind.TOO_LITTLE_DATA]
     assert words.summary_of(Kind.NONE, [], [], rest(), [], 1) == "No difference found in 1 ping."
     many = words.summary_of(Kind.EXPLAINED, [cause()] * 4, where, rest(), seen, 10)
