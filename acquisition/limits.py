@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MinLen
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from acquisition.errors import SettingError, SonarError
 
 
@@ -115,6 +115,30 @@ def as_numbers(name: str, value: Any) -> Floats:
         raise SettingError(f"{name}: expected numbers, got {shown(value)}") from None
 
 
+def as_whole(name: str, numbers: Floats) -> Ints:
+    """Return numbers as integers.
+
+    Raises:
+        SettingError: one is not a whole number that a float holds exactly.
+    """
+    if not np.all((np.abs(numbers) < 2**53) & (numbers == np.floor(numbers))):  # also not NaN
+        raise SettingError(f"{name}: expected whole numbers, got {shown(numbers)}")
+    return numbers.astype(np.int64)
+
+
+def is_list(value: Any) -> bool:
+    """Return whether a value is a sequence or an array, and not text, bytes or an array without dimensions.
+
+    >>> [is_list(each) for each in ([1], np.zeros(2), "x", b"x", np.array(1.0))]
+    [True, True, False, False, False]
+    """
+    return value.ndim > 0 if isinstance(value, np.ndarray) else _is_sequence(value)
+
+
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray)
+
+
 def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool = False) -> None:
     """Check one number.
 
@@ -197,7 +221,7 @@ def _check(name: str, value: Any, hint: Any) -> None:
 
 
 def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:
-    _expect(isinstance(value, Sequence | np.ndarray) and not isinstance(value, str), name, "a list", value)
+    _expect(is_list(value), name, "a list", value)
     if items[-1] is Ellipsis:
         items = (items[0],) * len(value)
     _expect(len(value) == len(items), name, f"{len(items)} values", value)

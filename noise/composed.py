@@ -133,6 +133,7 @@ class ComposedModel:
         own = model.law(ping, past, sensors) if isinstance(model, StatefulModel) else model.law(ping, past)
         return self._changed(own, Conditions.of(ping, past))
 
+    @checked
     def follow(self, ping: Ping, reading: Reading) -> PhysicalLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         past = previous(reading, ping.run)
@@ -173,12 +174,14 @@ class ComposedModel:
         stacks = {"before": self.before.to_dict()["effects"], "after": self.after.to_dict()["effects"]}
         return {"kind": "composed", "model": inner.to_dict(), **stacks}
 
+    @checked
     def write_weights(self, folder: FilePath) -> None:
         """Write the weights of the model, if any, into a folder."""
         if isinstance(self.model, HasWeights):
             self.model.write_weights(folder)
 
     @classmethod
+    @checked
     def load(
         cls, folder: FilePath, data: dict[str, Any], load_kind: Callable[[FilePath, Any], SonarModel]
     ) -> ComposedModel:

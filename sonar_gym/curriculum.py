@@ -11,6 +11,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from acquisition import SettingError
 from acquisition.arguments import checked
+from acquisition.limits import Count, Share, check_value
+from sonar_gym.checks import check_observation
 from sonar_gym.parking.street import StreetSettings, replaced, street_settings
 
 
@@ -61,7 +63,7 @@ class Curriculum(BaseCallback):
         end: StreetSettings | str = "hard",
         success: float = 0.8,
         step: float = 0.1,
-        episodes: int = 200,
+        episodes: Count = 200,
     ) -> None:
         super().__init__()
         if not (0.0 < success <= 1.0 and 0.0 < step <= 1.0 and episodes >= 1):
@@ -69,8 +71,9 @@ class Curriculum(BaseCallback):
                 f"Curriculum: success and step must lie in (0, 1] and episodes must be >= 1, got {success:g}, {step:g} "
                 f"and {episodes}"
             )
-        self.end = street_settings(end) if isinstance(end, str) else end
-        self.begin = street_settings(begin) if isinstance(begin, str) else replaced(self.end, begin)
+        self.end = street_settings(end, name="end") if isinstance(end, str) else end
+        named = street_settings(begin, name="begin") if isinstance(begin, str) else None
+        self.begin = named or replaced(self.end, begin, "begin")  # type: ignore[arg-type]
         self.success, self.step, self.share = success, step, 0.0
         self._ends: deque[bool] = deque(maxlen=episodes)
 
@@ -79,7 +82,13 @@ class Curriculum(BaseCallback):
         return {"share": self.share, "ends": list(self._ends)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue from a state that `state_dict` returned."""
+        """Continue from a state that `state_dict` returned.
+
+        Raises:
+            SettingError: it is no such state.
+        """
+        check_observation(state, {"share": (), "ends": None}, "state")
+        check_value("state['share']", state["share"], Share)
         self.share = float(state["share"])
         self._ends.clear()
         self._ends.extend(bool(parked) for parked in state["ends"])

@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from acquisition.errors import SonarError
+from acquisition.errors import SettingError, SonarError
+from acquisition.limits import shown
 
 MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
 
@@ -26,6 +27,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
         write: receives the open file; if it raises, `path` remains unchanged.
         binary: open the file for bytes instead of text.
     """
+    check_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
@@ -46,6 +48,34 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
         return Path(path).is_dir()
     except (OSError, ValueError):  # too long, or with a null character
         return False
+
+
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a file; False also for text that cannot be a path."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def check_path(path: Path, folder: bool = False) -> None:
+    """Check that a path can be that of a file, or of a folder.
+
+    Raises:
+        SettingError: it has a null character, a name that is too long, or is of the other kind.
+    """
+    try:
+        wrong = stat.S_ISDIR(os.stat(path).st_mode) != folder
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError) as error:
+        raise SettingError(
+            f"{shown(str(path))}: cannot be a path: {getattr(error, 'strerror', None) or error}"
+        ) from None
+    if wrong:
+        raise SettingError(
+            f"{path}: is a {'file' if folder else 'folder'}, expected the name of a {'folder' if folder else 'file'}"
+        )
 
 
 def read_limited(path: Path, error: type[SonarError], expected: str, max_bytes: int = MAX_BYTES) -> bytes:
@@ -93,6 +123,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     Args:
         folder: to create or replace; it remains unchanged if the block raises.
     """
+    check_path(folder, folder=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
         fresh, old = Path(beside) / "fresh", Path(beside) / "old"
