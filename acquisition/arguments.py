@@ -63,6 +63,8 @@ class _Kind:
         """Return the value; raise SettingError unless it is as one of the scalars."""
         if len(self.scalars) == 1 and set(self.classes) <= {type(None)}:
             check_value(self.name, value, self.scalars[0])
+            if _class(self.scalars[0]) is float:
+                return float(value)
         elif not isinstance(value, tuple(map(_class, self.scalars))):
             classes = (*self.classes, *map(_class, self.scalars))
             expected = " or ".join("None" if cls is type(None) else cls.__name__ for cls in classes)

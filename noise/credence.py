@@ -174,7 +174,8 @@ def _ratio(part: Floats, whole: Floats) -> Floats:
     return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 1e-12)
 
 
-def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats, Floats]:
+@checked
+def wilson(hits: ArrayLike, trials: ArrayLike, z: Annotated[float, Limit(0.0, 40.0)] = 1.96) -> tuple[Floats, Floats]:
     """Return Wilson's score interval (1927) for a binomial probability, lower and upper limit, each (...,).
 
     Args:
@@ -186,8 +187,8 @@ def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats,
     >>> low.round(3).tolist(), high.round(3).tolist()
     ([0.0, 0.237], [0.278, 0.763])
     """
-    n = np.asarray(trials, dtype=np.float64)
-    share = np.asarray(hits, dtype=np.float64) / n
+    n = as_numbers("wilson.trials", trials)
+    share = as_numbers("wilson.hits", hits) / n
     centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
     return np.clip(centre - half, 0.0, 1.0), np.clip(centre + half, 0.0, 1.0)

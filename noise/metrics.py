@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.arguments import checked
+from acquisition.limits import Count
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel, follow
 
@@ -57,7 +59,8 @@ class ClusterMean:
         return f"{self.mean:.3f} +- {self.error:.3f}"
 
 
-def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
+@checked
+def crps(law: EchoLaw, reading: Reading, levels: Count = LEVELS) -> Floats:
     """Return the continuous ranked probability score of each echo, m, (n,); NaN where the reading is no echo.
 
     The score is that of the law conditional on an echo, in its quantile form
@@ -73,7 +76,8 @@ def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
     return np.where(reading.echo, score, np.nan)
 
 
-def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = None, levels: int = LEVELS) -> Floats:
+@checked
+def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = None, levels: Count = LEVELS) -> Floats:
     """Return the continuous ranked probability score of each reading, m, (n,), in which no echo counts as a range.
 
     Args:
@@ -102,6 +106,7 @@ def _quantile_score(quantile: Callable[[Floats], Floats], value: Floats, levels:
     return 2.0 * score / levels
 
 
+@checked
 def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
     """Return the randomised probability integral transform of each reading, (n,): uniform if the law is true.
 
@@ -139,6 +144,7 @@ class Reliability:
         return float(np.average(np.abs(self.predicted - self.observed)[filled], weights=self.pings[filled]))
 
 
+@checked
 def credence_reliability(
     law: EchoLaw,
     reading: Reading,
@@ -162,6 +168,7 @@ def credence_reliability(
     return reliability(law.credence(tolerance)[rows], true[rows], np.asarray(cluster)[rows], bins)
 
 
+@checked
 def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, bins: int = 10) -> Reliability:
     """Compare predicted probabilities, (n,), with outcomes, (n,), by bins of equal width over [0, 1]."""
     g = np.asarray(cluster)
@@ -196,6 +203,7 @@ class Evaluation:
     credence_gap: float
 
 
+@checked
 def evaluate(
     model: SonarModel,
     ping: Ping,
@@ -216,6 +224,7 @@ def evaluate(
     return score_law(follow(model, ping, reading), reading, cluster, rows)
 
 
+@checked
 def score_law(law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_]) -> Evaluation:
     """Score the given rows of a law of n pings on their readings."""
     g, echo = np.asarray(cluster), reading.echo & rows

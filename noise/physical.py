@@ -149,6 +149,7 @@ class PhysicalLaw(EchoLaw):
         """Return the log probability of each reading, nats, (n,), differentiable; bounded below by log(1e-300)."""
         return torch.log(torch.clamp(self.probability_tensor(reading), min=MIN_PROBABILITY))
 
+    @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
         with torch.no_grad(), np.errstate(divide="ignore"):

@@ -111,7 +111,7 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
     if not hasattr(model, "to_dict"):
         raise SettingError(f"save_model.model: expected a model with to_dict(), got {shown(model)}")
     folder = Path(folder)
-    check_path(folder, folder=True)
+    check_path(folder)
     check_model_folder(folder)
     text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
     with whole_folder(folder) as fresh:

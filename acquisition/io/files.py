@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 from acquisition.errors import SettingError, SonarError
 from acquisition.limits import shown
@@ -27,7 +27,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
         write: receives the open file; if it raises, `path` remains unchanged.
         binary: open the file for bytes instead of text.
     """
-    check_path(path)
+    check_path(path, "file")
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
@@ -58,24 +58,21 @@ def is_file(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-def check_path(path: Path, folder: bool = False) -> None:
-    """Check that a path can be that of a file, or of a folder.
+def check_path(path: Path, kind: Literal["file", "folder", "any"] = "any") -> None:
+    """Check that a path can be that of a file or folder.
 
     Raises:
         SettingError: it has a null character, a name that is too long, or is of the other kind.
     """
     try:
-        wrong = stat.S_ISDIR(os.stat(path).st_mode) != folder
+        found = "folder" if stat.S_ISDIR(os.stat(path).st_mode) else "file"
     except FileNotFoundError:
         return
     except (OSError, ValueError) as error:
-        raise SettingError(
-            f"{shown(str(path))}: cannot be a path: {getattr(error, 'strerror', None) or error}"
-        ) from None
-    if wrong:
-        raise SettingError(
-            f"{path}: is a {'file' if folder else 'folder'}, expected the name of a {'folder' if folder else 'file'}"
-        )
+        reason = getattr(error, "strerror", None) or error
+        raise SettingError(f"{shown(str(path))}: cannot be a path: {reason}") from None
+    if kind not in ("any", found):
+        raise SettingError(f"{path}: is a {found}, expected the name of a {kind}")
 
 
 def read_limited(path: Path, error: type[SonarError], expected: str, max_bytes: int = MAX_BYTES) -> bytes:
@@ -123,7 +120,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     Args:
         folder: to create or replace; it remains unchanged if the block raises.
     """
-    check_path(folder, folder=True)
+    check_path(folder, "folder")
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
         fresh, old = Path(beside) / "fresh", Path(beside) / "old"

@@ -51,9 +51,7 @@ def make_perception(given: str | Perception, mounts: Sequence[Mount], max_range:
     if not isinstance(given, str):
         if not all(hasattr(given, name) for name in ("update", "reset", "spaces", "clearance")):
             known = ", ".join(PERCEPTIONS)
-            raise SettingError(
-                f"perception: expected one of {known}, or an object like these, got {shown(given)}"
-            )
+            raise SettingError(f"perception: expected one of {known}, or an object like these, got {shown(given)}")
         return given
     if given not in PERCEPTIONS:
         raise SettingError(f"perception {given!r}: no such kind; expected {', '.join(PERCEPTIONS)}")
