@@ -133,6 +133,8 @@ class Ping:
                     f"Ping.{name} holds a value that is not finite, or is too large: give the true condition of every "
                     "ping"
                 )
+        if not isinstance(self.covariates, Mapping):
+            raise SettingError(f"Ping.covariates: expected a mapping of arrays, got {shown(self.covariates)}")
         if len(self.distance) and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
 

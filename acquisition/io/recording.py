@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -190,7 +190,7 @@ class Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         check_pairs("Recording.of.reading", ping, reading)
         for key, value in columns.items():
-            if isinstance(value, Iterable) and not isinstance(value, str) and _shape(value) != (len(ping),):
+            if not np.isscalar(value) and _shape(value) != (len(ping),):
                 raise SettingError(f"Recording.of.{key}: expected one value or {len(ping)}, got {shown(value)}")
         table = pd.DataFrame(
             {

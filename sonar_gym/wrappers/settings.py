@@ -11,7 +11,7 @@ import numpy as np
 
 from acquisition import Ping, SettingError
 from acquisition.limits import Limit, check_number, check_settings, check_value, is_list
-from sonar_gym.sensing.mounts import Layout
+from sonar_gym.sensing.mounts import Layout, layout
 from sonar_gym.sensing.sonar import BEARINGS_DEG, BINS
 from sonar_gym.sensing.timing import Times
 
@@ -66,6 +66,8 @@ class SonarSettings:
         for name in CONDITION_NAMES:
             object.__setattr__(self, name, check_condition(name, getattr(self, name)))
         check_settings(self, lambda name: f"SonarObservation.{name}")
+        if self.sonar_layout is not None:
+            object.__setattr__(self, "sonar_layout", layout(self.sonar_layout))
         check_value("SonarObservation.indices", self.indices, tuple[int, ...] | None)
         for name in TIMES:
             given = getattr(self, name)
