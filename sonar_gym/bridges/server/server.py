@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated
 
-from acquisition import DeviceError, SettingError, SonarError
+from acquisition import DeviceError, Ping, SettingError, SonarError
 from acquisition.arguments import checked
 from acquisition.limits import SEEDS, Limit, PositiveMetres, check_settings
 from sonar_gym.bridges.server import protocol
@@ -72,7 +72,8 @@ class SonarServer:
         self._model = resolve(model)
         self.address = (self.settings.host, self.settings.port)
         self.clients = 0
-        Sensors(self._model, self.settings.max_range, 0)  # tabulates the credence before the first client waits for it
+        # tabulates the credence and compiles the law before the first client waits for them
+        Sensors(self._model, self.settings.max_range, 0).answer(Ping.of(1.0))
 
     async def run(self, ready: Callable[[], object] | None = None) -> None:
         """Serve until cancelled; `ready` is called once clients can connect.
