@@ -27,6 +27,7 @@ from torch import Tensor
 from acquisition import ModelError, Ping, Reading, SettingError, previous
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
+from acquisition.limits import shown
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.medium import TEMPERATURE
 from noise.effects.state import number
@@ -211,6 +212,8 @@ def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) ->
         SettingError: the law of the model can only be sampled.
     """
     base = load_model(model) if isinstance(model, str | os.PathLike) else model
+    if not all(hasattr(diagnosis, name) for name in ("emulator", "causes_only", "verdict")):
+        raise SettingError(f"compose.diagnosis: expected a Diagnosis, got {shown(diagnosis)}")
     known, found = (_values(each) for each in (diagnosis.emulator, diagnosis.causes_only))
     before = {name: values for name, values in known.items() if not _adds(name)}
     after, left_out = dict(before), dict[str, str]()

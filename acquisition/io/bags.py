@@ -274,7 +274,7 @@ class _Bag:
         return ", ".join(f"{name} ({kind})" for name, kind in self._topics().items()) or "no topics"
 
     def _is_infrared(self, topic: str) -> bool:
-        first = next(self._messages(topic), None)
+        first = self._read(lambda: next(self._messages(topic), None))
         return first is not None and first[1].radiation_type == INFRARED
 
     def _messages(self, topic: str, progress: Progress | None = None) -> Iterator[tuple[float, Any]]:

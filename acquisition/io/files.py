@@ -62,10 +62,11 @@ def check_path(path: Path, kind: Literal["file", "folder", "any"] = "any") -> No
     """Check that a path can be that of a file or folder.
 
     Raises:
-        SettingError: it has a null character, a name that is too long, or is of the other kind.
+        SettingError: it has a null character, a name that is too long, or is of another kind, such as a device.
     """
     try:
-        found = "folder" if stat.S_ISDIR(os.stat(path).st_mode) else "file"
+        mode = os.stat(path).st_mode
+        found = "folder" if stat.S_ISDIR(mode) else "file" if stat.S_ISREG(mode) else "device or a pipe"
     except FileNotFoundError:
         return
     except (OSError, ValueError) as error:

@@ -127,8 +127,9 @@ def bad_numbers(draw, hint):
         outside = [int(v) for v in outside] + [10**30, -(10**30), 1.5, 1e3]
     else:
         outside += [1e300, -1e300] if math.isfinite(limit.high) else []
-    text = draw(st.sampled_from([*NO_NUMBER, *map(str, outside)]))
     count = 3 if "tuple[" in str(hint) and "..." not in str(hint) and "Ellipsis" not in str(hint) else 1
+    words = [text for text in NO_NUMBER if count == 1 or text != "--"]  # of several, the first ends the options
+    text = draw(st.sampled_from([*words, *map(str, outside)]))
     return [text] * count
 
 
