@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
-from acquisition.limits import Count
+from acquisition.limits import Count, as_numbers, shown
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel, follow
 
@@ -43,7 +44,8 @@ class ClusterMean:
         >>> ClusterMean.of([1.0, 1.0, 3.0, 3.0], [0, 0, 1, 1])
         ClusterMean(mean=2.0, error=1.0, pings=4, clusters=2)
         """
-        x, g = np.asarray(value, dtype=np.float64), np.unique(np.asarray(cluster), return_inverse=True)[1]
+        x = as_numbers("ClusterMean.of.value", value)
+        g = np.unique(_clusters(cluster, len(x)), return_inverse=True)[1]
         if not len(x) or len(x) != len(g):
             raise SettingError(
                 f"ClusterMean needs at least one value and a cluster for each, got {len(x)} and {len(g)}"
@@ -165,13 +167,13 @@ def credence_reliability(
     """
     slack = 1e-9
     true = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance + slack)
-    return reliability(law.credence(tolerance)[rows], true[rows], np.asarray(cluster)[rows], bins)
+    return reliability(law.credence(tolerance)[rows], true[rows], _clusters(cluster, len(reading))[rows], bins)
 
 
 @checked
 def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, bins: int = 10) -> Reliability:
     """Compare predicted probabilities, (n,), with outcomes, (n,), by bins of equal width over [0, 1]."""
-    g = np.asarray(cluster)
+    g = _clusters(cluster, len(predicted))
     place = np.minimum((predicted * bins).astype(np.int64), bins - 1)
     scores = [_mean_or_nan(true, g, place == k) for k in range(bins)]
     count = np.bincount(place, minlength=bins)
@@ -182,6 +184,17 @@ def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, 
         error=np.array([score.error for score in scores]),
         pings=count,
     )
+
+
+def _clusters(cluster: ArrayLike, n: int) -> NDArray[Any]:
+    """Return the cluster of each of n pings; raise SettingError unless there is one for each."""
+    try:
+        found = np.asarray(cluster)
+    except ValueError:  # rows of unequal lengths
+        found = np.array(None)
+    if found.shape != (n,):
+        raise SettingError(f"cluster: expected a number or name for each of {n} pings, got {shown(cluster)}")
+    return found
 
 
 def _mean_or_nan(value: NDArray, cluster: NDArray, rows: NDArray[np.bool_]) -> ClusterMean:
@@ -227,7 +240,7 @@ def evaluate(
 @checked
 def score_law(law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_]) -> Evaluation:
     """Score the given rows of a law of n pings on their readings."""
-    g, echo = np.asarray(cluster), reading.echo & rows
+    g, echo = _clusters(cluster, len(reading)), reading.echo & rows
     likelihood = ClusterMean.of(law.log_prob(reading)[rows], g[rows])
     crps_mm = _mean_or_nan(1e3 * crps(law, reading), g, echo)
     return Evaluation(likelihood, crps_mm, credence_reliability(law, reading, g, rows=rows).gap)

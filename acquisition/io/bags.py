@@ -243,9 +243,9 @@ class _Bag:
         """Run an operation on the file; for a corrupt one the library raises almost any exception."""
         try:
             return work()
-        except (RecordingError, KeyboardInterrupt, MemoryError):
+        except RecordingError:
             raise
-        except Exception as error:
+        except Exception as error:  # also MemoryError, as a damaged length can be anything
             reason = " ".join(str(error).split()) or type(error).__name__
             raise RecordingError(f"{self.path}: not a readable bag: {reason}") from error
 
