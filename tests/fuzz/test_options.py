@@ -176,6 +176,10 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
 
 
+# a page of an empty folder is empty, and the rig makes the recording of a comparison that does not exist
+VALID_INPUTS = {("view", "folder", "folder"), ("compare-optimizers", "recording", "missing")}
+
+
 def unreadable(folder):
     """Make what no command can read, and yield its paths."""
     contents = {
@@ -197,8 +201,10 @@ def unreadable(folder):
 @pytest.mark.parametrize(("name", "field", "hint"), INPUTS, ids=ids(INPUTS))
 def test_what_cannot_be_read_is_rejected(valid, tmp_path, name, field, hint):
     (tmp_path / "in").mkdir()
+    real = {"driver": ["twin"]} if field == "thermometer" else {}  # the rig has its own air
     for path in unreadable(tmp_path / "in"):
-        check_rejected(*command(name, valid, tmp_path / "out", **{field: [path]}))
+        if (name, field, Path(path).name) not in VALID_INPUTS:
+            check_rejected(*command(name, valid, tmp_path / "out", **{field: [path]}, **real))
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
