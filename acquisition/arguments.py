@@ -115,8 +115,8 @@ def _kind(name: str, hint: Any) -> _Kind | None:
     members = list(_members(hint))
     special = [member for member in members if _number_type(member) or _item(member)]
     rest = [member for member in members if member not in special]
-    if len(special) > 1 or not all(map(_is_recognised, map(_class, rest))):
-        return None
+    if len(special) > 1 or complex in rest or not all(map(_is_recognised, map(_class, rest))):
+        return None  # complex: of `ArrayLike`
     others = tuple(cls for cls in map(_class, rest) if cls not in SCALARS)
     scalars = tuple(member for member in rest if _class(member) in SCALARS)
     if not special or scalars:
