@@ -26,16 +26,6 @@ FOREIGN = (  # of Stable-Baselines3
     "close_extras", "env_is_wrapped", "env_method", "get_attr", "seed", "set_attr", "set_options", "step_async",
     "step_wait",
 )  # fmt: skip
-    "close_extras",
-    "env_is_wrapped",
-    "env_method",
-    "get_attr",
-    "seed",
-    "set_attr",
-    "set_options",
-    "step_async",
-    "step_wait",
-)
 
 
 def plain(signature):
