@@ -15,6 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
 from functools import cache
+from pathlib import PurePath
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -208,7 +209,9 @@ def _check(name: str, value: Any, hint: Any) -> None:
                 extra(name, value)
             elif isinstance(extra, MinLen) and len(value) < extra.min_length:
                 raise SettingError(f"{name}: expected at least {extra.min_length} value, got {len(value)}")
-    if hint in (int, float):
+    if isinstance(value, PurePath):
+        _expect("\0" not in str(value), name, "a path without null characters", str(value))
+    elif hint in (int, float):
         check_number(name, value, limit, whole=hint is int)
     elif hint is bool or hint is str:
         _expect(isinstance(value, hint), name, "true or false" if hint is bool else "text", value)

@@ -177,7 +177,7 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
 
 
 # a page of an empty folder is empty, and the rig makes the recording of a comparison that does not exist
-VALID_INPUTS = {("view", "folder", "folder"), ("compare-optimizers", "recording", "missing")}
+VALID_INPUTS = {("view", "folder", "folder"), ("view", "folder", ""), ("compare-optimizers", "recording", "missing")}
 
 
 def unreadable(folder):
