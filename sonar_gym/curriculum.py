@@ -71,9 +71,9 @@ class Curriculum(BaseCallback):
                 f"Curriculum: success and step must lie in (0, 1] and episodes must be >= 1, got {success:g}, {step:g} "
                 f"and {episodes}"
             )
-        self.end = street_settings(end, name="end") if isinstance(end, str) else end
-        named = street_settings(begin, name="begin") if isinstance(begin, str) else None
-        self.begin = named or replaced(self.end, begin, "begin")  # type: ignore[arg-type]
+        self.end = street_settings(end) if isinstance(end, str) else end
+        named = street_settings(begin) if isinstance(begin, str) else None
+        self.begin = named or replaced(self.end, begin, "begin")
         self.success, self.step, self.share = success, step, 0.0
         self._ends: deque[bool] = deque(maxlen=episodes)
 

@@ -26,7 +26,7 @@ from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
 from acquisition.io.files import write_atomic
 from acquisition.io.tables import parse_table, read_bytes
-from acquisition.limits import as_numbers, check_value, shown
+from acquisition.limits import as_numbers, check_value, is_list, shown
 from acquisition.ping import EchoStatus, Ping, Reading, check_pairs, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
@@ -190,7 +190,7 @@ class Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         check_pairs("Recording.of.reading", ping, reading)
         for key, value in columns.items():
-            if not np.isscalar(value) and _shape(value) != (len(ping),):
+            if not np.isscalar(value) and not _is_column(value, len(ping)):
                 raise SettingError(f"Recording.of.{key}: expected one value or {len(ping)}, got {shown(value)}")
         table = pd.DataFrame(
             {
@@ -334,12 +334,9 @@ class Recording:
         return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
 
 
-def _shape(value: Any) -> tuple[int, ...] | None:
-    """Return the shape of a column; None for what is none, such as rows of unequal lengths."""
-    try:
-        return np.shape(value) if isinstance(value, Sequence | np.ndarray | pd.Series) else None
-    except ValueError:
-        return None
+def _is_column(value: Any, n: int) -> bool:
+    is_flat = value.ndim == 1 if isinstance(value, np.ndarray | pd.Series) else is_list(value)
+    return is_flat and len(value) == n
 
 
 def _on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:

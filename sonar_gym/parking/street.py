@@ -125,23 +125,17 @@ LEVELS: dict[str, StreetSettings] = {
 Difficulty = Annotated[str, OneOf(LEVELS)]
 
 
-def street_settings(
-    difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None, name: str = "difficulty"
-) -> StreetSettings:
+def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
     """Return the settings of a level, with some fields replaced, or complete settings as given.
-
-    `name` is that of the argument that names the level.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap
     (0.75, 0.85)
     """
-    check_choice(name, difficulty, list(LEVELS))
+    check_choice("difficulty", difficulty, list(LEVELS))
     return replaced(LEVELS[difficulty], given)
 
 
-def replaced(
-    settings: StreetSettings, given: StreetSettings | Mapping[str, Any] | None, name: str = "street"
-) -> StreetSettings:
+def replaced(settings: StreetSettings, given: Any, name: str = "street") -> StreetSettings:
     """Return settings with some fields replaced, or complete settings as given; `name` is that of the argument.
 
     Raises:
