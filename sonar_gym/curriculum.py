@@ -9,9 +9,8 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
-from acquisition import SettingError
 from acquisition.arguments import checked
-from acquisition.limits import Count, Share, check_value
+from acquisition.limits import Count, Rate, Share, check_value
 from sonar_gym.checks import check_observation
 from sonar_gym.parking.street import StreetSettings, replaced, street_settings
 
@@ -61,16 +60,11 @@ class Curriculum(BaseCallback):
         self,
         begin: StreetSettings | Mapping[str, Any] | str = "easy",
         end: StreetSettings | str = "hard",
-        success: float = 0.8,
-        step: float = 0.1,
+        success: Rate = 0.8,
+        step: Rate = 0.1,
         episodes: Count = 200,
     ) -> None:
         super().__init__()
-        if not (0.0 < success <= 1.0 and 0.0 < step <= 1.0 and episodes >= 1):
-            raise SettingError(
-                f"Curriculum: success and step must lie in (0, 1] and episodes must be >= 1, got {success:g}, {step:g} "
-                f"and {episodes}"
-            )
         self.end = street_settings(end) if isinstance(end, str) else end
         named = street_settings(begin) if isinstance(begin, str) else None
         self.begin = named or replaced(self.end, begin, "begin")
