@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from acquisition.errors import SettingError
-from acquisition.limits import check_value, shown
+from acquisition.limits import as_numbers, as_whole, check_value, shown
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
@@ -23,7 +23,8 @@ def checked(function: Callable[Parameters, Result]) -> Callable[Parameters, Resu
     """Return a function that checks its arguments at each call.
 
     Numbers and text are checked as settings are (`acquisition.limits`); other arguments must be instances of one of the
-    annotated classes. Annotations of any other kind, such as `ArrayLike` and `Callable`, are left to the function.
+    annotated classes. What is annotated as an array of float64 or int64 becomes one; an `Iterable` or `Sequence` of a
+    class becomes a tuple of its instances. Any other annotation, such as `ArrayLike`, is left to the function.
 
     Raises:
         SettingError: an argument is of another type, or outside its limits; the message names it.
@@ -31,17 +32,17 @@ def checked(function: Callable[Parameters, Result]) -> Callable[Parameters, Resu
 
     @functools.wraps(function)
     def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
-        expected = _expected(function)
-        for kind, value in zip(expected.values(), args, strict=False):
-            if kind is not None and not isinstance(value, kind.classes):
-                kind.check(value)
-        for name, value in kwargs.items():
-            kind = expected.get(name)
-            if kind is not None and not isinstance(value, kind.classes):
-                kind.check(value)
-        return function(*args, **kwargs)
+        kinds = _expected(function)
+        given: Any = [_admitted(kind, value) for kind, value in zip(kinds.values(), args, strict=False)]
+        named: Any = {name: _admitted(kinds.get(name), value) for name, value in kwargs.items()}
+        given += args[len(given) :]
+        return function(*given, **named)
 
     return call
+
+
+def _admitted(kind: _Kind | None, value: Any) -> Any:
+    return value if kind is None or isinstance(value, kind.classes) else kind.admit(value)
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,47 @@ class _Kind:
     classes: tuple[type, ...]
     scalars: tuple[Any, ...]
 
-    def check(self, value: Any) -> None:
-        """Raise SettingError unless the value is as one of the scalars."""
+    def admit(self, value: Any) -> Any:
+        """Return the value; raise SettingError unless it is as one of the scalars."""
         if len(self.scalars) == 1 and set(self.classes) <= {type(None)}:
             check_value(self.name, value, self.scalars[0])
+            if _class(self.scalars[0]) is float:
+                return float(value)
         elif not isinstance(value, tuple(map(_class, self.scalars))):
             classes = (*self.classes, *map(_class, self.scalars))
             expected = " or ".join("None" if cls is type(None) else cls.__name__ for cls in classes)
             raise SettingError(f"{self.name}: expected {expected}, got {shown(value)}")
+        return value
+
+
+@dataclass(frozen=True)
+class _Array(_Kind):
+    """An argument that is an array of numbers; `whole` ones are int64."""
+
+    whole: bool
+
+    def admit(self, value: Any) -> Any:
+        """Return the value as an array; raise SettingError if it holds anything but numbers."""
+        if isinstance(value, np.ndarray) and value.dtype == (np.int64 if self.whole else np.float64):
+            return value
+        numbers = as_numbers(self.name, value)
+        return as_whole(self.name, numbers) if self.whole else numbers
+
+
+@dataclass(frozen=True)
+class _Items(_Kind):
+    """An argument that is several instances of a class."""
+
+    item: type
+
+    def admit(self, value: Any) -> Any:
+        """Return the value as a tuple; raise SettingError if one item is of another class."""
+        has_items = isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
+        items = tuple(value) if has_items else (value,)
+        for each in items:
+            if not isinstance(each, self.item):
+                raise SettingError(f"{self.name}: expected a list of {self.item.__name__}, got {shown(each)} in it")
+        return items
 
 
 @functools.cache
@@ -79,10 +113,29 @@ def _expected(function: Callable[..., Any]) -> Mapping[str, _Kind | None]:
 def _kind(name: str, hint: Any) -> _Kind | None:
     """Return what a hint says if all its members are classes whose instances can be recognised."""
     members = list(_members(hint))
-    if not all(map(_is_recognised, map(_class, members))):
-        return None
-    others = tuple(cls for cls in map(_class, members) if cls not in SCALARS)
-    return _Kind(name, others, tuple(member for member in members if _class(member) in SCALARS))
+    special = [member for member in members if _number_type(member) or _item(member)]
+    rest = [member for member in members if member not in special]
+    if len(special) > 1 or complex in rest or not all(map(_is_recognised, map(_class, rest))):
+        return None  # complex: of `ArrayLike`
+    others = tuple(cls for cls in map(_class, rest) if cls not in SCALARS)
+    scalars = tuple(member for member in rest if _class(member) in SCALARS)
+    if not special or scalars:
+        return None if special else _Kind(name, others, scalars)
+    if item := _item(special[0]):
+        return _Items(name, others, scalars, item)
+    return _Array(name, others, scalars, _number_type(special[0]) is np.int64)
+
+
+def _number_type(hint: Any) -> type | None:
+    """Return the type of the numbers of an array; None for other hints, and for arrays of anything else."""
+    found = next(iter(get_args(get_args(hint)[1])), None) if get_origin(hint) is np.ndarray else None
+    return found if found in (np.float64, np.int64) else None
+
+
+def _item(hint: Any) -> type | None:
+    """Return the class of the items of an iterable; None for other hints, and for numbers and text."""
+    found = get_args(hint)[0] if get_origin(hint) in (Iterable, Sequence) else None
+    return found if _is_recognised(found) and found not in SCALARS else None
 
 
 def _members(hint: Any) -> Iterator[Any]:

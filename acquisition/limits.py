@@ -15,12 +15,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
 from functools import cache
+from pathlib import PurePath
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MinLen
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from acquisition.errors import SettingError, SonarError
 
 
@@ -115,6 +116,30 @@ def as_numbers(name: str, value: Any) -> Floats:
         raise SettingError(f"{name}: expected numbers, got {shown(value)}") from None
 
 
+def as_whole(name: str, numbers: Floats) -> Ints:
+    """Return numbers as integers.
+
+    Raises:
+        SettingError: one is not a whole number that a float holds exactly.
+    """
+    if not np.all((np.abs(numbers) < 2**53) & (numbers == np.floor(numbers))):  # also not NaN
+        raise SettingError(f"{name}: expected whole numbers, got {shown(numbers)}")
+    return numbers.astype(np.int64)
+
+
+def is_list(value: Any) -> bool:
+    """Return whether a value is a sequence or an array, and not text, bytes or an array without dimensions.
+
+    >>> [is_list(each) for each in ([1], np.zeros(2), "x", b"x", np.array(1.0))]
+    [True, True, False, False, False]
+    """
+    return value.ndim > 0 if isinstance(value, np.ndarray) else _is_sequence(value)
+
+
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray)
+
+
 def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool = False) -> None:
     """Check one number.
 
@@ -184,7 +209,9 @@ def _check(name: str, value: Any, hint: Any) -> None:
                 extra(name, value)
             elif isinstance(extra, MinLen) and len(value) < extra.min_length:
                 raise SettingError(f"{name}: expected at least {extra.min_length} value, got {len(value)}")
-    if hint in (int, float):
+    if isinstance(value, PurePath):
+        _expect("\0" not in str(value), name, "a path without null characters", str(value))
+    elif hint in (int, float):
         check_number(name, value, limit, whole=hint is int)
     elif hint is bool or hint is str:
         _expect(isinstance(value, hint), name, "true or false" if hint is bool else "text", value)
@@ -197,7 +224,7 @@ def _check(name: str, value: Any, hint: Any) -> None:
 
 
 def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:
-    _expect(isinstance(value, Sequence | np.ndarray) and not isinstance(value, str), name, "a list", value)
+    _expect(is_list(value), name, "a list", value)
     if items[-1] is Ellipsis:
         items = (items[0],) * len(value)
     _expect(len(value) == len(items), name, f"{len(items)} values", value)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.brief import brief
 from acquisition.errors import SettingError
-from acquisition.limits import as_numbers, shown
+from acquisition.limits import as_numbers, as_whole, shown
 
 
 class EchoStatus(IntEnum):
@@ -39,10 +40,23 @@ def _broadcast(name: str, array: Floats, n: int) -> Floats:
         raise SettingError(f"{name} has shape {array.shape}, expected {(n,)}: pass one value per ping") from None
 
 
-def _whole(name: str, row: Floats) -> Ints:
-    if not np.all(np.abs(row) < 2**53):  # also not NaN
-        raise SettingError(f"{name} must hold whole numbers: give the number of the run of each ping")
-    return row.astype(np.int64)
+def _picked(name: str, index: Any) -> Any:
+    """Return a slice, or an array of bool or indices; numpy reports those that are out of range."""
+    if isinstance(index, slice):
+        return index
+    try:
+        rows = np.atleast_1d(np.asarray(index))
+    except ValueError:  # lists of unequal lengths
+        rows = np.array([None])
+    if rows.dtype.kind not in "iub" and rows.size:
+        raise SettingError(f"{name}[...]: expected a mask, a slice or indices, got {shown(index)}")
+    return rows if rows.size else rows.astype(np.int64)
+
+
+def check_pairs(name: str, ping: Ping, reading: Reading | None) -> None:
+    """Raise SettingError unless there is one reading for each ping."""
+    if reading is not None and len(reading) != len(ping):
+        raise SettingError(f"{name}: expected one reading for each ping, got {len(reading)} for {len(ping)}")
 
 
 @dataclass(frozen=True)
@@ -96,7 +110,7 @@ class Ping:
             incidence=row.get("incidence", row["angle"]),
             reflectance=row["reflectance"],
             time=row.get("time", np.arange(n, dtype=np.float64)),
-            run=_whole("Ping.run", row["run"]),
+            run=as_whole("Ping.run", row["run"]),
             covariates={name: row[name] for name in covariates},
         )
 
@@ -107,6 +121,8 @@ class Ping:
             value = getattr(self, name)
             if not isinstance(value, np.ndarray):
                 raise SettingError(f"Ping.{name}: expected an array, got {shown(value)}; `Ping.of` takes lists, too")
+            if value.dtype.kind not in "fiu":
+                raise SettingError(f"Ping.{name}: expected an array of numbers, got {shown(value)}")
             if value.shape != n or value.ndim != 1:
                 raise SettingError(f"Ping.{name} has shape {value.shape}, expected {n}: pass one value per ping")
             # a finite sum of squares implies finite terms, and is one fast call: simulators build a Ping every step
@@ -117,6 +133,8 @@ class Ping:
                     f"Ping.{name} holds a value that is not finite, or is too large: give the true condition of every "
                     "ping"
                 )
+        if not isinstance(self.covariates, Mapping):
+            raise SettingError(f"Ping.covariates: expected a mapping of arrays, got {shown(self.covariates)}")
         if len(self.distance) and self.distance.min() < 0:
             raise SettingError(f"Ping.distance must be >= 0 m, got {self.distance.min():g} m")
 
@@ -126,7 +144,7 @@ class Ping:
 
     def __getitem__(self, index: ArrayLike | slice) -> Ping:
         """Return the pings at a mask, slice or array of indices."""
-        pick = index if isinstance(index, slice) else np.atleast_1d(np.asarray(index))
+        pick = _picked("Ping", index)
         parts = {k: getattr(self, k)[pick] for k in ("distance", "angle", "incidence", "reflectance", "time", "run")}
         return replace(self, **parts, covariates={k: v[pick] for k, v in self.covariates.items()})
 
@@ -168,6 +186,8 @@ class Reading:
             if not isinstance(getattr(self, name), np.ndarray):
                 given = shown(getattr(self, name))
                 raise SettingError(f"Reading.{name}: expected an array, got {given}; `Reading.of` takes lists, too")
+            if getattr(self, name).dtype.kind not in "fiub":
+                raise SettingError(f"Reading.{name}: expected an array of numbers, got {shown(getattr(self, name))}")
         if self.range.shape != self.status.shape:
             raise SettingError(f"Reading.status has shape {self.status.shape}, expected {self.range.shape}")
         # comparisons with NaN are false, so NaN fails `range >= 0`
@@ -180,7 +200,7 @@ class Reading:
 
     def __getitem__(self, index: ArrayLike | slice) -> Reading:
         """Return the readings at a mask, slice or array of indices."""
-        pick = index if isinstance(index, slice) else np.atleast_1d(np.asarray(index))
+        pick = _picked("Reading", index)
         more = self.echoes[pick] if len(self.echoes) == len(self) else self.echoes
         return Reading(self.range[pick], self.status[pick], more)
 

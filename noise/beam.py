@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE, from_numbers, plain_numbers
@@ -93,6 +94,7 @@ class BeamModel:
         """Probabilities of hit, short and random, (3,)."""
         return np.array([self.hit, self.short, self.random])
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> BeamLaw:
         """Return the law of n pings."""
         return BeamLaw(ping.distance, self)
@@ -102,6 +104,7 @@ class BeamModel:
         return plain_numbers("beam", self)
 
     @classmethod
+    @checked
     def from_dict(cls, data: dict[str, Any]) -> BeamModel:
         """Build a model from the output of `to_dict`.
 

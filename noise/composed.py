@@ -27,6 +27,7 @@ from torch import Tensor
 from acquisition import ModelError, Ping, Reading, SettingError, previous
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
+from acquisition.limits import shown
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.medium import TEMPERATURE
 from noise.effects.state import number
@@ -133,6 +134,7 @@ class ComposedModel:
         own = model.law(ping, past, sensors) if isinstance(model, StatefulModel) else model.law(ping, past)
         return self._changed(own, Conditions.of(ping, past))
 
+    @checked
     def follow(self, ping: Ping, reading: Reading) -> PhysicalLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         past = previous(reading, ping.run)
@@ -173,12 +175,14 @@ class ComposedModel:
         stacks = {"before": self.before.to_dict()["effects"], "after": self.after.to_dict()["effects"]}
         return {"kind": "composed", "model": inner.to_dict(), **stacks}
 
+    @checked
     def write_weights(self, folder: FilePath) -> None:
         """Write the weights of the model, if any, into a folder."""
         if isinstance(self.model, HasWeights):
             self.model.write_weights(folder)
 
     @classmethod
+    @checked
     def load(
         cls, folder: FilePath, data: dict[str, Any], load_kind: Callable[[FilePath, Any], SonarModel]
     ) -> ComposedModel:
@@ -208,6 +212,8 @@ def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) ->
         SettingError: the law of the model can only be sampled.
     """
     base = load_model(model) if isinstance(model, str | os.PathLike) else model
+    if not all(hasattr(diagnosis, name) for name in ("emulator", "causes_only", "verdict")):
+        raise SettingError(f"compose.diagnosis: expected a Diagnosis, got {shown(diagnosis)}")
     known, found = (_values(each) for each in (diagnosis.emulator, diagnosis.causes_only))
     before = {name: values for name, values in known.items() if not _adds(name)}
     after, left_out = dict(before), dict[str, str]()

@@ -8,17 +8,21 @@ over conditions, tabulated over readings.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import MinLen
 from numpy.typing import ArrayLike
 
-from acquisition import Ping, Reading
+from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.brief import brief
-from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
+from acquisition.limits import Count, Limit, Metres, PositiveMetres, Share, as_numbers, check_settings, shown
+from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Tolerance
 from noise.model import SonarModel
 
 DEG = np.pi / 180.0
+Angle = Annotated[float, Limit(-90.0, 90.0, "deg")]
 N_DRAWS = 3000  # in total, and at least one per ping of the prior, where a law has no probabilities
 
 
@@ -33,11 +37,15 @@ class ConditionPrior:
         reflectances: reflectances, 0..1.
     """
 
-    near: float = 0.03
-    far: float = 6.0
-    distances: int = 600  # two per bin of the table, so that no bin is empty even for a sonar without noise
-    angles_deg: tuple[float, ...] = (0.0, 7.5, 15.0, 22.5, 30.0, 45.0)
-    reflectances: tuple[float, ...] = (0.1, 0.5, 0.9)
+    near: Metres = 0.03
+    far: PositiveMetres = 6.0
+    distances: Count = 600  # two per bin of the table, so that no bin is empty even for a sonar without noise
+    angles_deg: Annotated[tuple[Angle, ...], MinLen(1)] = (0.0, 7.5, 15.0, 22.5, 30.0, 45.0)
+    reflectances: Annotated[tuple[Share, ...], MinLen(1)] = (0.1, 0.5, 0.9)
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for values outside their limits."""
+        check_settings(self)
 
     def grid(self) -> tuple[Ping, int]:
         """Return all conditions, distance varying fastest, and the number of conditions per distance."""
@@ -68,14 +76,24 @@ class CredenceTable:
     values: Floats
     share: Floats
 
+    def __post_init__(self) -> None:
+        """Raise SettingError unless there is one value and one probability for each bin."""
+        edges = as_bins("CredenceTable.edges", self.edges)
+        for name in ("values", "share"):
+            number = as_numbers(f"CredenceTable.{name}", getattr(self, name))
+            if number.shape != (len(edges) - 1,):
+                raise SettingError(f"CredenceTable.{name} has shape {number.shape}, expected ({len(edges) - 1},)")
+            object.__setattr__(self, name, number)
+        object.__setattr__(self, "edges", edges)
+
     @classmethod
     @checked
     def of(
         cls,
         model: SonarModel,
         prior: ConditionPrior | None = None,
-        bins: int = 300,
-        tolerance: float = CREDENCE_TOLERANCE,
+        bins: Count = 300,
+        tolerance: Tolerance = CREDENCE_TOLERANCE,
     ) -> CredenceTable:
         """Tabulate a model's credence under a prior.
 
@@ -90,7 +108,9 @@ class CredenceTable:
 
     @classmethod
     @checked
-    def over(cls, model: SonarModel, ping: Ping, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
+    def over(
+        cls, model: SonarModel, ping: Ping, edges: Floats, tolerance: Tolerance = CREDENCE_TOLERANCE
+    ) -> CredenceTable:
         """Tabulate a model's credence for n equally likely pings.
 
         Args:
@@ -99,7 +119,7 @@ class CredenceTable:
             edges: edges of the bins of range, m, increasing, (bins + 1,).
             tolerance: largest error of a right reading, relative to the true distance.
         """
-        law = model.law(ping)
+        law, edges = model.law(ping), as_bins("CredenceTable.over.edges", edges)
         if not law.has_probabilities:
             return cls.by_sampling(law, edges, tolerance)
         every = np.repeat(edges[:, None], len(ping), axis=1)
@@ -111,11 +131,12 @@ class CredenceTable:
 
     @classmethod
     @checked
-    def by_sampling(cls, law: EchoLaw, edges: Floats, tolerance: float = CREDENCE_TOLERANCE) -> CredenceTable:
+    def by_sampling(cls, law: EchoLaw, edges: Floats, tolerance: Tolerance = CREDENCE_TOLERANCE) -> CredenceTable:
         """Tabulate the credence of a law that can only be sampled, from about `N_DRAWS` draws with a fixed seed.
 
         With c draws in a bin, the standard error of a credence p is sqrt(p (1 - p) / c).
         """
+        edges = as_bins("CredenceTable.by_sampling.edges", edges)
         right, total = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
         rng, repeats = np.random.default_rng(N_DRAWS), max(1, N_DRAWS // len(law))
         for _ in range(repeats):
@@ -126,8 +147,10 @@ class CredenceTable:
         return cls(edges, _ratio(right, total), total / (repeats * len(law)))
 
     @checked
-    def mixed(self, other: CredenceTable, weight: float) -> CredenceTable:
+    def mixed(self, other: CredenceTable, weight: Share) -> CredenceTable:
         """Return the table under a mixture of two priors, with weight `weight` on the other; the bins must be equal."""
+        if not np.array_equal(self.edges, other.edges):
+            raise SettingError(f"CredenceTable.mixed.other: has other bins ({len(other.values)}): tabulate both alike")
         share = (1.0 - weight) * self.share + weight * other.share
         right = (1.0 - weight) * self.share * self.values + weight * other.share * other.values
         return CredenceTable(self.edges, _ratio(right, share), share)
@@ -139,11 +162,20 @@ class CredenceTable:
         return np.where(reading.echo & (reading.range <= self.edges[-1]), self.values[place], 0.0)
 
 
+def as_bins(name: str, edges: ArrayLike) -> Floats:
+    """Return the edges of bins; raise SettingError unless there are two or more that increase."""
+    edge = as_numbers(name, edges)
+    if edge.ndim != 1 or len(edge) < 2 or not np.all(np.diff(edge) > 0):
+        raise SettingError(f"{name}: expected two or more increasing numbers, got {shown(edges)}")
+    return edge
+
+
 def _ratio(part: Floats, whole: Floats) -> Floats:
     return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 1e-12)
 
 
-def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats, Floats]:
+@checked
+def wilson(hits: ArrayLike, trials: ArrayLike, z: Annotated[float, Limit(0.0, 40.0)] = 1.96) -> tuple[Floats, Floats]:
     """Return Wilson's score interval (1927) for a binomial probability, lower and upper limit, each (...,).
 
     Args:
@@ -155,8 +187,8 @@ def wilson(hits: ArrayLike, trials: ArrayLike, z: float = 1.96) -> tuple[Floats,
     >>> low.round(3).tolist(), high.round(3).tolist()
     ([0.0, 0.237], [0.278, 0.763])
     """
-    n = np.asarray(trials, dtype=np.float64)
-    share = np.asarray(hits, dtype=np.float64) / n
+    n = as_numbers("wilson.trials", trials)
+    share = as_numbers("wilson.hits", hits) / n
     centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
     return np.clip(centre - half, 0.0, 1.0), np.clip(centre + half, 0.0, 1.0)

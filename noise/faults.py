@@ -254,6 +254,7 @@ class Faulty:
     array([0.75])
     """
 
+    @checked
     def __init__(self, model: SonarModel, faults: Iterable[Fault]) -> None:
         self.model, self.faults = model, tuple(faults)
         total = math.fsum(fault.rate for fault in self.faults)
@@ -295,6 +296,7 @@ class Faulty:
         if isinstance(self.model, StatefulModel):
             self.model.reset(sensors)
 
+    @checked
     def follow(self, ping: Ping, reading: Reading) -> FaultyLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         return self._with_faults(follow(self.model, ping, reading), ping)
@@ -311,12 +313,14 @@ class Faulty:
         faults = [{"fault": type(fault).__name__, **asdict(fault)} for fault in self.faults]
         return {"kind": "faulty", "model": inner.to_dict(), "faults": faults}
 
+    @checked
     def write_weights(self, folder: Path) -> None:
         """Write the weights of the model, if any, into a folder."""
         if isinstance(self.model, HasWeights):
             self.model.write_weights(folder)
 
     @classmethod
+    @checked
     def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, Any], SonarModel]) -> Faulty:
         """Load a saved model with faults.
 

@@ -8,19 +8,23 @@ remaining probability is divided between no echo and no answer, so that all outc
 
 from __future__ import annotations
 
+import functools
+import inspect
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Callable
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition import EchoStatus, Reading
+from acquisition import EchoStatus, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
-from acquisition.limits import as_numbers
+from acquisition.limits import Limit, as_numbers, shown
 
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 
+Tolerance = Annotated[float, Limit(0.0, 10.0)]
 MAX_N_WIDE = 64  # pings; up to this number the inverse is searched in many parts at once
 
 
@@ -32,8 +36,25 @@ class UniformSource(Protocol):
         ...
 
 
+def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method of a law whose arguments are checked: a source of random numbers, or ranges for each ping."""
+    names = list(inspect.signature(method).parameters)[1:]
+    kind = "_source" if method.__name__ == "sample" else "_per_ping"
+
+    @functools.wraps(method)
+    def call(self: EchoLaw, *args: Any, **kwargs: Any) -> Any:
+        admit = getattr(self, kind)
+        given = [admit(f"{method.__name__}.{name}", value) for name, value in zip(names, args, strict=False)]
+        named = {name: admit(f"{method.__name__}.{name}", value) for name, value in kwargs.items()}
+        return method(self, *given, *args[len(given) :], **named)
+
+    return call
+
+
 class EchoLaw(ABC):
     """Law of the readings of n pings.
+
+    The arguments of `arrival`, `between` and `sample` are checked in all subclasses.
 
     Attributes:
         distance: true distances, m, (n,).
@@ -49,10 +70,13 @@ class EchoLaw(ABC):
     uniform_per_ping: bool = True
 
     def __init_subclass__(cls) -> None:
-        """Reset `uniform_per_ping` where a subclass overrides `sample` without a declaration of its own."""
+        """Guard what a subclass overrides; reset `uniform_per_ping` where it has a `sample` without a declaration."""
         super().__init_subclass__()
         if "sample" in vars(cls) and "uniform_per_ping" not in vars(cls):
             cls.uniform_per_ping = False
+        for name in ("arrival", "between", "sample"):
+            if name in vars(cls):
+                setattr(cls, name, _guarded(vars(cls)[name]))
 
     def __init__(self, distance: Floats, resolution: float, max_range: float) -> None:
         self.distance = distance
@@ -63,14 +87,40 @@ class EchoLaw(ABC):
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf is allowed."""
 
+    @_guarded
     def between(self, low: Floats, high: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range in (low, high]; subclasses may have exact tails."""
+        """Return P(an echo is registered at an exact range in (low, high]); subclasses may have exact tails."""
         return np.maximum(self.arrival(high) - self.arrival(low), 0.0)
 
     @property
     @abstractmethod
     def no_answer(self) -> Floats:
         """P(the sensor does not answer), (n,)."""
+
+    def _per_ping(self, name: str, value: Any) -> Floats:
+        """Return an argument as numbers with the pings along the last axis, (n,) or (..., n)."""
+        number, n = self._numbers(name, value), len(self)
+        if number.shape[-1:] not in ((), (1,), (n,)):
+            raise SettingError(
+                f"{type(self).__name__}.{name} has shape {number.shape}, expected {(n,)} or (..., {n}): one per ping"
+            )
+        return number if number.shape[-1:] == (n,) else np.broadcast_to(number, (*number.shape[:-1], n))
+
+    def _numbers(self, name: str, value: Any) -> Floats:
+        number = as_numbers(f"{type(self).__name__}.{name}", value)
+        if np.isnan(number).any():
+            raise SettingError(f"{type(self).__name__}.{name}: expected numbers, got {shown(value)} with a NaN")
+        return number
+
+    def _source(self, name: str, value: Any) -> UniformSource:
+        """Return an argument that is a source of random numbers."""
+        if isinstance(value, type) or not callable(getattr(value, "random", None)):
+            raise SettingError(
+                f"{type(self).__name__}.{name}: expected a generator, such as numpy.random.default_rng(0), "
+                f"got {shown(value)}"
+            )
+        source: UniformSource = value
+        return source
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -93,32 +143,36 @@ class EchoLaw(ABC):
 
     def step(self, range_: ArrayLike) -> Ints:
         """Return the register step nearest to a range in m, 1 to `last_step`."""
-        nearest = np.rint(np.asarray(range_, dtype=np.float64) / self.resolution)
+        nearest = np.rint(self._numbers("step.range_", range_) / self.resolution)
         return np.clip(nearest, 1, self.last_step).astype(np.int64)
 
-    def cdf_step(self, step: Ints) -> Floats:
+    def cdf_step(self, step: ArrayLike) -> Floats:
         """Return P(echo and register <= step), (n,) or (m, n); 0 for steps below 1."""
+        step = self._per_ping("cdf_step.step", step)
         return np.where(step < 1, 0.0, self.arrival(self.edge(step)))
 
-    def edge(self, step: Ints) -> Floats:
+    def edge(self, step: ArrayLike) -> Floats:
         """Return the upper edge of a step as exact range, m; -inf below the first step, +inf from the last step on."""
+        step = self._per_ping("edge.step", step)
         inside = (step + 0.5) * self.resolution
         return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
 
     def cdf(self, range_: ArrayLike) -> Floats:
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
-        value = as_numbers("EchoLaw.cdf.range_", range_)
-        return self.cdf_step(np.floor(value / self.resolution + 1e-9).astype(np.int64))
+        return self.cdf_step(np.floor(self._per_ping("cdf.range_", range_) / self.resolution + 1e-9))
 
     @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
+        if len(reading) != len(self):
+            raise SettingError(f"{type(self).__name__}.log_prob.reading: {len(reading)} readings of {len(self)} pings")
         step = self.step(reading.range)
         with np.errstate(divide="ignore"):
             echo = np.log(self.between(self.edge(step - 1), self.edge(step)))
             table = np.stack([np.log(self.no_echo), echo, np.log(self.no_answer)])
         return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
 
+    @_guarded
     def sample(self, rng: UniformSource) -> Reading:
         """Draw a reading for each ping by inversion of the law on its grid, from one uniform number a ping."""
         u = rng.random(len(self))
@@ -147,7 +201,7 @@ class EchoLaw(ABC):
         return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 
     @checked
-    def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
+    def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
         low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)
         high = np.floor((1 + tolerance) * self.distance / self.resolution + 1e-9).astype(np.int64)
@@ -156,5 +210,7 @@ class EchoLaw(ABC):
 
     def quantile(self, p: ArrayLike) -> Floats:
         """Return the p-quantile of the *echoes*, m, (n,); 0 where no echo is possible."""
-        echo, share = self.echo, as_numbers("EchoLaw.quantile.p", p)
+        echo, share = self.echo, self._per_ping("quantile.p", p)
+        if not np.all((share >= 0.0) & (share <= 1.0)):
+            raise SettingError(f"{type(self).__name__}.quantile.p: expected numbers from 0 to 1, got {shown(p)}")
         return np.where(echo > 0, self._invert(share * echo * (1 - 1e-12)) * self.resolution, 0.0)

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.arguments import checked
+from acquisition.limits import Count, as_numbers, shown
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel, follow
 
@@ -41,7 +44,8 @@ class ClusterMean:
         >>> ClusterMean.of([1.0, 1.0, 3.0, 3.0], [0, 0, 1, 1])
         ClusterMean(mean=2.0, error=1.0, pings=4, clusters=2)
         """
-        x, g = np.asarray(value, dtype=np.float64), np.unique(np.asarray(cluster), return_inverse=True)[1]
+        x = as_numbers("ClusterMean.of.value", value)
+        g = np.unique(_clusters(cluster, len(x)), return_inverse=True)[1]
         if not len(x) or len(x) != len(g):
             raise SettingError(
                 f"ClusterMean needs at least one value and a cluster for each, got {len(x)} and {len(g)}"
@@ -57,7 +61,8 @@ class ClusterMean:
         return f"{self.mean:.3f} +- {self.error:.3f}"
 
 
-def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
+@checked
+def crps(law: EchoLaw, reading: Reading, levels: Count = LEVELS) -> Floats:
     """Return the continuous ranked probability score of each echo, m, (n,); NaN where the reading is no echo.
 
     The score is that of the law conditional on an echo, in its quantile form
@@ -73,7 +78,8 @@ def crps(law: EchoLaw, reading: Reading, levels: int = LEVELS) -> Floats:
     return np.where(reading.echo, score, np.nan)
 
 
-def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = None, levels: int = LEVELS) -> Floats:
+@checked
+def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = None, levels: Count = LEVELS) -> Floats:
     """Return the continuous ranked probability score of each reading, m, (n,), in which no echo counts as a range.
 
     Args:
@@ -102,6 +108,7 @@ def _quantile_score(quantile: Callable[[Floats], Floats], value: Floats, levels:
     return 2.0 * score / levels
 
 
+@checked
 def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
     """Return the randomised probability integral transform of each reading, (n,): uniform if the law is true.
 
@@ -139,6 +146,7 @@ class Reliability:
         return float(np.average(np.abs(self.predicted - self.observed)[filled], weights=self.pings[filled]))
 
 
+@checked
 def credence_reliability(
     law: EchoLaw,
     reading: Reading,
@@ -159,12 +167,13 @@ def credence_reliability(
     """
     slack = 1e-9
     true = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance + slack)
-    return reliability(law.credence(tolerance)[rows], true[rows], np.asarray(cluster)[rows], bins)
+    return reliability(law.credence(tolerance)[rows], true[rows], _clusters(cluster, len(reading))[rows], bins)
 
 
+@checked
 def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, bins: int = 10) -> Reliability:
     """Compare predicted probabilities, (n,), with outcomes, (n,), by bins of equal width over [0, 1]."""
-    g = np.asarray(cluster)
+    g = _clusters(cluster, len(predicted))
     place = np.minimum((predicted * bins).astype(np.int64), bins - 1)
     scores = [_mean_or_nan(true, g, place == k) for k in range(bins)]
     count = np.bincount(place, minlength=bins)
@@ -175,6 +184,17 @@ def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, 
         error=np.array([score.error for score in scores]),
         pings=count,
     )
+
+
+def _clusters(cluster: ArrayLike, n: int) -> NDArray[Any]:
+    """Return the cluster of each of n pings; raise SettingError unless there is one for each."""
+    try:
+        found = np.asarray(cluster)
+    except ValueError:  # rows of unequal lengths
+        found = np.array(None)
+    if found.shape != (n,):
+        raise SettingError(f"cluster: expected a number or name for each of {n} pings, got {shown(cluster)}")
+    return found
 
 
 def _mean_or_nan(value: NDArray, cluster: NDArray, rows: NDArray[np.bool_]) -> ClusterMean:
@@ -196,6 +216,7 @@ class Evaluation:
     credence_gap: float
 
 
+@checked
 def evaluate(
     model: SonarModel,
     ping: Ping,
@@ -216,9 +237,10 @@ def evaluate(
     return score_law(follow(model, ping, reading), reading, cluster, rows)
 
 
+@checked
 def score_law(law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_]) -> Evaluation:
     """Score the given rows of a law of n pings on their readings."""
-    g, echo = np.asarray(cluster), reading.echo & rows
+    g, echo = _clusters(cluster, len(reading)), reading.echo & rows
     likelihood = ClusterMean.of(law.log_prob(reading)[rows], g[rows])
     crps_mm = _mean_or_nan(1e3 * crps(law, reading), g, echo)
     return Evaluation(likelihood, crps_mm, credence_reliability(law, reading, g, rows=rows).gap)

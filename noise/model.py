@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 from acquisition import ModelError, Ping, Reading, previous
 from acquisition.arguments import checked
 from acquisition.limits import Limit, Metres, PositiveMetres, Share, check_settings
-from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, UniformSource
+from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Tolerance, UniformSource
 from noise.schema import Resolution
 
 MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
@@ -112,7 +112,8 @@ class CertainLaw(NormalLaw):
         echo = self.miss < 1.0
         return Reading(self._steps * (echo * self.resolution), echo.view(np.uint8))
 
-    def credence(self, tolerance: float = CREDENCE_TOLERANCE) -> Floats:
+    @checked
+    def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return 1 where the register step lies within +-tolerance of the distance, else 0, (n,)."""
         off = np.abs(self._steps * self.resolution - self.distance)
         right = off <= tolerance * self.distance + 1e-9 * self.resolution
@@ -154,6 +155,7 @@ class IdealModel:
         return plain_numbers("ideal", self)
 
     @classmethod
+    @checked
     def from_dict(cls, data: dict[str, Any]) -> IdealModel:
         """Build a model from the output of `to_dict`."""
         return from_numbers("ideal", cls, data)
@@ -194,6 +196,7 @@ class GaussianModel:
         return plain_numbers("gaussian", self)
 
     @classmethod
+    @checked
     def from_dict(cls, data: dict[str, Any]) -> GaussianModel:
         """Build a model from the output of `to_dict`.
 
@@ -248,11 +251,13 @@ class StatefulModel(SonarModel, Protocol):
         ...
 
 
+@checked
 def listener(model: SonarModel) -> SonarModel:
     """Return a model for one set of sensors: a copy with an empty state of its own if the model is stateful."""
     return model.fresh() if isinstance(model, StatefulModel) else model
 
 
+@checked
 def follow(model: SonarModel, ping: Ping, reading: Reading) -> EchoLaw:
     """Return the law of every ping of a recording given the earlier pings of its run, (n,).
 

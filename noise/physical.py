@@ -149,6 +149,7 @@ class PhysicalLaw(EchoLaw):
         """Return the log probability of each reading, nats, (n,), differentiable; bounded below by log(1e-300)."""
         return torch.log(torch.clamp(self.probability_tensor(reading), min=MIN_PROBABILITY))
 
+    @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
         with torch.no_grad(), np.errstate(divide="ignore"):
@@ -198,6 +199,7 @@ class PhysicalModel:
         """Whether any effect depends on the previous reading."""
         return any(effect.remembers for effect in self.effects)
 
+    @checked
     def state(self, conditions: Conditions) -> State:
         """Return the state after all effects are applied in the order of their stages."""
         state = State(
@@ -211,12 +213,14 @@ class PhysicalModel:
         )
         return self.applied(state)
 
+    @checked
     def applied(self, state: State) -> State:
         """Return a state after all effects are applied to it."""
         for effect in self.effects:
             state = effect.apply(state)
         return state
 
+    @checked
     def law_of(self, conditions: Conditions) -> PhysicalLaw:
         """Return the law of a batch of tensors, differentiable in the parameters."""
         return PhysicalLaw(self.state(conditions), conditions.distance.numpy(), self.resolution, self.max_range)
@@ -232,6 +236,7 @@ class PhysicalModel:
         return {"kind": "physical", "resolution": self.resolution, "max_range": self.max_range, "effects": effects}
 
     @classmethod
+    @checked
     def from_dict(cls, data: dict[str, object]) -> PhysicalModel:
         """Build a model from the output of `to_dict`.
 

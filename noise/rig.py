@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from acquisition import Ping, Reading
+from acquisition.arguments import checked
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.air import Drift
 from acquisition.bench.registers import METRES
@@ -87,6 +88,7 @@ class RigModel:
         """Maximum range set by the range register, m."""
         return float(self.rig.setup.listening * 345.0 / 2.0 + 1.0)
 
+    @checked
     def law(self, ping: Ping, past: Reading | None = None) -> RigLaw:
         """Return the law of n pings."""
         return RigLaw(self, ping)

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from acquisition import ModelError, SettingError, SonarError, UnknownModelError
 from acquisition.arguments import checked
-from acquisition.io.files import is_folder, whole_folder
+from acquisition.io.files import check_path, is_folder, whole_folder
 from acquisition.io.schema import read_json
 from acquisition.limits import Loadable, near, shown
 from noise.model import SonarModel
@@ -111,6 +111,7 @@ def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
     if not hasattr(model, "to_dict"):
         raise SettingError(f"save_model.model: expected a model with to_dict(), got {shown(model)}")
     folder = Path(folder)
+    check_path(folder)
     check_model_folder(folder)
     text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
     with whole_folder(folder) as fresh:

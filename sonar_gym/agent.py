@@ -21,7 +21,8 @@ from acquisition.io.schema import Schema, read_json
 from acquisition.limits import Limit, near
 from noise.learned.tensors import layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 from noise.schema import Sizes
-from sonar_gym.control.memory import MemorySettings, Observation, ObservationMemory
+from sonar_gym.checks import check_observation
+from sonar_gym.control.memory import EGO, MemorySettings, Observation, ObservationMemory
 
 Layer = tuple[Singles, Singles]
 FORMAT = 1
@@ -174,7 +175,9 @@ class AgentDriver:
 
     def act(self, observation: Observation) -> Singles:
         """Return the steering and speed setpoints as fractions of their maxima, (2,)."""
-        return self._agent.act({name: value[None] for name, value in observation.items()}, ONE)[0]
+        sonars = (self._agent.memory.sonars,)
+        check_observation(observation, {"ego": (EGO,), **dict.fromkeys(("ranges", "echo", "credence"), sonars)})
+        return self._agent.act({name: np.asarray(value)[None] for name, value in observation.items()}, ONE)[0]
 
 
 def drive_by_agent(count: int, policy: Policy | None = None) -> Callable[[Observation, Ints], Singles]:

@@ -6,42 +6,72 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
+import numpy as np
+
 from acquisition import SettingError
 from acquisition.errors import UnknownFieldError
-from acquisition.limits import near, shown
+from acquisition.limits import as_numbers, near, shown
 
 Settings = TypeVar("Settings")
 
 
-def settings_of(cls: type[Settings], given: Any) -> Settings:
+def settings_of(cls: type[Settings], given: Any, name: str = "") -> Settings:
     """Return settings as given, from a mapping of their fields, or with their defaults for None.
+
+    Args:
+        cls: class of the settings.
+        given: the settings.
+        name: of the argument, for the message; that of the class by default.
 
     Raises:
         SettingError: a field is unknown or missing, or `given` is neither settings nor a mapping.
     """
     if given is None or isinstance(given, Mapping):
         given = {} if given is None else given
-        check_fields(cls, given)
+        check_fields(cls, given, name)
         try:
             return cls(**given)
         except TypeError as error:  # a missing field, or a value of a wrong type
             raise SettingError(f"{cls.__name__}: {error}") from None
     if not isinstance(given, cls):
-        raise _no_settings(cls, given)
+        raise _no_settings(cls, given, name)
     return given
 
 
-def _no_settings(cls: type, given: Any) -> SettingError:
-    return SettingError(f"{cls.__name__}: expected {cls.__name__} or a mapping of its fields, got {shown(given)}")
+def _no_settings(cls: type, given: Any, name: str) -> SettingError:
+    expected = f"{cls.__name__} or a mapping of its fields"
+    return SettingError(f"{name or cls.__name__}: expected {expected}, got {shown(given)}")
 
 
-def check_fields(cls: type, given: Mapping[str, Any]) -> None:
+def check_fields(cls: type, given: Mapping[str, Any], name: str = "") -> None:
     """Raise SettingError for what is no mapping, and for a name that is no field of a dataclass."""
     if not isinstance(given, Mapping):
-        raise _no_settings(cls, given)
+        raise _no_settings(cls, given, name)
     known = [field.name for field in fields(cls)]
     for name in given:
         if name not in known:
             raise UnknownFieldError(
                 f"{cls.__name__}: unknown field {name!r}; expected {', '.join(known)}{near(name, known)}"
             )
+
+
+def check_options(options: Any) -> None:
+    """Raise SettingError for options of a reset that are no mapping."""
+    if not (options is None or isinstance(options, Mapping)):
+        raise SettingError(f"options: expected a mapping, got {shown(options)}")
+
+
+def check_observation(
+    observation: Any, shapes: Mapping[str, tuple[int, ...] | None], name: str = "observation"
+) -> None:
+    """Raise SettingError for what is no mapping, or lacks finite numbers of some shapes; None stands for any shape."""
+    if not isinstance(observation, Mapping):
+        raise SettingError(f"{name}: expected a mapping of {', '.join(shapes)}, got {shown(observation)}")
+    for key, shape in shapes.items():
+        if key not in observation:
+            raise SettingError(f"{name}: {key} is missing; it has {', '.join(map(str, observation))}")
+        number = as_numbers(f"{name}[{key!r}]", observation[key])
+        if shape not in (None, number.shape):
+            raise SettingError(f"{name}[{key!r}] has shape {number.shape}, expected {shape}")
+        if not np.isfinite(number).all():
+            raise SettingError(f"{name}[{key!r}]: expected finite numbers, got {shown(observation[key])}")

@@ -9,8 +9,9 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
-from acquisition import SettingError
 from acquisition.arguments import checked
+from acquisition.limits import Count, Rate, Share, check_value
+from sonar_gym.checks import check_observation
 from sonar_gym.parking.street import StreetSettings, replaced, street_settings
 
 
@@ -59,18 +60,14 @@ class Curriculum(BaseCallback):
         self,
         begin: StreetSettings | Mapping[str, Any] | str = "easy",
         end: StreetSettings | str = "hard",
-        success: float = 0.8,
-        step: float = 0.1,
-        episodes: int = 200,
+        success: Rate = 0.8,
+        step: Rate = 0.1,
+        episodes: Count = 200,
     ) -> None:
         super().__init__()
-        if not (0.0 < success <= 1.0 and 0.0 < step <= 1.0 and episodes >= 1):
-            raise SettingError(
-                f"Curriculum: success and step must lie in (0, 1] and episodes must be >= 1, got {success:g}, {step:g} "
-                f"and {episodes}"
-            )
         self.end = street_settings(end) if isinstance(end, str) else end
-        self.begin = street_settings(begin) if isinstance(begin, str) else replaced(self.end, begin)
+        named = street_settings(begin) if isinstance(begin, str) else None
+        self.begin = named or replaced(self.end, begin, "begin")
         self.success, self.step, self.share = success, step, 0.0
         self._ends: deque[bool] = deque(maxlen=episodes)
 
@@ -79,7 +76,13 @@ class Curriculum(BaseCallback):
         return {"share": self.share, "ends": list(self._ends)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue from a state that `state_dict` returned."""
+        """Continue from a state that `state_dict` returned.
+
+        Raises:
+            SettingError: it is no such state.
+        """
+        check_observation(state, {"share": (), "ends": None}, "state")
+        check_value("state['share']", state["share"], Share)
         self.share = float(state["share"])
         self._ends.clear()
         self._ends.extend(bool(parked) for parked in state["ends"])

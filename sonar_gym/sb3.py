@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from acquisition import SettingError
+from acquisition.limits import SEEDS, check_value
+from sonar_gym.checks import check_options
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
@@ -41,6 +43,20 @@ class SonarVecEnv(VecEnv):
         self.infos = infos
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seeds of the next reset: `seed` of the first environment, from which the others count up."""
+        check_value("seed", seed, Annotated[int, SEEDS] | None)
+        return super().seed(seed)
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Set the options of the next reset: one mapping for all environments, or one for each."""
+        each = options if isinstance(options, list) else [options] * self.num_envs
+        if len(each) != self.num_envs:
+            raise SettingError(f"options: expected {self.num_envs} mappings, one per environment, got {len(each)}")
+        for one in each:
+            check_options(one)
+        super().set_options(options)
 
     def reset(self) -> Observations:
         """Begin new episodes with the seeds and options set for this reset; the options must be the same for all."""

@@ -22,7 +22,10 @@ from sonar_gym.wrappers.settings import SonarSettings
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "python" / "index.md"
 PACKAGES = (acquisition, noise, sonar_gym)
 LONG, MAX_DEFAULT = type("Long", (), {"__repr__": lambda self: "..."})(), 60  # in place of long defaults
-FOREIGN = ("close_extras", "env_is_wrapped", "env_method", "get_attr", "set_attr", "step_async", "step_wait")
+FOREIGN = (  # of Stable-Baselines3
+    "close_extras", "env_is_wrapped", "env_method", "get_attr", "seed", "set_attr", "set_options", "step_async",
+    "step_wait",
+)  # fmt: skip
 
 
 def plain(signature):

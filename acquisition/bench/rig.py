@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arguments import checked
 from acquisition.bench.disturbances import disturbances
 from acquisition.bench.firmware import ECHOES, smoothed, to_codes
 from acquisition.bench.laboratory.air import Drift, Floats
@@ -45,6 +46,7 @@ class Rig:
         """Draw the slow drift of the laboratory's air, in standard deviations."""
         return Drift.draw(1.0, self.setup.drift_tau_s, rng)
 
+    @checked
     def ping(
         self,
         ping: Ping,

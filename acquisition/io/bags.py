@@ -243,9 +243,9 @@ class _Bag:
         """Run an operation on the file; for a corrupt one the library raises almost any exception."""
         try:
             return work()
-        except (RecordingError, KeyboardInterrupt, MemoryError):
+        except RecordingError:
             raise
-        except Exception as error:
+        except Exception as error:  # also MemoryError, as a damaged length can be anything
             reason = " ".join(str(error).split()) or type(error).__name__
             raise RecordingError(f"{self.path}: not a readable bag: {reason}") from error
 
@@ -274,7 +274,7 @@ class _Bag:
         return ", ".join(f"{name} ({kind})" for name, kind in self._topics().items()) or "no topics"
 
     def _is_infrared(self, topic: str) -> bool:
-        first = next(self._messages(topic), None)
+        first = self._read(lambda: next(self._messages(topic), None))
         return first is not None and first[1].radiation_type == INFRARED
 
     def _messages(self, topic: str, progress: Progress | None = None) -> Iterator[tuple[float, Any]]:

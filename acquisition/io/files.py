@@ -11,9 +11,10 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
-from acquisition.errors import SonarError
+from acquisition.errors import SettingError, SonarError
+from acquisition.limits import shown
 
 MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
 
@@ -26,6 +27,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
         write: receives the open file; if it raises, `path` remains unchanged.
         binary: open the file for bytes instead of text.
     """
+    check_path(path, "file")
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
@@ -46,6 +48,32 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
         return Path(path).is_dir()
     except (OSError, ValueError):  # too long, or with a null character
         return False
+
+
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a file; False also for text that cannot be a path."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def check_path(path: Path, kind: Literal["file", "folder", "any"] = "any") -> None:
+    """Check that a path can be that of a file or folder.
+
+    Raises:
+        SettingError: it has a null character, a name that is too long, or is of another kind, such as a device.
+    """
+    try:
+        mode = os.stat(path).st_mode
+        found = "folder" if stat.S_ISDIR(mode) else "file" if stat.S_ISREG(mode) else "device or a pipe"
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SettingError(f"{shown(str(path))}: cannot be a path: {reason}") from None
+    if kind not in ("any", found):
+        raise SettingError(f"{path}: is a {found}, expected the name of a {kind}")
 
 
 def read_limited(path: Path, error: type[SonarError], expected: str, max_bytes: int = MAX_BYTES) -> bytes:
@@ -93,6 +121,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     Args:
         folder: to create or replace; it remains unchanged if the block raises.
     """
+    check_path(folder, "folder")
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
         fresh, old = Path(beside) / "fresh", Path(beside) / "old"

@@ -8,6 +8,7 @@ import pandas as pd
 
 from acquisition.errors import SettingError
 from acquisition.io.recording import Recording
+from acquisition.limits import check_value
 
 RecordingLike = Recording | pd.DataFrame | str | os.PathLike[str]
 
@@ -23,6 +24,7 @@ def as_recording(given: RecordingLike, name: str = "recording") -> Recording:
         RecordingError: a column is missing or a value violates the format.
         SettingError: of another type.
     """
+    check_value("as_recording.name", name, str)
     if isinstance(given, Recording):
         return given
     if isinstance(given, pd.DataFrame):

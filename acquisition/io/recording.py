@@ -26,8 +26,8 @@ from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
 from acquisition.io.files import write_atomic
 from acquisition.io.tables import parse_table, read_bytes
-from acquisition.limits import as_numbers, shown
-from acquisition.ping import EchoStatus, Ping, Reading, interval
+from acquisition.limits import as_numbers, check_value, is_list, shown
+from acquisition.ping import EchoStatus, Ping, Reading, check_pairs, interval
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
 TEXT = ("session", "sensor")
@@ -143,6 +143,16 @@ class Recording:
     name: str = "recording"
     rejected: tuple[RowFault, ...] = field(default=())
 
+    def __post_init__(self) -> None:
+        """Raise SettingError for what is no table of numbers, RecordingError where a column is missing."""
+        if not isinstance(self.table, pd.DataFrame):
+            raise SettingError(f"Recording.table: expected a DataFrame, got {shown(self.table)}")
+        check_value("Recording.name", self.name, str)
+        _check_header(self.name, list(map(str, self.table.columns)))
+        for name in (*REQUIRED, *(column for column in CONDITION if self.has(column))):
+            if not pd.api.types.is_numeric_dtype(self.table[name]):
+                raise SettingError(f"Recording.table: column {name} holds text; `as_recording` converts it")
+
     @classmethod
     @checked
     def load(cls, path: str | os.PathLike[str], skip_bad_rows: bool = False) -> Recording:
@@ -178,6 +188,10 @@ class Recording:
     @checked
     def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
+        check_pairs("Recording.of.reading", ping, reading)
+        for key, value in columns.items():
+            if not np.isscalar(value) and not _is_column(value, len(ping)):
+                raise SettingError(f"Recording.of.{key}: expected one value or {len(ping)}, got {shown(value)}")
         table = pd.DataFrame(
             {
                 "time_s": ping.time,
@@ -318,6 +332,11 @@ class Recording:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as CSV, atomically."""
         return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
+
+
+def _is_column(value: Any, n: int) -> bool:
+    is_flat = value.ndim == 1 if isinstance(value, np.ndarray | pd.Series) else is_list(value)
+    return is_flat and len(value) == n
 
 
 def _on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:

@@ -94,6 +94,8 @@ class SurveyPlan:
         check_settings(self, lambda field: field)
         if not isinstance(self.sweep, Mapping):
             raise SettingError(f"sweep: expected quantities with their values, got {shown(self.sweep)}")
+        for name in ("angles_deg", "distances_mm", "reflectances", "incidences_deg"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))  # an array is neither true nor false
         if min(len(self.angles_deg), len(self.distances_mm), len(self.reflectances)) < 1:
             raise SettingError("a plan needs at least one angle, distance and reflectance")
         for name in self.sweep:

@@ -14,6 +14,7 @@ from acquisition.arrays import Floats
 from acquisition.bench.rig import Rig
 from acquisition.drivers.driver import SonarDriver
 from acquisition.errors import DeviceError, NoAnswerError, SettingError
+from acquisition.io.files import read_limited
 from acquisition.ping import EchoStatus, Ping, Reading
 from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, SurveyPlan
@@ -210,10 +211,11 @@ class Thermometer:
         return self._value
 
     def _read(self) -> None:
+        expected = "a thermometer's file, with thousandths of a degree Celsius"
+        data = read_limited(self.path, DeviceError, expected)
         try:
-            with self.path.open(encoding="ascii") as file:
-                value = int(file.read(MAX_CHARACTERS)) / 1000.0
-        except (OSError, ValueError) as error:
+            value = int(data[:MAX_CHARACTERS]) / 1000.0
+        except ValueError as error:
             raise DeviceError(f"thermometer {self.path}: {error}; expected thousandths of a degree Celsius") from None
         if not -60.0 <= value <= 84.9:  # a DS18B20 returns 85 degC until its first conversion
             raise DeviceError(f"thermometer {self.path}: {value:g} degC, expected -60 to 84.9 degC; check its wires")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -31,12 +32,25 @@ def as_model(given: Any) -> SonarModel | Simulator:
     """
     if isinstance(given, str | os.PathLike):
         return load_model(given)
-    if callable(getattr(given, "law", None)) or callable(given):
+    if not isinstance(given, type) and (callable(getattr(given, "law", None)) or _takes_pings(given)):
         checked: SonarModel | Simulator = given
         return checked
     raise SettingError(
         f"model: is a {type(given).__name__}, expected a name, a folder, a SonarModel or a function (pings, rng)"
     )
+
+
+def _takes_pings(given: Any) -> bool:
+    """Return whether something can be called with pings and a generator."""
+    if not callable(given):
+        return False
+    try:
+        inspect.signature(given).bind(None, None)
+    except TypeError:
+        return False
+    except ValueError:  # a built-in function whose arguments are not known
+        return True
+    return True
 
 
 def check_conditions(recording: Recording) -> None:

@@ -12,9 +12,11 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from acquisition.arguments import checked
 from acquisition.brief import shortened
 from acquisition.extras import FigureLike, load_extra
-from acquisition.io.files import write_text
+from acquisition.io.files import check_path, write_text
+from acquisition.limits import Seed
 from noise.store import save_model
 
 REPORT = "noise.discrepancy.report."
@@ -46,7 +48,8 @@ class Presented:
         figure: FigureLike = load_extra(FIGURES + "figures", "train").overview(self)
         return figure
 
-    def report(self, path: str | os.PathLike[str], seed: int = 0) -> Path:
+    @checked
+    def report(self, path: str | os.PathLike[str], seed: Seed = 0) -> Path:
         """Write the HTML report and return its path.
 
         Args:
@@ -61,9 +64,11 @@ class Presented:
             path, load_extra(FIGURES + "report", "train").render(self, str(path.parent / "corrected"), seed)
         )
 
+    @checked
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write verdict.json and, if a correction is offered, the model in corrected/; return the folder."""
         folder = Path(folder)
+        check_path(folder, "folder")
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "verdict.json", json.dumps(self.verdict.to_dict(), indent=1, allow_nan=False) + "\n")
         corrected = folder / "corrected"

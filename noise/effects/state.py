@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from acquisition import EchoStatus, Ping, Reading
+from acquisition.ping import check_pairs
 
 MARGIN_DB = 60.0  # level of a flat wall at 1 m above the threshold of an ideal sonar: no misses; chosen here
 DETECTION_WIDTH_DB = 1.5  # spread of the level at the threshold: log-normal level noise, sigma 1.5 dB
@@ -38,6 +39,7 @@ class Conditions:
     @classmethod
     def of(cls, ping: Ping, past: Reading | None = None) -> Conditions:
         """Convert arrays; without `past` the previous readings are unknown."""
+        check_pairs("past", ping, past)
         n = len(ping)
         tensor = torch.tensor  # copies, since arrays from a table may be read-only
         return cls(

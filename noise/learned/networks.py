@@ -19,7 +19,7 @@ from acquisition.arrays import Floats
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.persistence import Persistence
-from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
+from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 
 
 def dense(layers: Layers, x: Floats) -> Floats:
@@ -44,6 +44,7 @@ class MlpModel:
 
     remembers = False
 
+    @checked
     def __init__(
         self,
         inputs: Inputs,
@@ -55,7 +56,7 @@ class MlpModel:
     ) -> None:
         self.inputs, self.head, self.about, self.card = inputs, head, about or {}, card
         self.persistence = persistence
-        self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
+        self.layers = as_layers("MlpModel.layers", layers)
 
     @property
     def resolution(self) -> float:
@@ -84,11 +85,13 @@ class MlpModel:
             "about": self.about,
         }
 
+    @checked
     def write_weights(self, folder: Path) -> None:
         """Write the weights, and the card if there is one, into a folder."""
         write_tensors(folder, tensors_of(self.layers), self.card)
 
     @classmethod
+    @checked
     def load(cls, folder: Path, data: dict[str, Any]) -> MlpModel:
         """Load a saved network.
 

@@ -20,14 +20,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
+from acquisition.limits import shown
+from acquisition.ping import check_pairs
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.networks import MlpModel, dense
 from noise.learned.recurrent_file import LstmShape
 from noise.learned.recurrent_state import LstmCell, LstmState, PingHistory, condition_of
-from noise.learned.tensors import Layers, layers_of, read_tensors, tensors_of, write_tensors
+from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, tensors_of, write_tensors
 from noise.model import steps
+
+MAX_SENSORS = 1_000_000
+
+
+def _places(sensors: Ints, n: int) -> Ints:
+    """Return the indices of sensors; raise SettingError unless there is one for each ping."""
+    if sensors.shape != (n,) or not np.all((sensors >= 0) & (sensors < MAX_SENSORS)):
+        raise SettingError(f"sensors: expected {n} numbers from 0 to {MAX_SENSORS - 1}, got {shown(sensors)}")
+    return sensors
 
 
 class LstmModel:
@@ -45,6 +56,7 @@ class LstmModel:
 
     remembers = True
 
+    @checked
     def __init__(
         self,
         inputs: Inputs,
@@ -57,7 +69,7 @@ class LstmModel:
     ) -> None:
         self.inputs, self.head, self.base, self.about, self.card = inputs, head, base, about or {}, card
         self.cell = LstmCell(*(np.asarray(x, dtype=np.float64) for x in (cell.on_input, cell.on_hidden, cell.bias)))
-        self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
+        self.layers = as_layers("LstmModel.layers", layers)
         self._base_columns = None if base is None else head.indices_of(base.head)
         self._state: LstmState | None = None
 
@@ -93,7 +105,8 @@ class LstmModel:
         Raises:
             SettingError: without `sensors`, the number of sensors differs from that of the last call.
         """
-        places = np.arange(len(ping)) if sensors is None else sensors
+        check_pairs("LstmModel.law.past", ping, past)
+        places = np.arange(len(ping)) if sensors is None else _places(sensors, len(ping))
         state = self._resized(len(ping), past, sensors)
         current = LstmState.empty(len(ping), self.cell.hidden)
         if past is not None:
@@ -133,8 +146,10 @@ class LstmModel:
             outputs[:, self._base_columns] += dense(self.base.layers, batch.feature)
         return self.head.law(outputs, batch, anchors)
 
+    @checked
     def follow(self, ping: Ping, reading: Reading) -> MixtureLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
+        check_pairs("LstmModel.follow.reading", ping, reading)
         batch, history = self.inputs.features(ping), PingHistory.of_recording(ping, reading)
         x = np.concatenate([batch.feature, history.features(ping)], axis=1)
         return self._law(batch, x, self._hidden(x, ping.run), history.anchors(ping.distance))
@@ -168,6 +183,7 @@ class LstmModel:
             "about": self.about,
         }
 
+    @checked
     def write_weights(self, folder: Path) -> None:
         """Write the weights, and the card if there is one, into a folder."""
         tensors = {f"lstm.{f.name}": getattr(self.cell, f.name) for f in fields(self.cell)}
@@ -177,6 +193,7 @@ class LstmModel:
         write_tensors(folder, tensors, self.card)
 
     @classmethod
+    @checked
     def load(cls, folder: Path, data: dict[str, Any]) -> LstmModel:
         """Load a saved network.
 

@@ -12,8 +12,10 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from acquisition import ModelError
+from acquisition import ModelError, SettingError
+from acquisition.arrays import Floats
 from acquisition.io.files import read_limited
+from acquisition.limits import as_numbers, shown
 
 WEIGHTS_FILE, CARD_FILE = "weights.safetensors", "README.md"
 Layers = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -22,6 +24,8 @@ HEADER_BYTES = 65_536  # upper limit of a safetensors header
 
 def write_tensors(folder: Path, tensors: Mapping[str, np.ndarray], card: str) -> None:
     """Write weights in single precision, and the card if there is one, into a folder."""
+    if not folder.is_dir():
+        raise ModelError(f"{folder}: is not a folder; make it before weights are written into it")
     save_file({name: np.ascontiguousarray(value, dtype=np.float32) for name, value in tensors.items()}, _file(folder))
     _file(folder).chmod(0o644)
     if card:
@@ -68,6 +72,21 @@ def shapes_of(sizes: Sequence[int], prefix: str = "") -> dict[str, tuple[int, ..
     """Return the shapes of the weights of layers, given their widths, the input first."""
     named: dict[str, tuple[int, ...]] = {f"{prefix}{i}.weight": (b, a) for i, (a, b) in enumerate(pairwise(sizes))}
     return named | {f"{prefix}{i}.bias": (size,) for i, size in enumerate(sizes[1:])}
+
+
+def as_layers(name: str, layers: Layers) -> list[tuple[Floats, Floats]]:
+    """Return layers in double precision.
+
+    Raises:
+        SettingError: they are no pairs of a matrix (out, in) and a bias (out,).
+    """
+    try:
+        pairs = [(as_numbers(name, weight), as_numbers(name, bias)) for weight, bias in layers]
+    except (TypeError, ValueError):
+        pairs = []
+    if not pairs or any(weight.ndim != 2 or bias.shape != weight.shape[:1] for weight, bias in pairs):
+        raise SettingError(f"{name}: expected pairs of weights (out, in) and biases (out,), got {shown(layers)}")
+    return pairs
 
 
 def layers_of(tensors: Mapping[str, np.ndarray], count: int, prefix: str = "") -> Layers:

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import ModelError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from acquisition.io.files import is_file
 
 Kind = Literal["mlp", "lstm"]
 MAX_ANGLE = np.deg2rad(45.0)
@@ -131,7 +132,7 @@ def load_thesis_network(path: str | os.PathLike[str]) -> ThesisNetwork:
 
 
 def _check_file(path: Path) -> None:
-    if not path.is_file():
+    if not is_file(path):
         raise ModelError(f"{path}: no such file; give one of the networks published with the thesis")
     if path.stat().st_size > MAX_FILE_BYTES:
         raise ModelError(

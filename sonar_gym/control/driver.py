@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from acquisition import SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints, Singles
+from acquisition.limits import SEEDS, Limit, PositiveMetres, shown
+from sonar_gym.checks import check_observation
 from sonar_gym.control.fusion import StreetFilter
+from sonar_gym.control.memory import EGO
 from sonar_gym.control.perception import Perception, RawPerception
 from sonar_gym.parking.environment import MAX_RANGE, ODOMETRY_SPAN
 from sonar_gym.parking.vehicle import CarSettings
@@ -37,6 +40,7 @@ STREET_END_RANGE = 0.35  # m; a front range below it, for STREET_END_COUNT steps
 STREET_END_COUNT = 5
 MIN_CLEARANCE = 0.03  # m, at either end of the car
 WAIT_STEPS, MOVE_STEPS = 4, 12  # the environment detects a parked car while it stands
+EVERY = Limit(0, 1_000_000)
 STEERING_LEAD = 0.03  # m; compensates the 0.2 s that the wheels take from one lock to the other
 STIFFNESS, DAMPING = 16.0, 8.0  # 1/m^2, 1/m; errors off the path decay within 0.25 m
 PERCEPTIONS: dict[str, type[RawPerception] | type[StreetFilter]] = {"survey": RawPerception, "fusion": StreetFilter}
@@ -45,12 +49,16 @@ PERCEPTIONS: dict[str, type[RawPerception] | type[StreetFilter]] = {"survey": Ra
 def make_perception(given: str | Perception, mounts: Sequence[Mount], max_range: float) -> Perception:
     """Return a perception by name; return an object unchanged."""
     if not isinstance(given, str):
+        if not all(hasattr(given, name) for name in ("update", "reset", "spaces", "clearance")):
+            known = ", ".join(PERCEPTIONS)
+            raise SettingError(f"perception: expected one of {known}, or an object like these, got {shown(given)}")
         return given
     if given not in PERCEPTIONS:
         raise SettingError(f"perception {given!r}: no such kind; expected {', '.join(PERCEPTIONS)}")
     return PERCEPTIONS[given](mounts, max_range)
 
 
+@runtime_checkable
 class Controller(Protocol):
     """Any controller of the car that acts on observations."""
 
@@ -135,7 +143,7 @@ class ParkingDriver:
         self,
         mounts: Sequence[Mount] = LAYOUTS["eight"],
         car: CarSettings | None = None,
-        max_range: float = MAX_RANGE,
+        max_range: PositiveMetres = MAX_RANGE,
         perception: str | Perception = "survey",
     ) -> None:
         names = [mount.name for mount in mounts]
@@ -143,6 +151,7 @@ class ParkingDriver:
         if missing:
             raise SettingError(f"ParkingDriver needs a sonar named {missing[0]!r}; the layout has {names}")
         self.car = car or CarSettings()
+        self._shapes = {"ego": (EGO,), **dict.fromkeys(("ranges", "echo", "credence"), (len(names),))}
         self.max_range = max_range
         self.perception = make_perception(perception, mounts, max_range)
         self.reset()
@@ -157,6 +166,7 @@ class ParkingDriver:
 
     def act(self, observation: Observation) -> Singles:
         """Return the steering and speed setpoints as fractions of their maxima, (2,)."""
+        check_observation(observation, self._shapes)
         ego = np.asarray(observation["ego"], dtype=np.float64)
         odometry = np.array([ego[4] * ODOMETRY_SPAN[0], ego[5] * ODOMETRY_SPAN[1], np.arctan2(ego[3], ego[2])])
         reading = np.asarray(observation["ranges"], dtype=np.float64) * self.max_range
@@ -271,7 +281,10 @@ class Episode:
     truths: Floats = field(repr=False)
 
 
-def run_episode(env: gymnasium.Env, driver: Controller, seed: int | None = None, every: int = 1) -> Episode:
+@checked
+def run_episode(
+    env: gymnasium.Env, driver: Controller, seed: Annotated[int, SEEDS] | None = None, every: Annotated[int, EVERY] = 1
+) -> Episode:
     """Drive one episode of SonarParking-v0.
 
     Args:

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
-from acquisition.limits import SEEDS, as_numbers, check_number
+from acquisition.limits import SEEDS, as_numbers, check_number, shown
 from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation
 from sonar_gym.parking.randomization import Randomization
 from sonar_gym.parking.step_kernel import RewardWeights
@@ -273,5 +273,5 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
 def check_render_mode(mode: str | None) -> None:
     """Raise SettingError for an unknown render mode."""
-    if mode is not None and mode not in SonarParkingEnv.metadata["render_modes"]:
-        raise SettingError(f"render_mode {mode!r}: expected None, 'human' or 'rgb_array'")
+    if mode is not None and not (isinstance(mode, str) and mode in SonarParkingEnv.metadata["render_modes"]):
+        raise SettingError(f"render_mode {shown(mode)}: expected None, 'human' or 'rgb_array'")

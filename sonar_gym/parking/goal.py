@@ -87,7 +87,9 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         goals = [as_numbers(*one) for one in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal))]
         if any(goal.shape != goals[0].shape or goal.shape[-1:] != WEIGHTS.shape for goal in goals):
             shapes = " and ".join(str(goal.shape) for goal in goals)
-            raise SettingError(f"compute_reward: expected two goals of equal shape (..., {len(WEIGHTS)}), got {shapes}")
+            raise SettingError(
+                f"achieved_goal and desired_goal: expected equal shapes (..., {len(WEIGHTS)}), got {shapes}"
+            )
         difference = np.abs(goals[0] - goals[1])
         return np.asarray(-(difference @ WEIGHTS))
 

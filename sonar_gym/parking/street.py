@@ -135,8 +135,8 @@ def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] |
     return replaced(LEVELS[difficulty], given)
 
 
-def replaced(settings: StreetSettings, given: StreetSettings | Mapping[str, Any] | None) -> StreetSettings:
-    """Return settings with some fields replaced, or complete settings as given.
+def replaced(settings: StreetSettings, given: Any, name: str = "street") -> StreetSettings:
+    """Return settings with some fields replaced, or complete settings as given; `name` is that of the argument.
 
     Raises:
         SettingError: a field is unknown or invalid.
@@ -144,7 +144,7 @@ def replaced(settings: StreetSettings, given: StreetSettings | Mapping[str, Any]
     if isinstance(given, StreetSettings):
         return given
     given = {} if given is None else given
-    check_fields(StreetSettings, given)
+    check_fields(StreetSettings, given, name)
     return replace(settings, **given)
 
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
-from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value
+from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value, is_list
+from sonar_gym.checks import check_options
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
 from sonar_gym.parking.randomization import Randomization
@@ -155,6 +156,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
                 continues the random streams.
             options: options of `SonarParkingEnv.reset`, and `reset_mask`, bool, (n,).
         """
+        check_options(options)
         options = dict(options or {})
         mask = self._mask(options.pop(MASK)) if MASK in options else np.ones(self.num_envs, dtype=np.bool_)
         self.fleet.checked(options)
@@ -166,10 +168,10 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         self._render_window()
         return self.fleet.observation(slice(None)), self._infos(mask)
 
-    def _seed_each(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
+    def _seed_each(self, seed: Any) -> Sequence[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
+        if not is_list(seed):
             check_number("seed", seed, SEEDS, whole=True)
             return [int(seed) + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:

@@ -102,7 +102,7 @@ def layout(given: Layout) -> tuple[Mount, ...]:
         each = list(given)
     except TypeError:  # an array without dimensions
         raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from None
-    mounts = tuple(settings_of(Mount, mount) for mount in each)
+    mounts = tuple(settings_of(Mount, mount, "sonar_layout") for mount in each)
     if not 1 <= len(mounts) <= MAX_MOUNTS:
         raise SettingError(f"sonar_layout has {len(mounts)} mounts, expected 1 to {MAX_MOUNTS}")
     return mounts

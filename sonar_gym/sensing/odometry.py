@@ -72,7 +72,7 @@ def odometry(given: OdometryChoice) -> OdometrySettings:
     if isinstance(given, str):
         check_choice("odometry", given, list(ODOMETRIES))
         return ODOMETRIES[given]
-    return settings_of(OdometrySettings, given)
+    return settings_of(OdometrySettings, given, "odometry")
 
 
 X, Y, HEADING, SCALE, PULL, SLIP, WANDER = range(7)  # columns of `Odometer.state`

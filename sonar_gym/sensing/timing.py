@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from acquisition.limits import as_numbers
 from sonar_gym.sensing.records import SAME_TIME_S
 
 Times = tuple[ArrayLike, ArrayLike, ArrayLike | None]  # period, phase and latency, s
@@ -27,7 +28,7 @@ def sensor_latency(max_range: float) -> float:
 
 
 def _column(name: str, value_s: ArrayLike, count: int) -> Floats:
-    value = np.asarray(value_s, dtype=np.float64)
+    value = as_numbers(name, value_s)
     if value.shape not in ((), (count,)):
         raise SettingError(f"{name} has shape {value.shape}, expected one number or {count}, one for each sonar")
     if not np.all((value >= 0.0) & np.isfinite(value)):

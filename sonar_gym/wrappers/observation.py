@@ -16,8 +16,8 @@ from gymnasium.vector.utils import batch_space
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Ints
-from acquisition.limits import SEEDS, check_number, shown
-from sonar_gym.checks import settings_of
+from acquisition.limits import SEEDS, check_number, is_list, shown
+from sonar_gym.checks import check_options, settings_of
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE, Fleet
 from sonar_gym.parking.vector import MASK, SonarParkingVectorEnv, masked
@@ -145,6 +145,8 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         latency_s: float | Sequence[float] | None = None,
     ) -> None:
         settings = given_settings(locals())
+        if not isinstance(env, gymnasium.Env):
+            raise SettingError(f"SonarObservation.env: expected a gymnasium.Env, got {shown(env)}")
         sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
@@ -230,6 +232,8 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         latency_s: float | Sequence[float] | None = None,
     ) -> None:
         settings = given_settings(locals())
+        if not isinstance(env, VectorEnv):
+            raise SettingError(f"SonarVectorObservation.env: expected a gymnasium.vector.VectorEnv, got {shown(env)}")
         sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
@@ -267,6 +271,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Reset all environments, or those of `options["reset_mask"]`; clear the memory of their sonars, and ping."""
+        check_options(options)
         mask = np.array((options or {}).get(MASK, np.ones(self.num_envs)), dtype=np.bool_)
         for i, one in self._seeds(seed, mask):
             self.sonar.seed(one, i)
@@ -280,7 +285,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         each = [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
         if each is None:
             return
-        if not isinstance(each, Sequence | np.ndarray) or len(each) != self.num_envs:
+        if not is_list(each) or len(each) != self.num_envs:
             raise SettingError(f"seed: expected a whole number or {self.num_envs} of them, got {shown(seed)}")
         for i, one in enumerate(each):
             if one is not None and mask[i]:

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from acquisition import Ping, SettingError
-from acquisition.limits import Limit, check_number, check_settings, check_value
-from sonar_gym.sensing.mounts import Layout
+from acquisition.limits import Limit, check_number, check_settings, check_value, is_list
+from sonar_gym.sensing.mounts import Layout, layout
 from sonar_gym.sensing.sonar import BEARINGS_DEG, BINS
 from sonar_gym.sensing.timing import Times
 
@@ -30,13 +30,13 @@ def check_condition(name: str, given: Any) -> ConditionSetting:
     """Return a constant, a pair of limits or a key; raise SettingError for anything else."""
     if isinstance(given, str):
         return given
-    limits = tuple(given) if isinstance(given, Sequence | np.ndarray) else (given, given)
+    limits = tuple(given) if is_list(given) else (given, given)
     for number in limits:
         check_number(f"SonarObservation.{name}", number, CONDITION_LIMITS[name])
     if len(limits) != 2 or not limits[0] <= limits[1]:
         raise SettingError(f"SonarObservation.{name} must be a number, two limits low <= high, or a key, got {given!r}")
     pair = float(limits[0]), float(limits[1])
-    return pair if isinstance(given, Sequence | np.ndarray) else pair[0]
+    return pair if is_list(given) else pair[0]
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,12 @@ class SonarSettings:
         for name in CONDITION_NAMES:
             object.__setattr__(self, name, check_condition(name, getattr(self, name)))
         check_settings(self, lambda name: f"SonarObservation.{name}")
+        if self.sonar_layout is not None:
+            object.__setattr__(self, "sonar_layout", layout(self.sonar_layout))
         check_value("SonarObservation.indices", self.indices, tuple[int, ...] | None)
         for name in TIMES:
             given = getattr(self, name)
-            for time in given if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given,):
+            for time in given if is_list(given) else (given,):
                 if not (name == "latency_s" and time is None):
                     check_number(f"SonarObservation.{name}", time, TIME)
 

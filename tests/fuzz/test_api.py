@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sonar_gym
-from acquisition import Ping, Reading, SettingError, SonarError
+from acquisition import Ping, SettingError, SonarError
 from acquisition.limits import hints_of
 from acquisition.survey.plan import SurveyPlan
-from noise import Faulty, GaussianModel, IdealModel, load_model
+from noise import Faulty, GaussianModel, IdealModel
 from noise.beam import BeamModel
 from noise.discrepancy import diagnose
 from noise.effects import CATALOGUE
@@ -214,27 +214,6 @@ def test_a_wrapper_is_used_or_rejected(name, value, make):
 
 
 @FUZZ
-@given(
-    arrays=st.dictionaries(
-        st.sampled_from(("distance", "angle", "incidence", "reflectance", "time", "run", "x")), any_number
-    )
-)
-def test_pings_are_made_or_rejected(arrays):
-    try:
-        ping = Ping.of(**{"distance": 1.0, **arrays})
-    except SonarError:
-        return
-    IdealModel().law(ping).sample(np.random.default_rng(0))
-
-
-@FUZZ
-@given(value=any_number, status=any_number, echoes=any_number)
-def test_readings_are_made_or_rejected(value, status, echoes):
-    with contextlib.suppress(SonarError):
-        Reading.of(value, status, echoes)
-
-
-@FUZZ
 @given(value=any_number, place=st.sampled_from(("model", "recording", "simulated", "seed", "without", "progress")))
 def test_a_diagnosis_rejects(value, place):
     given_values = {"model": "ideal", "recording": recording(24), place: value}
@@ -242,13 +221,6 @@ def test_a_diagnosis_rejects(value, place):
         return
     with limited((place, value)), contextlib.suppress(SonarError):
         diagnose(given_values.pop("model"), given_values.pop("recording"), **given_values)
-
-
-@FUZZ
-@given(name=any_number)
-def test_models_are_rejected_by_name(name):
-    with pytest.raises(SonarError):
-        load_model(name)
 
 
 @FUZZ

@@ -3,7 +3,9 @@
 import dataclasses
 import importlib
 import math
+import os
 import typing
+from pathlib import Path
 
 import pytest
 import tyro
@@ -73,6 +75,7 @@ NAMES = [
     for o in OPTIONS
     if extra(o[2], OneOf) or extra(o[2], Loadable) or any(typing.get_origin(p) is typing.Literal for p in parts(o[2]))
 ]
+INPUTS = [o for o in OPTIONS if Path in parts(o[2]) and not extra(o[2], Output)]
 PLACES = [option for option in OPTIONS if extra(option[2], Output)]
 ids = lambda options: [f"{name} {field}" for name, field, _ in options]  # noqa: E731
 
@@ -127,8 +130,9 @@ def bad_numbers(draw, hint):
         outside = [int(v) for v in outside] + [10**30, -(10**30), 1.5, 1e3]
     else:
         outside += [1e300, -1e300] if math.isfinite(limit.high) else []
-    text = draw(st.sampled_from([*NO_NUMBER, *map(str, outside)]))
     count = 3 if "tuple[" in str(hint) and "..." not in str(hint) and "Ellipsis" not in str(hint) else 1
+    words = [text for text in NO_NUMBER if count == 1 or text != "--"]  # of several, the first ends the options
+    text = draw(st.sampled_from([*words, *map(str, outside)]))
     return [text] * count
 
 
@@ -170,6 +174,38 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
         check_rejected(*words, names=[shown_as(name, field)])
     assert (tmp_path / "file").read_text() == "kept"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
+
+
+# a page of an empty folder is empty, and the rig makes the recording of a comparison that does not exist
+VALID_INPUTS = {("view", "folder", "folder"), ("view", "folder", ""), ("compare-optimizers", "recording", "missing")}
+
+
+def unreadable(folder):
+    """Make what no command can read, and yield its paths."""
+    contents = {
+        "empty": b"",
+        "binary": bytes(range(256)) * 9,
+        "text": b"nothing of that kind\n",
+        "json": b"{}",
+        "zip": b"PK",
+    }
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+    (folder / "folder").mkdir()
+    (folder / "link").symlink_to("nowhere")
+    (folder / "loop").symlink_to("loop")
+    os.mkfifo(folder / "pipe")
+    return [*sorted(folder.iterdir()), folder / "missing", folder / ("n" * 300), folder / "empty" / "below", "", "\x00"]
+
+
+@pytest.mark.parametrize(("name", "field", "hint"), INPUTS, ids=ids(INPUTS))
+def test_what_cannot_be_read_is_rejected(valid, tmp_path, name, field, hint):
+    (tmp_path / "in").mkdir()
+    real = {"driver": ["twin"]} if field == "thermometer" else {}  # the rig has its own air
+    for path in unreadable(tmp_path / "in"):
+        if (name, field, Path(path).name) not in VALID_INPUTS:
+            check_rejected(*command(name, valid, tmp_path / "out", **{field: [path]}, **real))
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
 def test_what_is_read_is_not_written(valid, tmp_path):

@@ -149,6 +149,8 @@ def main(folder, name, kills, seed):
         result["harmed"] += not unharmed(name, path, whole, before)
         if not killed:
             result["failed"] += code != 0
+            if code:
+                print(f"{name}: exit code {code}: {log.read_text()[-2000:]}", file=sys.stderr)
             result["different"] += name != "prove" and not (code == 0 and equal(content(path), whole))
             if name == "prove" and code == 0:
                 load_ledger(path)

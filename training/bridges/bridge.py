@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -214,6 +215,7 @@ def _sonar(args: OpendlvSonar) -> None:
     with Session.join(args.cid, args.ttl) as session:
         service = SonarService(session, heard, phases)
         print(f"session {args.cid}: {len(mounts)} sonars at {args.frequency_hz:g} Hz; stop with Ctrl-C", flush=True)
+        gc.freeze()  # what the start has made stays, so that no search for garbage in it delays a sonar
         service.run(args.duration_s)
     print(f"published {service.published} readings")
 

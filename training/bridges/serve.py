@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -38,6 +39,7 @@ def main(args: Args) -> None:
     server = SonarServer(args.model, settings)
 
     def ready() -> None:
+        gc.freeze()  # what the start has made stays, so that no search for garbage in it delays an answer
         print(f"{args.model} at tcp://{server.address[0]}:{server.address[1]}; stop with Ctrl-C", flush=True)
 
     with threadpool_limits(1):  # a batch is too small for several threads, which wait for each other

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from acquisition.arguments import checked
 from acquisition.bench.laboratory.air import Gradient
 from acquisition.bench.laboratory.interference import Ambient, Hum, Mover, Neighbour, Reverberation
 from acquisition.bench.laboratory.shapes import Shape
 from acquisition.brief import brief
 from acquisition.errors import SettingError
+from acquisition.limits import SEEDS, check_settings
 
 Output = Literal["inch", "cm", "us"]
 
@@ -186,14 +188,16 @@ class Setup:
     bus: Bus = field(default_factory=Bus)
 
     def __post_init__(self) -> None:
-        """Raise SettingError for values that the registers cannot hold."""
+        """Raise SettingError for what is not a finite number, and for values that the registers cannot hold."""
+        check_settings(self)
         check_register("gain", self.gain, 31)
-        check_register("range register", self.range_register, 255)
+        check_register("range_register", self.range_register, 255)
         if self.output not in ("inch", "cm", "us"):
             raise SettingError(f"output must be inch, cm or us, got {self.output!r}")
 
     @classmethod
-    def draw(cls, serial: int, **fixed: Any) -> Setup:
+    @checked
+    def draw(cls, serial: Annotated[int, SEEDS], **fixed: Any) -> Setup:
         """Return a plausible laboratory by its number; `fixed` settings are not drawn."""
         rng = np.random.default_rng([serial, 0x1AB])
         uniform = rng.uniform

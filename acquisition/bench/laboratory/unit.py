@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from acquisition.arguments import checked
 from acquisition.brief import brief
+from acquisition.limits import SEEDS, check_settings
 
 DEG = np.pi / 180.0
 TICKS = (1e-6, 2e-6, 4e-6, 8e-6, 16e-6, 32e-6, 64e-6)  # s; the datasheet does not state which
@@ -114,8 +116,13 @@ class Unit:
         """Return a unit with typical parameters."""
         return cls()
 
+    def __post_init__(self) -> None:
+        """Raise SettingError for what is not a finite number, or not one of the choices."""
+        check_settings(self)
+
     @classmethod
-    def draw(cls, serial: int) -> Unit:
+    @checked
+    def draw(cls, serial: Annotated[int, SEEDS]) -> Unit:
         """Return the unit of a serial number, the same in every process."""
         rng = np.random.default_rng([serial, 0x5AF08])
         uniform = rng.uniform

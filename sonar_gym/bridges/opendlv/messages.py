@@ -140,7 +140,7 @@ def _known(message: str, fields: Mapping[str, float]) -> int:
     check_choice("OpenDLV message", message, tuple(MESSAGES))
     number, names = MESSAGES[message]
     if not isinstance(fields, Mapping):
-        raise SettingError(f"{message}: expected a mapping of {', '.join(names)}, got {shown(fields)}")
+        raise SettingError(f"{message} fields: expected a mapping of {', '.join(names)}, got {shown(fields)}")
     for name in fields:
         check_choice(f"{message} field", name, names)
     return number

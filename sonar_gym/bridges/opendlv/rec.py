@@ -71,6 +71,7 @@ def read_rec(path: Path) -> Iterator[Envelope]:
             at += HEADER_SIZE + size
 
 
+@checked
 def first_stamp(path: Path) -> float:
     """Return the time of the first reading of a file, s since 1970, from which `time_s` of a table counts."""
     return min((seconds_of(e.sampled) for e in read_rec(path) if e.message == READING), default=0.0)
@@ -207,7 +208,7 @@ def write_rec(recording: Recording, path: Path, start_s: float) -> int:
     """
     ping, reading, names = recording.ping, recording.reading, _sensor_names(recording)
     if not 0.0 <= start_s + float(ping.time.max()) < INT32[1]:
-        raise SettingError(f"start: must lie in [0, {INT32[1]}] s since 1970, got {start_s:g} s")
+        raise SettingError(f"start_s: must lie in [0, {INT32[1]}] s since 1970, got {start_s:g} s")
     stamps = _stamps(names)
     order = np.argsort(ping.time, kind="stable")
     rows = order[reading.status[order] == EchoStatus.ECHO]

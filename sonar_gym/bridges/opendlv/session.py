@@ -12,21 +12,25 @@ import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from acquisition import DeviceError, SettingError
+from acquisition.arguments import checked
+from acquisition.limits import Limit, check_number
 from sonar_gym.bridges.opendlv.messages import MAX_DATAGRAM, MESSAGES, Time, encode
 from sonar_gym.bridges.opendlv.wire import Envelope, decode
 
 PORT = 12175
 FIRST_CID, LAST_CID = 1, 254
 US = 1_000_000
+TIME = Limit(-(2.0**31), 2.0**31 - 1.0, "s")
 BUFFER = 4 * 2**20  # bytes that the system may hold for a receiver that is late
 Address = tuple[str, int]
 Clock = Callable[[], float]  # s since 1970
 
 
-def time_of(seconds: float) -> Time:
+@checked
+def time_of(seconds: Annotated[float, TIME]) -> Time:
     """Return a time in s as seconds and microseconds.
 
     >>> time_of(1.25)
@@ -36,6 +40,7 @@ def time_of(seconds: float) -> Time:
     return whole, part
 
 
+@checked
 def seconds_of(time_: Time) -> float:
     """Return seconds and microseconds as a time in s."""
     return time_[0] + time_[1] / US
@@ -70,10 +75,8 @@ class MulticastLink:
     """
 
     def __init__(self, cid: int, ttl: int = 0) -> None:
-        if not FIRST_CID <= cid <= LAST_CID:
-            raise SettingError(f"OpenDLV cid must lie in [{FIRST_CID}, {LAST_CID}], got {cid}")
-        if not 0 <= ttl <= 255:
-            raise SettingError(f"OpenDLV ttl must lie in [0, 255] networks, got {ttl}")
+        check_number("OpenDLV cid", cid, Limit(FIRST_CID, LAST_CID), whole=True)
+        check_number("OpenDLV ttl", ttl, Limit(0, 255, "networks"), whole=True)
         group = f"225.0.0.{cid}"
         self._group, self._local = (group, PORT), ttl == 0
         self._receiver = _udp()

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition import RecordingError, RecordingNotFoundError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.io.files import read_limited
 from sonar_gym.sensing.scene import Scene, WallSegment
@@ -21,6 +22,7 @@ Pose = tuple[float, float, float]  # x, y, yaw in the world: m, m, rad
 ORIGIN: Pose = (0.0, 0.0, 0.0)  # where a car stands before its first Frame
 
 
+@checked
 def load_map(path: Path, reflectance: float = REFLECTANCE) -> Scene:
     """Return the walls of a map file.
 

@@ -17,7 +17,9 @@ import numpy as np
 import pandas as pd
 
 from acquisition import EchoStatus, MissingExtraError, Reading, Recording, RecordingError, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from acquisition.limits import PositiveMetres
 from noise import CredenceTable
 from sonar_gym.bridges.ros.messages import (
     CREDENCE_TOPIC,
@@ -56,11 +58,12 @@ class _Bag:
         return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
 
+@checked
 def write_bag(
     recording: Recording,
     folder: Path,
     model: SonarChoice | None = None,
-    max_range: float = 6.0,
+    max_range: PositiveMetres = 6.0,
     sqlite: bool = False,
     start_s: float = 1_600_000_000.0,
 ) -> int:
@@ -140,6 +143,7 @@ def _array(bag: _Bag, stamp_ns: int, frame: str, state: tuple[int, str, dict[str
     return types[DIAGNOSTIC_TYPE](header=bag.header(stamp_ns, frame), status=[status])
 
 
+@checked
 def read_credence(path: Path) -> tuple[pd.DataFrame, Reading, Floats]:
     """Return time stamps and sensors, readings, and credence of a bag that `write_bag` has written with a model.
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from acquisition import Ping, Reading, SettingError
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from acquisition.limits import SEEDS, Limit, PositiveMetres, Share, check_number
 from sonar_gym.bridges.server.sensors import Sensors
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import SonarChoice, resolve
@@ -21,9 +25,10 @@ class HeardRanges:
         seed: of the random numbers.
     """
 
-    def __init__(self, model: SonarChoice, max_range: float, reflectance: float, seed: int) -> None:
-        if not 0.0 <= reflectance <= 1.0:
-            raise SettingError(f"reflectance must lie in [0, 1], got {reflectance:g}")
+    @checked
+    def __init__(
+        self, model: SonarChoice, max_range: PositiveMetres, reflectance: Share, seed: Annotated[int, SEEDS]
+    ) -> None:
         self._sensors, self._reflectance = Sensors(resolve(model), max_range, seed), reflectance
         self._numbers: dict[str, int] = {}
 
@@ -47,6 +52,7 @@ class HeardRanges:
         return names, *self._sensors.answer(ping)
 
 
+@checked
 def scan_sectors(
     ranges: Floats, angle_min: float, angle_increment: float, range_max: float, count: int
 ) -> tuple[Floats, Floats]:
@@ -62,8 +68,9 @@ def scan_sectors(
         range_max: maximum range of the scan, m.
         count: number of sectors, at most n.
     """
-    if not 1 <= count <= len(ranges):
-        raise SettingError(f"scan: expected 1 to {len(ranges)} sectors, got {count}")
+    if ranges.ndim != 1:
+        raise SettingError(f"ranges has shape {ranges.shape}, expected (n,)")
+    check_number("count", count, Limit(1, len(ranges)), whole=True)
     angles = angle_min + angle_increment * np.arange(len(ranges))
     distance, bearing = np.full(count, np.nan), np.zeros(count)
     for k, rows in enumerate(np.array_split(np.arange(len(ranges)), count)):

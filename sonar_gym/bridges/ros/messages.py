@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from acquisition import EchoStatus, Reading
+from acquisition.arguments import checked
 from acquisition.arrays import Floats
 
 RANGE_TYPE = "sensor_msgs/msg/Range"
@@ -21,6 +22,7 @@ STATUS = {"no echo": EchoStatus.NO_ECHO, "echo": EchoStatus.ECHO, "no answer": E
 NAMES = {status: name for name, status in STATUS.items()}
 
 
+@checked
 def range_values(reading: Reading, min_range: float) -> Floats:
     """Return the values of `Range.range`, m, (n,).
 
@@ -32,6 +34,7 @@ def range_values(reading: Reading, min_range: float) -> Floats:
     return np.where(reading.status == EchoStatus.NO_ANSWER, np.nan, value)
 
 
+@checked
 def ideal_distances(value: Floats, min_range: float, max_range: float) -> Floats:
     """Return true distances of ideal ranges, m, (n,): infinite for nothing in range, NaN for no measurement.
 
@@ -44,6 +47,7 @@ def ideal_distances(value: Floats, min_range: float, max_range: float) -> Floats
     return np.where(beyond, np.inf, np.where(value < min_range, max(min_range, 0.0), value))
 
 
+@checked
 def diagnostics(reading: Reading, credence: Floats) -> list[tuple[int, str, dict[str, str]]]:
     """Return level, message and values of the `DiagnosticStatus` of each reading."""
     rows = zip(reading.range, reading.status, credence, strict=True)

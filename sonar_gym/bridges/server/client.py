@@ -6,12 +6,14 @@ import re
 import socket
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
 from acquisition import GarbledError, NoAnswerError, Ping, Reading, SettingError, UnpluggedError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from acquisition.limits import Limit
 from sonar_gym.bridges.server import protocol
 
 BATCH = 1024  # pings in a message
@@ -32,17 +34,24 @@ class SonarClient:
     """
 
     @checked
-    def __init__(self, host: str, port: int, timeout_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: Annotated[int, Limit(0, 65_535)],
+        timeout_s: Annotated[float, Limit(0.0, 86_400.0, "s", open_low=True)] = 10.0,
+    ) -> None:
         self.name, self._timeout_s = f"tcp://{host}:{port}", timeout_s
         try:
-            self._socket = socket.create_connection((host, port), timeout_s)
-        except OSError as error:
+            self._socket = socket.create_connection((host, port), float(timeout_s))
+        except (OSError, UnicodeError) as error:  # a name that is none
+            reason = getattr(error, "strerror", None) or error
             raise UnpluggedError(
-                f"{self.name}: cannot connect ({error.strerror or error}); is `sonar-gym serve` or your server running?"
+                f"{self.name}: cannot connect ({reason}); is `sonar-gym serve` or your server running?"
             ) from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-    def seed(self, seed: int) -> None:
+    @checked
+    def seed(self, seed: Annotated[int, Limit(0, 2**64 - 1)]) -> None:
         """Begin anew: random numbers of a seed, 0 to 2^64 - 1, and sonars without memory."""
         self._exchange(protocol.framed(protocol.SEED, protocol.SEED_BODY.pack(seed)))
 
@@ -109,6 +118,7 @@ class SonarClient:
         self.close()
 
 
+@checked
 def address_of(text: str) -> tuple[str, int] | None:
     """Return host and port of `tcp://HOST:PORT`; None for any other text.
 
@@ -120,6 +130,7 @@ def address_of(text: str) -> tuple[str, int] | None:
     return (found["host"].strip("[]"), int(found["port"])) if found else None
 
 
+@checked
 def simulator_at(host: str, port: int) -> Callable[[Ping, np.random.Generator], Reading]:
     """Return a function that asks a running server for the readings of pings, with random numbers of a seed.
 

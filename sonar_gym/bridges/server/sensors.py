@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from acquisition import EchoStatus, Ping, Reading
 from acquisition.arrays import Floats, Ints
 from noise import SonarModel, listener
+from noise.learned.inputs import Inputs
 from noise.model import StatefulModel, steps
 from sonar_gym.bridges.server.protocol import MAX_SENSORS
+from sonar_gym.sensing.laws.choose import compiled_law
+from sonar_gym.sensing.laws.drawn import PathPings
 from sonar_gym.sensing.sonar import broad_table
 
 
@@ -28,9 +33,10 @@ class Sensors:
 
     def restart(self, seed: int) -> None:
         """Begin anew: with the random numbers of a seed, and no previous readings."""
-        self._rng = np.random.default_rng(seed)
+        self._rng: Any = np.random.default_rng(seed)
         self._model = listener(self._shared)
         self._stateful = self._model if isinstance(self._model, StatefulModel) else None
+        self._compiled = compiled_law(self._model, MAX_SENSORS, self.max_range)
         size = MAX_SENSORS if self._model.remembers else 0
         self._range, self._status = np.zeros(size), np.full(size, EchoStatus.NO_ANSWER, dtype=np.uint8)
 
@@ -51,6 +57,9 @@ class Sensors:
 
     def _draw(self, ping: Ping) -> Reading:
         sensor = ping.run
+        if self._compiled is not None:
+            drawn = self._compiled.draw(PathPings(self._conditions(ping), ping.time, sensor), self._rng)
+            return Reading(drawn.range, drawn.status)
         if self._stateful is not None:
             reading = self._stateful.law(ping, self._past(sensor), sensor).sample(self._rng)
         else:
@@ -58,6 +67,13 @@ class Sensors:
         if self._model.remembers:
             self._range[sensor], self._status[sensor] = reading.range, reading.status
         return reading
+
+    def _conditions(self, ping: Ping) -> Floats:
+        """Return the conditions of pings as rows, with the covariates of the model; NaN for a missing one."""
+        inputs: Inputs | None = getattr(self._model, "inputs", None)
+        missing, names = np.full(len(ping), np.nan), () if inputs is None else inputs.covariates
+        more = [ping.covariates.get(name, missing) for name in names]
+        return np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, *more])
 
     def _past(self, sensor: Ints) -> Reading | None:
         if not self._model.remembers:

@@ -11,15 +11,17 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Annotated
 
-from acquisition import DeviceError, SettingError, SonarError
+from acquisition import DeviceError, Ping, SettingError, SonarError
 from acquisition.arguments import checked
-from acquisition.limits import check_settings
+from acquisition.limits import SEEDS, Limit, PositiveMetres, check_settings
 from sonar_gym.bridges.server import protocol
 from sonar_gym.bridges.server.sensors import Sensors
 from sonar_gym.sensing.sonar import SonarChoice, resolve
 
 PORT = 7715
+Wait = Annotated[float, Limit(0.0, 1e7, "s", open_low=True)]
 LOG = logging.getLogger(__name__)
 
 
@@ -38,23 +40,18 @@ class ServerSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = PORT
-    max_range: float = 6.0
-    seed: int = 0
-    max_clients: int = 64
-    patience_s: float = 10.0
-    idle_s: float = 3600.0
+    port: Annotated[int, Limit(0, 65_535)] = PORT
+    max_range: PositiveMetres = 6.0
+    seed: Annotated[int, SEEDS] = 0
+    max_clients: Annotated[int, Limit(1, 65_536)] = 64
+    patience_s: Wait = 10.0
+    idle_s: Wait = 3600.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for values outside their limits."""
         check_settings(self)
-        for name in ("max_range", "max_clients", "patience_s", "idle_s"):
-            if not getattr(self, name) > 0:
-                raise SettingError(f"ServerSettings.{name} must be > 0, got {getattr(self, name):g}")
         if not self.host:  # which asyncio would take for all addresses
             raise SettingError("ServerSettings.host: expected an address, got ''; 0.0.0.0 stands for all of them")
-        if not 0 <= self.port <= 65_535:
-            raise SettingError(f"ServerSettings.port must lie in [0, 65535], got {self.port}")
 
 
 class SonarServer:
@@ -75,7 +72,8 @@ class SonarServer:
         self._model = resolve(model)
         self.address = (self.settings.host, self.settings.port)
         self.clients = 0
-        Sensors(self._model, self.settings.max_range, 0)  # tabulates the credence before the first client waits for it
+        # tabulates the credence and compiles the law before the first client waits for them
+        Sensors(self._model, self.settings.max_range, 0).answer(Ping.of(1.0))
 
     async def run(self, ready: Callable[[], object] | None = None) -> None:
         """Serve until cancelled; `ready` is called once clients can connect.

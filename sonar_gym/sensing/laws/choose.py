@@ -15,12 +15,11 @@ from sonar_gym.sensing.laws.perceptron import Perceptron
 from sonar_gym.sensing.laws.recurrent import Recurrent
 
 
-def path_law(model: Any, places: int, max_range: float) -> PathLaw:
-    """Return the law of a model for one set of sonars, compiled where there is a compiled form.
+def compiled_law(model: Any, places: int, max_range: float) -> PathLaw | None:
+    """Return the compiled form of a model for one set of sonars; None without one.
 
     Args:
-        model: sonar model, with a state of its own for this set. A subclass may have another law, so only the classes
-            themselves are compiled.
+        model: sonar model. A subclass may have another law, so only the classes themselves are compiled.
         places: number of places in a memory.
         max_range: range beyond which an echo is none, m.
     """
@@ -31,4 +30,9 @@ def path_law(model: Any, places: int, max_range: float) -> PathLaw:
         return Perceptron(model, max_range)
     if kind is LstmModel and model.head.components <= MAX_COMPONENTS:
         return Recurrent(model, places, max_range)
-    return GeneralLaw(model, places, max_range)
+    return None
+
+
+def path_law(model: Any, places: int, max_range: float) -> PathLaw:
+    """Return the law of a model with a state of its own for this set of sonars, compiled where it has such a form."""
+    return compiled_law(model, places, max_range) or GeneralLaw(model, places, max_range)

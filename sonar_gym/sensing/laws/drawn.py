@@ -14,7 +14,8 @@ class PathPings(NamedTuple):
     """Paths as pings of a model, each as if it were alone in the cone.
 
     Attributes:
-        conditions: distance, bearing, incidence, reflectance: m, rad, rad, 1, (4, m).
+        conditions: distance, bearing, incidence, reflectance: m, rad, rad, 1, (4, m); covariates of the model in the
+            order of its inputs may follow, NaN where missing.
         time: of the pings, s, (m,).
         places: place in the memory of the model, (m,): that of the sonar, and of the face if it remembers each by
             itself.

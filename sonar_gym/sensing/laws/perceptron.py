@@ -24,7 +24,7 @@ class Features(NamedTuple):
     """The features of `Inputs` as numbers.
 
     Attributes:
-        columns: number of each quantity in `CONDITIONS`, -1 for a covariate, which is missing, (q,).
+        columns: row of each quantity in the conditions of pings, covariates after `CONDITIONS`, (q,).
         low, high, span: learned ranges of the quantities, (q,).
         log: logarithm of the least distance and the scale of logarithms.
         covariates: number of covariates.
@@ -44,7 +44,8 @@ class Features(NamedTuple):
     @classmethod
     def of(cls, inputs: Inputs) -> Features:
         """Return the numbers of inputs."""
-        columns = [CONDITIONS.index(name) if name in CONDITIONS else -1 for name in inputs.names]
+        known = (*CONDITIONS, *inputs.covariates)
+        columns = [known.index(name) for name in inputs.names]
         low, high, span = inputs.ranges
         near, far = math.log(low[0] + LOG_OFFSET_M), math.log(high[0] + LOG_OFFSET_M)
         log = near, 2.0 / max(far - near, 0.1)
@@ -54,14 +55,19 @@ class Features(NamedTuple):
 
 @compiled
 def write_features(f: Features, pings: Floats, i: int, x: Singles, r: int) -> float:
-    """Write the features of ping i into column r of a block; return its distance from the learned conditions."""
-    excess, quantities = 0.0, f.columns.shape[0]
+    """Write the features of ping i into column r of a block; return its distance from the learned conditions.
+
+    A covariate without a row, or with NaN, is missing.
+    """
+    excess, quantities, own = 0.0, f.columns.shape[0], len(CONDITIONS)
     for k in range(quantities):
         column = f.columns[k]
-        if column < 0:
+        value = pings[column, i] if column < pings.shape[0] else math.nan
+        if column >= own:
+            x[quantities + 1 + column - own, r] = -1.0 if math.isnan(value) else 1.0
+        if math.isnan(value):
             x[k, r] = 0.0
             continue
-        value = pings[column, i]
         if f.folded and (column == 1 or column == 2):
             value = abs(value)
         inside = min(max(value, f.low[k]), f.high[k])
@@ -70,8 +76,6 @@ def write_features(f: Features, pings: Floats, i: int, x: Singles, r: int) -> fl
             x[quantities, r] = f.log[1] * (math.log(inside + LOG_OFFSET_M) - f.log[0]) - 1.0
         if not (k == 0 and f.open_end and value > f.high[0]):
             excess = max(excess, abs(value - inside) / f.span[k])
-    for k in range(f.covariates):
-        x[quantities + 1 + k, r] = -1.0
     apart = abs(abs(pings[2, i]) - abs(pings[1, i]))
     return max(excess, apart / APART) if f.tied and apart > 1e-9 else excess
 
@@ -114,7 +118,7 @@ class Perceptron(PathLaw):
     """The law of single pings of an `MlpModel`.
 
     Args:
-        model: the model; its covariates are missing, as in an environment.
+        model: the model; covariates that the pings lack are missing.
         max_range: range beyond which an echo is none, m.
     """
 

@@ -252,7 +252,7 @@ class Recurrent(PathLaw):
     """The law of an `LstmModel`, with a memory of its own.
 
     Args:
-        model: the model; its covariates are missing, as in an environment.
+        model: the model; covariates that the pings lack are missing.
         places: number of places in the memory.
         max_range: range beyond which an echo is none, m.
     """

@@ -186,7 +186,7 @@ def test_recording_has_the_columns_and_the_grid_of_its_format(tmp_path):
     ("setting", "message"),
     [
         ({"gain": 49}, "gain must be a whole number from 0 to 31, got 49: the SRF08 holds no other"),
-        ({"range_register": 256}, "range register must be a whole number from 0 to 255, got 256: the SRF08 holds no"),
+        ({"range_register": 256}, "range_register must be a whole number from 0 to 255, got 256: the SRF08 holds no"),
     ],
 )
 def test_invalid_register_values_are_an_error(setting, message):

@@ -44,7 +44,7 @@ def test_a_machine_without_a_route_is_told_how_to_make_one(in_namespace):
 
 @pytest.mark.parametrize(("cid", "ttl", "text"), [(0, 0, "cid"), (255, 0, "cid"), (111, 256, "ttl")])
 def test_numbers_outside_their_limits_are_named(cid, ttl, text):
-    with pytest.raises(SettingError, match=f"{text} must lie in"):
+    with pytest.raises(SettingError, match=f"{text}: expected a whole number from"):
         MulticastLink(cid, ttl)
 
 

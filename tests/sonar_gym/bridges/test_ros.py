@@ -74,7 +74,7 @@ def test_sectors_hold_the_nearest_return_and_its_bearing():
     distance, bearing = scan_sectors(ranges, -0.35, 0.1, 5.0, 4)
     np.testing.assert_allclose(distance, [1.0, np.inf, np.nan, 3.0])
     np.testing.assert_allclose(bearing, [0.05, 0.0, 0.0, -0.05])
-    with pytest.raises(SettingError, match="expected 1 to 8 sectors, got 9"):
+    with pytest.raises(SettingError, match="count: expected a whole number from 1 to 8, got 9"):
         scan_sectors(ranges, 0.0, 0.1, 5.0, 9)
 
 

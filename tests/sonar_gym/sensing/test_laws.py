@@ -51,6 +51,19 @@ def test_compiled_readings_and_credence_are_those_of_the_law(model):
     assert np.max(np.abs(drawn.credence - law.credence())) < 5e-4
 
 
+def test_covariates_are_those_of_the_pings_or_missing():
+    model, rng = load_model("srf08-mlp"), np.random.default_rng(7)
+    given, warmth = conditions(rng), np.where(rng.random(N) < 0.3, np.nan, rng.uniform(0.0, 40.0, N))
+    pings = PathPings(np.vstack([given, warmth]), np.zeros(N), np.arange(N))
+    credence = path_law(model, N, MAX_RANGE).draw(pings, Given(rng)).credence
+    rows = np.zeros(N), np.arange(N)
+    for known in (True, False):
+        at = np.isnan(warmth) != known
+        covariates = {"temperature_c": warmth[at]} if known else {}
+        law = model.law(Ping(*given[:, at], rows[0][at], rows[1][at], covariates))
+        assert np.max(np.abs(credence[at] - law.credence())) < 5e-4
+
+
 @pytest.mark.parametrize("name", ["srf08-lstm", "srf08-hybrid"])
 def test_a_compiled_memory_follows_that_of_the_model(name):
     model, rng, n = load_model(name), np.random.default_rng(2), 300
