@@ -28,7 +28,7 @@ from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.detection import detection_table, has_beam
 from sonar_gym.sensing.laws.general import GeneralLaw
-from sonar_gym.sensing.mounts import Mount, mount_arrays
+from sonar_gym.sensing.mounts import Mount, heights, mount_arrays
 from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import BINS, Sonar, broad_table
@@ -173,6 +173,7 @@ class Ears:
         self._pings = PingArrays.of(STREETS, len(task.mounts), 1, STREETS)
         self._pings.fired[:] = True
         self._local, self._half = mount_arrays(task.mounts)
+        self._heights = heights(task.mounts)
         self._counts = np.zeros((2, len(task.mounts), BINS))  # right readings and all
         self.closed_loop = not isinstance(self._sonar.law, GeneralLaw)
 
@@ -194,7 +195,10 @@ class Ears:
         """Return the records of pings of all sonars where the cars stand, at a time and their phases, (n, N_RECORD)."""
         detection, p = detection_table(self._model, self.task.max_range), self._pings
         constants = fleet.constants._replace(
-            half_angles=self._half, detection=detection, crosstalk=self.task.crosstalk and has_beam(detection)
+            half_angles=self._half,
+            heights=self._heights,
+            detection=detection,
+            crosstalk=self.task.crosstalk and has_beam(detection),
         )
         worlds = fleet.worlds._replace(mounts=np.repeat(self._local[None], STREETS, axis=0))
         rows = np.arange(STREETS)

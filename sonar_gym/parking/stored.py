@@ -83,7 +83,7 @@ def fingerprint(model: Any) -> str:
 
 def shipped_key(model: Any, task: Any) -> str:
     """Return the name of a shipped table; neither latencies nor the names of sonars change it."""
-    places = [(m.x, m.y, m.heading_deg, m.cone_deg, m.phase_s) for m in task.mounts]
+    places = [(m.x, m.y, m.heading_deg, m.cone_deg, m.phase_s, m.height_m) for m in task.mounts]
     parts = task.streets, task.car, places, task.max_range, task.driver, task.crosstalk
     return f"{fingerprint(model)}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
 

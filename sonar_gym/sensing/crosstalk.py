@@ -17,6 +17,7 @@ import numpy as np
 from acquisition.arrays import Bits, Floats, Ints
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import MAX_BEARING, detection
+from sonar_gym.sensing.kernels import SOUND_SPEED, blocked
 from sonar_gym.sensing.paths import (
     BEARING,
     CERTAIN,
@@ -36,26 +37,9 @@ from sonar_gym.sensing.paths import (
     Y,
 )
 
-SOUND_SPEED = 343.0  # m/s, air of 20 degC
 FACE_STRIDE = 1000  # a face heard by way of sonar k has number k + 1 times this, and its own
 MIN_COSINE, MAX_SINE = math.cos(MAX_BEARING), math.sin(MAX_BEARING)
 MIN_COSINE2 = MIN_COSINE**2
-CLEAR = 1e-6  # part of a leg at its ends in which no other face blocks it
-
-
-@compiled
-def blocked(x1: float, y1: float, x2: float, y2: float, segments: Floats, own: int) -> bool:
-    """Return whether a face other than `own` crosses the straight line between two points."""
-    dx, dy = x2 - x1, y2 - y1
-    for k in range(segments.shape[0]):
-        ex, ey = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
-        ax, ay = segments[k, 0] - x1, segments[k, 1] - y1
-        turn = dx * ey - dy * ex
-        sign, size = (1.0 if turn > 0.0 else -1.0), abs(turn)
-        t, u = sign * (ax * ey - ay * ex), sign * (ax * dy - ay * dx)  # along line and face, times `size`
-        if CLEAR * size < t < (1.0 - CLEAR) * size and 0.0 <= u <= size and k != own:
-            return True
-    return False
 
 
 SIDE, FOOT, SEEN = range(3)  # columns of `views`
