@@ -190,9 +190,10 @@ def outputs(w: Weights, b: Blocks, own: int, at: int, width: int) -> Singles:
         at: row of the hidden state in the inputs.
         width: of the hidden state.
     """
-    dense(w.cell, 0, at + width, 4 * width, b.inputs, b.x)
+    filled = w.head_sizes[0]  # `at + width` and rows of zeros
+    dense(w.cell, 0, filled, 4 * width, b.inputs, b.x)
     update_state(b.x, b.cell, b.inputs, at, width)
-    b.x[: at + width] = b.inputs[: at + width]
+    b.x[:filled] = b.inputs[:filled]
     out = network(w.head, w.head_sizes, b.x, b.y)
     if w.base_sizes.shape[0] > 0:
         b.base_x[:own] = b.inputs[:own]
@@ -260,9 +261,8 @@ class Recurrent(PathLaw):
     def __init__(self, model: LstmModel, places: int, max_range: float) -> None:
         self._features, self._shape, self._weights = Features.of(model.inputs), Shape.of(model.head), Weights.of(model)
         self._memory, self._max_range = Memory.of(places, model.cell.hidden), max_range
-        own, width, w = self._features, model.cell.hidden, self._weights
-        inputs = len(own.columns) + 1 + own.covariates + N_HISTORY + width
-        self._rows = max(inputs, 4 * width, w.head_sizes.max(), w.base_sizes.max(initial=0))
+        width, w = model.cell.hidden, self._weights
+        self._rows = max(4 * width, w.head_sizes.max(), w.base_sizes.max(initial=0))
 
     def draw(self, pings: PathPings, source: PathSource) -> PathDraws:
         """Draw the readings of m pings, and remember them."""
