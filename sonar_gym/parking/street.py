@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -219,9 +218,9 @@ class Street:
         length, width = (c * extent - sn * depth) / (c * c - sn * sn), (c * depth - sn * extent) / (c * c - sn * sn)
         return np.column_stack([begin + 0.5 * extent, self.line - recess - 0.5 * depth, length, width, turn])
 
-    @cached_property
+    @property
     def scene(self) -> Scene:
-        """All obstacles: the boxes, the right kerb, the end wall, the left kerb, and the further ones."""
+        """All obstacles: the boxes, the right kerb, the end wall, the left kerb, and the further ones; built anew."""
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
         walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
         surfaces = np.concatenate(
