@@ -133,12 +133,13 @@ def update_state(gates: Singles, cell: Singles, x: Singles, at: int, width: int)
             x[at + k, r] = (half + half * gates[3 * width + k, r]) * gates[k, r]
 
 
-@compiled
+@fused
 def store_state(m: Memory, place: int, x: Singles, at: int, cell: Singles, r: int) -> None:
     """Write column r of blocks to a place, rounded."""
+    limit, half, per_hidden, per_cell = _F(CELL_LIMIT), _F(0.5), _F(1.0 / HIDDEN_UNIT), _F(1.0 / CELL_UNIT)
     for k in range(m.hidden.shape[1]):
-        m.hidden[place, k] = round(x[at + k, r] / HIDDEN_UNIT)
-        m.cell[place, k] = round(min(max(cell[k, r], -CELL_LIMIT), CELL_LIMIT) / CELL_UNIT)
+        m.hidden[place, k] = math.floor(x[at + k, r] * per_hidden + half)
+        m.cell[place, k] = math.floor(min(max(cell[k, r], -limit), limit) * per_cell + half)
 
 
 @compiled

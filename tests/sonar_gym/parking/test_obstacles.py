@@ -83,9 +83,11 @@ def test_drawn_obstacles_leave_the_path_of_the_car_free_at_all_times(kind):
     for seed in range(10):
         street = draw_street(settings, np.random.default_rng(seed))
         plain = draw_street(StreetSettings(), np.random.default_rng(seed))
-        assert np.array_equal(street.strip, plain.strip) and street.gap == plain.gap
+        assert np.array_equal(street.strip, plain.strip)
+        assert street.gap == plain.gap
         scene, poses = street.scene, reference_path(street, car)[::5, :3].copy()
-        assert len(street.obstacles) == 2 and len(scene.segments) <= settings.max_faces
+        assert len(street.obstacles) == 2
+        assert len(scene.segments) <= settings.max_faces
         for time in np.linspace(0.0, 40.0, 30):
             moved = (scene.segments + np.tile(scene.velocity * time, 2))[-8:]
             assert all(touches(pose, car.body, moved) == -1 for pose in poses)
