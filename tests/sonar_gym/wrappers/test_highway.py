@@ -10,6 +10,7 @@ from acquisition import SettingError
 from sonar_gym import SonarObservation, SonarVectorObservation
 from sonar_gym.sensing import paths
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
+from sonar_gym.sensing.records import CROSSTALK
 from sonar_gym.sensing.scene import Hits, box_faces
 from sonar_gym.wrappers.highway import ROAD_LAYOUT, boxes_of, pose_of, solid_things
 
