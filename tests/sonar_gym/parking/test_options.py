@@ -97,9 +97,7 @@ def test_further_obstacles_are_heard_by_their_material_and_hit():
         ended = [env.step(np.array([0.0, 1.0]))[4]["collision"] for _ in range(25)]
         assert any(ended)
     assert heard == {"pole": 0.1, "hedge": 0.2, "wall": 0.9}
-    with pytest.raises(
-        SettingError, match="one of pole, hedge, wall, pedestrian, car, got 'cloud'"
-    ):
+    with pytest.raises(SettingError, match="one of pole, hedge, wall, pedestrian, car, got 'cloud'"):
         SonarParkingEnv().reset(seed=0, options={"obstacles": [{"kind": "cloud", "x": 1.0, "y": 0.0}]})
 
 
