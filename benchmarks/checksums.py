@@ -2,10 +2,10 @@
 
 Written through public names and commands alone, so that it runs unchanged before and after code is moved or renamed:
 
-    python benchmarks/checksums.py > after.json
-    python benchmarks/checksums.py --against benchmarks/records/checksums.json
+    python benchmarks/checksums.py > before.json
+    python benchmarks/checksums.py --against before.json
 
-Floating-point sums differ between processors, so compare runs of one machine.
+Floating-point sums differ between processors, so both runs are made on one machine, and no record is kept here.
 """
 
 from __future__ import annotations

@@ -127,7 +127,8 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     `reset(options=...)` fixes what is normally random: `difficulty`; `street`, a mapping of fields of `StreetSettings`
     or a `Street`; `boxes`, a list of mappings of `begin`, `length` and optionally `recess`, `reflectance`,
     `texture_deg`, `turn_deg`; `obstacles`, a list of mappings of the fields of `scene.Box`, with a `kind` of "pole",
-    "hedge" or "wall" for its material; `start`, x, y, heading of the car in m, m, rad.
+    "hedge", "wall", "pedestrian" or "car" for size and material, and `vx`, `vy` in m/s; `start`, x, y, heading of the
+    car in m, m, rad.
 
     ## Version History
 

@@ -21,6 +21,7 @@ from acquisition.arrays import Floats, Ints, Singles
 from acquisition.limits import Limit, check_value, near, shown
 from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
+from sonar_gym.parking.obstacles import obstacles_of
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.randomization import LEVEL_NAMES, Randomization
 from sonar_gym.parking.step_kernel import REWARD_TERMS, RewardWeights, StepConstants, WorldArrays
@@ -32,7 +33,6 @@ from sonar_gym.parking.street import (
     arc_table,
     check_gap,
     draw_street,
-    obstacles_of,
     placed,
     replaced,
     start_of,
@@ -42,7 +42,7 @@ from sonar_gym.parking.street import (
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.parking.world import WorldView
 from sonar_gym.sensing.detection import detection_table, has_beam
-from sonar_gym.sensing.mounts import Layout, layout, mount_arrays, times_of
+from sonar_gym.sensing.mounts import Layout, heights, layout, mount_arrays, times_of
 from sonar_gym.sensing.odometry import Odometer, OdometryChoice
 from sonar_gym.sensing.odometry import odometry as odometry_settings
 from sonar_gym.sensing.pipeline import Sensing
@@ -75,6 +75,7 @@ def _empty_faces(n: int, faces: int) -> dict[str, Any]:
         "segments": np.zeros((n, faces, 4)),
         "surface": np.zeros((n, faces, 2)),
         "owner": np.zeros((n, faces), dtype=np.int64),
+        "velocity": np.zeros((n, faces, 2)),
     }
 
 
@@ -171,7 +172,9 @@ class Fleet:
             task=np.zeros((n, step_kernel.N_TASK)),
             mounts=np.repeat(mount_arrays(self.mounts)[0][None], n, axis=0),
             counts=np.zeros(n, dtype=np.int64),
-            **_empty_faces(n, 4 * (self.street_settings.decoys[1] + 2) + 3),
+            **_empty_faces(n, self.street_settings.max_faces),
+            moves=np.zeros(n, dtype=np.bool_),
+            floor=np.zeros((n, 2)),
             terms=np.zeros((n, len(REWARD_TERMS))),
             ended=np.zeros((n, 3), dtype=np.bool_),
             ego=np.zeros((n, EGO), dtype=np.float32),
@@ -191,6 +194,7 @@ class Fleet:
             dynamics=car.dynamics,
             body=car.body,
             half_angles=mount_arrays(self.mounts)[1],
+            heights=heights(self.mounts),
             timing=self.sensing.timing,
             arc=arc_table(car),
             weights=np.array(astuple(self.reward_weights)),
@@ -346,6 +350,8 @@ class Fleet:
         worlds, self.streets[row] = self.worlds, street
         worlds.counts[row], worlds.owner[row, :faces] = faces, scene.owner
         worlds.segments[row, :faces], worlds.surface[row, :faces] = scene.segments, scene.surface
+        worlds.velocity[row, :faces], worlds.moves[row] = scene.velocity, bool(scene.velocity.any())
+        worlds.floor[row] = street.settings.floor_reflectance, np.radians(street.settings.floor_texture_deg)
         worlds.car[row] = (*street.start, 0.0, 0.0)
         worlds.task[row] = (*street.gap, street.line, goal.x, goal.y, goal.turn, goal.ready_x, 0.0)
 

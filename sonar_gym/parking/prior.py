@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
@@ -28,14 +28,12 @@ from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.detection import detection_table, has_beam
 from sonar_gym.sensing.laws.general import GeneralLaw
-from sonar_gym.sensing.mounts import Mount, mount_arrays
+from sonar_gym.sensing.mounts import Mount, heights, mount_arrays
 from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import BINS, Sonar, broad_table
 
 SEED = 2016  # fixed, so that the prior is the same in every environment
-STREETS, STEPS = 128, 240  # cars driven at once, and observations of each; episodes that end are followed by others
-EVERY = 3  # of these observations, readings are counted; in between the cars hardly move
 GENERAL_EVERY, SAMPLED_ONLY_EVERY = 8, 48  # for models that are not compiled, and for those that can only be sampled
 STAND_IN = "srf08-mlp"  # drives in place of these, since what a driver meets hardly depends on the model
 BROAD_WEIGHT = 0.01  # weight of the broad prior, for readings that the sample never gives
@@ -45,6 +43,30 @@ DRIVERS = {
     "agent": "sonar_gym.agent:drive_by_agent",
     "scripted": "sonar_gym.control.driver:drive_by_script",
     "random": "sonar_gym.parking.prior:drive_at_random",
+}
+
+
+class Sample(NamedTuple):
+    """How a kind of driver is sampled.
+
+    Attributes:
+        streets: cars driven at once.
+        steps: observations of each; episodes that end are followed by others.
+        every: interval of the observations at which readings are counted; in between the cars hardly move.
+        sees: whether what the driver does depends on the sonars.
+    """
+
+    streets: int
+    steps: int
+    every: int
+    sees: bool
+
+
+# A car that is driven at random leaves its start slowly, so more streets and whole episodes are needed
+SAMPLES = {
+    "agent": Sample(128, 240, 3, True),
+    "scripted": Sample(128, 240, 3, True),
+    "random": Sample(512, 400, 20, False),
 }
 ActMany = Callable[[dict[str, Any], Ints], Floats]
 
@@ -125,10 +147,12 @@ def _street_credence(model: Any, task: Task) -> Floats:
 def counted(model: Any, *tasks: Task) -> list[Floats]:
     """Return the credence of each sonar's readings, (s, BINS), for tasks that differ in the sonars' mounts only."""
     ears, driver = [Ears(model, task) for task in tasks], tasks[0].driver
+    if not SAMPLES[driver].sees:
+        return count(ears, "ideal", None)
     if not ears[0].closed_loop:
         return count(ears, STAND_IN, shipped(load_model(STAND_IN), tasks[0]))
     # what a driver does depends on the credence that it observes, but two rounds agree
-    first = None if driver == "random" else count(ears[:1], model, None)[0]
+    first = count(ears[:1], model, None)[0]
     return count([Ears(model, task) for task in tasks], model, first)
 
 
@@ -140,15 +164,15 @@ def count(ears: Sequence[Ears], driving: Any, observed: Floats | None) -> list[F
         driving: name or model of the sonars by which the cars are driven.
         observed: credence that the driver observes, (s, BINS); None for that under the broad prior.
     """
-    task = ears[0].task
+    task, sample = ears[0].task, ears[0].sample
     # by its id, because the environment itself uses this module
     choice = {"sonar": driving, "street": task.streets, "car": task.car, "credence_driver": None, "threads": 1}
-    envs: Any = gymnasium.make_vec("SonarParking-v0", STREETS, **choice)
-    fleet, act = envs.fleet, driver_of(task.driver)(STREETS)
+    envs: Any = gymnasium.make_vec("SonarParking-v0", sample.streets, **choice)
+    fleet, act = envs.fleet, driver_of(task.driver)(sample.streets)
     if observed is not None and observed.shape == fleet.sonar.tables.shape:
         fleet.sonar.tables[:] = observed
-    observation, begun = envs.reset(seed=SEED)[0], np.ones(STREETS, dtype=np.bool_)
-    for k in range(STEPS):
+    observation, begun = envs.reset(seed=SEED)[0], np.ones(sample.streets, dtype=np.bool_)
+    for k in range(sample.steps):
         for each in ears:
             each.hear(fleet, k, np.flatnonzero(begun))
         observation = envs.step(act(observation, np.flatnonzero(begun)))[0]
@@ -166,13 +190,15 @@ class Ears:
     """
 
     def __init__(self, model: Any, task: Task) -> None:
-        self.task, self._model = task, model
-        self._sonar = Sonar(model, len(task.mounts), task.max_range, copies=STREETS, persists=False)
-        for copy in range(STREETS):
+        self.task, self.sample, self._model = task, SAMPLES[task.driver], model
+        count = self.sample.streets
+        self._sonar = Sonar(model, len(task.mounts), task.max_range, copies=count, persists=False)
+        for copy in range(count):
             self._sonar.seed(SEED + copy, copy)
-        self._pings = PingArrays.of(STREETS, len(task.mounts), 1, STREETS)
+        self._pings = PingArrays.of(count, len(task.mounts), 1, count)
         self._pings.fired[:] = True
         self._local, self._half = mount_arrays(task.mounts)
+        self._heights = heights(task.mounts)
         self._counts = np.zeros((2, len(task.mounts), BINS))  # right readings and all
         self.closed_loop = not isinstance(self._sonar.law, GeneralLaw)
 
@@ -188,16 +214,19 @@ class Ears:
         """Interval of the observations at which readings are counted."""
         if not self._sonar.has_credence:
             return SAMPLED_ONLY_EVERY
-        return 1 if self._sonar.model.remembers else EVERY if self.closed_loop else GENERAL_EVERY
+        return 1 if self._sonar.model.remembers else self.sample.every if self.closed_loop else GENERAL_EVERY
 
     def _records(self, fleet: Any, time_s: float) -> Floats:
         """Return the records of pings of all sonars where the cars stand, at a time and their phases, (n, N_RECORD)."""
         detection, p = detection_table(self._model, self.task.max_range), self._pings
         constants = fleet.constants._replace(
-            half_angles=self._half, detection=detection, crosstalk=self.task.crosstalk and has_beam(detection)
+            half_angles=self._half,
+            heights=self._heights,
+            detection=detection,
+            crosstalk=self.task.crosstalk and has_beam(detection),
         )
-        worlds = fleet.worlds._replace(mounts=np.repeat(self._local[None], STREETS, axis=0))
-        rows = np.arange(STREETS)
+        rows = np.arange(self.sample.streets)
+        worlds = fleet.worlds._replace(mounts=np.repeat(self._local[None], len(rows), axis=0))
         p.sent[:] = [time_s + mount.phase_s for mount in self.task.mounts]
         step_kernel.measure(rows, worlds, constants, p)
         return self._sonar.draw(rows, records.gather(rows, EMPTY_M, p))

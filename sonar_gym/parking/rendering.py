@@ -109,7 +109,7 @@ def _street(brush: Brush, camera: Camera, world: WorldView) -> None:
     brush.polygon(_area(camera, begin, street.kerb, end, street.line), drawing.STRIP)
     _markings(brush, camera, world)
     _gap(brush, camera, world)
-    for box in (*street.boxes, *street.obstacles):
+    for box in (*street.boxes, *world.obstacles):
         outline = camera.pixels(box.corners)
         colour = drawing.blend(drawing.DARK_BOX, drawing.LIGHT_BOX, box.reflectance)
         brush.polygon([(x + 3, y + 4) for x, y in outline], drawing.INK, 60)

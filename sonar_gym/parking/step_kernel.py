@@ -15,9 +15,9 @@ from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.limits import Limit, check_settings
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.crosstalk import add_crosstalk
-from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll
+from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll, shift
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
-from sonar_gym.sensing.paths import cast_paths
+from sonar_gym.sensing.paths import cast_paths, meet_moving
 from sonar_gym.sensing.records import SAME_TIME_S, PingArrays, firing_delay
 
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
@@ -80,6 +80,9 @@ class WorldArrays(NamedTuple):
         segments: segments, m, (n, m, 4).
         surface: reflectance and slope of the facets of each segment, 1 and rad, (n, m, 2).
         owner: number of the obstacle of each segment, (n, m).
+        velocity: velocity of each segment, m/s, (n, m, 2).
+        moves: whether any segment of a street moves, (n,).
+        floor: reflectance and slope of the facets of the floor, 1 and rad, (n, 2).
         terms: terms of the reward: shaping, time, parked, crashed, (n, 4).
         ended: parked, collision, left the street, (n, 3).
         ego: observation of the car, (n, 7).
@@ -94,9 +97,32 @@ class WorldArrays(NamedTuple):
     segments: Floats
     surface: Floats
     owner: Ints
+    velocity: Floats
+    moves: Bits
+    floor: Floats
     terms: Floats
     ended: Bits
     ego: Singles
+
+
+class Faces(NamedTuple):
+    """Faces of one street.
+
+    Attributes:
+        segments: segments, m, (m, 4); moved where they move.
+        surface: reflectance and slope of the facets of each, 1 and rad, (m, 2).
+        owner: number of the obstacle of each, (m,).
+        velocity: velocity of each, m/s, (m, 2).
+        moves: whether any of them moves.
+        floor: reflectance and slope of the facets of the floor, 1 and rad, (2,).
+    """
+
+    segments: Floats
+    surface: Floats
+    owner: Ints
+    velocity: Floats
+    moves: bool
+    floor: Floats
 
 
 class StepConstants(NamedTuple):
@@ -106,6 +132,7 @@ class StepConstants(NamedTuple):
         dynamics: `CarSettings.dynamics`, (7,).
         body: rectangle of the car, (4,).
         half_angles: half opening angles, rad, (s,).
+        heights: heights of the sonars above the floor, m, 0 for those that do not hear it, (s,).
         timing: period, phase and latency of each sonar, s, (s, 3).
         arc: arc of the reference path, see `cost_to_go`.
         weights: weights of the reward, in the order of `RewardWeights`.
@@ -120,6 +147,7 @@ class StepConstants(NamedTuple):
     dynamics: Floats
     body: Floats
     half_angles: Floats
+    heights: Floats
     timing: Floats
     arc: Floats
     weights: Floats
@@ -183,24 +211,33 @@ def is_parked(state: Floats, body: Floats, task: Floats, limits: Floats) -> bool
 
 @compiled
 def measure_ping(
-    out: Floats,
-    s: int,
-    pose: tuple[float, float, float],
-    mounts: Floats,
-    half_angles: Floats,
-    faces: tuple[Floats, Floats, Ints],
-    max_range: float,
-    detection: Floats,
+    out: Floats, s: int, pose: tuple[float, float, float], mounts: Floats, faces: Faces, r: StepConstants,
     sensors: Floats,
-) -> int:
+) -> int:  # fmt: skip
     """Write the paths of a ping of sonar s with the car at a pose, and its pose; return the number of paths."""
     c, sn = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + c * mounts[s, 0] - sn * mounts[s, 1], pose[1] + sn * mounts[s, 0] + c * mounts[s, 1]
     heading = pose[2] + mounts[s, 2]
     sensors[s, 0], sensors[s, 1], sensors[s, 2] = x, y, heading
-    return cast_paths(
-        x, y, heading, half_angles[s], faces[0], faces[1], faces[2], max_range, detection, out
+    floor = (r.heights[s], faces.floor[0], faces.floor[1])
+    count = cast_paths(
+        x, y, heading, r.half_angles[s], faces.segments, faces.surface, faces.owner, r.max_range, r.detection, out,
+        floor,
     )  # fmt: skip
+    if faces.moves:
+        for j in range(count):
+            meet_moving(out[j], x, y, faces.velocity)
+    return count
+
+
+@compiled
+def hear_others(faces: Faces, k: int, sensors: Floats, r: StepConstants, p: PingArrays) -> None:
+    """Add the paths of other sonars' bursts to the pings of the k-th car of an update."""
+    if r.crosstalk:
+        add_crosstalk(
+            sensors, p.fired[k], p.sent[k], faces.segments, faces.surface, faces.owner, r.max_range, r.detection,
+            p.paths[k], p.n_paths[k],
+        )  # fmt: skip
 
 
 @compiled
@@ -230,10 +267,10 @@ def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int,
 
 
 @compiled
-def faces_of(i: int, w: WorldArrays) -> tuple[Floats, Floats, Ints]:
-    """Return segments, surfaces and owners of the faces of a street."""
-    count = w.counts[i]
-    return w.segments[i, :count], w.surface[i, :count], w.owner[i, :count]
+def faces_of(i: int, w: WorldArrays) -> Faces:
+    """Return the faces of a street."""
+    n = w.counts[i]
+    return Faces(w.segments[i, :n], w.surface[i, :n], w.owner[i, :n], w.velocity[i, :n], w.moves[i], w.floor[i])
 
 
 @compiled
@@ -244,14 +281,8 @@ def measure(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None
         i = rows[k]
         pose, faces = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), faces_of(i, w)
         for s in range(r.half_angles.shape[0]):
-            p.n_paths[k, s] = measure_ping(
-                p.paths[k, s], s, pose, w.mounts[i], r.half_angles, faces, r.max_range, r.detection, sensors
-            )
-        if r.crosstalk:
-            add_crosstalk(
-                sensors, p.fired[k], p.sent[k], faces[0], faces[1], faces[2], r.max_range, r.detection, p.paths[k],
-                p.n_paths[k],
-            )  # fmt: skip
+            p.n_paths[k, s] = measure_ping(p.paths[k, s], s, pose, w.mounts[i], faces, r, sensors)
+        hear_others(faces, k, sensors, r, p)
 
 
 @compiled
@@ -273,13 +304,13 @@ def drive(
     begin_s: float,
     delay: Floats,
     mounts: Floats,
-    faces: tuple[Floats, Floats, Ints],
+    faces: Faces,
     r: StepConstants,
     paths: Floats,
     n_paths: Ints,
     sensors: Floats,
 ) -> int:
-    """Drive a car for one step; each sonar pings from the pose of the car at its firing time.
+    """Drive a car for one step; each sonar pings from the pose of the car, to the faces, at its firing time.
 
     Args:
         state: state of the car, (5,); modified.
@@ -287,7 +318,7 @@ def drive(
         begin_s: time at the begin of the step, s.
         delay: delay of the ping of each sonar from there, s, (s,); not positive for none.
         mounts: poses of the sonars in the frame of the car, (s, 3).
-        faces: see `faces_of`.
+        faces: faces of the street; those that move are moved.
         r: constants.
         paths: paths of the pings, (s, MAX_PATHS, N_PATH); written.
         n_paths: numbers of these, (s,); written.
@@ -296,11 +327,12 @@ def drive(
     Returns:
         The index of the face that was touched, or -1.
     """
-    dynamics, body, half_angles, detection, max_range = r.dynamics, r.body, r.half_angles, r.detection, r.max_range
-    h, before, segments = r.dt / PARTS, np.empty(3), faces[0]
+    h, before, segments = r.dt / PARTS, np.empty(3), faces.segments
     for part in range(PARTS):
         before[0], before[1], before[2] = state[0], state[1], state[2]
-        hit, curvature = drive_part(state, command[0], command[1], dynamics, body, segments, h)
+        if faces.moves:
+            shift(segments, faces.velocity, h)
+        hit, curvature = drive_part(state, command[0], command[1], r.dynamics, r.body, segments, h)
         last = part == PARTS - 1 or hit != NO_HIT
         for s in range(delay.shape[0]):
             since = delay[s] - part * h
@@ -308,7 +340,11 @@ def drive(
             if delay[s] > 0.0 and since > SAME_TIME_S and (last or since <= h + SAME_TIME_S):
                 at_end = since >= h - SAME_TIME_S  # at the end of the part, or later if the car was stopped
                 pose = (state[0], state[1], state[2]) if at_end else roll(before, state[3] * since, curvature)
-                n_paths[s] = measure_ping(paths[s], s, pose, mounts, half_angles, faces, max_range, detection, sensors)
+                if faces.moves and not at_end:
+                    shift(segments, faces.velocity, since - h)
+                n_paths[s] = measure_ping(paths[s], s, pose, mounts, faces, r, sensors)
+                if faces.moves and not at_end:
+                    shift(segments, faces.velocity, h - since)
         if last:
             break
     return hit
@@ -337,11 +373,7 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
             p.fired[k, s], p.sent[k, s] = delay[s] > 0.0, begin_s + delay[s]
         command = actions[k, 0] * r.dynamics[5], actions[k, 1] * r.dynamics[6]
         hit = drive(state, command, begin_s, delay, w.mounts[i], faces, r, p.paths[k], p.n_paths[k], sensors)
-        if r.crosstalk:
-            add_crosstalk(
-                sensors, p.fired[k], p.sent[k], faces[0], faces[1], faces[2], r.max_range, r.detection, p.paths[k],
-                p.n_paths[k],
-            )  # fmt: skip
+        hear_others(faces, k, sensors, r, p)
         finish(i, hit, start, w, r)
 
 

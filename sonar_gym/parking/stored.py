@@ -1,8 +1,8 @@
 """Tables of credence on disk: shipped ones, and others in the user's cache folder.
 
-The cache has a key of everything that a table depends on, the sources included. A shipped table belongs to a task and
-to the weights of its model; after a change of the environment `sonar-gym make-credence` makes all again, and a slow
-test compares them with new ones.
+The cache has a key of everything that a table depends on, the sources included. A shipped table has a key of its task
+and of the weights of its model and of the agent that drives, so that one that is out of date is not found and counted
+anew. After a change of the environment's sources `sonar-gym make-credence` makes all again.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from acquisition.arrays import Floats
 from noise import save_model
 
 ROOMS = ("parking", "sensing", "control")  # whose sources the tables depend on
+WEIGHTS = Path(__file__).parents[1] / "weights"
+SHIPPED = WEIGHTS / "credence.npz"
+AGENT = WEIGHTS / "parking" / "weights.safetensors"  # of the agent that drives
 
 
 def folder() -> Path:
@@ -66,7 +69,10 @@ def stored(key: tuple[Any, ...], make: Callable[[], Floats]) -> Floats:
     return value
 
 
-SHIPPED = Path(__file__).parents[1] / "weights" / "credence.npz"
+@lru_cache(maxsize=1)
+def _agent() -> str:
+    """Return a digest of the weights of the agent that drives."""
+    return hashlib.sha256(AGENT.read_bytes()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=16)
@@ -83,8 +89,9 @@ def fingerprint(model: Any) -> str:
 
 def shipped_key(model: Any, task: Any) -> str:
     """Return the name of a shipped table; neither latencies nor the names of sonars change it."""
-    places = [(m.x, m.y, m.heading_deg, m.cone_deg, m.phase_s) for m in task.mounts]
-    parts = task.streets, task.car, places, task.max_range, task.driver, task.crosstalk
+    places = [(m.x, m.y, m.heading_deg, m.cone_deg, m.phase_s, m.height_m) for m in task.mounts]
+    driver = _agent() if task.driver == "agent" else task.driver
+    parts = task.streets, task.car, places, task.max_range, driver, task.crosstalk
     return f"{fingerprint(model)}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
 
 

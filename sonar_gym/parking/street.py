@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
-from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_settings, shown
-from sonar_gym.checks import check_fields, settings_of
+from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_settings
+from sonar_gym.checks import check_fields
+from sonar_gym.parking.obstacles import OBSTACLES, check_mappings, draw_obstacles
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.scene import Box, Scene, Texture, box_faces
@@ -56,6 +56,9 @@ class StreetSettings:
         start: place of the start between the beginning of the street, 0, and the gap, 1; see `START_BEFORE`.
         start_offset: largest offset of the start from the lane's centre, m.
         start_heading_deg: largest heading error of the start, deg.
+        obstacles: kinds of further obstacles beside the lane, one each, see `obstacles.OBSTACLES`; some of them move.
+        floor_reflectance: reflectance of the floor, which sonars with a height hear, 0..1.
+        floor_texture_deg: slope of the facets of the floor, deg.
     """
 
     gap: tuple[Length, Length] = (0.85, 1.15)
@@ -75,6 +78,9 @@ class StreetSettings:
     start: tuple[Share, Share] = (0.0, 1.0)
     start_offset: Annotated[float, Limit(0.0, 10.0, "m")] = 0.03
     start_heading_deg: Annotated[float, Limit(0.0, 180.0, "deg")] = 3.0
+    obstacles: tuple[Annotated[str, OneOf(OBSTACLES)], ...] = ()
+    floor_reflectance: Share = 0.4
+    floor_texture_deg: Texture = 20.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pairs, invalid surfaces, and a gap not longer than a decoy."""
@@ -84,11 +90,17 @@ class StreetSettings:
             if pair[0] > pair[1]:
                 raise SettingError(f"StreetSettings.{name} must be two numbers 0 <= low <= high, got {pair}")
             object.__setattr__(self, name, pair)
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
         if self.gap[0] <= self.decoy[1]:
             raise SettingError(
                 f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
                 f"longest decoy {self.decoy[1]:g} m"
             )
+
+    @property
+    def max_faces(self) -> int:
+        """The greatest number of faces of such a street."""
+        return 4 * (self.decoys[1] + 2 + len(self.obstacles)) + 3
 
 
 LEVELS: dict[str, StreetSettings] = {
@@ -206,9 +218,9 @@ class Street:
         length, width = (c * extent - sn * depth) / (c * c - sn * sn), (c * depth - sn * extent) / (c * c - sn * sn)
         return np.column_stack([begin + 0.5 * extent, self.line - recess - 0.5 * depth, length, width, turn])
 
-    @cached_property
+    @property
     def scene(self) -> Scene:
-        """All obstacles: the boxes, the right kerb, the end wall, the left kerb, and the further ones."""
+        """All obstacles: the boxes, the right kerb, the end wall, the left kerb, and the further ones; built anew."""
         kerb, left, end, boxes = self.kerb, self.settings.far_side, self.end, len(self.strip)
         walls = np.array([[-BEHIND, kerb, end, kerb], [end, kerb, end, left], [end, left, -BEHIND, left]])
         surfaces = np.concatenate(
@@ -216,11 +228,13 @@ class Street:
         )
         owner = np.concatenate([np.repeat(np.arange(boxes), 4), boxes + np.arange(3)])
         faces = np.concatenate([box_faces(self._rectangles()), walls])
+        velocity = np.zeros((len(faces), 2))
         for k, box in enumerate(self.obstacles):
             faces = np.concatenate([faces, box.faces])
             surfaces = np.concatenate([surfaces, [[box.reflectance, box.texture_deg]] * 4])
+            velocity = np.concatenate([velocity, [[box.vx, box.vy]] * 4])
             owner = np.concatenate([owner, [boxes + 3 + k] * 4])
-        return Scene.of(faces, surfaces, owner)
+        return Scene.of(faces, surfaces, owner, velocity)
 
 
 BEHIND = 1.5  # m; length of the street behind the start
@@ -241,7 +255,10 @@ def draw_street(settings: StreetSettings, rng: np.random.Generator) -> Street:
     x = rng.uniform(*settings.start) * max(gap[0] - START_BEFORE, 0.0)
     start = np.array([x, offset * settings.start_offset, np.radians(angle * settings.start_heading_deg)])
     turns = rng.uniform(*settings.turn_deg, count + 2) * rng.choice([-1.0, 1.0], count + 2)
-    return Street(settings, np.column_stack([begins, lengths, surfaces, turns]), gap, start)
+    street = Street(settings, np.column_stack([begins, lengths, surfaces, turns]), gap, start)
+    if not settings.obstacles:
+        return street
+    return replace(street, obstacles=draw_obstacles(settings.obstacles, street.end, settings.far_side, rng))
 
 
 BOX_FIELDS = {"begin": None, "length": None, "recess": 0.0, "reflectance": 0.5, "texture_deg": 0.0, "turn_deg": 0.0}
@@ -258,7 +275,7 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     >>> street.gap
     (1.0, 2.0)
     """
-    _check_mappings("boxes", boxes)
+    check_mappings("boxes", boxes)
     unknown = [name for box in boxes for name in box if name not in BOX_FIELDS]
     if unknown:
         raise SettingError(f"boxes: unknown field {unknown[0]!r}; expected {', '.join(BOX_FIELDS)}")
@@ -277,37 +294,6 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     street = Street(settings, strip, gap, np.zeros(3))
     _ = street.boxes  # validates the boxes
     return street
-
-
-def _check_mappings(name: str, given: Any) -> None:
-    """Raise SettingError for anything but a list of mappings."""
-    if not isinstance(given, Sequence) or not all(isinstance(each, Mapping) for each in given):
-        raise SettingError(f"reset option {name!r}: expected a list of mappings, got {shown(given)}")
-
-
-# Further obstacles by kind. A post 15 mm thick returns 0.11 of a wall's amplitude at 1.3 m (Kuc and Siegel 1987)
-OBSTACLES: dict[str, dict[str, float]] = {
-    "pole": {"length": 0.02, "width": 0.02, "reflectance": 0.1},  # of a parked bicycle
-    "hedge": {"reflectance": 0.2, "texture_deg": 40.0},  # soft and rough
-    "wall": {"width": 0.02, "reflectance": 0.9},  # at any angle, by its heading
-}
-
-
-def obstacles_of(given: Sequence[Mapping[str, Any]]) -> tuple[Box, ...]:
-    """Return obstacles from mappings of the fields of `Box`, with an optional `kind` that sets some of them.
-
-    >>> obstacles_of([{"kind": "pole", "x": 1.0, "y": -0.4}])[0].reflectance
-    0.1
-    """
-    boxes = []
-    _check_mappings("obstacles", given)
-    for fields in given:
-        own = dict(fields)
-        kind = own.pop("kind", None)
-        if kind is not None:
-            check_choice("obstacle of kind", kind, list(OBSTACLES))
-        boxes.append(settings_of(Box, {**OBSTACLES.get(kind or "", {}), **own}))
-    return tuple(boxes)
 
 
 def start_of(given: Any) -> Floats:
@@ -335,7 +321,7 @@ def placed(street: Street, start: Any, car: CarSettings) -> Street:
             f"reset option 'start' is at x {x:g} m, y {y:g} m, outside the street: x from {-BEHIND:g} to "
             f"{street.end:g} m, y from {low:g} to {high:g} m"
         )
-    inside = any(abs(x - box.x) <= 0.5 * box.length and abs(y - box.y) <= 0.5 * box.width for box in street.boxes)
+    inside = any(box.contains(x, y) for box in (*street.boxes, *street.obstacles))
     if inside or touches(start, car.body, street.scene.segments) != NO_HIT:
         raise SettingError(f"reset option 'start': a car at x {x:g} m, y {y:g} m touches an obstacle: move the start")
     return replace(street, start=start)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.mounts import Mount
 from sonar_gym.sensing.records import PingArrays
-from sonar_gym.sensing.scene import Hits
+from sonar_gym.sensing.scene import Box, Hits
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,14 @@ class WorldView:
     def car(self) -> Car:
         """The car."""
         return Car(self.car_settings, self.arrays.car[self.row].copy())
+
+    @property
+    def obstacles(self) -> tuple[Box, ...]:
+        """The further obstacles where they are now."""
+        count, boxes = len(self.street.obstacles), self.street.obstacles
+        corners = self.arrays.segments[self.row, : self.arrays.counts[self.row], :2]
+        centres = corners[len(corners) - 4 * count :].reshape(count, 4, 2).mean(axis=1).tolist()
+        return tuple(replace(box, x=x, y=y) for box, (x, y) in zip(boxes, centres, strict=True))
 
     @property
     def mount_poses(self) -> NDArray[np.float64]:

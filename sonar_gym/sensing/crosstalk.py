@@ -17,6 +17,7 @@ import numpy as np
 from acquisition.arrays import Bits, Floats, Ints
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import MAX_BEARING, detection
+from sonar_gym.sensing.kernels import SOUND_SPEED, blocked
 from sonar_gym.sensing.paths import (
     BEARING,
     CERTAIN,
@@ -36,30 +37,9 @@ from sonar_gym.sensing.paths import (
     Y,
 )
 
-SOUND_SPEED = 343.0  # m/s, air of 20 degC
 FACE_STRIDE = 1000  # a face heard by way of sonar k has number k + 1 times this, and its own
 MIN_COSINE, MAX_SINE = math.cos(MAX_BEARING), math.sin(MAX_BEARING)
 MIN_COSINE2 = MIN_COSINE**2
-CLEAR = 1e-6  # part of a leg at its ends in which no other face blocks it
-
-
-@compiled
-def blocked(x1: float, y1: float, x2: float, y2: float, segments: Floats, own: int) -> bool:
-    """Return whether a face other than `own` crosses the straight line between two points."""
-    dx, dy = x2 - x1, y2 - y1
-    for k in range(segments.shape[0]):
-        ex, ey = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
-        ax, ay = segments[k, 0] - x1, segments[k, 1] - y1
-        turn = dx * ey - dy * ex
-        sign, size = (1.0 if turn > 0.0 else -1.0), abs(turn)
-        t, u = sign * (ax * ey - ay * ex), sign * (ax * dy - ay * dx)  # along line and face, times `size`
-        if CLEAR * size < t < (1.0 - CLEAR) * size and 0.0 <= u <= size and k != own:
-            return True
-    return False
-
-
-SIDE, FOOT, SEEN = range(3)  # columns of `views`
-N_VIEW = 3
 
 
 class Receivers(NamedTuple):
@@ -89,32 +69,49 @@ class Receivers(NamedTuple):
 
 
 @compiled
-def write_view(pose: Floats, axis: Floats, segment: Floats, face: tuple[float, float, float], view: Floats) -> None:
-    """Write how a sonar stands to a face: signed distance from its line, foot along it, m, and if it may see it.
+def view_of(
+    dx1: float, dy1: float, dx2: float, dy2: float, cosine: float, sine: float, ux: float, uy: float
+) -> tuple[bool, float, float]:
+    """Return whether a sonar may see a face, its signed distance from the face's line, and its foot along it, m.
 
     Args:
-        pose: pose of the sonar, (3,).
-        axis: cosine and sine of its heading, (2,).
-        segment: the face, m, (4,).
-        face: its direction and length, see `direction`.
-        view: written, (N_VIEW,).
+        dx1: end of the face from the sonar along x, m; so the other ends and axes.
+        dy1: see `dx1`.
+        dx2: see `dx1`.
+        dy2: see `dx1`.
+        cosine: of the heading of the sonar.
+        sine: of the heading of the sonar.
+        ux: direction of the face along x.
+        uy: direction of the face along y.
     """
-    ax, ay, bx, by = segment[0] - pose[0], segment[1] - pose[1], segment[2] - pose[0], segment[3] - pose[1]
-    x1, y1 = axis[0] * ax + axis[1] * ay, MIN_COSINE * (axis[0] * ay - axis[1] * ax)
-    x2, y2 = axis[0] * bx + axis[1] * by, MIN_COSINE * (axis[0] * by - axis[1] * bx)
+    x1, y1 = cosine * dx1 + sine * dy1, MIN_COSINE * (cosine * dy1 - sine * dx1)
+    x2, y2 = cosine * dx2 + sine * dy2, MIN_COSINE * (cosine * dy2 - sine * dx2)
     behind = x1 < 0.0 and x2 < 0.0
     left = MAX_SINE * x1 < y1 and MAX_SINE * x2 < y2
     right = MAX_SINE * x1 < -y1 and MAX_SINE * x2 < -y2
-    view[SEEN] = 0.0 if behind or left or right else 1.0
-    view[SIDE], view[FOOT] = face[1] * ax - face[0] * ay, -(face[0] * ax + face[1] * ay)
+    return not (behind or left or right), uy * dx1 - ux * dy1, -(ux * dx1 + uy * dy1)
 
 
 @compiled
-def direction(segment: Floats) -> tuple[float, float, float]:
-    """Return the direction of a face as a unit vector, and its length, m."""
-    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
-    length = max(math.sqrt(ex * ex + ey * ey), 1e-12)
-    return ex / length, ey / length, length
+def mirror(
+    side_a: float, foot_a: float, side_b: float, foot_b: float, length: float, farthest: float
+) -> tuple[float, float]:
+    """Return the distance of the path from A by a face to B, and its foot along the face, m; infinite if there is none.
+
+    Args:
+        side_a: distance of A from the face's line, m; its sign tells the sides apart.
+        foot_a: foot of A along the face, m.
+        side_b: that of B, m.
+        foot_b: that of B, m.
+        length: length of the face, m.
+        farthest: greatest distance, m.
+    """
+    across, along = abs(side_a + side_b), foot_b - foot_a
+    if side_a * side_b <= 0.0 or across > 2.0 * farthest:
+        return math.inf, 0.0
+    t = foot_a + abs(side_a) / across * along
+    distance = 0.5 * math.sqrt(across * across + along * along)
+    return (distance, t) if 0.0 <= t <= length and distance <= farthest else (math.inf, 0.0)
 
 
 @compiled
@@ -130,50 +127,23 @@ def reach_of(paths: Floats, count: int, limit: float, table: Floats) -> float:
 
 
 @compiled
-def write_mirror(
-    a: Floats, b: Floats, segment: Floats, face: tuple[float, float, float], farthest: float, out: Floats
-) -> bool:
-    """Write distance and point of the path from A by a face to B; return whether there is one.
-
-    Args:
-        a: view of A, (N_VIEW,).
-        b: view of B; both must be on one side of the face.
-        segment: the face, m, (4,).
-        face: its direction and length, see `direction`.
-        farthest: greatest distance, m.
-        out: the path, (N_PATH,).
-    """
-    across = abs(a[SIDE] + b[SIDE])
-    if a[SEEN] == 0.0 or a[SIDE] * b[SIDE] <= 0.0 or across > 2.0 * farthest:
-        return False
-    along = b[FOOT] - a[FOOT]
-    t = a[FOOT] + abs(a[SIDE]) / across * along
-    if not 0.0 <= t <= face[2]:
-        return False
-    out[DISTANCE] = 0.5 * math.sqrt(across * across + along * along)
-    out[X], out[Y] = segment[0] + t * face[0], segment[1] + t * face[1]
-    return out[DISTANCE] <= farthest
+def in_beam(dx: float, dy: float, cosine: float, sine: float) -> bool:
+    """Return whether a point from a sonar, m, is at most `MAX_BEARING` off its axis."""
+    ahead = cosine * dx + sine * dy
+    return ahead > 0.0 and ahead * ahead >= MIN_COSINE2 * (dx * dx + dy * dy)
 
 
 @compiled
-def off_axis(x: float, y: float, pose: Floats, axis: Floats) -> float:
-    """Return the angle of a point off the axis of a sonar, rad; infinite beyond `MAX_BEARING`."""
-    dx, dy = x - pose[0], y - pose[1]
-    ahead = axis[0] * dx + axis[1] * dy
-    if ahead <= 0.0 or ahead * ahead < MIN_COSINE2 * (dx * dx + dy * dy):
-        return math.inf
-    return math.atan2(abs(axis[0] * dy - axis[1] * dx), ahead)
+def off_axis(r: Receivers, s: int, x: float, y: float) -> float:
+    """Return the angle of a point off the axis of a sonar, rad."""
+    dx, dy = x - r.poses[s, 0], y - r.poses[s, 1]
+    return math.atan2(abs(r.axes[s, 0] * dy - r.axes[s, 1] * dx), r.axes[s, 0] * dx + r.axes[s, 1] * dy)
 
 
 @compiled
-def level(r: Receivers, a: int, b: int, reflectance: float, limit: float, table: Floats, out: Floats) -> float:
+def write_level(r: Receivers, a: int, b: int, reflectance: float, limit: float, table: Floats, out: Floats) -> float:
     """Write the conditions of the path at `out` as those of an own echo; return how often it is detected."""
-    theta_b = off_axis(out[X], out[Y], r.poses[b], r.axes[b])
-    if math.isinf(theta_b):
-        return 0.0
-    theta_a = off_axis(out[X], out[Y], r.poses[a], r.axes[a])
-    if math.isinf(theta_a):
-        return 0.0
+    theta_a, theta_b = off_axis(r, a, out[X], out[Y]), off_axis(r, b, out[X], out[Y])
     out[BEARING], out[REFLECTANCE] = math.sqrt(0.5 * (theta_a * theta_a + theta_b * theta_b)), reflectance
     return detection(table, limit, out[DISTANCE], out[BEARING], 0.0, reflectance)
 
@@ -234,11 +204,8 @@ def add_pair(
 ) -> None:
     """Add the path at `row` between sonars A and B by face k, which is the same in both directions, to both pings."""
     shift = 0.5 * SOUND_SPEED * (r.sent[a] - r.sent[b])  # of what B reads; A reads the opposite
-    to_b, to_a, certain = row[DISTANCE] + shift, row[DISTANCE] - shift, 1.0
-    if not (takes(r, b, to_b, certain) or takes(r, a, to_a, certain)):
-        return
-    often = level(r, a, b, surface[k, 0], limit, table, row)
-    b_takes, a_takes = takes(r, b, to_b, often), takes(r, a, to_a, often)
+    often = write_level(r, a, b, surface[k, 0], limit, table, row)
+    b_takes, a_takes = takes(r, b, row[DISTANCE] + shift, often), takes(r, a, row[DISTANCE] - shift, often)
     if often < MIN_DETECTION or not (b_takes or a_takes):
         return
     for s in (a, b):
@@ -280,18 +247,29 @@ def add_crosstalk(
         paths: paths of the pings, (s, MAX_PATHS, N_PATH).
         counts: number of paths, (s,).
     """
-    r, row = receivers(poses, fired, sent, limit, table, paths, counts), np.zeros(N_PATH)
-    views, late = np.empty((poses.shape[0], N_VIEW)), 0.5 * SOUND_SPEED * (sent.max() - sent.min())
+    r, row, count = receivers(poses, fired, sent, limit, table, paths, counts), np.zeros(N_PATH), poses.shape[0]
+    seen, sides, feet = np.empty(count, np.bool_), np.empty(count), np.empty(count)
+    late = 0.5 * SOUND_SPEED * (sent.max() - sent.min())
     for k in range(segments.shape[0]):
-        row[OBSTACLE], face = owner[k], direction(segments[k])
-        for b in range(poses.shape[0]):
-            views[b, SEEN] = 0.0
-            if not fired[b]:
-                continue
-            write_view(poses[b], r.axes[b], segments[k], face, views[b])
-            if views[b, SEEN] == 0.0:
+        x1, y1, x2, y2 = segments[k, 0], segments[k, 1], segments[k, 2], segments[k, 3]
+        length = max(math.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2), 1e-12)
+        ux, uy = (x2 - x1) / length, (y2 - y1) / length
+        for b in range(count):
+            bx, by, cb, sb = poses[b, 0], poses[b, 1], r.axes[b, 0], r.axes[b, 1]
+            seen[b], sides[b], feet[b] = view_of(x1 - bx, y1 - by, x2 - bx, y2 - by, cb, sb, ux, uy)
+            if not (seen[b] and fired[b]):
+                seen[b] = False
                 continue
             for a in range(b):
+                if not seen[a]:
+                    continue
                 farthest = min(max(r.reach[a], r.reach[b]) + late, limit)
-                if write_mirror(views[a], views[b], segments[k], face, farthest, row):
+                distance, t = mirror(sides[a], feet[a], sides[b], feet[b], length, farthest)
+                x, y = x1 + t * ux, y1 + t * uy
+                if (
+                    distance <= farthest
+                    and in_beam(x - bx, y - by, cb, sb)
+                    and in_beam(x - poses[a, 0], y - poses[a, 1], r.axes[a, 0], r.axes[a, 1])
+                ):
+                    row[DISTANCE], row[X], row[Y], row[OBSTACLE] = distance, x, y, owner[k]
                     add_pair(r, a, b, k, segments, surface, limit, table, row)

@@ -14,6 +14,8 @@ from sonar_gym.compiled import compiled
 
 NO_HIT = -1  # index of the segment where a cone is empty
 TIE = 1e-9  # m; two faces of one corner have equal distances up to rounding
+CLEAR = 1e-6  # part of a leg at its ends in which no other face blocks it
+SOUND_SPEED = 343.0  # m/s, air of 20 degC
 
 
 @compiled
@@ -127,6 +129,30 @@ def cast_cones(
         if index[i] != NO_HIT:
             point[i, 0], point[i, 1] = x, y
     return distance, bearing, incidence, index, point
+
+
+@compiled
+def blocked(x1: float, y1: float, x2: float, y2: float, segments: Floats, own: int) -> bool:
+    """Return whether a face other than `own` crosses the straight line between two points."""
+    dx, dy = x2 - x1, y2 - y1
+    for k in range(segments.shape[0]):
+        ex, ey = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
+        ax, ay = segments[k, 0] - x1, segments[k, 1] - y1
+        turn = dx * ey - dy * ex
+        sign, size = (1.0 if turn > 0.0 else -1.0), abs(turn)
+        t, u = sign * (ax * ey - ay * ex), sign * (ax * dy - ay * dx)  # along line and face, times `size`
+        if CLEAR * size < t < (1.0 - CLEAR) * size and 0.0 <= u <= size and k != own:
+            return True
+    return False
+
+
+@compiled
+def shift(segments: Floats, velocity: Floats, duration: float) -> None:
+    """Move segments, m, (m, 4), with their velocities, m/s, (m, 2), for a duration in s, in place."""
+    for k in range(segments.shape[0]):
+        for axis in range(2):
+            segments[k, axis] += velocity[k, axis] * duration
+            segments[k, axis + 2] += velocity[k, axis] * duration
 
 
 @compiled

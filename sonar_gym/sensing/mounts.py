@@ -21,6 +21,7 @@ CONE_DEG = 55.0  # full beam of SRF04 and SRF08 at -6 dB; Devantech, Sonar FAQ
 
 Place = Annotated[float, Limit(-100.0, 100.0, "m")]
 Time = Annotated[float, Limit(0.0, 3600.0, "s")]
+Height = Annotated[float, Limit(0.0, 100.0, "m", open_low=True)]
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Mount:
         phase_s: time of the first ping in an episode, s; sonars that would disturb each other fire at different times.
         latency_s: time from a ping to the arrival of its reading, s; at most the period. None: the time that an SRF08
             needs for the maximum range, 65 ms for 11 m.
+        height_m: height above the floor, m; None for a sonar that does not hear the floor.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Mount:
     period_s: Time = 0.0
     phase_s: Time = 0.0
     latency_s: Time | None = None
+    height_m: Height | None = None
 
     def __post_init__(self) -> None:
         """Raise SettingError for an invalid position, cone or time."""
@@ -112,6 +115,11 @@ def mount_arrays(mounts: Sequence[Mount]) -> tuple[Floats, Floats]:
     """Return poses in the frame of the car, m, m, rad, (s, 3), and half opening angles, rad, (s,)."""
     poses = np.array([[m.x, m.y, np.radians(m.heading_deg)] for m in mounts])
     return poses, np.radians([0.5 * m.cone_deg for m in mounts])
+
+
+def heights(mounts: Sequence[Mount]) -> Floats:
+    """Return the heights of sonars above the floor, m, (s,); 0 for those that do not hear it."""
+    return np.array([mount.height_m or 0.0 for mount in mounts])
 
 
 def times_of(mounts: Sequence[Mount]) -> Times:

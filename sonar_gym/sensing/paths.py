@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.arrays import Floats, Ints
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import detection
-from sonar_gym.sensing.kernels import NO_HIT, cast_cone, clip_half_plane, incidence_cosine
+from sonar_gym.sensing.kernels import NO_HIT, SOUND_SPEED, blocked, cast_cone, clip_half_plane, incidence_cosine
 
 # Columns: conditions, face and point; the shift of its reading and the sonar + 1 whose burst it is, 0 for the own one
 DISTANCE, BEARING, INCIDENCE, REFLECTANCE, OBSTACLE, FACE, X, Y, TEXTURE, SHIFT, SOURCE = range(11)
@@ -27,6 +27,7 @@ HARDLY = 0.5
 CERTAIN = 0.98  # a path detected more often hides all paths behind it: at most 1 in 50 of them would be read
 SAME_POINT = 1e-6  # m
 MIN_WIDTH = 1e-9  # tangent; narrower parts of a cone are empty
+NO_FLOOR = (0.0, 0.0, 0.0)  # height above the floor, m, 0 for none; reflectance; slope of the facets, rad
 
 
 @compiled
@@ -197,6 +198,46 @@ def select_paths(found: Floats, count: int, table: Floats, limit: float, out: Fl
 
 
 @compiled
+def floor_path(
+    x: float, y: float, heading: float, half: float, segments: Floats, owner: Ints, limit: float,
+    floor: tuple[float, float, float], out: Floats,
+) -> bool:  # fmt: skip
+    """Write the path by the nearest point of the floor in the cone, ahead and down; return whether it can be seen.
+
+    The floor is one more face, and has the number after that of the last obstacle. Arguments as in `cast_paths`.
+    """
+    height, reflectance, texture = floor
+    if height <= 0.0 or height > limit * math.sin(half):
+        return False
+    ahead = height / math.tan(half)
+    out[X], out[Y] = x + math.cos(heading) * ahead, y + math.sin(heading) * ahead
+    out[DISTANCE], out[BEARING], out[REFLECTANCE] = height / math.sin(half), half, reflectance
+    out[INCIDENCE], out[TEXTURE] = max(0.5 * math.pi - half - texture, 0.0), texture
+    out[OBSTACLE], out[FACE] = owner.max() + 1 if owner.shape[0] > 0 else 0, segments.shape[0]
+    return not blocked(x, y, out[X], out[Y], segments, NO_HIT)
+
+
+@compiled
+def meet_moving(path: Floats, x: float, y: float, velocity: Floats) -> None:
+    """Move the point of a path to where its face is when the sound meets it.
+
+    Args:
+        path: the path, (N_PATH,); modified.
+        x: position of the sensor, m.
+        y: position of the sensor, m.
+        velocity: velocity of each face, m/s, (m, 2).
+    """
+    face = int(path[FACE])
+    if not 0 <= face < velocity.shape[0] or path[DISTANCE] <= SAME_POINT:
+        return
+    vx, vy = velocity[face, 0], velocity[face, 1]
+    away = (vx * (path[X] - x) + vy * (path[Y] - y)) / path[DISTANCE]
+    path[DISTANCE] /= 1.0 - away / SOUND_SPEED
+    flight = path[DISTANCE] / SOUND_SPEED
+    path[X], path[Y] = path[X] + vx * flight, path[Y] + vy * flight
+
+
+@compiled
 def cast_paths(
     x: float,
     y: float,
@@ -208,6 +249,7 @@ def cast_paths(
     limit: float,
     table: Floats,
     out: Floats,
+    floor: tuple[float, float, float] = NO_FLOOR,
 ) -> int:
     """Write the paths of a ping that its law is given, the one detected most often last, and return their number.
 
@@ -224,24 +266,30 @@ def cast_paths(
         limit: maximum distance, m.
         table: see `detection_table`; for distances up to `limit`.
         out: the paths, (MAX_PATHS, N_PATH); written.
+        floor: height of the sensor above the floor, m, 0 for none; its reflectance; slope of its facets, rad.
     """
-    distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
     out[:, SHIFT : SOURCE + 1] = 0.0
+    ground = out[MAX_PATHS - 1]  # as scratch
+    on_floor = floor_path(x, y, heading, half, segments, owner, limit, floor, ground)
+    distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
     one = out[0]
     one[DISTANCE], one[BEARING], one[INCIDENCE], one[REFLECTANCE] = distance, bearing, 0.0, 0.0
     one[OBSTACLE], one[FACE], one[X], one[Y], one[TEXTURE] = NO_HIT, face, at_x, at_y, 0.0
     if face == NO_HIT:
+        if on_floor:
+            out[0] = ground
         return 1
     one[INCIDENCE], one[REFLECTANCE] = max(incidence - surface[face, 1], 0.0), surface[face, 0]
     one[OBSTACLE], one[TEXTURE] = owner[face], surface[face, 1]
-    if detection(table, limit, distance, bearing, one[INCIDENCE], one[REFLECTANCE]) >= CERTAIN:
+    nearest = not on_floor or distance < ground[DISTANCE]
+    if nearest and detection(table, limit, distance, bearing, one[INCIDENCE], one[REFLECTANCE]) >= CERTAIN:
         return 1  # the nearest point hides all others
     size = segments.shape[0]
     pieces, faces = np.empty((size, 6)), np.empty(size, np.int64)
     count = pieces_in_cone(x, y, heading, half, segments, limit, pieces, faces)
-    if count <= 1:
+    if count <= 1 and not on_floor:
         return 1
-    points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.zeros((count, N_PATH)), 0
+    points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.zeros((count + 1, N_PATH)), 0
     nearest_visible(pieces, count, np.empty(2 * count), points)
     merge_corners(pieces, count, points, cosines)
     c, s = math.cos(heading), math.sin(heading)
@@ -253,5 +301,8 @@ def cast_paths(
         path[INCIDENCE] = max(math.acos(cosines[k]) - surface[faces[k], 1], 0.0)
         path[REFLECTANCE], path[OBSTACLE], path[FACE] = surface[faces[k], 0], owner[faces[k]], faces[k]
         path[X], path[Y], path[TEXTURE] = x + c * px - s * py, y + s * px + c * py, surface[faces[k], 1]
+        kept += 1
+    if on_floor:
+        found[kept] = ground
         kept += 1
     return select_paths(found, kept, table, limit, out)

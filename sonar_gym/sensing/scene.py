@@ -18,6 +18,7 @@ EMPTY_M = 20.0  # m; distance given to a model for an empty cone: beyond the ran
 
 
 Place = Annotated[float, Limit(-1e5, 1e5, "m")]
+Speed = Annotated[float, Limit(-50.0, 50.0, "m/s")]
 Texture = Annotated[float, Limit(0.0, 90.0, "deg", open_high=True)]
 
 
@@ -59,6 +60,7 @@ class Box:
         heading: heading, rad.
         reflectance: reflectance, 0..1.
         texture_deg: slope of the facets, deg; see `WallSegment`.
+        vx, vy: velocity, m/s; `x` and `y` are those at the beginning of an episode.
     """
 
     x: Place
@@ -68,10 +70,17 @@ class Box:
     heading: Annotated[float, Limit(-1e3, 1e3, "rad")] = 0.0
     reflectance: Share = 0.5
     texture_deg: Texture = 0.0
+    vx: Speed = 0.0
+    vy: Speed = 0.0
 
     def __post_init__(self) -> None:
         """Raise SettingError for sides that are not positive and for an invalid surface."""
         check_settings(self)
+
+    def contains(self, x: float, y: float) -> bool:
+        """Return whether a point, m, lies in the box."""
+        along, across = kernels.to_frame(x, y, np.array([self.x, self.y, self.heading]))
+        return abs(along) <= 0.5 * self.length and abs(across) <= 0.5 * self.width
 
     @property
     def corners(self) -> Floats:
@@ -143,6 +152,7 @@ class Scene:
         segments: all faces, m, (m, 4).
         surface: reflectance and slope of the facets of each face, 1 and rad, (m, 2).
         owner: number of the obstacle of each face, (m,).
+        velocity: velocity of each face, m/s, (m, 2).
 
     >>> hits = Scene([WallSegment(2.0, -1.0, 2.0, 1.0)]).cast(np.array([[0.0, 0.0, 0.0]]), np.array([0.3]), limit=3.0)
     >>> float(hits.distance[0]), float(hits.incidence[0])
@@ -157,20 +167,22 @@ class Scene:
         self._set_faces(np.vstack(faces) if faces else np.empty((0, 4)), surface[owner], owner)
 
     @classmethod
-    def of(cls, segments: Floats, surface: Floats, owner: Ints) -> Scene:
+    def of(cls, segments: Floats, surface: Floats, owner: Ints, velocity: Floats | None = None) -> Scene:
         """Return a scene of given faces.
 
         Args:
             segments: faces, m, (m, 4).
             surface: reflectance and slope of the facets of each face, 1 and deg, (m, 2).
             owner: number of the obstacle of each face, (m,).
+            velocity: velocity of each face, m/s, (m, 2); None if all are at rest.
         """
         scene = cls.__new__(cls)
-        scene._set_faces(segments, surface, owner)
+        scene._set_faces(segments, surface, owner, velocity)
         return scene
 
-    def _set_faces(self, segments: Floats, surface: Floats, owner: Ints) -> None:
+    def _set_faces(self, segments: Floats, surface: Floats, owner: Ints, velocity: Floats | None = None) -> None:
         self.segments, self.owner = segments, owner.astype(np.int64)
+        self.velocity = np.zeros((len(segments), 2)) if velocity is None else velocity
         self.surface = np.column_stack([surface[:, 0], np.radians(surface[:, 1])])
         # an extra last row: an empty cone has index -1
         self._surface = np.vstack([self.surface, [0.0, 0.0]])

@@ -15,9 +15,11 @@ from gymnasium import spaces
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints
 from noise import SonarModel
-from sonar_gym.sensing.detection import detection_table
+from sonar_gym.sensing.crosstalk import add_crosstalk
+from sonar_gym.sensing.detection import detection_table, has_beam
 from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays, times_of
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH, cast_paths
+from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import box_faces
 from sonar_gym.sensing.sonar import broad_table
 from sonar_gym.sensing.timing import Times
@@ -84,6 +86,7 @@ class RoadSource:
         timed = any(mount.period_s or mount.latency_s is not None for mount in self.mounts)
         self.times: Times = times_of(self.mounts) if timed else settings.times
         self._detection = detection_table(model, self.max_range)
+        self._crosstalk = settings.crosstalk and has_beam(self._detection)
         self._poses, self._half = mount_arrays(self.mounts)
         self._reflectance: dict[int, tuple[Any, float]] = {}  # by id; the reference keeps the id from being reused
         self._filter = RetainedObservation(base, space, settings.keep)
@@ -109,10 +112,18 @@ class RoadSource:
         poses = in_world(self._poses, ego) * [self.scale, self.scale, 1.0]
         out, counts = np.zeros((len(poses), MAX_PATHS, N_PATH)), np.empty(len(poses), np.int64)
         faces = self.scale * box_faces(boxes[near]), np.repeat(surface, 4, axis=0), np.repeat(near, 4)
+        self._seen = poses, faces
         for i, pose in enumerate(poses):
             x, y, heading = pose
             counts[i] = cast_paths(x, y, heading, self._half[i], *faces, self.max_range, self._detection, out[i])
         return Paths(out[None], counts[None])
+
+    def hear_others(self, pings: PingArrays) -> None:
+        """Add the paths of other sonars' bursts to pings that were sent, by the faces at the last observation."""
+        if self._crosstalk:
+            poses, faces = self._seen
+            p, limits = pings, (self.max_range, self._detection)
+            add_crosstalk(poses, p.fired[0], p.sent[0], *faces, *limits, p.paths[0], p.n_paths[0])
 
     def _reflectance_of(self, thing: Any, rng: np.random.Generator) -> float:
         """Return the reflectance of an object, drawn at its first use in the episode."""

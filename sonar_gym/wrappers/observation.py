@@ -117,6 +117,8 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         phase_s: time of the first ping, s, one number or one per sonar.
         latency_s: time from a ping to its reading, s, one number or one per sonar. None: that of the real sensor, 65 ms
             for a maximum range of 11 m.
+        crosstalk: whether the sonars on a road also receive each other's bursts by way of a face; those of the parking
+            street follow the setting of the environment, and observed ranges do not tell.
 
     >>> import gymnasium, sonar_gym
     >>> env = SonarObservation(gymnasium.make("SonarParking-v0"), "gaussian", latency_s=0.05)
@@ -143,6 +145,7 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
         period_s: float | Sequence[float] = 0.0,
         phase_s: float | Sequence[float] = 0.0,
         latency_s: float | Sequence[float] | None = None,
+        crosstalk: bool = True,
     ) -> None:
         settings = given_settings(locals())
         if not isinstance(env, gymnasium.Env):
@@ -230,6 +233,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
         period_s: float | Sequence[float] = 0.0,
         phase_s: float | Sequence[float] = 0.0,
         latency_s: float | Sequence[float] | None = None,
+        crosstalk: bool = True,
     ) -> None:
         settings = given_settings(locals())
         if not isinstance(env, VectorEnv):

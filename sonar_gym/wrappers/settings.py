@@ -60,6 +60,7 @@ class SonarSettings:
     period_s: float | Sequence[float] = 0.0
     phase_s: float | Sequence[float] = 0.0
     latency_s: float | Sequence[float] | None = None
+    crosstalk: bool = True
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""

@@ -19,6 +19,7 @@ from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.laws.numbers import Streams
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH
 from sonar_gym.sensing.pipeline import Sensing
+from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.sonar import Sonar, bin_edges
 from sonar_gym.sensing.timing import Times, timing
 from sonar_gym.wrappers.settings import (
@@ -73,6 +74,10 @@ class PathSource(Protocol):
 
     def paths(self, rows: Ints, observation: Any, info: Mapping[str, Any], rngs: Generators) -> Paths:
         """Return the paths of pings sent now in some environments."""
+        ...
+
+    def hear_others(self, pings: PingArrays) -> None:
+        """Add the paths of other sonars' bursts to pings that were sent, if the faces are known."""
         ...
 
     def retained(self, observation: Any) -> dict[str, Any]:
@@ -165,6 +170,9 @@ class RangesSource:
         one[..., paths.OBSTACLE] = one[..., paths.FACE] = np.where(in_range, np.arange(self.count), -1)
         return Paths(out, np.ones((len(rows), self.count), np.int64))
 
+    def hear_others(self, pings: PingArrays) -> None:
+        """Add nothing: ranges do not tell by which faces a sonar hears another."""
+
     def retained(self, observation: Any) -> dict[str, Any]:
         """Return the other keys, and the numbers that are not ranges."""
         out = {name: value for name, value in observation.items() if name != self.key} if self.key else {}
@@ -220,6 +228,7 @@ class ObservedSonars:
         self.sensing.begin(rows)
         pings.paths[: len(rows)], pings.n_paths[: len(rows)] = now
         self._before[0][rows], self._before[1][rows] = now
+        self.source.hear_others(pings)
         self.sensing.update(rows, np.zeros(len(rows)))
 
     def step(self, rows: Ints, observation: Any, info: Mapping[str, Any]) -> None:
@@ -229,4 +238,5 @@ class ObservedSonars:
         self._steps[rows] += 1
         end: Floats = self._steps[rows] * np.float64(self.step_s)
         records.fire(rows, begin, self.step_s, self.sensing.timing, *now, *self._before, self.sensing.pings)
+        self.source.hear_others(self.sensing.pings)
         self.sensing.update(rows, end)

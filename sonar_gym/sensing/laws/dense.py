@@ -2,7 +2,7 @@
 
 Values are (width, `BLOCK`): a block of pings side by side, so that the compiler uses vector instructions. A block that
 is not full is computed all the same, so a ping has the same result, to the bit, whatever stands beside it; a library's
-matrix product does not promise that.
+matrix product does not promise that. The inputs of a layer are filled up with zero weights to a multiple of `GROUP`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import math
 import numpy as np
 from numba import njit
 
-from acquisition.arrays import Ints, Singles
+from acquisition.arrays import Floats, Ints, Singles
 from noise.learned.tensors import Layers
 
 BLOCK = 32  # pings
+GROUP = 4  # inputs of a layer that are added at a time
 _CLIP = np.float32(7.9)  # beyond it tanh is 1 in single precision
 _F = np.float32
 # products may be fused with sums; infinities and the order of sums are kept
@@ -23,31 +24,38 @@ fused = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", 
 
 
 def packed(layers: Layers) -> tuple[Singles, Ints]:
-    """Return the weights and biases of dense layers in one array, and the widths of all layers, the input first."""
-    parts = [np.concatenate([weight.ravel(), bias]) for weight, bias in layers]
-    sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
-    return np.concatenate(parts).astype(np.float32), np.array(sizes)
+    """Return the weights and biases of dense layers in one array, and the widths of all layers, the input first.
+
+    The widths of inputs and hidden layers are multiples of `GROUP`.
+    """
+    first, last = layers[0][0].shape[1], len(layers) - 1
+    wide = [(_filled(w, k < last), _filled(b, k < last)) for k, (w, b) in enumerate(layers)]
+    wide = [(np.pad(w, ((0, 0), (0, -w.shape[1] % GROUP))), b) for w, b in wide]
+    sizes = [first + -first % GROUP, *(len(bias) for _, bias in wide)]
+    return np.concatenate([part.ravel() for layer in wide for part in layer]).astype(np.float32), np.array(sizes)
+
+
+def _filled(values: Floats, hidden: bool) -> Floats:
+    """Return the weights or biases of a layer, with zeros up to a multiple of `GROUP` outputs if it is hidden."""
+    return np.pad(values, [(0, -len(values) % GROUP if hidden else 0), *[(0, 0)] * (values.ndim - 1)])
 
 
 @fused
 def dense(weights: Singles, at: int, n_in: int, n_out: int, x: Singles, y: Singles) -> int:
-    """Write the outputs of a layer whose weights begin at a place, and return the place after its biases."""
+    """Write the outputs of a layer whose weights begin at a place, and return the place after its biases.
+
+    The number of inputs is a multiple of `GROUP`.
+    """
     end = at + n_in * n_out
     for o in range(n_out):
-        row, base, bias, k = y[o], at + o * n_in, weights[end + o], 0
+        row, base, bias = y[o], at + o * n_in, weights[end + o]
         for r in range(BLOCK):
             row[r] = bias
-        while k + 4 <= n_in:
+        for k in range(0, n_in, GROUP):
             w0, w1, w2, w3 = weights[base + k], weights[base + k + 1], weights[base + k + 2], weights[base + k + 3]
             x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
             for r in range(BLOCK):
                 row[r] += w0 * x0[r] + w1 * x1[r] + w2 * x2[r] + w3 * x3[r]
-            k += 4
-        while k < n_in:
-            w0, x0 = weights[base + k], x[k]
-            for r in range(BLOCK):
-                row[r] += w0 * x0[r]
-            k += 1
     return end + n_out
 
 

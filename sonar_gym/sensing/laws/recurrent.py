@@ -133,12 +133,13 @@ def update_state(gates: Singles, cell: Singles, x: Singles, at: int, width: int)
             x[at + k, r] = (half + half * gates[3 * width + k, r]) * gates[k, r]
 
 
-@compiled
+@fused
 def store_state(m: Memory, place: int, x: Singles, at: int, cell: Singles, r: int) -> None:
     """Write column r of blocks to a place, rounded."""
+    limit, half, per_hidden, per_cell = _F(CELL_LIMIT), _F(0.5), _F(1.0 / HIDDEN_UNIT), _F(1.0 / CELL_UNIT)
     for k in range(m.hidden.shape[1]):
-        m.hidden[place, k] = round(x[at + k, r] / HIDDEN_UNIT)
-        m.cell[place, k] = round(min(max(cell[k, r], -CELL_LIMIT), CELL_LIMIT) / CELL_UNIT)
+        m.hidden[place, k] = math.floor(x[at + k, r] * per_hidden + half)
+        m.cell[place, k] = math.floor(min(max(cell[k, r], -limit), limit) * per_cell + half)
 
 
 @compiled
@@ -190,9 +191,10 @@ def outputs(w: Weights, b: Blocks, own: int, at: int, width: int) -> Singles:
         at: row of the hidden state in the inputs.
         width: of the hidden state.
     """
-    dense(w.cell, 0, at + width, 4 * width, b.inputs, b.x)
+    filled = w.head_sizes[0]  # `at + width` and rows of zeros
+    dense(w.cell, 0, filled, 4 * width, b.inputs, b.x)
     update_state(b.x, b.cell, b.inputs, at, width)
-    b.x[: at + width] = b.inputs[: at + width]
+    b.x[:filled] = b.inputs[:filled]
     out = network(w.head, w.head_sizes, b.x, b.y)
     if w.base_sizes.shape[0] > 0:
         b.base_x[:own] = b.inputs[:own]
@@ -260,9 +262,8 @@ class Recurrent(PathLaw):
     def __init__(self, model: LstmModel, places: int, max_range: float) -> None:
         self._features, self._shape, self._weights = Features.of(model.inputs), Shape.of(model.head), Weights.of(model)
         self._memory, self._max_range = Memory.of(places, model.cell.hidden), max_range
-        own, width, w = self._features, model.cell.hidden, self._weights
-        inputs = len(own.columns) + 1 + own.covariates + N_HISTORY + width
-        self._rows = max(inputs, 4 * width, w.head_sizes.max(), w.base_sizes.max(initial=0))
+        width, w = model.cell.hidden, self._weights
+        self._rows = max(4 * width, w.head_sizes.max(), w.base_sizes.max(initial=0))
 
     def draw(self, pings: PathPings, source: PathSource) -> PathDraws:
         """Draw the readings of m pings, and remember them."""

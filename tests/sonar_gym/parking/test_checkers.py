@@ -51,6 +51,7 @@ def test_checkers_pass(env_id):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 @pytest.mark.parametrize("env_id", [*FORMS, *ROADS])
 def test_checkers_pass_on_200_seeds(env_id):

@@ -51,14 +51,13 @@ def test_turned_boxes_keep_their_extent_and_leave_the_gap_free():
 
 def parked_poses(street):
     """Yield poses in the gap that count as parked and touch nothing."""
-    task = np.array([*street.gap, street.line, 0.0, 0.0, 0.0, 0.0, 0.0])
+    task, segments = np.array([*street.gap, street.line, 0.0, 0.0, 0.0, 0.0, 0.0]), street.scene.segments
     for x in np.arange(street.gap[0] + CAR.rear_overhang + 0.005, street.gap[1] - 0.36, 0.01):
         for y in np.arange(street.line - 0.22, street.line - 0.07, 0.01):
             for turn in np.radians([-8.0, -4.0, 0.0, 4.0, 8.0]):
                 pose = np.array([x, y, turn])
-                if touches(pose, CAR.body, street.scene.segments) < 0 and is_parked(
-                    np.array([*pose, 0.0, 0.0]), CAR.body, task, LIMITS
-                ):
+                state = np.array([*pose, 0.0, 0.0])
+                if touches(pose, CAR.body, segments) < 0 and is_parked(state, CAR.body, task, LIMITS):
                     yield tuple(pose)
 
 

@@ -97,7 +97,7 @@ def test_further_obstacles_are_heard_by_their_material_and_hit():
         ended = [env.step(np.array([0.0, 1.0]))[4]["collision"] for _ in range(25)]
         assert any(ended)
     assert heard == {"pole": 0.1, "hedge": 0.2, "wall": 0.9}
-    with pytest.raises(SettingError, match="obstacle of kind: expected one of pole, hedge, wall, got 'cloud'"):
+    with pytest.raises(SettingError, match="one of pole, hedge, wall, pedestrian, car, got 'cloud'"):
         SonarParkingEnv().reset(seed=0, options={"obstacles": [{"kind": "cloud", "x": 1.0, "y": 0.0}]})
 
 
@@ -110,8 +110,8 @@ def test_the_reference_path_of_every_level_is_free_of_contact(level):
     for seed in range(40):
         street = draw_street(LEVELS[level], np.random.default_rng(seed))
         path = reference_path(street, car)[:, :3]
-        ahead = path[path[:, 0] > street.start[0]]
-        assert all(touches(pose, car.body, street.scene.segments) == -1 for pose in ahead.copy())
+        ahead, segments = path[path[:, 0] > street.start[0]], street.scene.segments
+        assert all(touches(pose, car.body, segments) == -1 for pose in ahead.copy())
         spaces = street.strip[1:, 0] - street.strip[:-1, :2].sum(axis=1)
         is_gap = np.isclose(spaces, street.gap[1] - street.gap[0])
         assert is_gap.sum() == 1

@@ -59,7 +59,8 @@ def test_reference_path_is_feasible_and_free_of_contact():
         assert np.all(np.diff(path[:, 3]) <= 0)
         assert path[-1, 3] == 0.0
         on_street = path[path[:, 0] > street.start[0]]
-        assert all(touches(pose, car.body, street.scene.segments) == -1 for pose in on_street[:, :3].copy())
+        segments = street.scene.segments
+        assert all(touches(pose, car.body, segments) == -1 for pose in on_street[:, :3].copy())
 
 
 def test_same_generator_state_gives_same_street():

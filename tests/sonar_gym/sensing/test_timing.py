@@ -27,6 +27,9 @@ class Walls:
     def begin(self, rows, observation, info, rngs):
         """Draw nothing."""
 
+    def hear_others(self, pings):
+        """Add nothing."""
+
     def paths(self, rows, observation, info, rngs):
         distance = np.broadcast_to(np.atleast_1d(np.asarray(observation, dtype=float)), (len(rows), len(self.names)))
         out = np.zeros((*distance.shape, paths.MAX_PATHS, paths.N_PATH))

@@ -10,6 +10,7 @@ from acquisition import SettingError
 from sonar_gym import SonarObservation, SonarVectorObservation
 from sonar_gym.sensing import paths
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
+from sonar_gym.sensing.records import CROSSTALK
 from sonar_gym.sensing.scene import Hits, box_faces
 from sonar_gym.wrappers.highway import ROAD_LAYOUT, boxes_of, pose_of, solid_things
 
@@ -207,3 +208,20 @@ def test_several_vehicles_and_zero_range_raise():
     }
     with pytest.raises(SettingError, match="supports one vehicle"):
         SonarObservation(gymnasium.make("highway-v0", config=many))
+
+
+def crosstalk_share(**settings):
+    """Return the share of readings that come from another sonar's burst, beside vehicles on the road."""
+    env = SonarObservation(gymnasium.make("highway-v0"), "srf08-mlp", metres_per_unit=0.1, max_range=3.0, **settings)
+    causes = []
+    for seed in range(2):
+        env.reset(seed=seed)
+        for _ in range(3):
+            env.step(1)
+            causes.append(env.sensing.pings.cause.copy())
+    return np.mean(np.array(causes) == CROSSTALK)
+
+
+def test_sonars_on_a_road_hear_each_other_unless_turned_off():
+    assert crosstalk_share() > 0.0
+    assert crosstalk_share(crosstalk=False) == 0.0

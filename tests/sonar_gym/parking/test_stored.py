@@ -1,0 +1,66 @@
+"""Shipped tables of credence: which tasks have one, and when one is out of date."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from noise import load_model
+from noise.learned.networks import MlpModel
+from sonar_gym import ENVIRONMENTS
+from sonar_gym.parking import prior, stored
+from sonar_gym.parking.fleet import MAX_RANGE
+from sonar_gym.parking.prior import Task, counted
+from sonar_gym.parking.stored import shipped
+from sonar_gym.parking.street import LEVELS
+from sonar_gym.parking.vehicle import CarSettings
+from sonar_gym.sensing.mounts import LAYOUTS
+
+MODELS = ("gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
+
+
+def task(level="normal", layout="eight", driver="agent"):
+    return Task(LEVELS[level], CarSettings(), LAYOUTS[layout], MAX_RANGE, driver, True)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_registered_environments_have_shipped_tables_of_the_present_weights(model):
+    for level in {level for level, _ in ENVIRONMENTS.values()}:
+        for layout in ("eight", "eight in turn", "eight without latency", "four"):
+            table = shipped(load_model(model), task(level, layout))
+            assert table is not None, (level, layout, "run `sonar-gym make-credence`")
+            assert np.all((table >= 0.0) & (table <= 1.0))
+
+
+def test_no_car_is_driven_for_a_shipped_table(monkeypatch):
+    monkeypatch.setattr(prior, "count", lambda *_: pytest.fail("cars were driven"))
+    model, own = load_model("srf08-mlp"), task("hard")
+    args = model, own.streets, own.car, own.mounts, own.max_range, own.driver, own.crosstalk
+    assert prior.street_credence(*args) is not None
+
+
+def test_another_street_layout_or_agent_has_no_shipped_table(monkeypatch):
+    model, own = load_model("srf08-mlp"), task()
+    moved = replace(own.mounts[0], x=own.mounts[0].x + 0.01), *own.mounts[1:]
+    for other in (
+        replace(own, streets=replace(own.streets, kerb_reflectance=0.5)),
+        replace(own, mounts=moved),
+        replace(own, mounts=(replace(own.mounts[0], height_m=0.1), *own.mounts[1:])),
+        replace(own, crosstalk=False),
+    ):
+        assert shipped(model, other) is None
+    monkeypatch.setattr(stored, "_agent", lambda: "other weights")
+    assert shipped(model, own) is None
+
+
+def test_other_weights_have_no_shipped_table():
+    shipped_model = load_model("srf08-mlp")
+    layers = [(weight * 1.001, bias) for weight, bias in shipped_model.layers]
+    assert shipped(MlpModel(shipped_model.inputs, shipped_model.head, layers), task()) is None
+
+
+@pytest.mark.slow
+def test_shipped_tables_are_counted_again_by_the_present_sources():
+    own = task()
+    table, again = shipped(load_model("srf08-mlp"), own), counted(load_model("srf08-mlp"), own)[0]
+    assert np.mean(np.abs(table - again)) < 0.01
