@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from acquisition import EchoStatus, Reading
 from acquisition.arguments import checked
-from acquisition.arrays import Floats, Ints
+from acquisition.arrays import Bits, Floats, Ints
 from acquisition.limits import as_numbers
 
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
@@ -30,6 +30,10 @@ class UniformSource(Protocol):
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of the given shape."""
         ...
+
+
+class ExtrapolationWarning(UserWarning):
+    """A learned law was asked about conditions outside its training data."""
 
 
 class EchoLaw(ABC):
@@ -71,6 +75,11 @@ class EchoLaw(ABC):
     @abstractmethod
     def no_answer(self) -> Floats:
         """P(the sensor does not answer), (n,)."""
+
+    @property
+    def extrapolates(self) -> Bits:
+        """Whether the law was not trained with the conditions of each ping, (n,); False for laws that state physics."""
+        return np.zeros(len(self), dtype=bool)
 
     def __len__(self) -> int:
         """Return the number of pings."""

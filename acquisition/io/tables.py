@@ -10,7 +10,7 @@ import re
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,8 +130,8 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
             raise RecordingError(f"{path}: is {what}, expected a CSV file")
         with path.open("rb") as raw:
             packed = raw.read(len(GZIP)) == GZIP
-        file: Any = gzip.open(path) if packed else path.open("rb")
-        with file:
+        opened: Callable[..., Any] = gzip.open if packed else open
+        with opened(path, "rb") as file:
             yield file
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RecordingError(f"{path}: damaged gzip file: {error}; copy or record it again") from None

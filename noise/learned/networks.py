@@ -1,12 +1,13 @@
 """A learned law without memory: a perceptron from conditions to a mixture, evaluated by numpy.
 
 Outside the learned conditions the network is evaluated at the nearest learned one, and its law is widened and mixed
-with a uniform law; `MixtureLaw.excess` reports the extrapolation. With a missing covariate the law is that over all of
-its values; `MixtureLaw.missing` reports it.
+with a uniform law; `MixtureLaw.extrapolates` and `excess` report it. With a missing covariate the law is that over all
+of its values; `MixtureLaw.missing` reports it.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from acquisition import ModelError, Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from noise.law import ExtrapolationWarning
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.persistence import Persistence
@@ -28,6 +30,23 @@ def dense(layers: Layers, x: Floats) -> Floats:
         x = np.tanh(x @ weight.T + bias)
     weight, bias = layers[-1]
     return x @ weight.T + bias
+
+
+def of_distance(model: Any, law: MixtureLaw, ping: Ping, known: Ping) -> MixtureLaw:
+    """Return the law with the true distances of pings, and warn once per model where it extrapolates.
+
+    Args:
+        model: with `inputs` and `warned`, whether it has warned.
+        law: of the equivalent pings.
+        ping: conditions, (n,).
+        known: equivalent pings, see `Inputs.equivalent`.
+    """
+    law.distance = ping.distance
+    if not model.warned and law.outside.any():
+        model.warned = True
+        limits = "; ".join(model.inputs.stated_outside(known))
+        warnings.warn(f"the law extrapolates: it was trained with {limits} (law.extrapolates)", ExtrapolationWarning, 3)
+    return law
 
 
 class MlpModel:
@@ -54,7 +73,7 @@ class MlpModel:
         persistence: Persistence | None = None,
     ) -> None:
         self.inputs, self.head, self.about, self.card = inputs, head, about or {}, card
-        self.persistence = persistence
+        self.persistence, self.warned = persistence, False
         self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
 
     @property
@@ -65,8 +84,9 @@ class MlpModel:
     @checked
     def law(self, ping: Ping, past: Reading | None = None) -> MixtureLaw:
         """Return the law of n pings; the past is ignored."""
-        batch = self.inputs.features(ping)
-        return self.head.law(dense(self.layers, batch.feature), batch)
+        known = self.inputs.equivalent(ping)
+        batch = self.inputs.features(known)
+        return of_distance(self, self.head.law(dense(self.layers, batch.feature), batch), ping, known)
 
     @property
     def sizes(self) -> list[int]:

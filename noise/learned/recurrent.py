@@ -23,7 +23,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
-from noise.learned.networks import MlpModel, dense
+from noise.learned.networks import MlpModel, dense, of_distance
 from noise.learned.recurrent_file import LstmShape
 from noise.learned.recurrent_state import LstmCell, LstmState, PingHistory, condition_of
 from noise.learned.tensors import Layers, layers_of, read_tensors, tensors_of, write_tensors
@@ -60,6 +60,7 @@ class LstmModel:
         self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
         self._base_columns = None if base is None else head.indices_of(base.head)
         self._state: LstmState | None = None
+        self.warned = False
 
     @property
     def resolution(self) -> float:
@@ -68,7 +69,9 @@ class LstmModel:
 
     def fresh(self) -> LstmModel:
         """Return the same model with an empty state of its own."""
-        return LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
+        model = LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
+        model.warned = self.warned
+        return model
 
     def reset(self, sensors: ArrayLike | None = None) -> None:
         """Clear the state of all sensors, or of those given by index or mask."""
@@ -98,10 +101,11 @@ class LstmModel:
         current = LstmState.empty(len(ping), self.cell.hidden)
         if past is not None:
             current = state[places].after(past, ping.run if sensors is None else None)
-        law, advanced = self._next(ping, current)
+        known = self.inputs.equivalent(ping)
+        law, advanced = self._next(known, current)
         state.put(places, advanced)
         self._state = state
-        return law
+        return of_distance(self, law, ping, known)
 
     def _resized(self, n: int, past: Reading | None, sensors: NDArray[np.int64] | None) -> LstmState:
         """Return the state with room for all sensors."""
@@ -135,9 +139,11 @@ class LstmModel:
 
     def follow(self, ping: Ping, reading: Reading) -> MixtureLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
-        batch, history = self.inputs.features(ping), PingHistory.of_recording(ping, reading)
-        x = np.concatenate([batch.feature, history.features(ping)], axis=1)
-        return self._law(batch, x, self._hidden(x, ping.run), history.anchors(ping.distance))
+        known = self.inputs.equivalent(ping)
+        batch, history = self.inputs.features(known), PingHistory.of_recording(known, reading)
+        x = np.concatenate([batch.feature, history.features(known)], axis=1)
+        law = self._law(batch, x, self._hidden(x, ping.run), history.anchors(known.distance))
+        return of_distance(self, law, ping, known)
 
     def _hidden(self, x: Floats, run: NDArray[np.int64]) -> Floats:
         """Return the hidden state at each ping, with all runs in parallel, (n, hidden)."""

@@ -108,7 +108,10 @@ def make(settings: TrainArgs, data: Path, report: Report = no_report) -> Path:
 
 def _train(settings: TrainArgs, parts: tuple[Recording, Recording], report: Report = no_report) -> Any:
     train, validation = parts
-    inputs, head = Inputs.of(train.ping, INPUTS, HORIZON_M), Head(COMPONENTS, FIXED, STEP_M, MAX_RANGE)
+    inputs, head = (
+        Inputs.of(train.ping, INPUTS, HORIZON_M, uncompensated=True),
+        Head(COMPONENTS, FIXED, STEP_M, MAX_RANGE),
+    )
     return learn(pings(train, settings.law), pings(validation, settings.law), inputs, head, settings, report)
 
 
