@@ -30,22 +30,24 @@ class OutputFormat:
         unit_m: of a count, m.
         no_echo: count that means no echo.
         period_s: time between lines, s.
+        nearest: smallest count; closer targets are reported at it.
     """
 
     digits: int
     unit_m: float
     no_echo: int
     period_s: float
+    nearest: int
 
 
 # from the data sheets of the families; for a sensor with another largest value, add a row
 MODELS = {
-    "lv": OutputFormat(3, 0.0254, 254, 0.05),  # LV-MaxSonar-EZ, inches; inverted line: use an inverting adapter
-    "xl": OutputFormat(3, 0.01, 765, 0.1),  # XL-MaxSonar-EZ/-WR, cm
-    "xl-long": OutputFormat(4, 0.01, 1068, 0.1),  # XL-MaxSonar-WRL, cm
-    "hrlv": OutputFormat(4, 0.001, 5000, 0.1),  # HRLV-MaxSonar-EZ, mm
-    "hrxl": OutputFormat(4, 0.001, 5000, 0.15),  # HRXL-MaxSonar-WR, mm
-    "hrxl-long": OutputFormat(4, 0.001, 9999, 0.15),  # HRXL-MaxSonar-WRL, mm
+    "lv": OutputFormat(3, 0.0254, 254, 0.05, 6),  # LV-MaxSonar-EZ, inches; inverted line: use an inverting adapter
+    "xl": OutputFormat(3, 0.01, 765, 0.1, 20),  # XL-MaxSonar-EZ/-WR, cm
+    "xl-long": OutputFormat(4, 0.01, 1068, 0.1, 20),  # XL-MaxSonar-WRL, cm
+    "hrlv": OutputFormat(4, 0.001, 5000, 0.1, 300),  # HRLV-MaxSonar-EZ, mm
+    "hrxl": OutputFormat(4, 0.001, 5000, 0.15, 300),  # HRXL-MaxSonar-WR, mm
+    "hrxl-long": OutputFormat(4, 0.001, 9999, 0.15, 500),  # HRXL-MaxSonar-WRL, mm
 }
 
 

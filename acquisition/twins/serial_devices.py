@@ -148,8 +148,8 @@ class MaxBotixTwin(SimulatedSensor):
         line_format = MODELS[self.model]
         due = b""
         while self._next <= self.clock():
-            metres = int(self.fire("us")[0]) * SPEED_M_PER_US
-            count = min(round(metres / line_format.unit_m), line_format.no_echo) or line_format.no_echo
+            count = round(int(self.fire("us")[0]) * SPEED_M_PER_US / line_format.unit_m) or line_format.no_echo
+            count = min(max(count, line_format.nearest), line_format.no_echo)
             due += f"R{count:0{line_format.digits}d}\r".encode("ascii")
             self._next = max(self._next + line_format.period_s, self.clock() - line_format.period_s)
         return self.corrupt(due)
