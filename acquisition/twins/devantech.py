@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from acquisition.bench.acoustics.receiver import GAINS
+from acquisition.bench.laboratory.setup import Output
 from acquisition.drivers.devantech import COMMAND, GAIN, RANGE, RANGING, STEP_S, UNLOCK
 from acquisition.drivers.srf08 import ANN
 from acquisition.twins.simulated_sensor import SimulatedSensor, TwinClock
@@ -22,8 +23,8 @@ GENERAL_CALL = 0
 READ_OUT_S = 1e-3  # from the end of listening until the sensor answers again
 GATE_US = 2048
 OUTPUTS = {code: output for output, code in RANGING.items()}
-COUNT_US = {"inch": 148.0, "cm": 58.0, "us": 1.0}  # us per count
-ANN_COUNT_US = {ANN[output]: count for output, count in COUNT_US.items()}
+COUNT_US: dict[Output, float] = {"inch": 148.0, "cm": 58.0, "us": 1.0}  # us per count
+ANN_COUNT_US = {code: COUNT_US[output] for output, code in ANN.items()}
 SRF10_GAINS = (40, 40, 50, 60, 70, 80, 100, 120, 140, 200, 250, 300, 350, 400, 500, 600, 700)
 
 
