@@ -2,6 +2,8 @@
 // One sketch per shared library; the functions host_... are called by the tests.
 #pragma once
 #include <stdint.h>
+#include <map>
+#include <set>
 #include <string>
 #include <vector>
 
