@@ -62,7 +62,7 @@ class Inputs:
     tied: bool = False
     open_end: bool = False
     uncompensated: bool = False
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     @classmethod
     def of(

@@ -11,6 +11,7 @@ import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.persistence import Persistence
 from noise.learned.tensors import Layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
+
+WARNED: WeakSet[Any] = WeakSet()  # models that have warned; not an attribute, since it is no part of the law
 
 
 def dense(layers: Layers, x: Floats) -> Floats:
@@ -36,14 +39,14 @@ def of_distance(model: Any, law: MixtureLaw, ping: Ping, known: Ping) -> Mixture
     """Return the law with the true distances of pings, and warn once per model where it extrapolates.
 
     Args:
-        model: with `inputs` and `warned`, whether it has warned.
+        model: with `inputs`.
         law: of the equivalent pings.
         ping: conditions, (n,).
         known: equivalent pings, see `Inputs.equivalent`.
     """
     law.distance = ping.distance
-    if not model.warned and law.outside.any():
-        model.warned = True
+    if model not in WARNED and law.outside.any():
+        WARNED.add(model)
         limits = "; ".join(model.inputs.stated_outside(known))
         warnings.warn(f"the law extrapolates: it was trained with {limits} (law.extrapolates)", ExtrapolationWarning, 3)
     return law
@@ -73,7 +76,7 @@ class MlpModel:
         persistence: Persistence | None = None,
     ) -> None:
         self.inputs, self.head, self.about, self.card = inputs, head, about or {}, card
-        self.persistence, self.warned = persistence, False
+        self.persistence = persistence
         self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
 
     @property

@@ -23,7 +23,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
-from noise.learned.networks import MlpModel, dense, of_distance
+from noise.learned.networks import WARNED, MlpModel, dense, of_distance
 from noise.learned.recurrent_file import LstmShape
 from noise.learned.recurrent_state import LstmCell, LstmState, PingHistory, condition_of
 from noise.learned.tensors import Layers, layers_of, read_tensors, tensors_of, write_tensors
@@ -60,7 +60,6 @@ class LstmModel:
         self.layers = [(w.astype(np.float64), b.astype(np.float64)) for w, b in layers]
         self._base_columns = None if base is None else head.indices_of(base.head)
         self._state: LstmState | None = None
-        self.warned = False
 
     @property
     def resolution(self) -> float:
@@ -70,7 +69,8 @@ class LstmModel:
     def fresh(self) -> LstmModel:
         """Return the same model with an empty state of its own."""
         model = LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
-        model.warned = self.warned
+        if self in WARNED:
+            WARNED.add(model)
         return model
 
     def reset(self, sensors: ArrayLike | None = None) -> None:

@@ -91,7 +91,7 @@ def test_an_empty_field_is_no_answer_and_a_zero_no_echo(tmp_path):
 @pytest.mark.parametrize(
     ("file", "options", "message"),
     [
-        ("log.csv", [], "contains a null character"),
+        ("log.csv", [], "not UTF-8 text"),
         ("log.bag", [], "a bag has no true distance"),
         ("log.bag", ["--constants", "distance_mm=1000"], "not a readable bag"),
         ("log.mcap", ["--constants", "distance_mm=1000"], "not a readable bag"),
