@@ -18,7 +18,7 @@ from .discrepancy import diagnose
 from .discrepancy.result import Diagnosis
 from .effects import CATALOGUE
 from .faults import Faulty
-from .law import EchoLaw
+from .law import EchoLaw, ExtrapolationWarning
 from .learned.networks import MlpModel
 from .learned.recurrent import LstmModel
 from .learned.thesis import load_thesis_network
@@ -34,6 +34,7 @@ __all__ = [
     "CredenceTable",
     "Diagnosis",
     "EchoLaw",
+    "ExtrapolationWarning",
     "Faulty",
     "GaussianModel",
     "IdealModel",

@@ -207,6 +207,11 @@ class FaultyLaw(EchoLaw):
         return self.parts[0].no_answer
 
     @property
+    def extrapolates(self) -> NDArray[np.bool_]:
+        """Whether the model's law extrapolates, (n,)."""
+        return self.parts[0].extrapolates
+
+    @property
     def _likely(self) -> list[tuple[float, EchoLaw]]:
         return [(float(rate), part) for rate, part in zip(self.rate, self.parts, strict=True) if rate > 0]
 

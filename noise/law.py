@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from acquisition import EchoStatus, Reading, SettingError
 from acquisition.arguments import checked
-from acquisition.arrays import Floats, Ints
+from acquisition.arrays import Bits, Floats, Ints
 from acquisition.limits import Limit, as_numbers, shown
 
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
@@ -34,6 +34,10 @@ class UniformSource(Protocol):
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of the given shape."""
         ...
+
+
+class ExtrapolationWarning(UserWarning):
+    """A learned law was asked about conditions outside its training data."""
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -96,6 +100,11 @@ class EchoLaw(ABC):
     @abstractmethod
     def no_answer(self) -> Floats:
         """P(the sensor does not answer), (n,)."""
+
+    @property
+    def extrapolates(self) -> Bits:
+        """Whether the law was not trained with the conditions of each ping, (n,); False for laws that state physics."""
+        return np.zeros(len(self), dtype=bool)
 
     def _per_ping(self, name: str, value: Any) -> Floats:
         """Return an argument as numbers with the pings along the last axis, (n,) or (..., n)."""

@@ -58,7 +58,8 @@ class ClusterMean:
         return cls(mean, float(error), len(x), groups)
 
     def __str__(self) -> str:
-        return f"{self.mean:.3f} +- {self.error:.3f}"
+        """Return the mean, with its standard error where there is one (several clusters, a finite mean)."""
+        return f"{self.mean:.3f} +- {self.error:.3f}" if np.isfinite(self.error) else f"{self.mean:.3f}"
 
 
 @checked

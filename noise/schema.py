@@ -27,6 +27,8 @@ class Inputs(Schema):
     folded: bool
     tied: bool
     open_end: bool
+    uncompensated: bool = False
+    fixed: Parameters = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _fits(self) -> Inputs:

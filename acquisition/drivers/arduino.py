@@ -32,6 +32,7 @@ PATIENCE_S = 0.5  # for an answer; the sketch limits I2C to 25 ms and pulses to 
 START_S = 5.0  # for the boot loader, which runs whenever the port is opened
 RETRY_S = 0.3
 MAX_LATE_LINES = 8  # lines examined after the deadline, which this host read too late
+LAST_PIN, I2C_PINS = 69, (20, 21)
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 NOT_ACKNOWLEDGED = {2, 3, 4, 6}
 WIRE_TIMEOUT = 5
@@ -117,6 +118,22 @@ class Bridge:
             bridge.close()
             raise
         return bridge
+
+    def pulse_us(self, request: str, sensor: str) -> int:
+        """Return the duration of a pulse, us.
+
+        Args:
+            request: that the sketch answers with a duration.
+            sensor: for messages.
+
+        Raises:
+            NoAnswerError: the line does not rise or does not fall in time.
+            GarbledError: the answer is no duration.
+        """
+        answer = self.request(request)
+        if not re.fullmatch("[0-9A-F]{6}", answer):
+            raise GarbledError(f"{sensor}: {answer[:80]!r} is not a pulse duration; upload the current sketch")
+        return int(answer, 16)
 
     def handshake(self) -> None:
         """Wait for the sketch, ignoring any output of a boot loader, and compare versions.
@@ -259,3 +276,13 @@ class ArduinoBus:
             if error.code == WIRE_TIMEOUT:
                 raise OSError(110, "Connection timed out") from error
             raise
+
+
+def opened_at(cls: type[Any], port: str, settings: dict[str, Any]) -> Any:
+    """Return a sensor of an Arduino at a serial port, which is closed again where the settings are invalid."""
+    bridge = Bridge.open(port)
+    try:
+        return cls(bridge, **settings)
+    except SettingError:
+        bridge.close()
+        raise

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
-from acquisition.drivers.arduino import Bridge
+from acquisition.drivers.arduino import I2C_PINS, LAST_PIN, Bridge, opened_at
 from acquisition.drivers.driver import Echoes
-from acquisition.errors import GarbledError, NoAnswerError, SettingError
+from acquisition.errors import NoAnswerError, SettingError
 
 METRES_PER_US = 0.01 / 58.0  # conversion in the sensor's manual
 MIN_PULSE_US = 100  # 17 mm; the manual specifies 2 cm, a shorter pulse is a voltage spike
 NO_ECHO_US = 30_000  # 5.2 m, beyond its 4 m; without an echo the line stays high for 38 ms (36 ms on an SRF04)
-LAST_PIN = 69
 
 
 @dataclass
@@ -34,7 +32,7 @@ class HcSr04:
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pins or an invalid limit."""
         for name, pin in (("trigger", self.trigger), ("echo", self.echo)):
-            if not 2 <= pin <= LAST_PIN or pin in (20, 21):
+            if not 2 <= pin <= LAST_PIN or pin in I2C_PINS:
                 raise SettingError(f"HC-SR04 {name} pin must be 2 to {LAST_PIN} but not 20 or 21 (I2C), got {pin}")
         if self.trigger == self.echo:
             raise SettingError(f"HC-SR04 trigger and echo must be two pins, got {self.trigger} for both")
@@ -44,12 +42,8 @@ class HcSr04:
     @classmethod
     def open(cls, port: str = "/dev/ttyACM0", **settings: Any) -> HcSr04:
         """Open the Arduino at a serial port; see `Bridge.open`."""
-        bridge = Bridge.open(port)
-        try:
-            return cls(bridge, **settings)
-        except SettingError:
-            bridge.close()
-            raise
+        opened: HcSr04 = opened_at(cls, port, settings)
+        return opened
 
     def ping(self) -> Echoes:
         """Fire once and return the range of the echo, m, if there is one.
@@ -57,10 +51,7 @@ class HcSr04:
         Raises:
             NoAnswerError: the echo line does not rise or does not fall.
         """
-        answer = self.bridge.request(f"D {self.trigger:X} {self.echo:X} {self.limit_us:X}")
-        if not re.fullmatch("[0-9A-F]{6}", answer):
-            raise GarbledError(f"{self}: {answer[:80]!r} is not a pulse duration; upload the current sketch")
-        pulse = int(answer, 16)
+        pulse = self.bridge.pulse_us(f"D {self.trigger:X} {self.echo:X} {self.limit_us:X}", str(self))
         if pulse < MIN_PULSE_US:
             raise NoAnswerError(f"{self}: a pulse of {pulse} us, expected {MIN_PULSE_US} or more: check 5 V and ground")
         return Echoes((pulse * METRES_PER_US,) if pulse < NO_ECHO_US else ())

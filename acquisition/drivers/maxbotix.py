@@ -1,4 +1,4 @@
-"""Driver of MaxBotix sensors with serial output: `R`, three or four digits, carriage return; 9600 baud 8N1.
+"""Drivers of MaxBotix sensors: serial output, `R`, three or four digits, carriage return; 9600 baud 8N1.
 
 The sensors transmit continuously. So that a reading belongs to the ping that requests it, the driver discards all
 waiting data and the line in progress. The largest value means no echo.
@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from acquisition.drivers.arduino import I2C_PINS, LAST_PIN, Bridge, opened_at
 from acquisition.drivers.driver import Echoes
 from acquisition.drivers.serialport import LineReader, Port, open_port
 from acquisition.errors import GarbledError, NoAnswerError, SettingError
@@ -30,22 +31,28 @@ class OutputFormat:
         unit_m: of a count, m.
         no_echo: count that means no echo.
         period_s: time between lines, s.
+        nearest: smallest count; closer targets are reported at it.
+        pulse_us: width of the pulse on the PW output, us per count.
     """
 
     digits: int
     unit_m: float
     no_echo: int
     period_s: float
+    nearest: int
+    pulse_us: float
 
 
 # from the data sheets of the families; for a sensor with another largest value, add a row
 MODELS = {
-    "lv": OutputFormat(3, 0.0254, 254, 0.05),  # LV-MaxSonar-EZ, inches; inverted line: use an inverting adapter
-    "xl": OutputFormat(3, 0.01, 765, 0.1),  # XL-MaxSonar-EZ/-WR, cm
-    "xl-long": OutputFormat(4, 0.01, 1068, 0.1),  # XL-MaxSonar-WRL, cm
-    "hrlv": OutputFormat(4, 0.001, 5000, 0.1),  # HRLV-MaxSonar-EZ, mm
-    "hrxl": OutputFormat(4, 0.001, 5000, 0.15),  # HRXL-MaxSonar-WR, mm
-    "hrxl-long": OutputFormat(4, 0.001, 9999, 0.15),  # HRXL-MaxSonar-WRL, mm
+    "lv": OutputFormat(
+        3, 0.0254, 254, 0.05, 6, 147.0
+    ),  # LV-MaxSonar-EZ, inches; inverted line: use an inverting adapter
+    "xl": OutputFormat(3, 0.01, 765, 0.1, 20, 58.0),  # XL-MaxSonar-EZ/-WR, cm
+    "xl-long": OutputFormat(4, 0.01, 1068, 0.1, 20, 58.0),  # XL-MaxSonar-WRL, cm
+    "hrlv": OutputFormat(4, 0.001, 5000, 0.1, 300, 1.0),  # HRLV-MaxSonar-EZ, mm
+    "hrxl": OutputFormat(4, 0.001, 5000, 0.15, 300, 1.0),  # HRXL-MaxSonar-WR, mm
+    "hrxl-long": OutputFormat(4, 0.001, 9999, 0.15, 500, 1.0),  # HRXL-MaxSonar-WRL, mm
 }
 
 
@@ -118,6 +125,50 @@ class MaxBotix:
                 "that pin 4 (RX) is open or high"
             )
         return line.lstrip(b"\n")
+
+
+@dataclass
+class MaxBotixPwm:
+    """The PW output of a MaxBotix at a pin of an Arduino with the sketch.
+
+    Attributes:
+        bridge: the Arduino.
+        model: name in `MODELS`.
+        echo: pin of the Arduino.
+    """
+
+    bridge: Bridge
+    model: str = "hrlv"
+    echo: int = 8
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for an unknown family or an invalid pin."""
+        _check_model(self.model)
+        if not 2 <= self.echo <= LAST_PIN or self.echo in I2C_PINS:
+            raise SettingError(f"MaxBotix echo pin must be 2 to {LAST_PIN} but not 20 or 21 (I2C), got {self.echo}")
+        self._format = MODELS[self.model]
+
+    @classmethod
+    def open(cls, port: str = "/dev/ttyACM0", **settings: Any) -> MaxBotixPwm:
+        """Open the Arduino at a serial port; see `Bridge.open`."""
+        opened: MaxBotixPwm = opened_at(cls, port, settings)
+        return opened
+
+    def ping(self) -> Echoes:
+        """Return the range of the next pulse that begins after this call, m, if there is an echo.
+
+        Raises:
+            NoAnswerError: no pulse begins or ends within two periods.
+            GarbledError: the pulse is longer than any of this model.
+        """
+        limit_us = round(2e6 * self._format.period_s)
+        count = round(self.bridge.pulse_us(f"P {self.echo:X} {limit_us:X}", str(self)) / self._format.pulse_us)
+        if not 0 < count <= self._format.no_echo:
+            raise GarbledError(f"{self}: reads {count}, expected 1 to {self._format.no_echo}: check the model")
+        return Echoes((count * self._format.unit_m,) if count < self._format.no_echo else ())
+
+    def __str__(self) -> str:
+        return f"MaxBotix {self.model} on pin {self.echo}"
 
 
 def _check_model(model: str) -> None:

@@ -1,8 +1,8 @@
 """Recordings on disk, and their import from other formats.
 
-recording: `Recording`, one CSV row per ping: checking, loading, saving.
+recording: `Recording`, one row per ping: loading, saving. columns: their checks and limits. given: what is accepted.
+chunks: recordings of any length, in parts. parquet: the same as Parquet files. tables: CSV text of any program.
 journal: the crash-safe file of a session that is being recorded.
-bags: import of ROS bags with `sensor_msgs/Range`.
-foreign: import of CSV logs of other programs.
-files: atomic writes, file locks.
+logs: import of ROS bags and of the logs of other programs.
+files: atomic writes, file locks. places: where results may be written. schema: files of settings.
 """

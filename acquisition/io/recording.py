@@ -8,8 +8,6 @@ complete numeric column is a covariate.
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -24,71 +22,15 @@ from acquisition.arguments import checked
 from acquisition.brief import shortened
 from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
+from acquisition.io.columns import CONDITION, ECHO_COLUMN, TEXT, RowFault, convert, is_reading, read_columns, valid_rows
 from acquisition.io.files import write_atomic
-from acquisition.io.tables import parse_table, read_bytes
+from acquisition.io.parquet import SUFFIX, is_parquet, read_parquet, write_parquet
+from acquisition.io.tables import read_bytes
 from acquisition.limits import as_numbers, check_value, is_list, shown
 from acquisition.ping import EchoStatus, Ping, Reading, check_pairs, interval
 
-REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
-TEXT = ("session", "sensor")
-CONDITION = ("time_s", "distance_mm", "angle_deg", "incidence_deg", "reflectance")
-ECHO_COLUMN = re.compile(r"echo_(?:[2-9]|1[0-7])_mm")
-LIMITS = {
-    "time_s": (-1e12, 1e12),
-    "distance_mm": (0.0, 100_000.0),
-    "angle_deg": (-180.0, 180.0),
-    "incidence_deg": (-180.0, 180.0),
-    "reflectance": (0.0, 1.0),
-    "reading_mm": (0.0, 1_700_000.0),  # any 16-bit count, also in inches: transmission errors can set every bit
-}
 MM, DEG = 1e-3, np.pi / 180.0
-MAX_COVARIATE = 1e100  # larger numbers are text: their squares overflow
 MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
-
-
-@dataclass(frozen=True)
-class RowFault:
-    """One value that violates the format.
-
-    Attributes:
-        file: name of the file.
-        line: number of the line, from 1.
-        column: name of the column.
-        value: text in the file.
-        expected: description of valid values.
-    """
-
-    file: str
-    line: int
-    column: str
-    value: str
-    expected: str
-
-    def __str__(self) -> str:
-        return f"{self.file}, line {self.line}, column {self.column}: {self.value!r}, expected {self.expected}"
-
-
-def _is_reading(name: str) -> bool:
-    return name == "reading_mm" or ECHO_COLUMN.fullmatch(name) is not None
-
-
-def _expectation(name: str) -> str:
-    low, high = LIMITS.get("reading_mm" if _is_reading(name) else name, (-np.inf, np.inf))
-    span = "a finite number" if np.isinf(low) else f"a number from {low:.7g} to {high:.7g}"
-    return f"{span}, 0 for no echo, or nothing for no answer" if _is_reading(name) else span
-
-
-def _invalid(name: str, text: pd.Series, number: pd.Series) -> NDArray[np.bool_]:
-    """Return the mask of invalid values of a known column; `number` is NaN where `text` is not a number."""
-    low, high = LIMITS.get("reading_mm" if _is_reading(name) else name, (-np.inf, np.inf))
-    value = number.to_numpy()
-    bad = ~np.isfinite(value) | (value < low) | (value > high)
-    empty = (text == "").to_numpy()
-    return bad & ~empty if _is_reading(name) else bad
-
-
-def _numbers(text: pd.Series) -> pd.Series:
-    return pd.to_numeric(text.replace("", None), errors="coerce").astype(np.float64)
 
 
 def unfinished_path(path: Path) -> Path:
@@ -96,19 +38,10 @@ def unfinished_path(path: Path) -> Path:
     return path.with_name(path.name + ".unfinished")
 
 
-def _read_text(path: Path) -> pd.DataFrame:
-    """Return the fields of a file; of an unfinished session, only of complete lines: a power cut may end any."""
+def _content(path: Path) -> bytes:
+    """Return the content of a file; of an unfinished session, only complete lines: a power cut may end any."""
     data = read_bytes(path)
-    return parse_table(data[: data.rfind(b"\n") + 1] if unfinished_path(path).exists() else data, str(path))
-
-
-def _check_header(name: str, columns: Sequence[str]) -> None:
-    missing = [column for column in REQUIRED if column not in columns]
-    if missing:
-        raise RecordingError(
-            f"{name}, line 1: column {missing[0]} is missing, expected {', '.join(REQUIRED)}; "
-            f"found {', '.join(columns)}. `sonar-gym import` maps other names and units"
-        )
+    return data[: data.rfind(b"\n") + 1] if unfinished_path(path).exists() else data
 
 
 def as_rows(name: str, given: Any, n: int) -> NDArray[np.int64]:
@@ -159,7 +92,7 @@ class Recording:
         """Read and check a recording.
 
         Args:
-            path: of the CSV file.
+            path: of the file, CSV or Parquet.
             skip_bad_rows: omit faulty rows (listed in `rejected`) instead of rejecting the file.
 
         Raises:
@@ -167,19 +100,18 @@ class Recording:
             RecordingError: a column is missing or a value violates the format; the message describes the first fault.
         """
         path = Path(path)
-        return cls.from_text(_read_text(path), str(path), skip_bad_rows)
+        columns = read_parquet(path) if is_parquet(path) else read_columns(_content(path), str(path))
+        return cls._of_columns(*columns, str(path), skip_bad_rows)
 
     @classmethod
     @checked
     def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
         """Check a table of text as read from a CSV file; see `load`. Row k is line k + 2 of the file."""
-        _check_header(name, list(text.columns))
-        table, faults = _convert(name, text)
-        if faults and not skip_bad_rows:
-            more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-            raise RecordingError(f"{faults[0]}{more}")
-        bad_rows = sorted({fault.line - 2 for fault in faults})
-        table = table.drop(index=bad_rows).reset_index(drop=True)
+        return cls._of_columns(*convert(name, text), name, skip_bad_rows)
+
+    @classmethod
+    def _of_columns(cls, table: pd.DataFrame, faults: list[RowFault], name: str, skip_bad_rows: bool) -> Recording:
+        table = valid_rows(table, faults, skip_bad_rows)
         if table.empty:
             raise RecordingError(f"{name}: has no rows below its header, expected one row per ping")
         return cls(table, name, tuple(faults))
@@ -311,7 +243,7 @@ class Recording:
         return tuple(
             name
             for name in self.table.columns
-            if name not in known and not _is_reading(name) and _is_complete_number(self.table[name])
+            if name not in known and not is_reading(name) and _is_complete_number(self.table[name])
         )
 
     @cached_property
@@ -330,8 +262,11 @@ class Recording:
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the recording as CSV, atomically."""
-        return write_atomic(Path(path), lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
+        """Write the recording, atomically: as Parquet if the name ends in .parquet, otherwise as CSV."""
+        path = Path(path)
+        if path.suffix.lower() == SUFFIX:
+            return write_parquet(path, [self.table])
+        return write_atomic(path, lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
 
 
 def _is_column(value: Any, n: int) -> bool:
@@ -380,20 +315,3 @@ def _refine_step(value: NDArray[np.float64], step: float) -> float:
 
 def _is_complete_number(column: pd.Series) -> bool:
     return pd.api.types.is_numeric_dtype(column) and bool(np.isfinite(column.to_numpy(dtype=np.float64)).all())
-
-
-def _convert(file: str, text: pd.DataFrame) -> tuple[pd.DataFrame, list[RowFault]]:
-    """Convert numeric text columns to numbers, and list the values that violate the format."""
-    faults: list[RowFault] = []
-    columns: dict[str, pd.Series] = {}
-    for name in text.columns:
-        number = _numbers(text[name])
-        if name in CONDITION or _is_reading(name):
-            rows = np.flatnonzero(_invalid(name, text[name], number))
-            faults += [RowFault(file, int(r) + 2, name, text[name].iloc[r], _expectation(name)) for r in rows]
-            columns[name] = number
-        else:
-            empty = text[name] == ""
-            is_number = name not in TEXT and not empty.all() and bool((number[~empty].abs() <= MAX_COVARIATE).all())
-            columns[name] = number if is_number else text[name]
-    return pd.DataFrame(columns), sorted(faults, key=lambda fault: fault.line)

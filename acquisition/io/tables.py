@@ -10,18 +10,23 @@ import re
 import warnings
 import zlib
 from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any
 
+import numpy as np
 import pandas as pd
 
-from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
+from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError, SonarError
 
 MAX_COLUMNS, MAX_FIELD = 1000, 100_000  # columns of a table, and characters of one field
 MAX_BYTES = 2**30  # of a table, decompressed
 GZIP, ZIP, XZ, UTF16 = b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", (b"\xff\xfe", b"\xfe\xff")
 FORMATS = ((ZIP, "a ZIP archive"), (XZ, "compressed by xz"), (b"SQLite format 3", "a database"), (b"\x89HDF", "HDF5"))
 HEADER_BYTES = 1_000_000
+BLOCK = 2**24  # bytes of a file that is read in parts
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,54 @@ def read_bytes(path: Path) -> bytes:
         RecordingNotFoundError: the file does not exist.
         RecordingError: it is no file, cannot be read, or is too large.
     """
+    with _opened(path) as file:
+        data = file.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise RecordingError(
+            f"{path}: has more than {MAX_BYTES // 2**20} MiB of text; read it in parts with acquisition.io.chunks"
+        )
+    return data
+
+
+def read_blocks(path: Path, size: int = BLOCK) -> Iterator[tuple[bytes, int]]:
+    """Yield a file in blocks of whole rows, each below the header, with the number of the line of its first row.
+
+    Args:
+        path: of a file as for `read_bytes`, of any length.
+        size: of a block, bytes.
+    """
+    header, rest, line = b"", b"", 2
+    with _opened(path) as file:
+        while piece := file.read(size):
+            rest += piece
+            if not header:
+                header = rest[: rest.find(b"\n") + 1]
+                rest = rest[len(header) :]
+            cut = _row_end(rest) if header else 0
+            if cut:
+                yield header + rest[:cut], line
+                line, rest = line + rest.count(b"\n", 0, cut), rest[cut:]
+            if len(rest) > MAX_BYTES:
+                raise RecordingError(
+                    f"{path}, line {line}: a row of more than {MAX_BYTES // 2**20} MiB; the file is damaged"
+                )
+    if rest or line == 2:
+        yield header + rest, line
+
+
+def _row_end(data: bytes) -> int:
+    """Return the place behind the last line end that is not inside quotes, 0 for none."""
+    if b'"' not in data:
+        return data.rfind(b"\n") + 1
+    text = np.frombuffer(data, dtype=np.uint8)
+    outside = np.bitwise_xor.accumulate((text == ord('"')).view(np.uint8)) == 0
+    ends = np.flatnonzero((text == ord("\n")) & outside)
+    return int(ends[-1]) + 1 if len(ends) else 0
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[IO[bytes]]:
+    """Open a file, decompressed if it is compressed by gzip; see `read_bytes` for errors, also of reading."""
     try:
         if "\0" in str(path) or not path.exists():
             raise RecordingNotFoundError(f"{path}: no such file; give the path of a CSV file")
@@ -77,21 +130,50 @@ def read_bytes(path: Path) -> bytes:
             raise RecordingError(f"{path}: is {what}, expected a CSV file")
         with path.open("rb") as raw:
             packed = raw.read(len(GZIP)) == GZIP
-        with gzip.open(path) if packed else path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        opened: Callable[..., Any] = gzip.open if packed else open
+        with opened(path, "rb") as file:
+            yield file
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RecordingError(f"{path}: damaged gzip file: {error}; copy or record it again") from None
     except OSError as error:
-        if isinstance(error, RecordingNotFoundError):
+        if isinstance(error, SonarError):
             raise
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}; check its permissions") from None
-    if len(data) > MAX_BYTES:
-        raise RecordingError(f"{path}: has more than {MAX_BYTES // 2**20} MiB of text; split it into several files")
-    return data
+
+
+def parse_numbers(
+    data: bytes, name: str, text: Collection[str], largest: float, dialect: Dialect = COMMAS
+) -> pd.DataFrame | None:
+    """Return the fields of CSV text, columns of numbers as such (NaN where empty), the others as text.
+
+    Args:
+        data: CSV text.
+        name: of the file, for messages.
+        text: columns that are text, whatever they hold.
+        largest: magnitude of a number.
+        dialect: delimiter of the file.
+
+    Returns:
+        None where a column is neither text nor finite numbers up to `largest`: the text has to decide.
+    """
+    table = _parsed(data, name, dialect, False, dtype=dict.fromkeys(text, str), na_values=[""], low_memory=False)
+    number = table.select_dtypes(["int64", "float64"])
+    others = table.columns.difference(number.columns)
+    known = all(pd.api.types.is_string_dtype(table[column]) for column in others)
+    if table.empty or not known or any((number[column].abs() > largest).any() for column in number):
+        return None
+    return table.fillna(dict.fromkeys(others, ""))
 
 
 def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
-    """Return the fields of CSV text; see `read_text_table`."""
+    """Return the fields of CSV text as text; see `read_text_table`."""
+    table = _parsed(data, name, dialect, number_twins, dtype=str)
+    if dialect.decimal == ",":
+        table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
+    return table
+
+
+def _parsed(data: bytes, name: str, dialect: Dialect, number_twins: bool, **options: Any) -> pd.DataFrame:
     columns = _header(_decoded(data, name), name, dialect)
     _check_header(columns, name, number_twins)
     try:
@@ -99,12 +181,12 @@ def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins:
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of a row with more fields than the header
             table = pd.read_csv(
                 io.BytesIO(data),
-                dtype=str,
                 keep_default_na=False,
                 skipinitialspace=True,
                 encoding="utf-8-sig",
                 sep=dialect.delimiter,
                 index_col=False,
+                **options,
             )
     except pd.errors.ParserWarning:
         raise RecordingError(f"{name}: the rows have more fields than the header; give each column a name") from None
@@ -112,8 +194,6 @@ def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins:
         reason = " ".join(str(error).replace("Error tokenizing data. C error:", "").split())
         raise RecordingError(f"{name}: not a table of separated values: {reason}") from None
     table.columns = pd.Index(_numbered(columns))
-    if dialect.decimal == ",":
-        table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
     return table
 
 

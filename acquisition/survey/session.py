@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from acquisition.errors import NoAnswerError, RecordingError, SettingError
+from acquisition.io.columns import ECHO_COLUMN
 from acquisition.io.journal import Journal
-from acquisition.io.recording import ECHO_COLUMN, Recording
+from acquisition.io.recording import Recording
 from acquisition.ping import Reading
 from acquisition.survey.plan import Condition, SurveyPlan
 from acquisition.survey.quantities import CONDITION_QUANTITIES

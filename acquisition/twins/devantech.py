@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from acquisition.bench.acoustics.receiver import GAINS
+from acquisition.bench.laboratory.setup import Output
 from acquisition.drivers.devantech import COMMAND, GAIN, RANGE, RANGING, STEP_S, UNLOCK
 from acquisition.drivers.srf08 import ANN
 from acquisition.twins.simulated_sensor import SimulatedSensor, TwinClock
@@ -15,14 +16,15 @@ from acquisition.twins.simulated_sensor import SimulatedSensor, TwinClock
 __all__ = ["BadWire", "Srf02Twin", "Srf08Twin", "Srf10Twin", "TwinClock"]
 
 REVISION = 10
-SRF02_MIN_RANGE_CM = 16
+SRF02_MIN_RANGE_CM, SRF10_MIN_RANGE_CM = 16, 6  # Devantech; the only transducer of an SRF02 rings until then
 NACK = 121  # EREMOTEIO
 READ_FLAG = 0x0001  # I2C_M_RD of an i2c message
 GENERAL_CALL = 0
 READ_OUT_S = 1e-3  # from the end of listening until the sensor answers again
 GATE_US = 2048
 OUTPUTS = {code: output for output, code in RANGING.items()}
-ANN_COUNT_US = {ANN["inch"]: 148.0, ANN["cm"]: 58.0, ANN["us"]: 1.0}  # us per count
+COUNT_US: dict[Output, float] = {"inch": 148.0, "cm": 58.0, "us": 1.0}  # us per count
+ANN_COUNT_US = {code: COUNT_US[output] for output, code in ANN.items()}
 SRF10_GAINS = (40, 40, 50, 60, 70, 80, 100, 120, 140, 200, 250, 300, 350, 400, 500, 600, 700)
 
 
@@ -54,6 +56,7 @@ class Srf08Twin(SimulatedSensor):
     address: int = 0x70
     wire: BadWire = field(default_factory=BadWire)
     busy_reads_ones: bool = False
+    min_range_cm: ClassVar[int] = 0  # echoes from closer are not registered; the rig simulates that of an SRF08
 
     def __post_init__(self) -> None:
         """Switch on."""
@@ -127,7 +130,9 @@ class Srf08Twin(SimulatedSensor):
             self.address = value >> 1
         if value in OUTPUTS:
             gain, reach = self.settings()
-            self._echoes = self.fire(OUTPUTS[value], gain, reach).astype(">u2").tobytes()
+            codes = self.fire(OUTPUTS[value], gain, reach)
+            codes = codes[codes * COUNT_US[OUTPUTS[value]] >= self.min_range_cm * COUNT_US["cm"]]
+            self._echoes = codes.astype(">u2").tobytes().ljust(34, b"\0")
             self._listen(reach)
         if value in ANN_COUNT_US:
             self._set_gates(ANN_COUNT_US[value])
@@ -150,6 +155,8 @@ class Srf08Twin(SimulatedSensor):
 class Srf10Twin(Srf08Twin):
     """A simulated SRF10: one echo, no light sensor, 17 gains with the same ratio to the maximum as on the SRF08."""
 
+    min_range_cm: ClassVar[int] = SRF10_MIN_RANGE_CM
+
     def power_cycle(self) -> None:
         """Reset gain and range."""
         self.gain, self.range_register = 16, 255
@@ -168,9 +175,11 @@ class Srf10Twin(Srf08Twin):
 class Srf02Twin(Srf08Twin):
     """A simulated SRF02: one echo, fixed gain and range."""
 
+    min_range_cm: ClassVar[int] = SRF02_MIN_RANGE_CM
+
     def registers(self) -> bytes:
         """Return the readable registers."""
-        return bytes([REVISION, 0x80]) + self._echoes[:2] + SRF02_MIN_RANGE_CM.to_bytes(2, "big")
+        return bytes([REVISION, 0x80]) + self._echoes[:2] + self.min_range_cm.to_bytes(2, "big")
 
     def settings(self) -> tuple[int, int]:
         """Return maximum gain and range."""

@@ -50,6 +50,7 @@ class ArduinoTwin:
     Attributes:
         bus: sensor on its I2C pins.
         pulses: HC-SR04 on its pins 9 and 8.
+        pwm: PW output of a MaxBotix on its pin 8.
         corrupt: changes the bytes to the host, as a faulty cable does.
         repeat: answer with the previous sequence number.
         version: answer to the request for name and version.
@@ -57,6 +58,7 @@ class ArduinoTwin:
 
     bus: SmBus | None = None
     pulses: HcSr04Twin | None = None
+    pwm: MaxBotixTwin | None = None
     corrupt: Callable[[bytes], bytes] = bytes
     repeat: bool = False
     version: str = "SONARBRIDGE 01"
@@ -90,6 +92,7 @@ class ArduinoTwin:
             "R": self._read,
             "S": self._scan,
             "D": self._distance,
+            "P": self._pulse,
         }
         error, result = commands[name](*(int(each, 16) for each in numbers)) if name in commands else (34, "")
         if self.repeat:
@@ -118,6 +121,10 @@ class ArduinoTwin:
     def _distance(self, trigger: int, echo: int, limit: int) -> tuple[int, str]:
         error, pulse = self.pulses.pulse() if self.pulses and (trigger, echo) == (9, 8) else (17, 0)
         return (18 if pulse > limit else error), f"{pulse:06X}"
+
+    def _pulse(self, pin: int, limit: int) -> tuple[int, str]:
+        width = self.pwm.pulse() if self.pwm and pin == 8 else 0
+        return (0 if 0 < width <= limit else 18 if width else 17), f"{width:06X}"
 
     def _run(self, transfer: Callable[[SmBus], str]) -> tuple[int, str]:
         try:
@@ -148,11 +155,19 @@ class MaxBotixTwin(SimulatedSensor):
         line_format = MODELS[self.model]
         due = b""
         while self._next <= self.clock():
-            metres = int(self.fire("us")[0]) * SPEED_M_PER_US
-            count = min(round(metres / line_format.unit_m), line_format.no_echo) or line_format.no_echo
-            due += f"R{count:0{line_format.digits}d}\r".encode("ascii")
+            due += f"R{self._count():0{line_format.digits}d}\r".encode("ascii")
             self._next = max(self._next + line_format.period_s, self.clock() - line_format.period_s)
         return self.corrupt(due)
+
+    def pulse(self) -> int:
+        """Return the width of the next pulse on the PW output, us."""
+        return round(self._count() * MODELS[self.model].pulse_us)
+
+    def _count(self) -> int:
+        """Fire; return the count that the sensor reports."""
+        family = MODELS[self.model]
+        count = round(int(self.fire("us")[0]) * SPEED_M_PER_US / family.unit_m) or family.no_echo
+        return min(max(count, family.nearest), family.no_echo)
 
 
 @dataclass

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,6 +14,8 @@ from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
 
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
+TEMPERATURE, CELSIUS = "temperature_c", 273.15
+COMPARED_C = (-11.0, 46.0)  # degC; -10 to 45 degC with the drift of a room: training/noise/conditions.py
 LOG_OFFSET_M = 0.02  # m; added to the distance to limit the slope of its logarithm
 
 
@@ -24,12 +27,14 @@ class FeatureBatch(NamedTuple):
         distance: true distances, m, (n,).
         excess: distance of each condition from the learned range, relative to its width, (n,).
         missing: whether a covariate is missing, (n,) bool.
+        outside: whether a covariate has a value with which the law was not trained, (n,) bool.
     """
 
     feature: Floats
     distance: Floats
     excess: Floats
     missing: Bits
+    outside: Bits
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,9 @@ class Inputs:
         folded: whether bearings and incidences had one sign, so that only their magnitude is used.
         tied: whether incidence always equalled bearing, so that only bearing is used.
         open_end: whether distances beyond the learned range are equivalent to its end, out of range of the sensor.
+        uncompensated: whether readings are times of flight at one assumed speed of sound, so that at temperatures
+            outside the learned range the law is that of equal time of flight at its end (see `equivalent`).
+        fixed: other covariates and the one value that each had in the training data.
     """
 
     names: tuple[str, ...]
@@ -53,15 +61,20 @@ class Inputs:
     folded: bool = False
     tied: bool = False
     open_end: bool = False
+    uncompensated: bool = False
+    fixed: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     @classmethod
-    def of(cls, ping: Ping, names: tuple[str, ...], horizon: float | None = None) -> Inputs:
+    def of(
+        cls, ping: Ping, names: tuple[str, ...], horizon: float | None = None, uncompensated: bool = False
+    ) -> Inputs:
         """Determine the ranges from pings.
 
         Args:
             ping: conditions of a recording.
             names: logged quantities, "distance" first; incidence is omitted if it always equals bearing.
             horizon: distance beyond which there is no echo, m; all farther pings are one condition.
+            uncompensated: see the attribute.
         """
         turned = np.concatenate([ping.angle, ping.incidence])
         folded = bool(np.all(turned >= 0) or np.all(turned <= 0))
@@ -71,7 +84,9 @@ class Inputs:
         low, high = np.nanmin(value, axis=0), np.nanmax(value, axis=0)
         beyond = bool(horizon is not None and high[0] > horizon)
         high[0] = horizon if beyond else high[0]
-        return cls(used, tuple(map(float, low)), tuple(map(float, high)), folded, tied, beyond)
+        others = {name: value for name, value in ping.covariates.items() if name not in (*used, "interval_s")}
+        fixed = {name: float(value[0]) for name, value in others.items() if len(value) and np.ptp(value) == 0.0}
+        return cls(used, tuple(map(float, low)), tuple(map(float, high)), folded, tied, beyond, uncompensated, fixed)
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Inputs:
@@ -79,8 +94,10 @@ class Inputs:
         ranges = {key: tuple(map(float, data[key])) for key in ("low", "high")}
         if not len(data["names"]) == len(ranges["low"]) == len(ranges["high"]):
             raise ValueError("inputs: names, low and high differ in number")
-        flags = [bool(data[key]) for key in ("folded", "tied", "open_end")]
-        return cls(tuple(data["names"]), ranges["low"], ranges["high"], *flags)
+        flags = [bool(data.get(key, False)) for key in ("folded", "tied", "open_end", "uncompensated")]
+        folded, tied, open_end, uncompensated = flags
+        fixed = dict(data.get("fixed", {}))
+        return cls(tuple(data["names"]), ranges["low"], ranges["high"], folded, tied, open_end, uncompensated, fixed)
 
     @cached_property
     def covariates(self) -> tuple[str, ...]:
@@ -105,6 +122,38 @@ class Inputs:
             return np.abs(value) if self.folded and name in ("angle", "incidence") else value
         return ping.covariates.get(name, math.nan)
 
+    def equivalent(self, ping: Ping) -> Ping:
+        """Return pings within the learned temperatures whose readings have the same law.
+
+        The reading of a sensor without temperature compensation is a time of flight, 2 d / c(T): at T it is that of the
+        distance d c(T') / c(T) at T', with c proportional to the square root of the absolute temperature. Absorption
+        and what the electronics do with temperature are those at T'.
+
+        Args:
+            ping: conditions, (n,).
+        """
+        given = ping.covariates.get(TEMPERATURE) if self.uncompensated and TEMPERATURE in self.names else None
+        if given is None:
+            return ping
+        k = self.names.index(TEMPERATURE)
+        compared = np.clip(given, min(COMPARED_C[0], self.low[k]), max(COMPARED_C[1], self.high[k]))
+        learned = np.clip(compared, self.low[k], self.high[k])
+        if np.array_equal(learned, compared, equal_nan=True):
+            return ping
+        ratio = np.where(np.isnan(given), 1.0, np.sqrt((learned + CELSIUS) / (compared + CELSIUS)))
+        covariates = {**ping.covariates, TEMPERATURE: learned + (given - compared)}
+        return replace(ping, distance=ping.distance * ratio, covariates=covariates)
+
+    def stated_outside(self, ping: Ping) -> list[str]:
+        """Return a sentence for each covariate with a value outside the training data, of equivalent pings."""
+        limits = {n: (low, high) for n, low, high in zip(self.names, self.low, self.high, strict=True)}
+        limits = {n: limits[n] for n in self.covariates} | {n: (v, v) for n, v in self.fixed.items()}
+        return [
+            f"{name} from {low:g} to {high:g}" if low < high else f"{name} {low:g}"
+            for name, (low, high) in limits.items()
+            if name in ping.covariates and _beyond(ping.covariates[name], low, high).any()
+        ]
+
     def features(self, ping: Ping) -> FeatureBatch:
         """Return the features of pings; numpy calls are few, since a simulator calls this at every step."""
         value, (low, high, span) = self.raw(ping), self.ranges
@@ -128,7 +177,12 @@ class Inputs:
         if self.tied:
             apart = np.abs(np.abs(ping.incidence) - np.abs(ping.angle))
             excess = np.maximum(excess, np.where(apart > 1e-9, apart / 0.5, 0.0))
-        return FeatureBatch(feature, ping.distance, excess, missing)
+        outside: Bits = np.zeros(len(value), dtype=bool)
+        if self.covariates:
+            outside = np.any(off[:, self._covariate] > 0.0, axis=1)
+        for name in self.fixed.keys() & ping.covariates.keys():
+            outside |= _beyond(ping.covariates[name], self.fixed[name], self.fixed[name])
+        return FeatureBatch(feature, ping.distance, excess, missing, outside)
 
     @cached_property
     def _covariate(self) -> Ints:
@@ -145,3 +199,9 @@ class Inputs:
     def _log_distance(self, distance: Floats) -> Floats:
         near, far = math.log(self.low[0] + LOG_OFFSET_M), math.log(self.high[0] + LOG_OFFSET_M)
         return 2.0 * (np.log(distance + LOG_OFFSET_M) - near) / max(far - near, 0.1) - 1.0
+
+
+def _beyond(value: Floats, low: float, high: float) -> Bits:
+    """Return whether values lie outside limits, apart from rounding; not NaN."""
+    margin = 1e-6 * max(1.0, abs(low), abs(high))
+    return np.asarray((value < low - margin) | (value > high + margin))

@@ -36,6 +36,7 @@ class MixtureLaw(EchoLaw):
         answer_rate: probability of an answer, (n,) or scalar.
         excess: distance of each condition from the learned range, relative to its width, (n,).
         missing: whether a covariate of the model is missing, (n,) bool.
+        outside: whether a covariate has a value with which the law was not trained, (n,) bool.
     """
 
     uniform_per_ping = True
@@ -52,12 +53,12 @@ class MixtureLaw(EchoLaw):
         super().__init__(batch.distance, head.resolution, head.max_range)
         self.share, self.centre, self.scale = share, centre, scale
         self.answer_rate = answer_rate
-        self.excess, self.missing = batch.excess, batch.missing
+        self.excess, self.missing, self.outside = batch.excess, batch.missing, batch.outside
 
     @property
-    def extrapolated(self) -> NDArray[np.bool_]:
-        """Whether each condition lies outside the learned range, (n,) bool."""
-        return self.excess > 0
+    def extrapolates(self) -> NDArray[np.bool_]:
+        """Whether each condition, or a covariate, lies outside those of the training data, (n,) bool."""
+        return (self.excess > 0) | self.outside
 
     @property
     def no_answer(self) -> Floats:

@@ -1,25 +1,30 @@
 """A learned law without memory: a perceptron from conditions to a mixture, evaluated by numpy.
 
 Outside the learned conditions the network is evaluated at the nearest learned one, and its law is widened and mixed
-with a uniform law; `MixtureLaw.excess` reports the extrapolation. With a missing covariate the law is that over all of
-its values; `MixtureLaw.missing` reports it.
+with a uniform law; `MixtureLaw.extrapolates` and `excess` report it. With a missing covariate the law is that over all
+of its values; `MixtureLaw.missing` reports it.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 
 from acquisition import ModelError, Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from noise.law import ExtrapolationWarning
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.persistence import Persistence
 from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
+
+WARNED: WeakSet[Any] = WeakSet()  # models that have warned; not an attribute, since it is no part of the law
 
 
 def dense(layers: Layers, x: Floats) -> Floats:
@@ -28,6 +33,23 @@ def dense(layers: Layers, x: Floats) -> Floats:
         x = np.tanh(x @ weight.T + bias)
     weight, bias = layers[-1]
     return x @ weight.T + bias
+
+
+def of_distance(model: Any, law: MixtureLaw, ping: Ping, known: Ping) -> MixtureLaw:
+    """Return the law with the true distances of pings, and warn once per model where it extrapolates.
+
+    Args:
+        model: with `inputs`.
+        law: of the equivalent pings.
+        ping: conditions, (n,).
+        known: equivalent pings, see `Inputs.equivalent`.
+    """
+    law.distance = ping.distance
+    if model not in WARNED and law.outside.any():
+        WARNED.add(model)
+        limits = "; ".join(model.inputs.stated_outside(known))
+        warnings.warn(f"the law extrapolates: it was trained with {limits} (law.extrapolates)", ExtrapolationWarning, 3)
+    return law
 
 
 class MlpModel:
@@ -66,8 +88,9 @@ class MlpModel:
     @checked
     def law(self, ping: Ping, past: Reading | None = None) -> MixtureLaw:
         """Return the law of n pings; the past is ignored."""
-        batch = self.inputs.features(ping)
-        return self.head.law(dense(self.layers, batch.feature), batch)
+        known = self.inputs.equivalent(ping)
+        batch = self.inputs.features(known)
+        return of_distance(self, self.head.law(dense(self.layers, batch.feature), batch), ping, known)
 
     @property
     def sizes(self) -> list[int]:

@@ -25,7 +25,7 @@ from acquisition.limits import shown
 from acquisition.ping import check_pairs
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
-from noise.learned.networks import MlpModel, dense
+from noise.learned.networks import WARNED, MlpModel, dense, of_distance
 from noise.learned.recurrent_file import LstmShape
 from noise.learned.recurrent_state import LstmCell, LstmState, PingHistory, condition_of
 from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, tensors_of, write_tensors
@@ -80,7 +80,10 @@ class LstmModel:
 
     def fresh(self) -> LstmModel:
         """Return the same model with an empty state of its own."""
-        return LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
+        model = LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
+        if self in WARNED:
+            WARNED.add(model)
+        return model
 
     def reset(self, sensors: ArrayLike | None = None) -> None:
         """Clear the state of all sensors, or of those given by index or mask."""
@@ -111,10 +114,11 @@ class LstmModel:
         current = LstmState.empty(len(ping), self.cell.hidden)
         if past is not None:
             current = state[places].after(past, ping.run if sensors is None else None)
-        law, advanced = self._next(ping, current)
+        known = self.inputs.equivalent(ping)
+        law, advanced = self._next(known, current)
         state.put(places, advanced)
         self._state = state
-        return law
+        return of_distance(self, law, ping, known)
 
     def _resized(self, n: int, past: Reading | None, sensors: NDArray[np.int64] | None) -> LstmState:
         """Return the state with room for all sensors."""
@@ -150,9 +154,11 @@ class LstmModel:
     def follow(self, ping: Ping, reading: Reading) -> MixtureLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         check_pairs("LstmModel.follow.reading", ping, reading)
-        batch, history = self.inputs.features(ping), PingHistory.of_recording(ping, reading)
-        x = np.concatenate([batch.feature, history.features(ping)], axis=1)
-        return self._law(batch, x, self._hidden(x, ping.run), history.anchors(ping.distance))
+        known = self.inputs.equivalent(ping)
+        batch, history = self.inputs.features(known), PingHistory.of_recording(known, reading)
+        x = np.concatenate([batch.feature, history.features(known)], axis=1)
+        law = self._law(batch, x, self._hidden(x, ping.run), history.anchors(known.distance))
+        return of_distance(self, law, ping, known)
 
     def _hidden(self, x: Floats, run: NDArray[np.int64]) -> Floats:
         """Return the hidden state at each ping, with all runs in parallel, (n, hidden)."""

@@ -8,6 +8,7 @@ anew. After a change of the environment's sources `sonar-gym make-credence` make
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import pickle
 from collections.abc import Callable
@@ -77,14 +78,17 @@ def _agent() -> str:
 
 @lru_cache(maxsize=16)
 def fingerprint(model: Any) -> str:
-    """Return a digest of a model as it is saved; empty for one that cannot be saved."""
+    """Return a digest of a model as it is saved, without its notes (`about`); empty if it cannot be saved."""
     with TemporaryDirectory() as folder:
         try:
             saved = save_model(model, Path(folder) / "model")
         except (ModelError, AttributeError, TypeError):
             return ""
-        files = (saved / name for name in ("model.json", "weights.safetensors"))
-        return hashlib.sha256(b"".join(file.read_bytes() for file in files if file.exists())).hexdigest()[:16]
+        text = json.loads((saved / "model.json").read_text(encoding="utf-8"))
+        text.pop("about", None)
+        weights = saved / "weights.safetensors"
+        data = json.dumps(text, sort_keys=True).encode() + (weights.read_bytes() if weights.exists() else b"")
+        return hashlib.sha256(data).hexdigest()[:16]
 
 
 def shipped_key(model: Any, task: Any) -> str:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from tests.acquisition.io.test_bags import Bag
 
 from acquisition import Recording, SonarError
-from acquisition.io.bags import GroundTruthSource, import_bag
+from acquisition.io.logs.bags import GroundTruthSource, import_bag
 from acquisition.io.tables import MAX_COLUMNS
 from acquisition.survey.planfile import KEYS, find_plan
 from noise import load_model, save_model
@@ -24,7 +25,6 @@ from noise.physical import PhysicalModel
 from noise.store import WEIGHTS
 from sonar_gym.agent import WEIGHTS as AGENTS
 from sonar_gym.agent import load_policy
-from tests.acquisition.io.test_bags import Bag
 from tests.fuzz.rule import EXAMPLES, FUZZ, check_rejected, check_used_or_rejected, digests, limited
 from tests.fuzz.tables import csv_bytes
 from training.proof.chain import load as load_ledger

@@ -14,8 +14,8 @@ import tyro
 from threadpoolctl import threadpool_limits
 
 from acquisition import Recording, SettingError
-from acquisition.io.bags import TimeSeries, read_table
-from acquisition.io.foreign import parse_constants
+from acquisition.io.logs.bags import TimeSeries, read_table
+from acquisition.io.logs.foreign import parse_constants
 from acquisition.io.places import OutputFile, OutputFolder
 from acquisition.limits import Limit, Seed, Share
 from noise import save_model

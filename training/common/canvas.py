@@ -119,5 +119,6 @@ def panels(
             scale = ScalarMappable(Normalize(*colours[1:]), "viridis")
             figure.colorbar(scale, ax=list(axes), shrink=0.8, pad=0.01).set_label(colours[0])
         out = io.BytesIO()
-        figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
+        # a wedge in polar axes reaches beyond the space that the layout gives it
+        figure.savefig(out, format="png", dpi=100, bbox_inches="tight", metadata={"Software": None})
     return out.getvalue()

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from string import Template
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from acquisition import Recording
+from noise.learned.inputs import COMPARED_C, Inputs
 from noise.learned.networks import MlpModel
 from noise.learned.recurrent import LstmModel
 from noise.metrics import Evaluation
 from training.common.tables import markdown_table
+from training.noise.conditions import Calibration
 from training.noise.networks import MAX_RUN_PINGS
 
 CARD = Path(__file__).parent / "templates" / "model_card.md"
+RESCALED = (
+    f" At other temperatures from {COMPARED_C[0]:g} to {COMPARED_C[1]:g} degC the law is that of equal "
+    "time of flight at the end of the range."
+)
+CALIBRATED = (
+    "Simulated by the waveform rig. Credence is that given the condition and, with memory, the earlier readings;\n"
+    "standard errors are over sensors. The calibration error is the mean gap over tenths of credence."
+)
+COLUMNS = ("condition", "within 10 %", "credence - frequency", "calibration error", "marked by `law.extrapolates`")
 HEADINGS = ("model", "log-likelihood, nats per ping", "CRPS, mm", "credence gap")
 
 
@@ -70,6 +83,30 @@ def _memory(model: MlpModel | LstmModel) -> str:
     return f"The law depends on previous readings of the run (trained on at most {MAX_RUN_PINGS}) and does not cover"
 
 
+def _fixed(inputs: Inputs) -> str:
+    """Return the sentence on covariates that had one value in the training data."""
+    values = ", ".join(f"`{name}` {value:g}" for name, value in inputs.fixed.items())
+    return f"\nThe training data have one value only of {values}.\n" if values else ""
+
+
+def _persistence(model: MlpModel | LstmModel) -> str:
+    """Return the sentence on the part of the spread that persists from ping to ping."""
+    kept = getattr(model, "persistence", None)
+    if kept is None:
+        return ""
+    return f" Of the spread, {kept.detection:.0%} (detection) and {kept.range:.0%} (range) persist within a visit."
+
+
+def _calibration(conditions: Mapping[str, Calibration]) -> str:
+    """Return the section on calibration by condition."""
+    if not conditions:
+        return ""
+    rows = [
+        (name, str(c.right), str(c.gap), f"{c.error:.3f}", f"{c.extrapolates:.0%}") for name, c in conditions.items()
+    ]
+    return f"\n## Calibration on new sensors, by condition\n\n{CALIBRATED}\n\n{markdown_table(COLUMNS, rows)}\n"
+
+
 def card(
     name: str,
     model: MlpModel | LstmModel,
@@ -78,6 +115,7 @@ def card(
     recording: Recording,
     commands: list[str],
     note: str = "",
+    conditions: Mapping[str, Calibration] | None = None,
 ) -> str:
     """Return the card of a model, in Markdown.
 
@@ -89,6 +127,7 @@ def card(
         recording: training data.
         commands: that make the model, in order.
         note: on the data: what was in front of the sensor, where.
+        conditions: calibration on new sensors by condition.
     """
     inputs, tested = model.inputs, next(iter(scores.values())).log_likelihood
     limits = zip(inputs.names, inputs.low, inputs.high, strict=True)
@@ -103,7 +142,7 @@ def card(
         pings=len(recording),
         conditions=int(recording.condition.max()) + 1,
         step=f"{1e3 * model.resolution:g}",
-        no_answer=f"{model.head.no_answer:.3g}",
+        no_answer=f"{np.mean(~recording.reading.answered):.3g}",
         note=note,
         unit=unit,
         commands="\n".join(f"    {line}" for line in commands),
@@ -111,5 +150,9 @@ def card(
         tested_conditions=tested.clusters,
         scores=markdown_table(HEADINGS, score_rows(scores)),
         ranges=markdown_table(("quantity", "from", "to"), ranges),
+        single_valued=_fixed(inputs),
+        temperatures=RESCALED if inputs.uncompensated else "",
+        persistence=_persistence(model),
+        calibration=_calibration(conditions or {}),
         tied=" Incidence equals bearing in the data, so other incidences count as outside." if inputs.tied else "",
     )

@@ -7,9 +7,9 @@ angles, walls, and none or beyond the range gate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,8 @@ class Sessions:
         pings: number of pings per drive.
         faulty: whether sessions have a loose wire, a sensor that warms up, or both.
         seed: of all random draws.
+        temperature_c: lowest and highest temperature of the air, degC.
+        scenes: laboratory by scene.
     """
 
     units: tuple[int, ...]
@@ -64,6 +66,8 @@ class Sessions:
     pings: int = 60
     faulty: bool = False
     seed: int = 0
+    temperature_c: tuple[float, float] = TEMPERATURE_C
+    scenes: Mapping[int, Setup] = field(default_factory=lambda: SCENES)
 
 
 @dataclass(frozen=True)
@@ -134,10 +138,10 @@ def _draw_conditions(scene: Ints, rng: np.random.Generator) -> tuple[Floats, Flo
     return distance, bearing * DEG, incidence * DEG, reflectance
 
 
-def _draw_laboratory(faulty: bool, unit: Unit, rng: np.random.Generator) -> tuple[Unit, dict[str, Any]]:
+def _draw_laboratory(sessions: Sessions, unit: Unit, rng: np.random.Generator) -> tuple[Unit, dict[str, Any]]:
     """Draw the settings of a session: the air, and if `faulty` a loose wire, a cold sensor, or both."""
-    settings: dict[str, Any] = {"temperature_c": float(rng.uniform(*TEMPERATURE_C))}
-    kind = rng.choice(3) if faulty else -1
+    settings: dict[str, Any] = {"temperature_c": float(rng.uniform(*sessions.temperature_c))}
+    kind = rng.choice(3) if sessions.faulty else -1
     if kind in (0, 2):
         nack, stale = rng.uniform(0.02, 0.2, 2)
         settings["bus"] = Bus(nack=float(nack), lost_write=float(stale), dwell_s=float(rng.uniform(0.2, 2.0)))
@@ -146,10 +150,10 @@ def _draw_laboratory(faulty: bool, unit: Unit, rng: np.random.Generator) -> tupl
     return unit, settings
 
 
-def session(unit: Unit, course: SessionCourse, faulty: bool, name: str, rng: np.random.Generator) -> pd.DataFrame:
+def session(unit: Unit, course: SessionCourse, sessions: Sessions, name: str, rng: np.random.Generator) -> pd.DataFrame:
     """Record one session with the rig and return the recording's table."""
-    unit, settings = _draw_laboratory(faulty, unit, rng)
-    rigs = {scene: Rig(unit, replace(setup, **settings)) for scene, setup in SCENES.items()}
+    unit, settings = _draw_laboratory(sessions, unit, rng)
+    rigs = {scene: Rig(unit, replace(setup, **settings)) for scene, setup in sessions.scenes.items()}
     drift = rigs[STAND].draw_drift(rng)
     parts = []
     for scene in np.unique(course.scene):
@@ -175,7 +179,7 @@ def record_unit(sessions: Sessions, serial: int) -> pd.DataFrame:
         course = survey(sessions.visits, rng) if k < sessions.surveys else drive(sessions.pings, rng)
         if sessions.faulty:  # a lost command repeats the previous ping, so all pings must be of one rig
             course = replace(course, scene=np.full(len(course.scene), STAND))
-        tables.append(session(unit, course, sessions.faulty, f"{serial}-{k}", rng))
+        tables.append(session(unit, course, sessions, f"{serial}-{k}", rng))
     return pd.concat(tables)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,10 +22,11 @@ from noise.learned.networks import MlpModel
 from noise.learned.persistence import survey_persistence
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, IdealModel, SonarModel
-from noise.store import save_model
+from noise.store import load_model, save_model
 from training.common.progress import bar
 from training.noise.baselines import fit_gaussian
 from training.noise.card import card, scores_as_numbers
+from training.noise.conditions import CONDITIONS, NEW_SENSORS, calibration, recordings
 from training.noise.corpus import RECORDINGS, ensure_recorded, first_pings
 from training.noise.train import Args as TrainArgs
 from training.noise.train import Law, Report, TrainingPings, learn, no_report, run_segments
@@ -63,6 +64,8 @@ class Args:
     """Number of parallel processes that record."""
     seed: Seed = 0
     """Seed of the initial weights and the order of pings."""
+    cards_only: bool = False
+    """Measure the models in `out` again and write their cards, without training."""
 
 
 def main(args: Args) -> None:
@@ -70,10 +73,15 @@ def main(args: Args) -> None:
     for name in RECORDINGS:
         with bar(f"recording {name}", 1) as progress:
             ensure_recorded(args.data, name, args.jobs, progress)
+    conditions = recordings(CONDITIONS, NEW_SENSORS)
     for law in args.laws:
         settings = settings_of(law, args)
+        if args.cards_only:
+            train, _ = load_data(args.data, law, N_VALIDATION_SENSORS[law])
+            print(f"{describe(load_model(settings.out), settings, train, args.data, conditions)}: card written")
+            continue
         with bar(f"training srf08-{law}", settings.epochs) as progress:
-            folder = make(settings, args.data, partial(_report_epoch, progress, settings.epochs))
+            folder = make(settings, args.data, conditions, partial(_report_epoch, progress, settings.epochs))
         print(f"{folder}: written")
 
 
@@ -86,7 +94,7 @@ def settings_of(law: Law, args: Args) -> TrainArgs:
     return TrainArgs(args.data, args.out / f"srf08-{law}", law=law, seed=args.seed, **TRAINING_SETTINGS[law])
 
 
-def make(settings: TrainArgs, data: Path, report: Report = no_report) -> Path:
+def make(settings: TrainArgs, data: Path, conditions: Mapping[str, Recording], report: Report = no_report) -> Path:
     """Train one law on the recordings in a folder, score it on new sensors, and write it."""
     n_sensors = N_VALIDATION_SENSORS[settings.law]
     with TemporaryDirectory() as folder:
@@ -98,17 +106,30 @@ def make(settings: TrainArgs, data: Path, report: Report = no_report) -> Path:
         model = _train(replace(settings, base=str(base)), (train, validation), report)
     if isinstance(model, MlpModel):  # laws with memory learn what persists
         model.persistence = survey_persistence(model, train.ping, train.reading)
+    return describe(model, settings, train, data, conditions)
+
+
+def describe(
+    model: Any, settings: TrainArgs, train: Recording, data: Path, conditions: Mapping[str, Recording]
+) -> Path:
+    """Score a model on new sensors and under each condition, and write it with its card."""
     scores = score(model, train, Recording.load(data / "sensors.csv"))
+    calibrated = {name: calibration(model, recording) for name, recording in conditions.items()}
     commands = ["sonar-gym make-noise"]
     model.about |= {"commands": commands, "seed": settings.seed, "scores": scores_as_numbers(scores)}
+    model.about["calibration"] = {name: round(c.gap.mean, 4) for name, c in calibrated.items()}
+    n_sensors = N_VALIDATION_SENSORS[settings.law]
     note = NOTE.format(more="" if settings.law == "mlp" else FAULTY_NOTE, n_sensors=n_sensors)
-    model.card = card(settings.out.name, model, scores, "conditions of new sensors", train, commands, note)
+    model.card = card(settings.out.name, model, scores, "conditions of new sensors", train, commands, note, calibrated)
     return save_model(model, settings.out)
 
 
 def _train(settings: TrainArgs, parts: tuple[Recording, Recording], report: Report = no_report) -> Any:
     train, validation = parts
-    inputs, head = Inputs.of(train.ping, INPUTS, HORIZON_M), Head(COMPONENTS, FIXED, STEP_M, MAX_RANGE)
+    inputs, head = (
+        Inputs.of(train.ping, INPUTS, HORIZON_M, uncompensated=True),
+        Head(COMPONENTS, FIXED, STEP_M, MAX_RANGE),
+    )
     return learn(pings(train, settings.law), pings(validation, settings.law), inputs, head, settings, report)
 
 

@@ -17,9 +17,9 @@ import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
 from acquisition import Ping, Recording, SettingError, SonarError
+from acquisition.io.columns import REQUIRED
 from acquisition.io.files import write_text
 from acquisition.io.places import OutputFile
-from acquisition.io.recording import REQUIRED
 from noise import load_model
 from training.common.canvas import AFTER, BEFORE, Axes, panels
 from training.recordings.figures import readings

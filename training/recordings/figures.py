@@ -118,7 +118,8 @@ def _each(recording: Recording, draw: Callable[[Axes, Part], None]) -> list[Draw
     def one(part: Part) -> Draw:
         def run(axes: Axes) -> None:
             draw(axes, part)
-            axes.set_title(part.title, fontsize=10)
+            # by itself, matplotlib places the title of a wedge outside the figure
+            axes.set_title(part.title, fontsize=10, y=0.92 if isinstance(axes, PolarAxes) else None)
 
         return run
 
@@ -153,8 +154,10 @@ def credence_plane(recording: Recording) -> bytes:
         for side in (1.0, -1.0) if one_sided else (1.0,):
             a, d = np.meshgrid(side * part.angles.edges, distance, indexing="ij")
             axes.pcolormesh(d * np.sin(a), d * np.cos(a), value, vmin=0, vmax=1, cmap="viridis", rasterized=True)
-        reach = distance[-1] * max(float(np.abs(np.sin(part.angles.edges)).max()), 0.15)
-        axes.set(aspect="equal", facecolor=BLANK, xlim=(-reach, reach), ylim=(0.0, 1.02 * distance[-1]))
+        far, angle = float(distance[-1]), np.abs(part.angles.edges)
+        reach = 1.02 * far * max(float(np.sin(np.linspace(angle.min(), angle.max())).max()), 0.15)
+        behind = 1.02 * far * min(float(np.cos(angle.max())), 0.0)
+        axes.set(aspect="equal", facecolor=BLANK, xlim=(-reach, reach), ylim=(behind, 1.02 * far))
         axes.set(xlabel="to the side (m)", ylabel="ahead of the sonar (m)")
         axes.plot(0.0, 0.0, "^", color=INK, ms=8, clip_on=False)
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from acquisition import EchoStatus, Recording, SettingError
-from acquisition.io.bags import GroundTruthSource, import_bag, is_bag
-from acquisition.io.foreign import ColumnMap, import_table, parse_constants
+from acquisition.io.chunks import is_recording, read_chunks, write_chunks
+from acquisition.io.columns import REQUIRED
+from acquisition.io.logs.bags import GroundTruthSource, import_bag, is_bag
+from acquisition.io.logs.foreign import ColumnMap, beginning, import_table, parse_constants, read_log
+from acquisition.io.logs.guess import guess_columns, guess_dialect
 from acquisition.io.places import OutputFile
-from acquisition.io.tables import Dialect
+from acquisition.io.tables import Dialect, read_bytes
 from acquisition.limits import Finite, Limit
 from training.common.progress import bar
 
@@ -27,12 +31,15 @@ class Args:
     """
 
     source: Annotated[Path, tyro.conf.Positional]
-    """CSV file, or ROS bag (.bag, .mcap, .db3, ROS 2 folder) with sensor_msgs/Range."""
+    """CSV or TOA5 file, log of a serial monitor, ROS bag (.bag, .mcap, .db3, ROS 2 folder), or recording."""
     out: OutputFile
-    """Recording to write."""
+    """Recording to write: Parquet if the name ends in .parquet, otherwise CSV."""
     columns: tuple[str, ...] = ()
     """CSV: columns of the recording as name=source:unit, with units mm cm m in us deg rad s ms min h date text;
-    us is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0."""
+    us is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0.
+    Without it, columns and delimiter are guessed and shown."""
+    accept_guess: bool = False
+    """CSV without --columns: use the columns that were guessed and shown."""
     constants: tuple[str, ...] = ()
     """Columns with one value in every row: name=value, for example angle_deg=0."""
     no_echo: Finite | None = None
@@ -57,6 +64,10 @@ class Args:
 
 def main(args: Args) -> None:
     """Import one file and print a summary."""
+    if not args.columns and not is_bag(args.source) and is_recording(args.source):
+        n = write_chunks(args.out, read_chunks(args.source, args.skip_bad_rows))
+        print(f"{args.out}: {n} pings; {args.source} is a recording already, and was converted in parts")
+        return
     recording, notes = (_bag if is_bag(args.source) else _table)(args)
     recording.save(args.out)
     status, conditions, runs = recording.reading.status, recording.condition.max() + 1, recording.run.max() + 1
@@ -69,15 +80,44 @@ def main(args: Args) -> None:
 
 
 def _table(args: Args) -> tuple[Recording, list[str]]:
-    if not args.columns:
-        raise SettingError(
-            f"{args.source}: --columns is required, for example distance_mm=true_cm:cm reading_mm=got:cm"
-        )
-    dialect = Dialect("\t" if args.delimiter in ("tab", "\\t") else args.delimiter, args.decimal)
-    columns = [ColumnMap.parse(text) for text in args.columns]
+    dialect = _dialect(args)
+    columns = [ColumnMap.parse(text) for text in args.columns] or _guessed(args, dialect)
     constants = parse_constants(args.constants)
     recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows, dialect)
     return recording, [f"omitted: {fault}" for fault in recording.rejected]
+
+
+def _dialect(args: Args) -> Dialect:
+    if not args.columns and (args.delimiter, args.decimal) == (",", "."):
+        return guess_dialect(beginning(read_bytes(args.source)))
+    return Dialect("\t" if args.delimiter in ("tab", "\\t") else args.delimiter, args.decimal)
+
+
+def _guessed(args: Args, dialect: Dialect) -> list[ColumnMap]:
+    """Show what the columns seem to be; return it if the user has accepted it.
+
+    Raises:
+        SettingError: the guess has not been accepted, or a required column is missing; the message is the next step.
+    """
+    log, units, _ = read_log(args.source, dialect)
+    columns = [replace(m, unit=units.get(m.source, m.unit)) for m in guess_columns(log)]
+    print(f"{args.source}: separated by {dialect.delimiter!r}, decimal {dialect.decimal!r}; guessed columns:")
+    for m in columns:
+        unit = f", in {m.unit}" if m.unit else ""
+        print(f"  {m.name} = {m.source}{unit}: {', '.join(log[m.source][:4].astype(str))}, ...")
+    given = {m.name for m in columns} | set(parse_constants(args.constants))
+    missing = [name for name in REQUIRED if name not in given]
+    if missing:
+        raise SettingError(
+            f"{args.source}: no column seems to be {missing[0]}; give --columns, or --constants {missing[0]}=..."
+        )
+    if not args.accept_guess:
+        maps = " ".join(shlex.quote(f"{m.name}={m.source}{f':{m.unit}' if m.unit else ''}") for m in columns)
+        dialects = "" if dialect == Dialect() else f" --delimiter {dialect.delimiter!r} --decimal '{dialect.decimal}'"
+        raise SettingError(
+            f"nothing is written yet: repeat with --accept-guess, or with what is right of --columns {maps}{dialects}"
+        )
+    return columns
 
 
 def _bag(args: Args) -> tuple[Recording, list[str]]:

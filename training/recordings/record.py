@@ -39,7 +39,7 @@ class Args:
 
     out: OutputFile
     """Recording to write; each condition is written as soon as it is measured."""
-    driver: Literal["rig", "twin", "srf08", "srf10", "srf02", "hcsr04", "maxbotix"] = "rig"
+    driver: Literal["rig", "twin", "srf08", "srf10", "srf02", "hcsr04", "maxbotix", "maxbotix-pwm"] = "rig"
     """rig: simulated waveforms. twin: SRF08 driver with a simulated SRF08. Others: real sensors at `port`."""
     plan: str = "quick"
     """quick (3,600 pings), turned, thesis (133,100 pings), crosstalk, loose, vertical, gain-sweep, or FILE.toml."""
@@ -79,16 +79,16 @@ class Args:
     patience: Count = 10
     """Real sensors: consecutive pings without an answer after which the connection is considered lost."""
     port: str | None = None
-    """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch (srf*: either; hcsr04:
-    the Arduino) or of a MaxBotix. Defaults: /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0."""
+    """Real sensors: /dev/i2c-N of this machine, or the serial port of an Arduino with the sketch (srf*: either; hcsr04,
+    maxbotix-pwm: the Arduino) or of a MaxBotix. Defaults: /dev/i2c-1, /dev/ttyACM0, /dev/ttyUSB0."""
     address: Annotated[int, Limit(0x70, 0x7F)] = 0x70
     """srf*: 7-bit address, 112..127."""
     trigger: Annotated[int, Limit(2, 69)] = 9
     """hcsr04: trigger pin of the Arduino."""
     echo: Annotated[int, Limit(2, 69)] = 8
-    """hcsr04: echo pin of the Arduino."""
+    """hcsr04, maxbotix-pwm: echo (PW) pin of the Arduino."""
     model: Literal["lv", "xl", "xl-long", "hrlv", "hrxl", "hrxl-long"] = "hrlv"
-    """maxbotix: model family, which determines unit, digits and the value for no echo."""
+    """maxbotix*: model family, which determines unit, digits and the value for no echo."""
 
 
 def main(args: Args) -> None:
@@ -220,6 +220,7 @@ SETTINGS: dict[str, tuple[str, ...]] = {
     "srf02": ("address", "output"),
     "hcsr04": ("trigger", "echo"),
     "maxbotix": ("model",),
+    "maxbotix-pwm": ("model", "echo"),
 }
 
 

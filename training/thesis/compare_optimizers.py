@@ -216,8 +216,7 @@ def _credence(findings: ThesisFindings) -> str:
 
 
 def _share(values: Floats) -> str:
-    mean = SeedMean.of(values)
-    return f"{mean.value:.3f}" + (f" ± {mean.half_width:.3f}" if len(values) > 1 else "")
+    return SeedMean.of(values).shown(3)
 
 
 def _claims(findings: ThesisFindings) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -198,9 +199,12 @@ def provenance(command: Sequence[str], args: Any) -> str:
     return f"Made by `{shlex.join(words)}` at commit {commit()}"
 
 
+MIN_SEEDS = 5  # of a spread that is shown
+
+
 @dataclass(frozen=True)
 class SeedMean:
-    """Mean over seeds with the half-width of its 95 % interval (Student's t); 0 for a single seed."""
+    """Mean over seeds with the half-width of its 95 % interval (Student's t); NaN below `MIN_SEEDS` seeds."""
 
     value: float
     half_width: float
@@ -209,15 +213,21 @@ class SeedMean:
     def of(cls, values: Sequence[float] | Floats) -> SeedMean:
         """Return the mean of one value per seed."""
         n = len(values)
-        half_width = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        enough = n >= MIN_SEEDS
+        half_width = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n)) if enough else math.nan
         return cls(float(np.mean(values)), half_width)
 
     def __str__(self) -> str:
-        return f"{self.value:.4f} ± {self.half_width:.4f}"
+        return self.shown(4)
+
+    def shown(self, digits: int) -> str:
+        """Return the mean, with its half-width if there are enough seeds."""
+        spread = "" if math.isnan(self.half_width) else f" ± {self.half_width:.{digits}f}"
+        return f"{self.value:.{digits}f}{spread}"
 
     def verdict(self) -> Verdict:
-        """Return whether the mean is significantly positive ("agrees") or negative; undecided for a single seed."""
-        if self.half_width == 0.0 or not abs(self.value) > self.half_width:
+        """Return whether the mean is significantly positive ("agrees") or negative; undecided below `MIN_SEEDS`."""
+        if not abs(self.value) > self.half_width:
             return "undecided"
         return "agrees" if self.value > 0.0 else "contrary"
 

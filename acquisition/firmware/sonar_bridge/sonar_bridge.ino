@@ -1,5 +1,5 @@
-// Sonar bridge for the Arduino Mega 2560 (also Uno, Nano): access to I2C sonars and HC-SR04 over USB.
-// The protocol is described in docs/drivers.md: one line per request and per answer, each with a sequence number and a
+// Sonar bridge for the Arduino Mega 2560 (also Uno, Nano): access to I2C sonars (SRF08), HC-SR04 and the PW output of
+// MaxBotix sensors over USB. The protocol is described in docs/reference/protocols.md: one line per request and per answer, each with a sequence number and a
 // CRC-16. Every failure is answered with an error number; no request blocks, and no old value is returned.
 #include <Arduino.h>
 #include <Wire.h>
@@ -138,7 +138,17 @@ static bool usable(uint32_t pin) {
   return pin >= 2 && pin < NUM_DIGITAL_PINS && pin != SDA && pin != SCL;
 }
 
-// D trigger echo limit: fire an HC-SR04; the answer is the pulse duration in microseconds
+// Time a pulse that has just begun; the answer is its duration in microseconds
+static uint8_t timed(uint8_t pin, uint32_t limit) {
+  const unsigned long rose = micros();
+  while (digitalRead(pin) == HIGH)
+    if (micros() - rose > limit) return NO_FALL;
+  put(' ');
+  putHex(micros() - rose, 6);
+  return NO_ERROR;
+}
+
+// D trigger echo limit: fire an HC-SR04; the answer is the pulse duration
 static uint8_t distance(char *at) {
   uint32_t trigger, echo, limit;
   if (!number(at, 0xFF, trigger) || !number(at, 0xFF, echo) || !number(at, 500000UL, limit) || *at) return BAD_REQUEST;
@@ -154,12 +164,20 @@ static uint8_t distance(char *at) {
   const unsigned long fired = micros();
   while (digitalRead(echo) == LOW)
     if (micros() - fired > RISE_US) return NO_RISE;
-  const unsigned long rose = micros();
-  while (digitalRead(echo) == HIGH)
-    if (micros() - rose > limit) return NO_FALL;
-  put(' ');
-  putHex(micros() - rose, 6);
-  return NO_ERROR;
+  return timed(echo, limit);
+}
+
+// P pin limit: wait for the next whole pulse of a sensor that pulses by itself; the answer is its duration
+static uint8_t pulse(char *at) {
+  uint32_t pin, limit;
+  if (!number(at, 0xFF, pin) || !number(at, 500000UL, limit) || *at || !usable(pin)) return BAD_REQUEST;
+  pinMode(pin, INPUT);
+  const unsigned long begun = micros();
+  while (digitalRead(pin) == HIGH)
+    if (micros() - begun > limit) return NO_FALL;
+  while (digitalRead(pin) == LOW)
+    if (micros() - begun > limit) return NO_RISE;
+  return timed(pin, limit);
 }
 
 // V: name and version of the protocol
@@ -175,7 +193,8 @@ struct Command {
   uint8_t (*run)(char *);
 };
 
-static const Command COMMANDS[] = {{'V', version}, {'W', write}, {'R', read}, {'S', scan}, {'D', distance}};
+static const Command COMMANDS[] = {{'V', version}, {'W', write}, {'R', read}, {'S', scan}, {'D', distance},
+                                   {'P', pulse}};
 
 // Check and answer a line such as ">07 W 70 00 51*ABCD" (without its terminator).
 static void serve() {

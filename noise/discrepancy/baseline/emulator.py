@@ -36,7 +36,6 @@ START: dict[Key, float] = {
     ("time_walk", "scale"): 0.5,
     ("reflectance_loss", "strength"): 0.5,
 }
-SIGMA: Key = (JITTER, "sigma_m")
 LOSS: Key = ("sensitivity", "loss_db")
 LOSSES_DB = (30.0, 38.0, 46.0)  # where a fit with another reflector begins: a wall at 32, 13 and 5 m at the threshold
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1200, 600, 2000  # readings of each step, which bound the time
@@ -65,24 +64,17 @@ def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stac
     """Return a law with its smooth correction by condition, and the nuisance parameters fitted beside it.
 
     What the physics misses at a position looks like scatter of placements. Where the correction explains it, the
-    scatter becomes smaller, and the correction is learned again with that. Any other scatter that became smaller is
-    only that about a curve through these readings, and is not believed.
+    scatter becomes smaller, and the correction is learned again with that.
     """
     batch = learner_pings(readings)
-    few, first = batch.thin(PHYSICS_PINGS), _corrected(stack, batch, rng)
-    fitted = _with_nuisances(first, few)
-    if fitted.get(PLACEMENT) <= NARROWED * stack.get(PLACEMENT):
-        again = stack.at({key: fitted.get(key) for key in NUISANCES})
-        return _with_nuisances(_corrected(again, batch, rng), few)
-    if fitted.get(SIGMA) >= stack.get(SIGMA):
-        return fitted
-    return maximise(first, SHARED, few, ITERATIONS, MIN_GAIN_NATS).stack
-
-
-def _with_nuisances(stack: Stack, batch: Batch) -> Stack:
-    """Return the law with the likeliest nuisance parameters, of which there are several maxima."""
-    starts = nuisance_starts(stack, batch)
-    return highest(maximise(start, NUISANCES, batch, ITERATIONS, MIN_GAIN_NATS) for start in starts).stack
+    first = _corrected(stack, batch, rng)
+    fitted = maximise(first, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
+    if fitted.get(PLACEMENT) > NARROWED * stack.get(PLACEMENT):
+        return maximise(first, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
+    again = stack.at({key: fitted.get(key) for key in NUISANCES})
+    return maximise(
+        _corrected(again, batch, rng), NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS
+    ).stack
 
 
 def _corrected(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stack:

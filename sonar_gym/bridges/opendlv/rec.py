@@ -18,8 +18,8 @@ import pandas as pd
 from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
-from acquisition.io.bags import TimeSeries
 from acquisition.io.files import write_bytes
+from acquisition.io.logs.bags import TimeSeries
 from sonar_gym.bridges.opendlv.messages import FRAME, HEADER, HEADER_SIZE, INT32, READING, encode
 from sonar_gym.bridges.opendlv.session import seconds_of, time_of
 from sonar_gym.bridges.opendlv.walls import interpolate_pose

@@ -1,4 +1,4 @@
-"""Recordings as ROS 2 bags, MCAP or SQLite, by rosbags; `acquisition.io.bags` reads them back.
+"""Recordings as ROS 2 bags, MCAP or SQLite, by rosbags; `acquisition.io.logs.bags` reads them back.
 
 The readings of a sensor are on `/sonar/NAME`, the true distances on `/sonar/NAME/true`, and the credence, if a model is
 given, on `/sonar/NAME/credence`; see `messages`.

@@ -9,7 +9,7 @@ from smbus2 import i2c_msg
 from acquisition import DeviceError, GarbledError, NoAnswerError, Ping, SettingError, StaleError
 from acquisition.bench import Rig, Room, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf02, Srf08, Srf10, fire_all
-from acquisition.twins.devantech import BadWire, Srf02Twin, Srf08Twin, Srf10Twin
+from acquisition.twins.devantech import COUNT_US, OUTPUTS, BadWire, Srf02Twin, Srf08Twin, Srf10Twin
 
 QUIET = Setup(placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, drift_c=0.0, post=None)
 
@@ -368,3 +368,19 @@ def test_a_slow_host_detects_a_lost_command():
     sonar.bus = SlowHost(twin, 2)
     with pytest.raises(StaleError, match="the command was lost"):
         sonar.ping()
+
+
+@pytest.mark.parametrize(("kind", "nearest"), [(Srf02Twin, 0.16), (Srf10Twin, 0.06)])
+@pytest.mark.parametrize("output", ["cm", "inch", "us"])
+def test_no_echo_from_below_the_minimum_range_is_registered(kind, nearest, output):
+    code = {each: number for number, each in OUTPUTS.items()}[output]
+    for distance in (0.01, 0.03, 0.05, 0.1, 0.15, 0.3):
+        twin = kind(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+        twin.place(Ping.of(distance=distance, reflectance=0.9))
+        twin.write_byte_data(0x70, 0, code)
+        twin.clock.sleep(1.0)
+        count = 256 * twin.read_byte_data(0x70, 2) + twin.read_byte_data(0x70, 3)
+        reading = count * COUNT_US[output] * 0.01 / 58.0
+        assert reading == 0.0 or reading >= nearest
+        if distance >= nearest + 0.03:
+            assert reading == pytest.approx(distance, abs=0.02)

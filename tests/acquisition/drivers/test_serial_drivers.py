@@ -239,3 +239,13 @@ class TestPseudoTerminal:
     def test_a_missing_port_is_an_error_with_the_ports_found(self):
         with pytest.raises(DeviceError, match=r"/dev/ttyNONE: .*serial ports found: .*; check the USB cable"):
             HcSr04.open("/dev/ttyNONE")
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("distance", [0.02, 0.1, 0.19, 0.29])
+def test_a_maxbotix_reports_close_targets_at_its_minimum_range(model, distance):
+    clock = TwinClock()
+    twin = make_twin(MaxBotixTwin, clock, Ping.of(distance=distance, reflectance=0.9), model=model)
+    nearest = {"lv": 6 * 0.0254, "xl": 0.2, "xl-long": 0.2, "hrlv": 0.3, "hrxl": 0.3, "hrxl-long": 0.5}[model]
+    (reading,) = MaxBotix(TwinPort(twin, clock), model, clock).ping().ranges
+    assert reading == pytest.approx(max(nearest, distance), abs=0.02)

@@ -5,7 +5,7 @@ import pytest
 
 from acquisition import Ping
 from acquisition.bench import Rig, Setup, Unit, Wall
-from acquisition.drivers import DRIVERS, ArduinoBus, Bridge, HcSr04, MaxBotix, Srf02, Srf08, Srf10
+from acquisition.drivers import DRIVERS, ArduinoBus, Bridge, HcSr04, MaxBotix, MaxBotixPwm, Srf02, Srf08, Srf10
 from acquisition.twins.devantech import Srf02Twin, Srf08Twin, Srf10Twin
 from acquisition.twins.serial_devices import ArduinoTwin, HcSr04Twin, MaxBotixTwin, TwinPort
 from acquisition.twins.simulated_sensor import TwinClock
@@ -54,6 +54,11 @@ def maxbotix():
     return MaxBotix(TwinPort(twin_of(MaxBotixTwin, clock), clock), clock=clock)
 
 
+def maxbotix_pwm():
+    clock = TwinClock()
+    return MaxBotixPwm(bridge(ArduinoTwin(pwm=twin_of(MaxBotixTwin, clock)), clock))
+
+
 TWINS = {
     "srf08": on_bus(Srf08, Srf08Twin),
     "srf10": on_bus(Srf10, Srf10Twin),
@@ -61,6 +66,7 @@ TWINS = {
     "srf08 at an Arduino": at_arduino(Srf08, Srf08Twin),
     "hcsr04": hcsr04,
     "maxbotix": maxbotix,
+    "maxbotix-pwm": maxbotix_pwm,
 }
 
 

@@ -19,6 +19,8 @@ CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino")
 INSTALL = "apt install gcc-avr avr-libc arduino-core-avr simavr"
 HERTZ = 16_000_000
 BYTE = 1500  # steps for a byte to pass at 115200 baud, about 87 us
+TIMER = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_void_p)
+START, STOP, ACKNOWLEDGE, WRITE, READ = 1, 2, 8, 16, 32  # conditions of the bus in simavr's avr_twi.h
 NOTIFY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p)
 
 
@@ -52,6 +54,7 @@ class Mega:
         lib.avr_raise_irq.argtypes = [ctypes.c_void_p, ctypes.c_uint32]
         lib.avr_ioctl.argtypes = [ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p]
         lib.avr_irq_register_notify.argtypes = [ctypes.c_void_p, NOTIFY, ctypes.c_void_p]
+        lib.avr_cycle_timer_register_usec.argtypes = [ctypes.c_void_p, ctypes.c_uint32, TIMER, ctypes.c_void_p]
         lib.elf_read_firmware.argtypes = [ctypes.c_char_p, ctypes.c_void_p]
         firmware = ctypes.create_string_buffer(1 << 20)  # more than an elf_firmware_t, which begins with name and Hz
         assert lib.elf_read_firmware(str(elf).encode(), firmware) == 0
@@ -98,6 +101,68 @@ class Mega:
 
     def close(self):
         pass
+
+
+class Sonar:
+    """A device at the chip's I2C pins, with registers and a pointer, as simavr's example i2ctest has them.
+
+    Attributes:
+        address: 7-bit.
+        registers: 256 bytes.
+        busy: number of further addressings that are not acknowledged.
+        writes: bytes of each write transaction.
+    """
+
+    def __init__(self, mega, address):
+        self.mega, self.address, self.registers = mega, address, bytearray((7 * k + 3) % 256 for k in range(256))
+        self.busy, self.writes, self.pointer, self._selected = 0, [], 0, False
+        self._notify = NOTIFY(lambda irq, value, param: self._on_bus(value))
+        mega.lib.avr_irq_register_notify(mega._irq("twi\0", 1), self._notify, None)
+        self._input = mega._irq("twi\0", 0)
+
+    def _on_bus(self, value):
+        message, addressed, data = value >> 8 & 0xFF, value >> 16 & 0xFF, value >> 24 & 0xFF
+        if message & STOP:
+            self._selected = False
+        if message & START:
+            self._selected = addressed >> 1 == self.address and not self.busy
+            self.busy -= bool(self.busy and addressed >> 1 == self.address)
+            if self._selected:
+                self._answer(ACKNOWLEDGE, addressed, 1)
+                if not addressed & 1:
+                    self.writes.append([])
+        if self._selected and message & WRITE:
+            self._answer(ACKNOWLEDGE, addressed, 1)
+            if not self.writes[-1]:
+                self.pointer = data
+            self.writes[-1].append(data)
+        if self._selected and message & READ:
+            self._answer(READ, addressed, self.registers[self.pointer])
+            self.pointer = (self.pointer + 1) % 256
+
+    def _answer(self, message, address, data):
+        self.mega.lib.avr_raise_irq(self._input, message << 8 | address << 16 | data << 24)
+
+
+class EchoLine:
+    """An HC-SR04 at pins 9 and 8, port H bits 6 and 5: after each trigger, a pulse of `width_us`; none for 0."""
+
+    def __init__(self, mega, delay_us=450):
+        self.mega, self.delay_us, self.width_us, self._high = mega, delay_us, 0, False
+        self._echo = mega._irq("iogH", 5)
+        self._rise, self._fall = (TIMER(lambda avr, when, param, level=level: self._set(level)) for level in (1, 0))
+        self._notify = NOTIFY(lambda irq, value, param: self._on_trigger(value))
+        mega.lib.avr_irq_register_notify(mega._irq("iogH", 6), self._notify, None)
+
+    def _on_trigger(self, value):
+        if self._high and not value and self.width_us:
+            for when, timer in ((self.delay_us, self._rise), (self.delay_us + self.width_us, self._fall)):
+                self.mega.lib.avr_cycle_timer_register_usec(self.mega.avr, when, timer, None)
+        self._high = bool(value)
+
+    def _set(self, level):
+        self.mega.lib.avr_raise_irq(self._echo, level)
+        return 0
 
 
 class OnCable:
@@ -209,3 +274,38 @@ def test_pyserial_communicates_with_the_compiled_sketch_at_a_pseudo_terminal(bri
             opened.close()
 
     retry(attempt)
+
+
+@pytest.fixture(scope="module")
+def sonar(bridge, mega):
+    return Sonar(mega, 0x70)
+
+
+def test_a_device_on_the_bus_is_found_written_and_read(bridge, sonar):
+    assert bridge.request("S") == "70"
+    sonar.writes.clear()
+    assert bridge.request("W 70 00 51") == ""
+    assert [each for each in sonar.writes if each] == [[0x00, 0x51]]
+    expected = "".join(f"{value:02X}" for value in sonar.registers[2:36])
+    assert bridge.request("R 70 02 22") == expected  # in two parts, since the Wire library has a buffer of 32 bytes
+
+
+def test_the_driver_tries_a_busy_sensor_again(bridge, sonar, mega):
+    bus = ArduinoBus(bridge)
+    sonar.busy = 2
+    assert Srf08(bus, sleep=lambda s: None, clock=mega).revision() == sonar.registers[0]
+    sonar.busy = 3
+    with pytest.raises(NoAnswerError, match="no acknowledge in 3 tries"):
+        Srf08(bus, sleep=lambda s: None, clock=mega).revision()
+    sonar.busy = 0
+
+
+@pytest.mark.parametrize("width_us", [116, 580, 5800, 23_200])
+def test_the_chip_times_an_echo_to_a_few_microseconds(bridge, mega, width_us):
+    line = EchoLine(mega)
+    line.width_us = width_us
+    (reading,) = HcSr04(bridge).ping().ranges
+    assert reading * 58.0 / 0.01 == pytest.approx(width_us, abs=12)
+    line.width_us = 0
+    with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
+        HcSr04(bridge).ping()

@@ -3,16 +3,20 @@
 import json
 import subprocess
 import sys
+import warnings
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import ModelError, Ping, Reading, SettingError
-from noise import load_model, model_names, save_model
+from noise import ExtrapolationWarning, load_model, model_names, save_model
+from noise.effects.medium import sound_speed
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
@@ -81,7 +85,7 @@ def test_readings_are_values_of_the_register(seed, condition, draw):
 def test_no_widening_inside_the_learned_range():
     law = random_model(0).law(learned_on())
     np.testing.assert_array_equal(law.excess, 0.0)
-    assert not law.extrapolated.any()
+    assert not law.extrapolates.any()
 
 
 def test_outside_the_learned_range_the_law_widens_continuously():
@@ -89,7 +93,7 @@ def test_outside_the_learned_range_the_law_widens_continuously():
     distance = np.array([3.5, 3.5001, 4.0, 6.0, 12.0])
     law = model.law(Ping.of(distance=distance, angle=0.1, incidence=0.3, reflectance=0.5))
     np.testing.assert_allclose(law.excess, (distance - 3.5) / 3.4)
-    np.testing.assert_array_equal(law.extrapolated, [False, True, True, True, True])
+    np.testing.assert_array_equal(law.extrapolates, [False, True, True, True, True])
     assert np.all(np.diff(law.scale, axis=1) > 0)
     uniform = law.share[-2:].sum(axis=0)
     assert np.all(np.diff(uniform) > 0)
@@ -114,6 +118,79 @@ def test_incidence_equal_to_bearing_is_no_input_but_extends_the_excess():
     assert inputs.names == ("distance", "angle")
     excess = inputs.features(Ping.of(distance=1.5, angle=0.2, incidence=[0.2, 0.45])).excess
     np.testing.assert_allclose(excess, [0.0, 0.5])
+
+
+AIR = {"temperature_c": [15.0, 20.0, 25.0], "gain": 31.0}
+
+
+def air_model(seed=0, uncompensated=True):
+    """Return a random network that has learned 15 to 25 degC at gain 31."""
+    ping = replace(learned_on(), covariates={n: np.broadcast_to(v, 3).astype(float) for n, v in AIR.items()})
+    inputs = Inputs.of(ping, ("distance", "angle", "incidence", "reflectance", "temperature_c"), None, uncompensated)
+    rng, head = np.random.default_rng(seed), Head(near=3, fixed=2, resolution=STEP, max_range=REACH)
+    layers = [(rng.normal(size=(b, a)), rng.normal(size=b)) for a, b in pairwise([inputs.width, 8, head.width])]
+    return MlpModel(inputs, head, layers)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-10.0, 45.0), st.floats(0.2, 3.0), st.integers(0, 50))
+def test_beyond_the_learned_temperatures_equal_times_of_flight_have_equal_laws(temperature, distance, seed):
+    model, end = air_model(seed), np.clip(temperature, 15.0, 25.0)
+    speed = sound_speed(torch.tensor([end, temperature], dtype=torch.float64)).numpy()
+    z, pose = np.array([[0.5], [1.0], [2.5]]), {"angle": 0.1, "incidence": 0.1, "reflectance": 0.5}
+    here = model.law(Ping.of(distance, temperature_c=temperature, **pose))
+    there = model.law(Ping.of(distance * speed[0] / speed[1], temperature_c=end, **pose))
+    np.testing.assert_allclose(here.arrival(z), there.arrival(z), atol=1e-9)
+    assert here.distance[0] == distance
+    low, high = np.ceil(0.9 * distance / STEP - 1e-9), np.floor(1.1 * distance / STEP + 1e-9)
+    right = here.cdf_step(np.array([high])) - here.cdf_step(np.array([low - 1]))
+    assert here.credence()[0] == pytest.approx(right.item(), abs=1e-9)
+    assert not here.extrapolates.any()
+
+
+def test_a_sensor_that_may_compensate_or_an_unknown_temperature_is_not_rescaled():
+    cold = Ping.of([1.0, 1.0], temperature_c=[0.0, np.nan])
+    assert air_model(uncompensated=False).inputs.equivalent(cold) is cold
+    rescaled = air_model().inputs.equivalent(cold)
+    assert rescaled.distance[0] > 1.02
+    assert rescaled.distance[1] == 1.0
+    assert np.isnan(rescaled.covariates["temperature_c"][1])
+    warm = Ping.of(1.0, temperature_c=20.0)
+    assert air_model().inputs.equivalent(warm) is warm
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"gain": 14.0}, "gain 31"),
+        ({"temperature_c": 60.0}, "temperature_c from 15 to 25"),
+        ({"temperature_c": -30.0, "gain": 1.0}, "temperature_c from 15 to 25; gain 31"),
+    ],
+)
+def test_a_law_says_once_that_it_was_not_trained_with_a_covariate(given, said):
+    model, values = air_model(), {"temperature_c": 20.0, "gain": 31.0} | given
+    known = Ping.of(
+        [1.0, 1.0], 0.1, 0.1, 0.5, **{name: [AIR[name] if name == "gain" else 20.0, v] for name, v in values.items()}
+    )
+    with pytest.warns(ExtrapolationWarning, match=f"it was trained with {said}"):
+        law = model.law(known)
+    np.testing.assert_array_equal(law.extrapolates, [False, True])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert model.law(known).extrapolates[1]
+        assert not air_model().law(known[:1]).extrapolates.any()
+
+
+def test_what_a_law_was_trained_with_is_saved(tmp_path):
+    model = air_model()
+    again = load_model(save_model(model, tmp_path / "m"))
+    assert again.inputs == model.inputs
+    assert again.inputs.fixed == {"gain": 31.0}
+    for name in ("srf08-mlp", "srf08-lstm", "srf08-hybrid"):
+        inputs = load_model(name).inputs
+        assert (inputs.uncompensated, inputs.fixed["gain"]) == (True, 31.0)
+        with pytest.warns(ExtrapolationWarning, match="gain 31"):
+            load_model(name).law(Ping.of(1.0, gain=14.0, temperature_c=20.0))
 
 
 def test_a_missing_covariate_is_marked():
@@ -225,14 +302,14 @@ def test_the_shipped_network_is_small_documented_and_physical():
     turned = model.law(Ping.of(distance=[3.0, 4.0, 5.0], angle=0.0, incidence=np.radians(30), reflectance=0.9))
     # its stand gives some echoes: 5 % of such pings in the survey, from 2.5 to 5.5 m
     assert turned.echo.mean() == pytest.approx(0.05, abs=0.05)
-    assert np.all(model.law(Ping.of([1.0, 1.0], [0.0, 1.0], 0.0, 0.9)).extrapolated == [False, True])
+    assert np.all(model.law(Ping.of([1.0, 1.0], [0.0, 1.0], 0.0, 0.9)).extrapolates == [False, True])
 
 
 def test_the_shipped_network_detects_almost_nothing_in_an_empty_cone():
     # 160 sensors had echoes in 1.4 % of pings at an empty cone
     law = load_model("srf08-mlp").law(Ping.of([20.0], 0.0, 0.0, 0.0))
     assert law.arrival(np.array([5.0]))[0] < 0.02
-    assert not law.extrapolated[0]
+    assert not law.extrapolates[0]
 
 
 def test_the_shipped_network_reads_longer_ranges_in_cold_air():

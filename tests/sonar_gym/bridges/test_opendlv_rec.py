@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
-from acquisition.io.bags import TimeSeries
+from acquisition.io.logs.bags import TimeSeries
 from sonar_gym.bridges.opendlv import encode
 from sonar_gym.bridges.opendlv.messages import FRAME, READING
 from sonar_gym.bridges.opendlv.rec import Geometry, read_rec, recording_of, write_rec

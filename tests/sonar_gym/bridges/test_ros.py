@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, RecordingError, SettingError
-from acquisition.io.bags import GroundTruthSource, import_bag, reading_mm
+from acquisition.io.logs.bags import GroundTruthSource, import_bag, reading_mm
 from noise import load_model
 from sonar_gym.bridges.ros.hearing import HeardRanges, scan_sectors
 from sonar_gym.bridges.ros.messages import ideal_distances, range_values

@@ -10,6 +10,7 @@ from noise import load_model
 from noise.store import WEIGHTS
 from training.cli import main
 from training.noise import corpus, experiments, make, report
+from training.noise.conditions import calibration
 from training.noise.corpus import EMPTY, STAND, WALL, Sessions, drive, first_pings, record, record_unit, survey
 
 SMALL = Sessions((5, 6), surveys=2, drives=1, visits=8, pings=10)
@@ -78,6 +79,8 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in (corpus, make, report):
             patch.setattr(module, "RECORDINGS", TINY)
+        patch.setattr(make, "CONDITIONS", {"cold": (-5.0, {}), "gain 7": (20.0, {"gain": 7})})
+        patch.setattr(make, "NEW_SENSORS", replace(SMALL, units=(8, 9)))
         patch.setattr(make, "TRAINING_SETTINGS", {law: {"epochs": 2} for law in make.TRAINING_SETTINGS})
         patch.setattr(report, "SCENARIOS", {"independent": experiments.MemoryScenario()})
         plan = experiments.RecentCredencePlan
@@ -97,6 +100,43 @@ def test_one_command_makes_all_three(made):
         assert set(model.about["scores"]) == {"ideal", "Gaussian, fitted", "network"}
         assert model.inputs.covariates == ("temperature_c",)
     assert model.base is not None
+
+
+@pytest.mark.parametrize("law", ["mlp", "lstm", "hybrid"])
+def test_a_card_states_what_the_code_computes(made, law):
+    model, parts = load_model(made / "weights" / f"srf08-{law}"), ["train", *([] if law == "mlp" else ["faulty"])]
+    recorded = [Recording.load(made / "corpus" / f"{name}.csv") for name in parts]
+    answered = np.concatenate([r.reading.answered for r in recorded])
+    assert (answered.mean() < 1.0) == (law != "mlp")  # loose wires lose answers
+    text = " ".join(model.card.split())
+    assert f"{len(answered)} pings" in text
+    assert f"without an answer: {np.mean(~answered):.3g}." in text
+    for name, low, high in zip(model.inputs.names, model.inputs.low, model.inputs.high, strict=True):
+        assert f"| `{name}` | {low:.4g} | {high:.4g} |" in text
+    assert model.inputs.fixed["gain"] == 31.0
+    assert "one value only of `humidity_pct` 50, `gain` 31" in text
+    scenes = {scene: replace(setup, gain=7) for scene, setup in corpus.SCENES.items()}
+    sessions = replace(SMALL, units=(8, 9), seed=101, temperature_c=(20.0, 20.0), scenes=scenes)
+    gap = calibration(model, record(sessions)).gap
+    assert model.about["calibration"]["gain 7"] == pytest.approx(gap.mean, abs=1e-4)
+    assert f"| {gap} |" in text
+    assert "| 100% |" in text  # every ping at another gain is marked
+    assert "Licence" in text
+    assert ("persist within a visit" in text) == (getattr(model, "persistence", None) is not None)
+
+
+def test_cards_are_written_again_without_training(made):
+    folder = made / "weights" / "srf08-mlp"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    (folder / "README.md").write_text("outdated")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (corpus, make):
+            patch.setattr(module, "RECORDINGS", TINY)
+        patch.setattr(make, "CONDITIONS", {"cold": (-5.0, {}), "gain 7": (20.0, {"gain": 7})})
+        patch.setattr(make, "NEW_SENSORS", replace(SMALL, units=(8, 9)))
+        places = ["--out", str(made / "weights"), "--data", str(made / "corpus")]
+        main(["make-noise", "--laws", "mlp", "--cards-only", *places])
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_one_command_writes_the_page(made):

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Reading, Recording, SettingError
-from acquisition.io.foreign import ColumnMap, import_table, parse_constants
+from acquisition.io.logs.foreign import ColumnMap, import_table, parse_constants
 from noise import GaussianModel, follow, load_model, save_model, simulate
 from noise.effects import CATALOGUE
 from noise.learned.inputs import Inputs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquisition import EchoStatus, Recording
+from acquisition import EchoStatus, Ping, Reading, Recording
 from training.cli import main
 
 # file, columns, constants, pings
@@ -91,7 +91,7 @@ def test_an_empty_field_is_no_answer_and_a_zero_no_echo(tmp_path):
 @pytest.mark.parametrize(
     ("file", "options", "message"),
     [
-        ("log.csv", [], "--columns is required"),
+        ("log.csv", [], "not UTF-8 text"),
         ("log.bag", [], "a bag has no true distance"),
         ("log.bag", ["--constants", "distance_mm=1000"], "not a readable bag"),
         ("log.mcap", ["--constants", "distance_mm=1000"], "not a readable bag"),
@@ -130,3 +130,33 @@ def test_a_bag_is_imported_by_the_command(tmp_path, capsys):
     assert "3 pings in 1 conditions and 1 runs; 1 without echo, 1 without answer" in output
     assert "too close to measure (REP 117), recorded as no answer: 1" in output
     assert Recording.load(out).table["sensor"].tolist() == ["front"] * 3
+
+
+SERIAL = "Ready\n10:00:00.5 -> Distance: 57.3 cm\n10:00:01 -> Distance: 57.1 cm\n10:00:01.5 -> Out of range\n"
+
+
+def test_guessed_columns_are_shown_and_used_only_if_accepted(tmp_path, capsys):
+    (tmp_path / "log.txt").write_text(SERIAL)
+    words = ["import", str(tmp_path / "log.txt"), "--out", str(tmp_path / "r.csv"), "--constants", "angle_deg=0"]
+    with pytest.raises(SystemExit):
+        main(words)
+    shown, error = capsys.readouterr()
+    assert "reading_mm = Distance_cm, in cm: 57.3, 57.1, 0, ..." in shown
+    assert "no column seems to be distance_mm" in error
+    with pytest.raises(SystemExit):
+        main([*words, "distance_mm=573"])
+    assert "repeat with --accept-guess, or with what is right of --columns" in capsys.readouterr().err
+    assert not (tmp_path / "r.csv").exists()
+    main([*words, "distance_mm=573", "--accept-guess"])
+    recording = Recording.load(tmp_path / "r.csv")
+    assert recording.table["reading_mm"].tolist() == [573.0, 571.0, 0.0]
+    assert recording.ping.time.tolist() == [0.0, 0.5, 1.0]
+
+
+def test_a_recording_is_converted_to_parquet_and_back(tmp_path):
+    pytest.importorskip("pyarrow", reason="needs the extra sonar-gym[parquet]")
+    ping = Ping.of(np.repeat([1.0, 2.0], 3), temperature_c=20.0)
+    path = Recording.of(ping, Reading.of(np.repeat([1.01, 0.0], 3))).save(tmp_path / "a.csv")
+    main(["import", str(path), "--out", str(tmp_path / "b.parquet")])
+    main(["import", str(tmp_path / "b.parquet"), "--out", str(tmp_path / "c.csv")])
+    assert (tmp_path / "c.csv").read_bytes() == path.read_bytes()

@@ -1,5 +1,7 @@
 """Figures of recordings: levels, surfaces, and figures of every kind of recording."""
 
+import io
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -78,7 +80,7 @@ def test_every_figure_is_drawn_for_every_recording(tmp_path, capsys, name):
     assert capsys.readouterr().out.count("\n") == len(FIGURES)
     for file in FIGURES:
         with Image.open(tmp_path / "figures" / file) as image:
-            assert image.size[0] > 300
+            assert image.size[0] > 200
             colours = np.asarray(image.convert("L"))
         assert colours.std() > 5  # something is drawn
 
@@ -104,3 +106,16 @@ def test_surfaces_over_another_column(tmp_path, capsys):
 def test_figures_are_reproducible():
     recording = RECORDINGS["grid"]
     assert all(draw(recording) == draw(recording) for draw, _ in FIGURES.values())
+
+
+def test_nothing_touches_the_edge_of_a_figure(tmp_path):
+    """A title, a label or a cell that is cut leaves ink in the outermost pixels."""
+    angle = np.deg2rad(np.tile([0.0, 15.0, 30.0, 45.0], 12))
+    distance = np.repeat(np.linspace(0.5, 6.0, 12), 4)
+    for sides in (1.0, np.where(np.arange(48) % 2, -1.0, 1.0)):
+        for reflectance in (0.9, np.where(np.arange(48) < 24, 0.1, 0.9)):
+            recording = Recording.of(Ping.of(distance, sides * angle, reflectance=reflectance), Reading.of(distance))
+            for name, (draw, _) in FIGURES.items():
+                pixel = np.asarray(Image.open(io.BytesIO(draw(recording))).convert("L"))
+                edge = np.concatenate([pixel[0], pixel[-1], pixel[:, 0], pixel[:, -1]])
+                assert edge.min() > 200, name

@@ -26,6 +26,7 @@ DEVICES = {
     "srf02": lambda: ArduinoTwin(before_a_wall(Srf02Twin)),
     "hcsr04": lambda: ArduinoTwin(None, before_a_wall(HcSr04Twin)),
     "maxbotix": lambda: before_a_wall(MaxBotixTwin),
+    "maxbotix-pwm": lambda: ArduinoTwin(pwm=before_a_wall(MaxBotixTwin)),
 }
 
 

@@ -113,7 +113,7 @@ def test_file_names_differ_between_data_and_settings():
 
 def findings_with(loss):
     """Return findings with given final losses by optimiser, equal for all sizes and seeds but for a little noise."""
-    comparison = Comparison(seeds=3)
+    comparison = Comparison(seeds=5)
     rng = np.random.default_rng(0)
 
     def fitted(job):
@@ -135,13 +135,21 @@ def test_agreement_with_the_thesis_of_equal_and_reversed_rankings():
 
 
 def test_intervals_are_student_s():
-    values = np.array([1.0, 2.0, 4.0, 7.0])
-    low, high = t.interval(0.95, 3, values.mean(), values.std(ddof=1) / 2)
+    values = np.array([1.0, 2.0, 4.0, 7.0, 3.0])
+    low, high = t.interval(0.95, 4, values.mean(), values.std(ddof=1) / np.sqrt(5))
     mean = SeedMean.of(values)
     assert (mean.value, mean.half_width) == pytest.approx((values.mean(), (high - low) / 2))
-    assert SeedMean.of([1.0, 1.1, 0.9]).verdict() == "agrees"
-    assert SeedMean.of([-1.0, -1.1, -0.9]).verdict() == "contrary"
-    assert SeedMean.of([-1.0, 1.1, 0.9]).verdict() == SeedMean.of([1.0]).verdict() == "undecided"
+    assert SeedMean.of([1.0, 1.1, 0.9, 1.0, 1.2]).verdict() == "agrees"
+    assert SeedMean.of([-1.0, -1.1, -0.9, -1.0, -0.8]).verdict() == "contrary"
+    assert SeedMean.of([-1.0, 1.1, 0.9, -1.0, 0.1]).verdict() == "undecided"
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_few_seeds_have_neither_a_spread_nor_a_verdict(n):
+    mean = SeedMean.of(np.linspace(1.0, 1.001, n))
+    assert str(mean) == f"{mean.value:.4f}"
+    assert mean.verdict() == "undecided"
+    assert "±" in str(SeedMean.of([1.0, 1.1, 1.2, 1.3, 1.4]))
 
 
 def test_credence_of_readings_and_of_silence_replaced_by_its_mean():

@@ -3,7 +3,7 @@
 import pytest
 
 from acquisition import EchoStatus, RecordingError, SettingError
-from acquisition.io.foreign import ColumnMap, import_table, parse_constants
+from acquisition.io.logs.foreign import ColumnMap, import_table, parse_constants
 
 
 def maps(*texts):

@@ -1,4 +1,4 @@
-"""Import of logs of other programs, CSV or TOA5: a map from their columns and units to the columns of a recording.
+"""Import of logs of other programs (CSV, TOA5, serial monitor): a map from their columns to those of a recording.
 
 A mapping is written `name=source:unit`, for example `distance_mm=true_cm:cm`; a constant column `name=value`. Numeric
 columns without a mapping become covariates under their own names. `time_s` is shifted to start at 0.
@@ -16,7 +16,9 @@ import pandas as pd
 
 from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
-from acquisition.io.recording import ECHO_COLUMN, TEXT, Recording
+from acquisition.io.columns import ECHO_COLUMN, TEXT
+from acquisition.io.logs.serial_log import is_serial_log, read_serial_log
+from acquisition.io.recording import Recording
 from acquisition.io.tables import COMMAS, Dialect, parse_table, read_bytes
 from acquisition.limits import near
 
@@ -38,6 +40,7 @@ UNITS: Mapping[str, float] = {  # factor to the unit in the name of the recordin
     "pct": 1.0,
     "text": 1.0,
 }
+BEGINNING = 4096  # bytes
 TOA5 = (b'"TOA5"', b"TOA5,")  # how such a file begins
 TOA5_UNITS = {"ts": "date", "meters": "m", "meter": "m", "millimeters": "mm", "degrees": "deg", "%": "pct"}
 
@@ -101,7 +104,7 @@ def import_table(
     skip_bad_rows: bool = False,
     dialect: Dialect = COMMAS,
 ) -> Recording:
-    """Read a log of another program, CSV or TOA5, as a recording.
+    """Read a log of another program, CSV, TOA5 or of a serial monitor, as a recording.
 
     Args:
         path: of the file.
@@ -116,12 +119,8 @@ def import_table(
         RecordingError: a mapped column is missing, or a value violates the format; the message names the place.
     """
     path = Path(path)
-    data = read_bytes(path)
-    if data.startswith(TOA5):
-        log, units = read_toa5(data, str(path))
-        columns = [replace(m, unit=m.unit or units.get(m.source, "")) for m in columns]
-    else:
-        log = parse_table(data, str(path), dialect, number_twins=True)
+    log, units, origin = read_log(path, dialect)
+    columns = [replace(m, unit=m.unit or units.get(m.source, "")) for m in columns]
     for mapping in columns:
         if mapping.source not in log.columns:
             found = ", ".join(log.columns)
@@ -133,8 +132,34 @@ def import_table(
     used = {m.source for m in columns} | set(table.columns)
     for column in (c for c in named if c not in used):
         table[column] = log[column]
-    origin = f"{path} (line 1: its names)" if data.startswith(TOA5) else str(path)
     return Recording.from_text(table.astype(str), origin, skip_bad_rows)
+
+
+def read_log(path: Path, dialect: Dialect = COMMAS) -> tuple[pd.DataFrame, dict[str, str], str]:
+    """Return the fields of a log as text, the units that it states, and its name in messages.
+
+    Args:
+        path: of a table of separated values, a TOA5 file or a log of a serial monitor.
+        dialect: delimiter and decimal point of a table.
+
+    Raises:
+        RecordingNotFoundError: the file does not exist.
+        RecordingError: it is none of them.
+    """
+    data = read_bytes(path)
+    if data.startswith(TOA5):
+        return *read_toa5(data, str(path)), f"{path} (line 1: its names)"
+    if is_serial_log(beginning(data)):
+        log = read_serial_log(data.decode("utf-8", "replace"))
+        return log.table, {}, f"{path} (its lines of numbers, from 2; {log.omitted} others)"
+    return parse_table(data, str(path), dialect, number_twins=True), {}, str(path)
+
+
+def beginning(data: bytes) -> str:
+    """Return the first lines of a file as text, as far as it is text; by them a format is known."""
+    return data[:BEGINNING].decode("utf-8-sig", "ignore").rpartition("\n")[0] or data[:BEGINNING].decode(
+        "utf-8", "ignore"
+    )
 
 
 def read_toa5(data: bytes, name: str) -> tuple[pd.DataFrame, dict[str, str]]:

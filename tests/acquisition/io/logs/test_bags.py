@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import EchoStatus, MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
-from acquisition.io.bags import GroundTruthSource, TimeSeries, import_bag, is_bag, read_table, reading_mm
+from acquisition.io.logs.bags import GroundTruthSource, TimeSeries, import_bag, is_bag, read_table, reading_mm
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the extra sonar-gym[ros]")
 from rosbags import rosbag2  # noqa: E402
