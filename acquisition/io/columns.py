@@ -79,7 +79,7 @@ def _empty(column: pd.Series) -> NDArray[np.bool_]:
     return (column.isna() if pd.api.types.is_numeric_dtype(column) else column == "").to_numpy()
 
 
-def _check_header(name: str, columns: Sequence[str]) -> None:
+def check_header(name: str, columns: Sequence[str]) -> None:
     missing = [column for column in REQUIRED if column not in columns]
     if missing:
         raise RecordingError(
@@ -118,7 +118,7 @@ def convert(
     Raises:
         RecordingError: a required column is missing.
     """
-    _check_header(file, list(fields.columns))
+    check_header(file, list(fields.columns))
     faults: list[RowFault] = []
     columns: dict[str, pd.Series] = {}
     for name in fields.columns:

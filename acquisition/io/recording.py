@@ -22,7 +22,18 @@ from acquisition.arguments import checked
 from acquisition.brief import shortened
 from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
-from acquisition.io.columns import CONDITION, ECHO_COLUMN, TEXT, RowFault, convert, is_reading, read_columns, valid_rows
+from acquisition.io.columns import (
+    CONDITION,
+    ECHO_COLUMN,
+    REQUIRED,
+    TEXT,
+    RowFault,
+    check_header,
+    convert,
+    is_reading,
+    read_columns,
+    valid_rows,
+)
 from acquisition.io.files import write_atomic
 from acquisition.io.parquet import SUFFIX, is_parquet, read_parquet, write_parquet
 from acquisition.io.tables import read_bytes
@@ -81,7 +92,7 @@ class Recording:
         if not isinstance(self.table, pd.DataFrame):
             raise SettingError(f"Recording.table: expected a DataFrame, got {shown(self.table)}")
         check_value("Recording.name", self.name, str)
-        _check_header(self.name, list(map(str, self.table.columns)))
+        check_header(self.name, list(map(str, self.table.columns)))
         for name in (*REQUIRED, *(column for column in CONDITION if self.has(column))):
             if not pd.api.types.is_numeric_dtype(self.table[name]):
                 raise SettingError(f"Recording.table: column {name} holds text; `as_recording` converts it")
