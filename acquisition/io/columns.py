@@ -80,7 +80,7 @@ def _empty(column: pd.Series) -> NDArray[np.bool_]:
 
 
 def check_header(name: str, columns: Sequence[str]) -> None:
-    """Raise RecordingError unless a header has the required columns, each once."""
+    """Raise RecordingError unless a header has the required columns."""
     missing = [column for column in REQUIRED if column not in columns]
     if missing:
         raise RecordingError(
