@@ -209,10 +209,10 @@ def _check(name: str, value: Any, hint: Any) -> None:
                 extra(name, value)
             elif isinstance(extra, MinLen) and len(value) < extra.min_length:
                 raise SettingError(f"{name}: expected at least {extra.min_length} value, got {len(value)}")
-    if isinstance(value, PurePath):
-        _expect("\0" not in str(value), name, "a path without null characters", str(value))
-    elif hint in (int, float):
+    if hint in (int, float):
         check_number(name, value, limit, whole=hint is int)
+    elif isinstance(value, PurePath):
+        _expect("\0" not in str(value), name, "a path without null characters", str(value))
     elif hint is bool or hint is str:
         _expect(isinstance(value, hint), name, "true or false" if hint is bool else "text", value)
     elif get_origin(hint) is Literal:

@@ -32,10 +32,12 @@ def _arrow() -> tuple[Any, Any]:
 
 
 def is_parquet(path: Path) -> bool:
-    """Return whether a file begins as a Parquet file."""
+    """Return whether a file begins as a Parquet file; a pipe, which would wait for a writer, is none."""
     try:
+        if not path.is_file():
+            return False
         with path.open("rb") as file:
-            return path.is_file() and file.read(len(MAGIC)) == MAGIC
+            return file.read(len(MAGIC)) == MAGIC
     except (OSError, ValueError):
         return False
 

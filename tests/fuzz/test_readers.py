@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from tests.acquisition.io.test_bags import Bag
+from tests.acquisition.io.logs.test_bags import Bag
 
 from acquisition import Recording, SonarError
 from acquisition.io.logs.bags import GroundTruthSource, import_bag

@@ -64,6 +64,8 @@ class Args:
 
 def main(args: Args) -> None:
     """Import one file and print a summary."""
+    if args.truth_csv is not None and not is_bag(args.source):
+        raise SettingError(f"--truth-csv {args.truth_csv}: only a bag needs true distances, {args.source} is none")
     if not args.columns and not is_bag(args.source) and is_recording(args.source):
         n = write_chunks(args.out, read_chunks(args.source, args.skip_bad_rows))
         print(f"{args.out}: {n} pings; {args.source} is a recording already, and was converted in parts")

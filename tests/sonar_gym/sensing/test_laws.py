@@ -53,7 +53,7 @@ def test_compiled_readings_and_credence_are_those_of_the_law(model):
 
 def test_covariates_are_those_of_the_pings_or_missing():
     model, rng = load_model("srf08-mlp"), np.random.default_rng(7)
-    given, warmth = conditions(rng), np.where(rng.random(N) < 0.3, np.nan, rng.uniform(0.0, 40.0, N))
+    given, warmth = conditions(rng), np.where(rng.random(N) < 0.3, np.nan, rng.uniform(15.0, 25.0, N))
     pings = PathPings(np.vstack([given, warmth]), np.zeros(N), np.arange(N))
     credence = path_law(model, N, MAX_RANGE).draw(pings, Given(rng)).credence
     rows = np.zeros(N), np.arange(N)
