@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from tests.acquisition.io.logs.test_bags import Bag
 
 from acquisition import Recording, SonarError
 from acquisition.io.logs.bags import GroundTruthSource, import_bag
@@ -25,6 +24,7 @@ from noise.physical import PhysicalModel
 from noise.store import WEIGHTS
 from sonar_gym.agent import WEIGHTS as AGENTS
 from sonar_gym.agent import load_policy
+from tests.acquisition.io.logs.test_bags import Bag
 from tests.fuzz.rule import EXAMPLES, FUZZ, check_rejected, check_used_or_rejected, digests, limited
 from tests.fuzz.tables import csv_bytes
 from training.proof.chain import load as load_ledger
