@@ -17,7 +17,7 @@ import pandas as pd
 
 from acquisition.errors import MissingExtraError, RecordingError
 from acquisition.io.columns import RowFault, convert
-from acquisition.io.files import write_atomic
+from acquisition.io.files import is_file, write_atomic
 
 MAGIC = b"PAR1"
 SUFFIX = ".parquet"
@@ -33,12 +33,12 @@ def _arrow() -> tuple[Any, Any]:
 
 def is_parquet(path: Path) -> bool:
     """Return whether a file begins as a Parquet file; a pipe, which would wait for a writer, is none."""
+    if not is_file(path):
+        return False
     try:
-        if not path.is_file():
-            return False
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
-    except (OSError, ValueError):
+    except OSError:
         return False
 
 

@@ -140,6 +140,11 @@ class Batch:
         return torch.as_tensor(np.nan_to_num(offset)), torch.as_tensor((~np.isnan(offset)).astype(np.float64))
 
     @cached_property
+    def misplaced(self) -> tuple[Tensor, Tensor]:
+        """Variance, m^2, of an arbitrary offset of the target, and whether each ping's echo may be its, (n,) each."""
+        return torch.as_tensor((0.5 * self.reach) ** 2), torch.from_numpy(self.is_target(self.error))
+
+    @cached_property
     def error(self) -> NDArray[np.float64]:
         """Reading minus true distance, m, (n,); 0 without an echo."""
         return np.where(self.reading.echo, self.reading.range - self.ping.distance, 0.0)

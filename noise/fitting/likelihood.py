@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from acquisition.arrays import Floats
 from noise.fitting.batch import Batch
 from noise.fitting.stack import NUISANCES, STEPWISE, Key, Stack
-from noise.fitting.visit_effects import law_of, log_prob
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
+from noise.physical import PhysicalModel
+
+Measure = Callable[[PhysicalModel, VisitEffects], Tensor]
 
 
 def log_likelihood(stack: Stack, batch: Batch) -> Floats:
@@ -20,44 +24,52 @@ def log_likelihood(stack: Stack, batch: Batch) -> Floats:
         return log_prob(law_of(model, batch), visits, batch).numpy()
 
 
-def log_likelihoods(stacks: Sequence[Stack], batch: Batch) -> Floats:
-    """Return the prequential log-likelihood of a batch under each of k stacks of one structure, nats, (k,).
+def at_each(stack: Stack, keys: Sequence[Key], values: Floats, measure: Measure) -> Floats:
+    """Return a quantity of a law and its visit effects at each of k parameter values, (k, ...).
 
-    Stacks that differ in parameters of a continuous law are evaluated at once, which costs as much as two.
+    All are computed at once where the law is continuous in the parameters, which costs as much as two.
+
+    Args:
+        stack: the other parameters.
+        keys: p parameters.
+        values: of these parameters, (k, p).
+        measure: computes the quantity; no step of it depends on values.
     """
+
+    def at(numbers: Tensor) -> Tensor:
+        return measure(*stack.build(keys, numbers))
+
+    with torch.no_grad():
+        given = torch.as_tensor(values, dtype=torch.float64)
+        one_by_one = not keys or any(key[1] in STEPWISE for key in keys)
+        return (torch.stack([at(row) for row in given]) if one_by_one else torch.vmap(at)(given)).numpy()
+
+
+def log_likelihoods(stacks: Sequence[Stack], batch: Batch) -> Floats:
+    """Return the prequential log-likelihood of a batch under each of k stacks, nats, (k,)."""
+
+    def total(model: PhysicalModel, visits: VisitEffects) -> Tensor:
+        return log_prob(law_of(model, batch), visits, batch, exact=True).sum()
+
     out = np.empty(len(stacks))
     for rows in _alike(stacks):
-        out[rows] = _evaluated([stacks[row] for row in rows], batch)
+        first, group = stacks[rows[0]], [stacks[row] for row in rows]
+        moved = [key for key in _keys(first) if any(each.get(key) != first.get(key) for each in group)]
+        out[rows] = at_each(first, moved, np.array([[each.get(key) for key in moved] for each in group]), total)
     return out
 
 
 def _alike(stacks: Sequence[Stack]) -> list[list[int]]:
-    """Return groups of rows of stacks that have the same effects, nuisance parameters and stepwise parameters."""
+    """Return groups of rows of stacks that have the same effects and nuisance parameters."""
     rows: dict[tuple[object, ...], list[int]] = {}
     for row, stack in enumerate(stacks):
-        fixed = [(key, stack.get(key)) for key in _keys(stack) if key in NUISANCES or key[1] in STEPWISE]
-        rows.setdefault((tuple(stack.values), *fixed), []).append(row)
+        nuisances = [stack.get(key) for key in _keys(stack) if key in NUISANCES]
+        rows.setdefault((tuple(stack.values), *nuisances), []).append(row)
     return list(rows.values())
 
 
 def _keys(stack: Stack) -> list[Key]:
     return [(name, parameter) for name, inner in stack.values.items() for parameter in inner]
-
-
-def _evaluated(stacks: Sequence[Stack], batch: Batch) -> Floats:
-    """Return the log-likelihood under each of k stacks that differ in parameters of a continuous law, nats, (k,)."""
-    first = stacks[0]
-    moved = [key for key in _keys(first) if any(each.get(key) != first.get(key) for each in stacks)]
-    if not moved:
-        return np.full(len(stacks), log_likelihood(first, batch).sum())
-
-    def total(numbers: torch.Tensor) -> torch.Tensor:
-        model, visits = first.build(moved, numbers)
-        return log_prob(law_of(model, batch), visits, batch, exact=True).sum()
-
-    with torch.no_grad():
-        values = torch.tensor([[stack.get(key) for key in moved] for stack in stacks], dtype=torch.float64)
-        return torch.vmap(total)(values).numpy()
 
 
 def likeliest(stacks: Sequence[Stack], batch: Batch) -> Stack:

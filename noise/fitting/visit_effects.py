@@ -106,10 +106,11 @@ def predicted_offset(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tu
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
     start, prior = prior_offset(visits, batch, number([wider for wider, _ in BANKS])[:, None])
-    prior = torch.cat([prior, torch.from_numpy((0.5 * batch.reach) ** 2)[None]])
+    arbitrary, possible = batch.misplaced
+    prior = torch.cat([prior, arbitrary[None]])
     # robust weight: readings beyond 4 standard deviations are hardly the direct path's
     near = (error - start) ** 2 / (16.0 * (variance + prior))
-    heard = torch.stack([*[echo] * len(BANKS), torch.from_numpy(batch.is_target(batch.error))])
+    heard = torch.stack([*[echo] * len(BANKS), possible])
     weight = torch.where(heard, 1.0 / (1.0 + near**4), torch.zeros_like(error)) / variance
     precision = 1.0 / prior + batch.before(weight)
     mean = (start / prior + batch.before(weight * error)) / precision

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from acquisition import previous
@@ -24,8 +23,10 @@ from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
-from noise.fitting.stack import JITTER, STEPWISE, Key, Stack
-from noise.fitting.visit_effects import law_of, single_ping_law
+from noise.fitting.likelihood import at_each
+from noise.fitting.stack import JITTER, Key, Stack
+from noise.fitting.visit_effects import VisitEffects, law_of, single_ping_law
+from noise.physical import PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
@@ -129,17 +130,12 @@ def changes(law: Stack, name: str) -> list[dict[Key, float]]:
 
 def _log_prob(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
     """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
-    keys = list(every[0])
 
-    def probability(numbers: Tensor) -> Tensor:
-        model, visits = law.build(keys, numbers)
+    def probability(model: PhysicalModel, visits: VisitEffects) -> Tensor:
         return single_ping_law(law_of(model, batch), visits).probability_tensor(batch.reading)
 
-    values = torch.tensor([list(change.values()) for change in every], dtype=torch.float64)
-    at_once = bool(keys) and not any(key[1] in STEPWISE for key in keys)
-    with torch.no_grad():
-        each = torch.vmap(probability)(values) if at_once else torch.stack([probability(row) for row in values])
-    return np.asarray(torch.log(torch.clamp(each, min=np.exp(LOWEST_LOG))).numpy())
+    values = np.array([list(change.values()) for change in every], dtype=np.float64)
+    return np.log(np.maximum(at_each(law, list(every[0]), values, probability), np.exp(LOWEST_LOG)))
 
 
 def _sums(law: Stack, sample: Sample, ratios: Floats, rng: np.random.Generator) -> Floats:

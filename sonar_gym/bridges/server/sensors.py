@@ -57,9 +57,7 @@ class Sensors:
 
     def _draw(self, ping: Ping) -> Reading:
         sensor = ping.run
-        inputs: Inputs | None = getattr(self._model, "inputs", None)
-        # a compiled law knows the temperatures that it was trained with
-        if self._compiled is not None and (inputs is None or inputs.equivalent(ping) is ping):
+        if self._compiled is not None:
             drawn = self._compiled.draw(PathPings(self._conditions(ping), ping.time, sensor), self._rng)
             return Reading(drawn.range, drawn.status)
         if self._stateful is not None:
@@ -71,8 +69,12 @@ class Sensors:
         return reading
 
     def _conditions(self, ping: Ping) -> Floats:
-        """Return the conditions of pings as rows, with the covariates of the model; NaN for a missing one."""
+        """Return the conditions of pings as rows, with the covariates of the model; NaN for a missing one.
+
+        Compiled laws know the temperatures that they were trained with, and get the equivalent pings.
+        """
         inputs: Inputs | None = getattr(self._model, "inputs", None)
+        ping = ping if inputs is None else inputs.equivalent(ping)
         missing, names = np.full(len(ping), np.nan), () if inputs is None else inputs.covariates
         more = [ping.covariates.get(name, missing) for name in names]
         return np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, *more])

@@ -120,6 +120,19 @@ def test_memory_lasts_from_message_to_message(name):
     np.testing.assert_array_equal(whole.answer(ping)[0].range, np.concatenate(first))
 
 
+@pytest.mark.parametrize("name", ["srf08-mlp", "srf08-lstm"])
+@pytest.mark.filterwarnings("ignore::noise.ExtrapolationWarning")
+def test_outside_the_learned_temperatures_readings_are_those_of_the_model(name):
+    n, model = 1000, load_model(name)
+    ping = Ping.of(np.full(n, 2.0), run=np.arange(n), temperature_c=40.0)
+    reading, _ = Sensors(model, 20.0, 3).answer(ping)
+    other = model.law(ping).sample(np.random.default_rng(4))
+    assert reading.echo.mean() == pytest.approx(other.echo.mean(), abs=0.05)
+    medians = [np.median(each.range[each.echo]) for each in (reading, other)]
+    # within a step of the register; at the nearest learned temperature readings are 45 mm longer
+    assert medians[0] == pytest.approx(medians[1], abs=1.01 * model.resolution)
+
+
 def test_beyond_the_maximum_range_there_is_no_echo():
     reading, credence = Sensors(load_model("ideal"), 2.0, 0).answer(Ping.of([1.5, 2.5]))
     assert reading.echo.tolist() == [True, False]
