@@ -150,12 +150,12 @@ class Batch:
         return np.where(self.reading.echo, self.reading.range - self.ping.distance, 0.0)
 
     @cached_property
-    def look_back(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def look_back(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Comparison of each reading with at most `MAX_LAG` earlier readings of its visit.
 
-        The unique absolute differences between echoes, m, (k,); the number of earlier echoes at each difference,
-        sparse (n, k); for pings without an echo, the number of earlier pings without an echo, (n,); the number of
-        earlier pings, (n,).
+        The unique absolute differences between echoes, m, (k,); for each pair of echoes, the later ping, (pairs,), and
+        the index of its difference, (pairs,); for pings without an echo, the number of earlier pings without an echo,
+        (n,); the number of earlier pings, (n,).
         """
         lag = np.arange(1, MAX_LAG + 1)[:, None]
         valid = lag <= self.count
@@ -166,12 +166,11 @@ class Batch:
         difference = np.abs(self.error - self.error[row])[both]
         # readings lie on the steps of the register, so that differences repeat up to rounding
         unique, which = np.unique(np.round(difference, 9), return_inverse=True)
-        at, tensor = np.stack([np.nonzero(both)[1], which]), torch.as_tensor
-        ones, shape = np.ones(at.shape[1]), (len(self), len(unique))
-        n_at_difference = torch.sparse_coo_tensor(tensor(at), tensor(ones), shape, check_invariants=True)
+        tensor = torch.as_tensor
         return (
             tensor(unique),
-            n_at_difference.coalesce(),
+            tensor(np.nonzero(both)[1]),
+            tensor(which.ravel()),
             tensor(silent.sum(axis=0).astype(np.float64)),
             tensor(valid.sum(axis=0).astype(np.float64)),
         )

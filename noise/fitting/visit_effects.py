@@ -176,10 +176,11 @@ def with_floor_and_urn(own: Tensor, visits: VisitEffects, batch: Batch, last_ste
     """Return log probabilities, nats, (banks, n), of a law's probabilities mixed with the floor and the urn."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
     floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
-    difference, n_at_difference, n_silent, n_earlier = batch.look_back
+    difference, later, which, n_silent, n_earlier = batch.look_back
     half, width = batch.resolution / 2.0, visits.urn_width_m
     kernel = torch.special.ndtr((difference + half) / width) - torch.special.ndtr((difference - half) / width)
-    repeats = visits.urn_weight * (torch.sparse.mm(n_at_difference, kernel[:, None])[:, 0] + n_silent)
+    n_alike = torch.zeros_like(n_silent).index_add(0, later, kernel[which])
+    repeats = visits.urn_weight * (n_alike + n_silent)
     return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(visits.urn_weight * n_earlier)
 
 

@@ -26,7 +26,8 @@ from noise.fitting.starts import extra_modes, nuisance_starts, starting_points
 from noise.fitting.visit_effects import log_prob
 from noise.physical import PhysicalModel
 
-# where the fit of what every sonar has begins: a level at which reflectors 1 to 4 m away are near the threshold
+# where the fit of what every sonar has begins: a level at which reflectors 1 to 4 m away are near the threshold, and
+# some readings lost whatever the level, without which rare silence of strong echoes would put the threshold near them
 START: dict[Key, float] = {
     ("clock_scale", "error"): 0.0,
     ("zero_offset", "offset_m"): 0.0,
@@ -35,6 +36,7 @@ START: dict[Key, float] = {
     ("beam_width", "ka"): 2.0,
     ("time_walk", "scale"): 0.5,
     ("reflectance_loss", "strength"): 0.5,
+    ("dropped_reading", "probability"): 0.01,
 }
 LOSS: Key = ("sensitivity", "loss_db")
 LOSSES_DB = (30.0, 38.0, 46.0)  # where a fit with another reflector begins: a wall at 32, 13 and 5 m at the threshold
