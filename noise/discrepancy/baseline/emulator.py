@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import qmc
 
 from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
@@ -21,7 +22,7 @@ from noise.fitting.learn_smooth import Learned, learn_smooth
 from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
 from noise.fitting.smooth import MEMORY, Empirical, Smooth
 from noise.fitting.smooth_basis import single_log_prob
-from noise.fitting.stack import JITTER, NUISANCES, PLACEMENT, SHARED, SPREAD, VISITS, Key, Stack
+from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, PLACEMENT, SHARED, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import extra_modes, nuisance_starts, starting_points
 from noise.fitting.visit_effects import log_prob
 from noise.physical import PhysicalModel
@@ -38,8 +39,17 @@ START: dict[Key, float] = {
     ("reflectance_loss", "strength"): 0.5,
     ("dropped_reading", "probability"): 0.01,
 }
-LOSS: Key = ("sensitivity", "loss_db")
-LOSSES_DB = (30.0, 38.0, 46.0)  # where a fit with another reflector begins: a wall at 32, 13 and 5 m at the threshold
+# ranges of what decides who is heard; a fit ends at a maximum near its start, so the best of a design begins
+HEARING: dict[Key, tuple[float, float]] = {
+    ("sensitivity", "loss_db"): (20.0, 55.0),
+    ("specular_loss", "strength"): (0.0, 2.0),
+    ("beam_width", "ka"): (0.0, 8.0),
+    ("reflectance_loss", "strength"): (0.0, 1.5),
+}
+N_DESIGN = 32  # a power of two; evaluated at once
+# centre of the prior: units and placements differ by 3 to 6 dB; without it, a threshold that separates the few positions
+# that are heard from those that are missed seems exact
+LEVELS: dict[Key, float] = {LEVEL_SD: 3.0}
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1200, 600, 2000  # readings of each step, which bound the time
 DESIGN = 2  # starting points of a quasi-random design for each candidate effect
 CANDIDATES, ROUNDS = 3, 4  # effects that are fitted in a round, and rounds
@@ -58,7 +68,7 @@ def emulate(readings: Batch, rng: np.random.Generator) -> Stack:
         readings: of the simulation.
         rng: chooses visits, starting points and centres.
     """
-    physics = with_catalogue(base_physics(readings.thin(PHYSICS_PINGS)), readings, rng)
+    physics = with_catalogue(base_physics(readings.thin(PHYSICS_PINGS), rng), readings, rng)
     return with_smooth(physics, readings, rng)
 
 
@@ -115,23 +125,24 @@ def _logged(batch: Batch) -> list[str]:
     return [name for name in batch.ping.covariates if name != INTERVAL]
 
 
-def base_physics(batch: Batch) -> Stack:
+def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
     """Return the law with what every sonar has: the best fit from several starts."""
-    bare = [stack.at(START) for stack in nuisance_starts(Stack.of(PhysicalModel((), batch.resolution)), batch)]
-    starts = [*bare, *_with_other_reflector(bare[0], batch)]
+    sonar = replace(Stack.of(PhysicalModel((), batch.resolution)), familiar=LEVELS)
+    bare = [stack.at(START) for stack in nuisance_starts(sonar, batch)]
+    few = batch.thin(SCREEN_PINGS)
+    starts = [likeliest(_designed([stack], rng), few) for stack in bare]
+    # from a law in which the target is never missed no small step leads to a reflector that answers wherever it is
+    other = [bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)]
+    starts += [likeliest(_designed(other, rng), few)] if other else []
     fits = [maximise(stack, (*_free(stack), *NUISANCES), batch, ITERATIONS, 0.5) for stack in starts]
     return highest(fits).stack
 
 
-def _with_other_reflector(stack: Stack, batch: Batch) -> list[Stack]:
-    """Return the likeliest start with a reflector that answers wherever the target is missed, if any reading is late.
-
-    From a law in which the target is never missed no small step leads there.
-    """
-    modes = [mode for mode in extra_modes(batch) if mode > 0.0]
-    reflectors = [reflector for mode in modes for reflector in _reflectors(mode)]
-    starts = [stack.at({**reflector, LOSS: loss}) for reflector in reflectors for loss in LOSSES_DB]
-    return [likeliest(starts, batch)] if starts else []
+def _designed(stacks: Sequence[Stack], rng: np.random.Generator) -> list[Stack]:
+    """Return stacks as they are, and with quasi-random values of what decides who is heard."""
+    low, high = np.transpose(list(HEARING.values()))
+    points = qmc.scale(qmc.Sobol(len(HEARING), rng=rng).random(N_DESIGN), low, high)
+    return [*stacks, *(stack.put(list(HEARING), point) for stack in stacks for point in points)]
 
 
 def _reflectors(length_m: float) -> tuple[dict[Key, float], dict[Key, float]]:
