@@ -84,8 +84,7 @@ class Data:
     @cached_property
     def simulation(self) -> Simulation:
         """The user's simulation, as what corrections are measured against."""
-        base = self.baseline
-        return Simulation(base.before, base.readings if isinstance(base.before, AnalogueForest) else None)
+        return Simulation.of(self.baseline)
 
     @cached_property
     def forest(self) -> AnalogueForest:

@@ -47,8 +47,8 @@ HEARING: dict[Key, tuple[float, float]] = {
     ("reflectance_loss", "strength"): (0.0, 1.5),
 }
 N_DESIGN = 32  # a power of two; evaluated at once
-# centre of the prior: units and placements differ by 3 to 6 dB; without it, a threshold that separates the few positions
-# that are heard from those that are missed seems exact
+# centre of the prior: units and placements differ by 3 to 6 dB; without it, a threshold that separates the few
+# positions that are heard from those that are missed seems exact
 LEVELS: dict[Key, float] = {LEVEL_SD: 3.0}
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1200, 600, 2000  # readings of each step, which bound the time
 DESIGN = 2  # starting points of a quasi-random design for each candidate effect

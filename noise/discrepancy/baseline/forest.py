@@ -58,7 +58,7 @@ class AnalogueForest:
             rng: grows the trees.
             max_range: of the register's last step, m.
         """
-        return _chosen(batch.thin(MAX_PINGS), rng, max_range).model
+        return grown(batch, rng, max_range).model
 
     @property
     def remembers(self) -> bool:
@@ -150,10 +150,16 @@ def _check(model: AnalogueForest) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """A forest, and the law of its own readings by the trees that were grown without their visits."""
+    """A forest, its readings, and their law by the trees that were grown without their visits."""
 
     model: AnalogueForest
+    batch: Batch
     crossed: EchoLaw
+
+    @property
+    def crps(self) -> Floats:
+        """CRPS of each reading, silence counted, by trees that saw no ping of its visit, m, (n,)."""
+        return np.asarray(crps_with_silence(self.crossed, self.batch.reading, MAX_RANGE))
 
 
 def _grown(batch: Batch, names: tuple[str, ...], rng: np.random.Generator, max_range: float) -> Grown:
@@ -166,28 +172,18 @@ def _grown(batch: Batch, names: tuple[str, ...], rng: np.random.Generator, max_r
     typical = np.median(x, axis=0)
     model = AnalogueForest(names, typical, trees, leaf, error[order], batch.resolution, max_range)
     # with a single visit every tree was grown on it, and it can only be predicted from itself
-    return Grown(model, model.mixture(batch.ping, reached, ~drawn if batch.n_visits > 1 else drawn))
+    return Grown(model, batch, model.mixture(batch.ping, reached, ~drawn if batch.n_visits > 1 else drawn))
 
 
-def _chosen(batch: Batch, rng: np.random.Generator, max_range: float) -> Grown:
-    """Return the forest with the inputs that predict visits best which the trees have not seen."""
-    forests = [_grown(batch, names, rng, max_range) for names in input_groups(batch)]
-    return min(forests, key=lambda each: float(crps_with_silence(each.crossed, batch.reading, MAX_RANGE).mean()))
-
-
-def crossed_law(batch: Batch, rng: np.random.Generator, max_range: float = MAX_RANGE) -> EchoLaw:
-    """Return the law of each reading of at most `MAX_PINGS`, by trees that saw no ping of its visit."""
-    return _chosen(batch, rng, max_range).crossed
+def grown(batch: Batch, rng: np.random.Generator, max_range: float = MAX_RANGE) -> Grown:
+    """Return the forest of at most `MAX_PINGS` readings with the inputs that predict visits best which trees lack."""
+    few = batch.thin(MAX_PINGS)
+    return min((_grown(few, names, rng, max_range) for names in input_groups(few)), key=lambda each: each.crps.mean())
 
 
 def crossed_log_prob(batch: Batch, rng: np.random.Generator) -> Floats:
     """Return the log probability of each reading by trees that saw no ping of its visit, nats, (n,), with a floor."""
-    return floored_log_prob(crossed_law(batch, rng), batch)
-
-
-def crossed_crps(batch: Batch, rng: np.random.Generator) -> Floats:
-    """Return the CRPS, silence counted, of each reading by trees that saw no ping of its visit, m, (n,)."""
-    return np.asarray(crps_with_silence(crossed_law(batch, rng), batch.reading, MAX_RANGE))
+    return floored_log_prob(grown(batch, rng).crossed, batch)
 
 
 def floored_log_prob(law: EchoLaw, batch: Batch) -> Floats:

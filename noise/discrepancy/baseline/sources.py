@@ -10,7 +10,7 @@ import numpy as np
 from acquisition import ModelError, Ping, Reading, Recording
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.emulator import emulate
-from noise.discrepancy.baseline.forest import AnalogueForest
+from noise.discrepancy.baseline.forest import Grown, grown
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.model import IdealModel, SonarModel, simulate
@@ -33,6 +33,7 @@ class Baseline:
         before: the user's own simulation: the given model, or a forest of its readings.
         emulator: `law` as a model of single pings, which can be saved; the given model where the law is known exactly.
         held_out: readings under conditions that the law was not fitted to; None where it is known exactly.
+        forest: of the readings, where it is `before`; None elsewhere.
     """
 
     law: Stack
@@ -40,6 +41,7 @@ class Baseline:
     before: SonarModel
     emulator: SonarModel
     held_out: Batch | None
+    forest: Grown | None = None
 
 
 def baseline_of(
@@ -76,8 +78,10 @@ def emulated(simulated: Recording, model: SonarModel | None, rng: np.random.Gene
     unseen = (rng.permutation(np.arange(len(conditions)) % HELD_OUT) == 0)[which]
     held_out = readings.select(unseen) if len(conditions) > 1 else None
     law = emulate(readings.select(~unseen) if held_out is not None else readings, rng)
-    before = model if model is not None else AnalogueForest.of(readings, rng, law.max_range)
-    return Baseline(law, readings, before, law.single_ping_model, held_out)
+    if model is not None:
+        return Baseline(law, readings, model, law.single_ping_model, held_out)
+    forest = grown(readings, rng, law.max_range)
+    return Baseline(law, readings, forest.model, law.single_ping_model, held_out, forest)
 
 
 def asked(simulator: Simulator, recorded: Recording, rng: np.random.Generator) -> Recording:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.forest import MAX_PINGS, crossed_crps, floored_log_prob
+from noise.discrepancy.baseline.forest import floored_log_prob, grown
+from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import HeldOut, Interval, Score
 from noise.fitting.batch import Batch
-from noise.metrics import crps_with_silence
-from noise.model import SonarModel
+from noise.metrics import ClusterMean, crps_with_silence
+from noise.model import MAX_RANGE, SonarModel
 
 MIN_MEMBERS = 4  # readings under one condition that stand for the simulation there
 
@@ -34,31 +35,63 @@ def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
 class Simulation:
     """The user's own simulation: a model, and its readings where they were given as a file.
 
-    Readings under the same condition are the simulation itself; a model of them only stands for it elsewhere.
+    Readings under the same condition are the simulation itself; a model of them only stands for it elsewhere. What the
+    model misses of simulated visits that it has not seen is not counted against the simulation.
 
     Attributes:
         model: the given model, or a forest of the readings.
         readings: None where the model itself is the simulation.
+        excess: mean CRPS of the model beyond that of the simulation, m, with its standard error.
     """
 
     model: SonarModel
-    readings: Batch | None
+    readings: Batch | None = None
+    excess: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(cls, base: Baseline) -> Simulation:
+        """Return the simulation of a baseline."""
+        if base.forest is None:
+            return cls(base.before)
+        few = base.forest.batch
+        own = [np.full(len(rows), repeatability(ends(few)[rows])) for rows in few.visit_rows]
+        beyond = base.forest.crps - np.concatenate(own)
+        known = ~np.isnan(beyond)
+        if not known.any():
+            return cls(base.before, base.readings)
+        mean = ClusterMean.of(beyond[known], few.visit[known])
+        return cls(base.before, base.readings, (max(mean.mean, 0.0), float(np.nan_to_num(mean.error))))
 
     def crps_of_each(self, batch: Batch) -> Floats:
-        """Return the CRPS of each reading with silence counted, m, (n,)."""
-        law = self.model.law(batch.ping, batch.past)
-        out = np.asarray(crps_with_silence(law, batch.reading))
+        """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""
+        out = crps_of_each(self.model, batch) - self.excess[0]
         if self.readings is None:
             return out
-        ends = [np.where(b.reading.echo, b.error, law.max_range - b.ping.distance) for b in (self.readings, batch)]
-        places = np.concatenate([positions(self.readings)[self.readings.visit], positions(batch)[batch.visit]])
-        place = np.unique(places, axis=0, return_inverse=True)[1].ravel()
+        places = [positions(each)[each.visit] for each in (self.readings, batch)]
+        place = np.unique(np.concatenate(places), axis=0, return_inverse=True)[1].ravel()
         own, asked = np.split(place, [len(self.readings)])
         for k in np.intersect1d(asked, own):
-            members = ends[0][own == k]
+            members = ends(self.readings)[own == k]
             if len(members) >= MIN_MEMBERS:
-                out[asked == k] = fair_crps(ends[1][asked == k], members)
+                out[asked == k] = fair_crps(ends(batch)[asked == k], members)
         return out
+
+    def is_beaten(self, batch: Batch, crps: Floats) -> bool:
+        """Return whether other predictions of a batch, with CRPS (n,), are better beyond chance."""
+        gain = batch.visit_sums(self.crps_of_each(batch) - crps)
+        return bool(gain.sum() > Z * np.hypot(standard_error(gain), len(batch) * self.excess[1]))
+
+
+def ends(batch: Batch) -> Floats:
+    """Return the error of each reading, m, (n,); that of the end of the register where there is no echo."""
+    return np.where(batch.reading.echo, batch.error, MAX_RANGE - batch.ping.distance)
+
+
+def repeatability(value: Floats) -> float:
+    """Return the mean CRPS of readings of one visit, m, each predicted by the others; NaN for a single one."""
+    n = len(value)
+    rank = 2.0 * np.arange(n) - n + 1.0
+    return float(np.sum(rank * np.sort(value)) / (n * (n - 1.0))) if n > 1 else float("nan")
 
 
 def fair_crps(value: Floats, members: Floats) -> Floats:
@@ -77,17 +110,13 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
 
 def gains(model: SonarModel, before: Simulation, batch: Batch) -> bool:
     """Return whether a model's CRPS is less than the simulation's beyond chance: the interval excludes zero."""
-    return _beyond_chance(batch.visit_sums(before.crps_of_each(batch) - crps_of_each(model, batch)))
+    return before.is_beaten(batch, crps_of_each(model, batch))
 
 
 def forest_gains(before: Simulation, batch: Batch, rng: np.random.Generator) -> bool:
     """Return whether a forest's CRPS on visits that its trees have not seen is less than a simulation's."""
-    few = batch.thin(MAX_PINGS)
-    return _beyond_chance(few.visit_sums(before.crps_of_each(few) - crossed_crps(few, rng)))
-
-
-def _beyond_chance(gain: Floats) -> bool:
-    return bool(gain.sum() > Z * standard_error(gain))
+    forest = grown(batch, rng)
+    return before.is_beaten(forest.batch, forest.crps)
 
 
 def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) -> SonarModel:
@@ -101,7 +130,7 @@ def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) ->
         batch: visits that no model was fitted to.
     """
     best = min(models, key=lambda model: crps(model, batch), default=fallback)
-    return fallback if gains(fallback, Simulation(best, None), batch) else best
+    return fallback if gains(fallback, Simulation(best), batch) else best
 
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:

@@ -15,6 +15,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
 from noise.fitting.stack import NUISANCES, Key, Stack
 
+PROBABILITY = "probability"  # that a reading is replaced
 Z = float(norm.ppf(0.5 + LEVEL / 2.0))
 
 
@@ -53,8 +54,9 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     """Return the interval of every parameter of the effects.
 
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
-    the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, is that of the
-    difference: what the law of the simulation has, and what its own readings would add, are subtracted.
+    the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, and the
+    probability of a replaced reading are those of the difference: what the law of the simulation has, and what its own
+    readings would add, are subtracted.
     """
     fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
     errors: dict[Key, float] = {}
@@ -74,11 +76,13 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
 
 
 def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
-    """Return how far a two-sided parameter lies from its null value in the simulation, and the standard error."""
-    p = search.common.parameter(key)
-    if search.simulated is None or not p.low < p.null < p.high:
+    """Return how far a parameter of a difference lies from its null value in the simulation, and the standard error."""
+    p, effect = search.common.parameter(key), search.common.known[key[0]]
+    adds = p.low < p.null < p.high or (effect.by_ping and p.name == PROBABILITY and key[0] in search.common.values)
+    if search.simulated is None or not adds:
         return 0.0, 0.0
     fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
+    fitted = refit_without_urn(fitted, (key,), search.simulated)
     return fitted.stack.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
-from noise.discrepancy.baseline.forest import AnalogueForest, crossed_crps, crossed_log_prob
+from noise.discrepancy.baseline.forest import AnalogueForest, crossed_log_prob, grown
 from noise.discrepancy.baseline.forest_law import LEVELS, quantiles
 from noise.discrepancy.baseline.trees import order_in_visit
 from noise.fitting.batch import Batch
@@ -163,7 +163,7 @@ def test_a_damaged_tree_is_a_clear_error(forest, part, value):
 
 def test_cross_fitted_scores_are_those_of_unseen_visits(batch, forest):
     rng = np.random.default_rng
-    crossed, new = crossed_crps(batch, rng(0)), step_in_reflectance(3)
+    crossed, new = grown(batch, rng(0)).crps, step_in_reflectance(3)
     assert crossed.shape == crossed_log_prob(batch, rng(0)).shape == (len(batch),)
     fresh = crps_with_silence(forest.law(new.ping, new.past), new.reading, MAX_RANGE)
     assert np.mean(crossed) == pytest.approx(np.mean(fresh), rel=0.2)
@@ -177,7 +177,7 @@ def test_cross_fitted_predictions_do_not_see_the_visit():
     first = batch.count == 0
     inside = crps_with_silence(forest_of(batch).law(batch.ping, batch.past), batch.reading, MAX_RANGE)[first]
     # of a normal law with a known spread: sigma / sqrt(pi)
-    assert np.mean(crossed_crps(batch, np.random.default_rng(0))[first]) > 0.8 * 0.05 / np.sqrt(np.pi)
+    assert np.mean(grown(batch, np.random.default_rng(0)).crps[first]) > 0.8 * 0.05 / np.sqrt(np.pi)
     assert np.mean(inside) < 0.8 * 0.05 / np.sqrt(np.pi)
 
 

@@ -1,12 +1,13 @@
 """Corrections are measured against the simulation's own readings, with a library's score."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scoringrules import crps_ensemble
 
-from noise.discrepancy.judge.held_out import Simulation, fair_crps
+from noise.discrepancy.judge.held_out import Simulation, crps_of_each, fair_crps, repeatability
 from tests.noise.discrepancy.made import batch_of, model_of
 
 METRES = st.floats(0.0, 11.0)
@@ -22,7 +23,7 @@ def test_a_wrong_model_of_a_simulation_does_not_speak_for_it_where_its_readings_
     loud = {"sensitivity": {"loss_db": 0.0}}  # no silence, which would count metres
     readings = batch_of(loud, seed=1)
     wrong = model_of({**loud, "zero_offset": {"offset_m": 0.09}})
-    of_model = Simulation(wrong, None).crps_of_each(readings)
+    of_model = Simulation(wrong).crps_of_each(readings)
     of_readings = Simulation(wrong, readings).crps_of_each(readings)
     assert of_readings.mean() < 0.1 * of_model.mean()
 
@@ -30,5 +31,22 @@ def test_a_wrong_model_of_a_simulation_does_not_speak_for_it_where_its_readings_
 def test_a_model_speaks_for_a_simulation_where_it_has_no_readings():
     recorded, elsewhere = batch_of({}, seed=1), batch_of({}, seed=2)
     model = model_of()
-    alone = Simulation(model, None).crps_of_each(recorded)
+    alone = Simulation(model).crps_of_each(recorded)
     np.testing.assert_array_equal(Simulation(model, elsewhere).crps_of_each(recorded), alone)
+
+
+@given(arrays(float, st.integers(2, 12), elements=METRES))
+def test_repeatability_is_the_mean_score_of_each_reading_by_the_others(value):
+    others = np.array([np.delete(value, k) for k in range(len(value))])
+    if len(value) == 2:  # the spread of a single other reading is unknown; its expectation is that of the pair
+        expected = abs(value[0] - value[1]) / 2.0
+    else:
+        expected = crps_ensemble(value, others, estimator="fair").mean()
+    assert repeatability(value) == pytest.approx(expected, abs=1e-9)
+
+
+def test_what_a_model_misses_of_a_simulation_is_not_held_against_it():
+    readings, elsewhere = batch_of({}, seed=1), batch_of({}, seed=2)
+    crude = Simulation(model_of({"zero_offset": {"offset_m": 0.05}}), readings, (0.05, 0.0))
+    assert not crude.is_beaten(elsewhere, crps_of_each(model_of(), elsewhere))
+    assert Simulation(crude.model, readings).is_beaten(elsewhere, crps_of_each(model_of(), elsewhere))
