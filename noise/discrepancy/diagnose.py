@@ -14,11 +14,12 @@ import numpy as np
 from acquisition import Recording, SettingError
 from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
-from noise.discrepancy.baseline.forest import AnalogueForest
+from noise.discrepancy.baseline.forest import Grown, grown
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.held_out import Simulation, best_of, forest_gains, gains, held_out
 from noise.discrepancy.judge.judged import Judged, judge
+from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.location import locate
@@ -87,9 +88,9 @@ class Data:
         return Simulation.of(self.baseline)
 
     @cached_property
-    def forest(self) -> AnalogueForest:
+    def forest(self) -> Grown:
         """The readings of both folds as a law."""
-        return AnalogueForest.of(self.folds.both, self.rng("forest"))
+        return grown(self.folds.both, self.rng("forest"))
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
@@ -213,16 +214,17 @@ def _different(
     _, found = search.run()
     none = search.nothing(found)
     data.tell("weighing", 0.7)
-    judged = judge(search, none, found, tested.p_value, partial(against, data, search), data.rng("judge"))
+    rest = Rest(search, data.forest, data.baseline.forest)
+    judged = judge(rest, none, found, tested.p_value, partial(against, data, search), data.rng("judge"))
     data.tell("correcting", 0.9)
     causes_only, corrected = corrected_models(data, recorded, judged)
-    rest = judged.rest
-    rest = replace(rest, description=location_in_words(rest.where[0]) if rest.where else None)
+    left = judged.rest
+    left = replace(left, description=location_in_words(left.where[0]) if left.where else None)
     believed = [cause for cause in judged.causes if cause.effect in judged.believed]
-    kind = kind_of(believed, judged.together, rest)
+    kind = kind_of(believed, judged.together, left)
     places = [place for place in judged.places if place.effect in {cause.effect for cause in judged.causes}]
     diagnosis = _diagnosis(
-        data, recorded, tested, where, visible, kind, judged.causes, rest, causes_only, corrected, places
+        data, recorded, tested, where, visible, kind, judged.causes, left, causes_only, corrected, places
     )
     return replace(diagnosis, evidence=judged.evidence, likely={p.effect: p.likely for p in judged.places})
 
@@ -246,10 +248,10 @@ def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[S
     if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
         options.append(offered(judged.learned.stack, recorded))
     unseen, before = data.folds.unseen, data.simulation
-    best = best_of(options, data.forest, unseen)
+    best = best_of(options, data.forest.model, unseen)
     if gains(best, before, unseen):
         return causes_only, best
-    return causes_only, data.forest if forest_gains(before, data.batch, data.rng("out of bag")) else None
+    return causes_only, data.forest.model if forest_gains(before, data.forest, unseen) else None
 
 
 def offered(stack: Stack, recorded: Recording) -> SonarModel:
@@ -271,7 +273,7 @@ def _diagnosis(
     places: Sequence[Place],
 ) -> Diagnosis:
     base, folds = data.baseline, data.folds
-    scores = held_out(data.simulation, base.emulator, corrected or base.before, data.forest, folds.unseen)
+    scores = held_out(data.simulation, base.emulator, corrected or base.before, data.forest.model, folds.unseen)
     verdict = Verdict(
         kind,
         summary_of(kind, causes, where, rest, visible, len(data.batch)),

@@ -161,6 +161,11 @@ class Grown:
         """CRPS of each reading, silence counted, by trees that saw no ping of its visit, m, (n,)."""
         return np.asarray(crps_with_silence(self.crossed, self.batch.reading, MAX_RANGE))
 
+    @property
+    def nats(self) -> Floats:
+        """Log probability of each reading by trees that saw no ping of its visit, nats, (n,), with a floor."""
+        return floored_log_prob(self.crossed, self.batch)
+
 
 def _grown(batch: Batch, names: tuple[str, ...], rng: np.random.Generator, max_range: float) -> Grown:
     x = columns(names, batch.ping, batch.past, {})
@@ -179,11 +184,6 @@ def grown(batch: Batch, rng: np.random.Generator, max_range: float = MAX_RANGE) 
     """Return the forest of at most `MAX_PINGS` readings with the inputs that predict visits best which trees lack."""
     few = batch.thin(MAX_PINGS)
     return min((_grown(few, names, rng, max_range) for names in input_groups(few)), key=lambda each: each.crps.mean())
-
-
-def crossed_log_prob(batch: Batch, rng: np.random.Generator) -> Floats:
-    """Return the log probability of each reading by trees that saw no ping of its visit, nats, (n,), with a floor."""
-    return floored_log_prob(grown(batch, rng).crossed, batch)
 
 
 def floored_log_prob(law: EchoLaw, batch: Batch) -> Floats:

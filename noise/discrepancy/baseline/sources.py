@@ -33,7 +33,7 @@ class Baseline:
         before: the user's own simulation: the given model, or a forest of its readings.
         emulator: `law` as a model of single pings, which can be saved; the given model where the law is known exactly.
         held_out: readings under conditions that the law was not fitted to; None where it is known exactly.
-        forest: of the readings, where it is `before`; None elsewhere.
+        forest: of the readings; None where the law is known exactly.
     """
 
     law: Stack
@@ -78,10 +78,8 @@ def emulated(simulated: Recording, model: SonarModel | None, rng: np.random.Gene
     unseen = (rng.permutation(np.arange(len(conditions)) % HELD_OUT) == 0)[which]
     held_out = readings.select(unseen) if len(conditions) > 1 else None
     law = emulate(readings.select(~unseen) if held_out is not None else readings, rng)
-    if model is not None:
-        return Baseline(law, readings, model, law.single_ping_model, held_out)
     forest = grown(readings, rng, law.max_range)
-    return Baseline(law, readings, forest.model, law.single_ping_model, held_out, forest)
+    return Baseline(law, readings, model or forest.model, law.single_ping_model, held_out, forest)
 
 
 def asked(simulator: Simulator, recorded: Recording, rng: np.random.Generator) -> Recording:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.forest import floored_log_prob, grown
+from noise.discrepancy.baseline.forest import Grown, floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.estimates import Z
@@ -51,7 +51,7 @@ class Simulation:
     @classmethod
     def of(cls, base: Baseline) -> Simulation:
         """Return the simulation of a baseline."""
-        if base.forest is None:
+        if base.forest is None or base.before is not base.forest.model:
             return cls(base.before)
         few = base.forest.batch
         own = [np.full(len(rows), repeatability(ends(few)[rows])) for rows in few.visit_rows]
@@ -76,10 +76,11 @@ class Simulation:
                 out[asked == k] = fair_crps(ends(batch)[asked == k], members)
         return out
 
-    def is_beaten(self, batch: Batch, crps: Floats) -> bool:
-        """Return whether other predictions of a batch, with CRPS (n,), are better beyond chance."""
-        gain = batch.visit_sums(self.crps_of_each(batch) - crps)
-        return bool(gain.sum() > Z * np.hypot(standard_error(gain), len(batch) * self.excess[1]))
+    def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
+        """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
+        gain = np.concatenate([batch.visit_sums(self.crps_of_each(batch) - crps) for batch, crps in scored])
+        n = sum(len(batch) for batch, _ in scored)
+        return bool(gain.sum() > Z * np.hypot(standard_error(gain), n * self.excess[1]))
 
 
 def ends(batch: Batch) -> Floats:
@@ -110,13 +111,12 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
 
 def gains(model: SonarModel, before: Simulation, batch: Batch) -> bool:
     """Return whether a model's CRPS is less than the simulation's beyond chance: the interval excludes zero."""
-    return before.is_beaten(batch, crps_of_each(model, batch))
+    return before.is_beaten((batch, crps_of_each(model, batch)))
 
 
-def forest_gains(before: Simulation, batch: Batch, rng: np.random.Generator) -> bool:
+def forest_gains(before: Simulation, forest: Grown, unseen: Batch) -> bool:
     """Return whether a forest's CRPS on visits that its trees have not seen is less than a simulation's."""
-    forest = grown(batch, rng)
-    return before.is_beaten(forest.batch, forest.crps)
+    return before.is_beaten((forest.batch, forest.crps), (unseen, crps_of_each(forest.model, unseen)))
 
 
 def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) -> SonarModel:

@@ -96,21 +96,22 @@ def is_left(tested: Tested) -> bool:
 
 
 def judge(
-    search: Search, none: Hypothesis, found: Hypothesis, before: PValue, test: Test, rng: np.random.Generator
+    rest: Rest, none: Hypothesis, found: Hypothesis, before: PValue, test: Test, rng: np.random.Generator
 ) -> Judged:
     """Return the causes of a difference with their probabilities.
 
     Args:
-        search: readings and candidates.
+        rest: readings and candidates, and what a forest knows of them.
         none: hypothesis without differences.
         found: the selected hypothesis.
         before: p-value of the test of the simulation's law.
         test: tests whether the recording differs from a law.
-        rng: draws the bootstrap samples of the shares, and grows trees.
+        rng: draws the bootstrap samples of the shares, and the centres of an empirical term.
     """
+    search = rest.search
     selected = Judgement(search, test, found)
     places = tuple(place_of(search, found, name) for name in found.effects)
-    divided = shares(Rest(search, int(rng.integers(2**32))), none, found, rng)
+    divided = shares(rest, none, found, rng)
     evidence = {place.effect: evidence_of(selected, place, divided, before) for place in places}
     certain = {name: decision_model().probability(each) for name, each in evidence.items()}
     believed = kept(certain, divided)
@@ -120,9 +121,9 @@ def judge(
         known |= intervals(search, final.final)
     causes = [_cause(search, place, certain[place.effect], divided, known) for place in places]
     causes.sort(key=lambda cause: (cause.effect not in believed, -cause.share.value))
-    together, rest = _divided(divided, [name for name in found.effects if name not in believed])
+    together, left = _divided(divided, [name for name in found.effects if name not in believed])
     learned = empirical_term(final.final.stack, search.joined, rng) if is_left(final.after) else None
-    return Judged(tuple(causes), believed, final.final, places, evidence, together, rest, final.after, learned)
+    return Judged(tuple(causes), believed, final.final, places, evidence, together, left, final.after, learned)
 
 
 def kept(certain: Mapping[str, float], divided: Shares) -> tuple[str, ...]:

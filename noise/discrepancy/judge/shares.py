@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.forest import crossed_log_prob
+from noise.discrepancy.baseline.forest import Grown
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import LEVEL, Interval
@@ -47,11 +47,13 @@ class Rest:
 
     Attributes:
         search: readings and the law of the simulation.
-        seed: of its trees.
+        recorded: forest of the readings of all parts.
+        simulated: forest of the simulation's readings; None where its law is known exactly.
     """
 
     search: Search
-    seed: int
+    recorded: Grown
+    simulated: Grown | None
 
     def gain(self, found: Hypothesis) -> Floats:
         """Return what the pool gains on each visit beyond what it gains on simulated ones, nats, (n_visits,)."""
@@ -65,18 +67,16 @@ class Rest:
     @cached_property
     def _forest(self) -> Floats:
         """Log probability of the readings of all parts by trees that have not seen their visits, nats, (n,)."""
-        joined = self.search.joined
-        nats, first = crossed_log_prob(joined, np.random.default_rng(self.seed)), self.search.folds.in_first(joined)
+        nats, first = self.recorded.nats, self.search.folds.in_first(self.search.joined)
         return nats if len(self.search.parts) == 1 else np.concatenate([nats[first], nats[~first]])
 
     @cached_property
     def _on_simulation(self) -> float:
         """What the pool gains on the simulation beyond its own law, nats per ping."""
-        simulated = self.search.simulated
-        if simulated is None:
+        forest = self.simulated
+        if forest is None:
             return 0.0
-        forest = crossed_log_prob(simulated, np.random.default_rng(self.seed))
-        return float(pool_gain(log_likelihood(self.search.common, simulated), forest).mean())
+        return float(pool_gain(log_likelihood(self.search.common, forest.batch), forest.nats).mean())
 
 
 def pool_gain(law: Floats, other: Floats) -> Floats:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from acquisition.arrays import Floats
+from noise.discrepancy.baseline.forest import MAX_PINGS
 from noise.discrepancy.name.candidates import (
     at_bound,
     candidate_names,
@@ -35,7 +36,7 @@ from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
-SCREEN_PINGS, FOLD_PINGS, SIMULATED_PINGS = 800, 2000, 2000
+SCREEN_PINGS, SIMULATED_PINGS = 800, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED = 6  # candidates that are fitted, and cross-fitted unless they are far behind, in a round
@@ -83,7 +84,7 @@ class Search:
     def __post_init__(self) -> None:
         """Thin the readings by visit, and restrict periods to those that the sampling resolves."""
         self.common = self._familiar(with_sampled_bounds(self.common, self.folds.both))
-        self.joined = self.folds.both.thin(2 * FOLD_PINGS)
+        self.joined = self.folds.both.thin(MAX_PINGS)
         if self.simulated is not None:
             self.joined = with_simulated_offset(self.joined, self.common, self.simulated)
             self.simulated = self.simulated.thin(SIMULATED_PINGS)

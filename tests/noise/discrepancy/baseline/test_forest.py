@@ -5,7 +5,7 @@ import pytest
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
-from noise.discrepancy.baseline.forest import AnalogueForest, crossed_log_prob, grown
+from noise.discrepancy.baseline.forest import AnalogueForest, grown
 from noise.discrepancy.baseline.forest_law import LEVELS, quantiles
 from noise.discrepancy.baseline.trees import order_in_visit
 from noise.fitting.batch import Batch
@@ -164,7 +164,7 @@ def test_a_damaged_tree_is_a_clear_error(forest, part, value):
 def test_cross_fitted_scores_are_those_of_unseen_visits(batch, forest):
     rng = np.random.default_rng
     crossed, new = grown(batch, rng(0)).crps, step_in_reflectance(3)
-    assert crossed.shape == crossed_log_prob(batch, rng(0)).shape == (len(batch),)
+    assert crossed.shape == grown(batch, rng(0)).nats.shape == (len(batch),)
     fresh = crps_with_silence(forest.law(new.ping, new.past), new.reading, MAX_RANGE)
     assert np.mean(crossed) == pytest.approx(np.mean(fresh), rel=0.2)
 

@@ -48,5 +48,5 @@ def test_repeatability_is_the_mean_score_of_each_reading_by_the_others(value):
 def test_what_a_model_misses_of_a_simulation_is_not_held_against_it():
     readings, elsewhere = batch_of({}, seed=1), batch_of({}, seed=2)
     crude = Simulation(model_of({"zero_offset": {"offset_m": 0.05}}), readings, (0.05, 0.0))
-    assert not crude.is_beaten(elsewhere, crps_of_each(model_of(), elsewhere))
-    assert Simulation(crude.model, readings).is_beaten(elsewhere, crps_of_each(model_of(), elsewhere))
+    assert not crude.is_beaten((elsewhere, crps_of_each(model_of(), elsewhere)))
+    assert Simulation(crude.model, readings).is_beaten((elsewhere, crps_of_each(model_of(), elsewhere)))

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import Reading, Recording
+from noise.discrepancy.baseline.forest import grown
 from noise.discrepancy.evidence import FEATURES, Evidence
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.shares import Rest, pool_gain, shares
@@ -27,11 +28,17 @@ REST = Unexplained(Interval(0.1, 0.05, 0.2, "1"), PValue(0.001, 2000))
 CAUSE = Cause("zero_offset", 0.9, (), Interval(0.9, 0.8, 1.0, "1"), 100.0, 10.0, {}, "")
 
 
+def rest_of(search):
+    return Rest(search, grown(search.joined, np.random.default_rng(5)), None)
+
+
 def test_a_single_cause_explains_nearly_everything():
     batch = batch_of({"zero_offset": {"offset_m": 0.015}}, seed=4)
     search = Search(law_of(), Folds.of(batch, np.random.default_rng(4)), None, np.random.default_rng(4))
     none, found = search.run()
-    divided = shares(Rest(search, 5), none, found, np.random.default_rng(5))
+    divided = shares(
+        Rest(search, grown(search.joined, np.random.default_rng(5)), None), none, found, np.random.default_rng(5)
+    )
     share = divided.causes["zero_offset"]
     assert share.low <= share.value <= share.high
     assert share.value > 0.9
@@ -49,7 +56,9 @@ def test_most_of_a_misfit_that_the_effect_does_not_describe_is_the_rest():
     none = search.null()
     start = none.stacks[0].put([("clock_scale", "error")], [0.005])
     wrong = search.crossed(start, none, ("clock_scale",), own_scatter=False)
-    divided = shares(Rest(search, 5), none, wrong, np.random.default_rng(5))
+    divided = shares(
+        Rest(search, grown(search.joined, np.random.default_rng(5)), None), none, wrong, np.random.default_rng(5)
+    )
     assert divided.rest.value > 0.5
 
 
