@@ -76,17 +76,27 @@ def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stac
     """Return a law with its smooth correction by condition, and the nuisance parameters fitted beside it.
 
     What the physics misses at a position looks like scatter of placements. Where the correction explains it, the
-    scatter becomes smaller, and the correction is learned again with that.
+    scatter becomes smaller, and the correction is learned again with that. Of all these laws the one is returned that
+    predicts conditions best which its correction was not fitted to.
     """
     batch = learner_pings(readings)
+    few = batch.thin(PHYSICS_PINGS)
     first = _corrected(stack, batch, rng)
-    fitted = maximise(first, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
-    if fitted.get(PLACEMENT) > NARROWED * stack.get(PLACEMENT):
-        return maximise(first, SHARED, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS).stack
-    again = stack.at({key: fitted.get(key) for key in NUISANCES})
-    return maximise(
-        _corrected(again, batch, rng), NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS
-    ).stack
+    if first.left_out is None:
+        return stack
+    laws = [stack, maximise(first, SHARED, few, ITERATIONS, MIN_GAIN_NATS).stack]
+    fitted = maximise(first, NUISANCES, few, ITERATIONS, MIN_GAIN_NATS).stack
+    if fitted.get(PLACEMENT) <= NARROWED * stack.get(PLACEMENT):
+        again = _corrected(stack.at({key: fitted.get(key) for key in NUISANCES}), batch, rng)
+        laws.append(maximise(again, NUISANCES, few, ITERATIONS, MIN_GAIN_NATS).stack)
+    return max(laws, key=lambda law: crossed_log_likelihood(law, batch))
+
+
+def crossed_log_likelihood(law: Stack, batch: Batch) -> float:
+    """Return the log-likelihood of readings, nats, each under the correction that was fitted without its condition."""
+    part = np.full(len(batch), -1) if law.left_out is None else law.left_out.of(batch)
+    parts = [(law.without_part(int(k)), batch.select(part == k)) for k in np.unique(part)]
+    return float(sum(log_likelihood(each, rows).sum() for each, rows in parts))
 
 
 def _corrected(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stack:
