@@ -5,7 +5,7 @@ import pytest
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import GaussianModel, IdealModel, load_model, save_model
-from noise.discrepancy.baseline.emulator import empirical_term
+from noise.discrepancy.baseline.emulator import base_physics, crossed_log_likelihood, empirical_term, with_smooth
 from noise.discrepancy.baseline.sources import asked, baseline_of
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
@@ -16,6 +16,7 @@ from noise.fitting.stack import NUISANCES, Stack
 from noise.fitting.starts import nuisance_start
 from noise.metrics import crps_with_silence
 from noise.physical import PhysicalModel
+from tests.noise.discrepancy.made import batch_of, recording_of
 
 SONAR = PhysicalModel(
     [
@@ -135,3 +136,28 @@ def test_a_drift_without_a_name_becomes_an_empirical_term_of_time():
     assert found.terms
     assert isinstance(found.terms[0], Empirical)
     assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > 50.0
+
+
+def test_rare_silence_of_strong_echoes_is_not_taken_for_a_threshold():
+    loud = {"sensitivity": {"loss_db": 0.0}, "dropped_reading": {"probability": 0.02}}
+    readings = recording_of(loud, seed=5, visits=12, pings=100)
+    found = baseline_of(IdealModel(), readings, readings, np.random.default_rng(0)).emulator
+    new = recording_of(loud, seed=6).ping
+    assert np.abs(found.law(new).echo - 0.98).max() < 0.03
+
+
+def test_a_smooth_correction_never_predicts_conditions_left_out_worse_than_no_correction():
+    rng = np.random.default_rng(0)
+    readings = batch_of({"multipath": {"presence": 0.5}}, seed=0, visits=40, pings=8)
+    physics = base_physics(readings, rng)
+    smooth = with_smooth(physics, readings, rng)
+    assert crossed_log_likelihood(smooth, readings) >= crossed_log_likelihood(physics, readings)
+
+
+def test_who_is_heard_is_learned_from_a_few_dozen_positions():
+    deaf = {"sensitivity": {"loss_db": 40.0}, "specular_loss": {"strength": 1.4}, "reflectance_loss": {"strength": 0.1}}
+    readings = recording_of(deaf, seed=7, visits=40, pings=10)
+    found = baseline_of(IdealModel(), readings, readings, np.random.default_rng(0)).emulator
+    new = recording_of(deaf, seed=8)
+    right = np.where(new.reading.echo, found.law(new.ping).echo, 1.0 - found.law(new.ping).echo)
+    assert right.mean() > 0.9

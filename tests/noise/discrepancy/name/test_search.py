@@ -100,6 +100,19 @@ def test_the_interval_holds_the_truth():
     assert known.high - known.low < 0.004
 
 
+def test_lost_readings_are_those_that_the_simulation_does_not_lose():
+    few, more = ({"dropped_reading": {"probability": p}} for p in (0.05, 0.15))
+    common = law_of().put([("dropped_reading", "probability")], [0.05])
+    folds = Folds.of(batch_of(more, seed=1), np.random.default_rng(0))
+    search = Search(common, folds, batch_of(few, seed=2), np.random.default_rng(0))
+    none = search.null()
+    start = none.stacks[0].put([("dropped_reading", "probability")], [0.1])
+    found = search.crossed(start, none, ("dropped_reading",), own_scatter=False)
+    known = intervals(search, conclude(search, found))[("dropped_reading", "probability")]
+    assert known.low < 0.10 < known.high
+    assert known.high < 0.15
+
+
 def test_no_period_is_sought_that_sampling_cannot_resolve():
     batch = batch_of(visits=40, pings=1, wait_s=600.0)
     low, high = resolved_periods(batch)
