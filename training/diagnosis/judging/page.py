@@ -55,13 +55,15 @@ def judged(records: Records, left_out: Sequence[str]) -> Judged:
 
 def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
     """Return the page; `heading` holds commit, command line and counts."""
-    missed = [(name, row) for name, found in content.scopes.items() for row in found if row.hit is False]
+    first = list(content.scopes.items())[:2]
+    missed = [(name, row) for name, found in first for row in found if row.hit is False]
     parts = ["# The diagnosis, measured\n", heading, "", NOTES, "", "## Misses", ""]
     parts.append(markdown_table(("trials", *HEADER), ((name, *_cells(row)) for name, row in missed)))
-    for name, found in list(content.scopes.items())[:2]:
+    for name, found in first:
         title = f"{name} ({', '.join(left_out)})" if name == "left out of the fit" else name
         parts += ["", f"## Targets: {title}", "", markdown_table(HEADER, map(_cells, found))]
     parts += ["", "## Each family", "", _by_family(content), "", "## Hard cases", "", _special_table(content.special)]
+    parts += ["", "## Halves of real recordings", "", _real_table(content.special)]
     return "\n".join(parts) + "\n"
 
 
@@ -108,7 +110,29 @@ def _special_table(records: Iterable[Record]) -> str:
     records = sorted(records, key=is_right)
     counts = Counter((record["family"], is_right(record)) for record in records)
     totals = [f"{name}: {counts[name, True]} right, {counts[name, False]} wrong" for name in (HARD_CASE, REAL, TIMED)]
-    return "; ".join(totals) + "\n\n" + markdown_table(header, map(_line, records))
+    lines = [_line(record) for record in records if record["family"] != REAL]
+    return "; ".join(totals) + "\n\n" + markdown_table(header, lines)
+
+
+def _real_table(records: Iterable[Record]) -> str:
+    """Return a row for each recording and a column for each change that was planted on one of its halves."""
+    split = {tuple(r["kind"].rsplit(": ", 1)): r for r in records if r["family"] == REAL}
+    changes = list(dict.fromkeys(change for _, change in split))
+    rows = [
+        (name, *(_answer(split[name, change]) if (name, change) in split else "–" for change in changes))
+        for name in dict.fromkeys(name for name, _ in split)
+    ]
+    return markdown_table(("recording", *changes), rows) if rows else "None was there."
+
+
+def _answer(record: Record) -> str:
+    """Return "right", or what is wrong: the verdict, and the causes with their probabilities."""
+    if is_right(record):
+        return "right"
+    if record["error"] is not None:
+        return "**error**"
+    named = ", ".join(f"{name} {probability:.2f}" for name, probability in stated(record))
+    return f"**{record['verdict']['verdict']}** {named}".strip()
 
 
 def _line(record: Record) -> tuple[str, ...]:

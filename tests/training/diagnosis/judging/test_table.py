@@ -109,6 +109,14 @@ def test_the_page_prints_misses_first_and_families_left_out_apart(record):
     assert (lead["beam"]["hit"], lead["fixed"]["hit"], lead["left out of the fit"]["hit"]) == (True, False, False)
 
 
+def test_a_real_recording_is_a_row_and_each_change_of_a_half_a_column(record):
+    as_it_is = record("real", kind="box: as it is", causes=())
+    moved = record("real", kind="box: +12 mm")
+    page = markdown(judged([record(), moved, as_it_is], ()), "made by x", ())
+    assert "| recording | +12 mm | as it is |" in page
+    assert "| box | right | **explained** zero_offset" in page
+
+
 def test_a_hard_case_is_right_without_a_second_cause(record):
     assert is_right(record("real"))
     assert not is_right(record("real", named=[cause(), cause("spike", 0.6, 0.05)]))
