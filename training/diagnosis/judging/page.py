@@ -1,4 +1,4 @@
-"""The page of targets: misses first, then all rows, each family, and the hard cases; as Markdown and as JSON."""
+"""The page of targets: misses first, then all rows by family, and the hard cases; as Markdown and as JSON."""
 
 from __future__ import annotations
 
@@ -59,12 +59,20 @@ def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
     missed = [(name, row) for name, found in first for row in found if row.hit is False]
     parts = ["# The diagnosis, measured\n", heading, "", NOTES, "", "## Misses", ""]
     parts.append(markdown_table(("trials", *HEADER), ((name, *_cells(row)) for name, row in missed)))
-    for name, found in first:
-        title = f"{name} ({', '.join(left_out)})" if name == "left out of the fit" else name
-        parts += ["", f"## Targets: {title}", "", markdown_table(HEADER, map(_cells, found))]
-    parts += ["", "## Each family", "", _by_family(content), "", "## Hard cases", "", _special_table(content.special)]
+    parts += [
+        "",
+        "## Targets",
+        "",
+        f"Left out of the fit: {', '.join(left_out)}. In brackets the number of values.",
+        "",
+    ]
+    parts += [_by_scope(content), "", "## Hard cases", "", _special_table(content.special)]
     parts += ["", "## Halves of real recordings", "", _real_table(content.special)]
     return "\n".join(parts) + "\n"
+
+
+def _left_out(families: Sequence[str]) -> str:
+    return f"Left out of the fit: {', '.join(families)}. In brackets the number of values."
 
 
 def as_json(content: Judged) -> dict[str, Any]:
@@ -77,14 +85,11 @@ def _cells(row: Row) -> tuple[str, ...]:
     return row.metric, row.aim, row.number(row.value), span if row.low == row.low else "–", f"{row.n:,}", row.met
 
 
-def _by_family(content: Judged) -> str:
-    families = [name for name in content.scopes if name not in ("all families", "left out of the fit")]
-    first = content.scopes.get("all families", [])
-    lines = [
-        (row.metric, row.aim, *(_brief(content.scopes[family][k]) for family in families))
-        for k, row in enumerate(first)
-    ]
-    return markdown_table(("metric", "target", *families), lines)
+def _by_scope(content: Judged) -> str:
+    scopes = content.scopes
+    first = scopes.get("all families", [])
+    lines = [(row.metric, row.aim, *(_brief(found[k]) for found in scopes.values())) for k, row in enumerate(first)]
+    return markdown_table(("metric", "target", *scopes), lines)
 
 
 def _brief(row: Row) -> str:
