@@ -112,6 +112,7 @@ class Effect(ABC):
     localised: ClassVar[bool] = False  # whether it changes some visits or pings clearly and leaves the others unchanged
     by_ping: ClassVar[bool] = False  # whether it affects single pings independently of their condition
     coarsest_step_m: ClassVar[float] = math.inf  # not observable with a register of coarser steps
+    fixed_range: ClassVar[str] = ""  # the parameter that is a reading regardless of the target; "" for none
     confused_with: ClassVar[tuple[str, ...]] = ()  # effects that fit the same readings while it is `ambiguous`
 
     def __init__(self, **values: float | Tensor) -> None:

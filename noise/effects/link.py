@@ -96,6 +96,7 @@ class Stuck(Effect):
     """
 
     name = "stuck"
+    fixed_range = "value_m"
     stage = Stage.SEQUENCE
     localised = True
     by_ping = True

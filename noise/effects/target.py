@@ -179,6 +179,7 @@ class FixedClutter(Effect):
     """Another object in the room gives an echo at `range_m`, regardless of the position of the reflector."""
 
     name = "fixed_clutter"
+    fixed_range = "range_m"
     stage = Stage.PATHS
     localised = True
     summary = "Another object in the room is read at a fixed range"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import softmax
 
-from noise.discrepancy.name.candidates import at_bound
+from noise.discrepancy.name.candidates import explains_nothing
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
@@ -56,7 +56,7 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     inside = {
         other: fit
         for other, fit in fits.items()
-        if not any(at_bound(stack, search.common, other, search.folds.both) for stack in fit.stacks)
+        if not any(explains_nothing(stack, search.common, other, search.folds.both) for stack in fit.stacks)
     }
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)

@@ -19,8 +19,8 @@ import numpy as np
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS
 from noise.discrepancy.name.candidates import (
-    at_bound,
     candidate_names,
+    explains_nothing,
     keys_of,
     log_prior,
     starts_of,
@@ -295,7 +295,9 @@ class Search:
         good = {}
         for name, gain in gains.items():
             value = tried[name].value - current.value
-            inside = not any(at_bound(stack, self.common, name, self.folds.both) for stack in tried[name].stacks)
+            inside = not any(
+                explains_nothing(stack, self.common, name, self.folds.both) for stack in tried[name].stacks
+            )
             repeated = not current.effects or gain.sum() > 2.0 * standard_error(gain)
             if inside and value > self.worthwhile(current) and repeated:
                 good[name] = value

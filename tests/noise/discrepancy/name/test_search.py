@@ -5,7 +5,14 @@ import pytest
 import torch
 
 from noise.discrepancy.name.alternatives import place_of, weights
-from noise.discrepancy.name.candidates import at_bound, resolved_periods, sampled_bounds, shows, with_sampled_bounds
+from noise.discrepancy.name.candidates import (
+    at_bound,
+    explains_nothing,
+    resolved_periods,
+    sampled_bounds,
+    shows,
+    with_sampled_bounds,
+)
 from noise.discrepancy.name.estimates import conclude, intervals
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis
@@ -155,3 +162,15 @@ def test_an_error_that_the_simulation_has_at_the_same_position_is_expected():
     assert np.nanmedian(known) == pytest.approx(0.02, abs=0.003)
     elsewhere = with_simulated_offset(recorded, law_of(), batch_of(seed=4)).simulated_offset
     assert np.isnan(elsewhere).all()
+
+
+def test_a_reading_that_sticks_at_a_target_that_never_moves_is_the_target():
+    still = batch_of(visits=1, pings=50)
+    at = float(still.ping.distance[0])
+    stuck, cluttered = (
+        law_of().at({("stuck", "probability"): 0.4, ("stuck", "value_m"): at + 0.01}),
+        law_of().at({("fixed_clutter", "presence"): 0.4, ("fixed_clutter", "range_m"): at - 0.02}),
+    )
+    for stack, name in ((stuck, "stuck"), (cluttered, "fixed_clutter")):
+        assert explains_nothing(stack, law_of(), name, still)
+        assert not explains_nothing(stack, law_of(), name, batch_of(visits=20, pings=3))
