@@ -96,14 +96,16 @@ def test_no_gap_is_no_figure_and_a_correction_that_harms_is_below_zero(record):
 def test_the_page_prints_misses_first_and_families_left_out_apart(record):
     wrong = [record("fixed", number=k, named=[cause("spike")]) for k in range(5)]
     hard = record("hard", kind="forty_pings", causes=(), named=[])
-    content = judged([*[record(number=k) for k in range(5)], *wrong, hard], ("fixed", "driving"))
+    missed = record("hard", kind="ten_marks", causes=())
+    content = judged([*[record(number=k) for k in range(5)], *wrong, hard, missed], ("fixed", "driving"))
     page = markdown(content, "made by x", ("fixed", "driving"))
     assert (
         page.index("## Misses")
         < page.index("| left out of the fit | strong single: true cause")
         < page.index("## Targets")
     )
-    assert "| hard: forty_pings | 1,000 | none | none |" in page
+    assert "hard: 1 right, 1 wrong" in page
+    assert "| hard: ten_marks | 1,000 | none | explained |" in page
     plain = json.loads(json.dumps(as_json(content)))
     lead = {name: next(r for r in plain[name] if "true cause most" in r["metric"]) for name in plain}
     assert (lead["beam"]["hit"], lead["fixed"]["hit"], lead["left out of the fit"]["hit"]) == (True, False, False)
