@@ -7,6 +7,7 @@ leaves out one fold of the visits, so that the trees without a visit predict it 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -156,12 +157,12 @@ class Grown:
     batch: Batch
     crossed: EchoLaw
 
-    @property
+    @cached_property
     def crps(self) -> Floats:
         """CRPS of each reading, silence counted, by trees that saw no ping of its visit, m, (n,)."""
         return np.asarray(crps_with_silence(self.crossed, self.batch.reading, MAX_RANGE))
 
-    @property
+    @cached_property
     def nats(self) -> Floats:
         """Log probability of each reading by trees that saw no ping of its visit, nats, (n,), with a floor."""
         return floored_log_prob(self.crossed, self.batch)
