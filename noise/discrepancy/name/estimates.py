@@ -15,7 +15,6 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
 from noise.fitting.stack import NUISANCES, Key, Stack
 
-PROBABILITY = "probability"  # that a reading is replaced
 Z = float(norm.ppf(0.5 + LEVEL / 2.0))
 
 
@@ -55,7 +54,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
 
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
     the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, and the
-    probability of a replaced reading are those of the difference: what the law of the simulation has, and what its own
+    probability of lost readings are those of the difference: what the law of the simulation has, and what its own
     readings would add, are subtracted.
     """
     fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
@@ -78,7 +77,8 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
 def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
     """Return how far a parameter of a difference lies from its null value in the simulation, and the standard error."""
     p, effect = search.common.parameter(key), search.common.known[key[0]]
-    adds = p.low < p.null < p.high or (effect.by_ping and p.name == PROBABILITY and key[0] in search.common.values)
+    alone = effect.by_ping and len(effect.parameters) == 1 and key[0] in search.common.values
+    adds = p.low < p.null < p.high or alone  # with other parameters, the simulation may have another fault of the kind
     if search.simulated is None or not adds:
         return 0.0, 0.0
     fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
