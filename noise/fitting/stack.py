@@ -154,6 +154,11 @@ class Stack:
                 total = total - 0.5 * (torch.log(ratio) / FAMILIAR_SD) ** 2
         return total
 
+    def is_the_target(self, name: str, batch: Batch) -> bool:
+        """Return whether the fixed reading of an effect is that of the target in every ping: one that never moved."""
+        fixed = self.known[name].fixed_range
+        return bool(fixed) and bool(np.all(np.abs(self.get((name, fixed)) - batch.ping.distance) < batch.reach))
+
     def expected(self, batch: Batch) -> Floats:
         """Return the median of the law of each ping, m, (n,)."""
         return self.model.law(batch.ping, batch.past).quantile(0.5)

@@ -209,7 +209,8 @@ def screened(stack: Stack, names: Sequence[str], batch: Batch, rng: np.random.Ge
         starts = starting_points(stack, name, batch, rng, DESIGN)
         nats = log_likelihoods(starts, batch)
         out.append(Candidate(name, starts[int(np.argmax(nats))], float(nats.max()) - now))
-    return sorted((each for each in out if each.gain > 0.0), key=lambda each: -each.gain)
+    good = (each for each in out if each.gain > 0.0 and not each.stack.is_the_target(each.name, batch))
+    return sorted(good, key=lambda each: -each.gain)
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,13 +101,7 @@ def log_prior(stack: Stack, base: Stack, names: Sequence[str]) -> float:
 
 def explains_nothing(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
     """Return whether an effect needs a bound, or is no other than the target."""
-    return at_bound(stack, base, name, batch) or is_the_target(stack, name, batch)
-
-
-def is_the_target(stack: Stack, name: str, batch: Batch) -> bool:
-    """Return whether the fixed reading of an effect is that of the target in every ping: one that never moved."""
-    fixed = stack.known[name].fixed_range
-    return bool(fixed) and bool(np.all(np.abs(stack.get((name, fixed)) - batch.ping.distance) < batch.reach))
+    return at_bound(stack, base, name, batch) or stack.is_the_target(name, batch)
 
 
 def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
