@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from training.diagnosis.judging.record import Record
 
 STRONG_SIZE = 0.5  # half of "plain to see"
-STRONG_P = 0.001  # the test tells the two recordings apart beyond doubt
+STRONG_P = 0.002  # beyond doubt: three tests of 2,000 draws cannot give less than 0.0015
 STRONG_NATS = 15.0  # the design's definition, here of the CRPS on a fresh recording
 LEAST_SHARE = 0.1  # a wrong cause with a smaller share does little harm
 BELIEVED, PARTLY = 0.5, 0.3  # probability and share from which a wrong name of an unmodelled fault misleads
@@ -19,7 +19,7 @@ def true_ids(record: Record) -> set[str]:
 
 
 def is_strong(record: Record) -> bool:
-    """Return whether every cause is of half the plain size and the test has p < 0.001."""
+    """Return whether every cause is of half the plain size and the test leaves no doubt."""
     large = all(cause["size"] >= STRONG_SIZE for cause in record["causes"])
     return large and record["verdict"]["p_value"] < STRONG_P
 
