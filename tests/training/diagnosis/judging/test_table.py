@@ -6,6 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from noise.discrepancy.diagnose import any_of
+from noise.discrepancy.locate.orthogonal import DRAWS
+from noise.discrepancy.result import PValue
 from training.diagnosis.judging import scoring
 from training.diagnosis.judging.page import as_json, is_right, judged, markdown
 from training.diagnosis.judging.rows import rows, share
@@ -65,6 +68,11 @@ def test_the_most_probable_effect_counts_whether_cause_or_alternative(record):
     assert not scoring.leads(record(named=[cause(probability=0.4, spike=0.5)]))
     assert scoring.leads(record(causes=(SCALE,), named=[cause("spike", 0.4, sound_speed=0.5)]))
     assert not scoring.leads(record(named=[]))
+
+
+def test_the_clearest_difference_that_the_tests_can_show_is_strong(record):
+    clearest = PValue(1.0 / (DRAWS + 1), DRAWS, 100, 6)
+    assert scoring.is_strong(record(causes=(OFFSET,), p_value=any_of(clearest, clearest, clearest).value))
 
 
 def test_equivalent_ids_are_one_statement(record):
