@@ -21,6 +21,9 @@ from acquisition.brief import brief
 from acquisition.errors import SettingError
 from acquisition.limits import as_numbers, as_whole, shown
 
+TEMPERATURE = "temperature_c"  # covariate: a thermometer at the sensor, degC
+CELSIUS = 273.15  # K; 0 degC
+
 
 class EchoStatus(IntEnum):
     """Outcome of a ping."""

@@ -52,7 +52,7 @@ class BeamLaw(EchoLaw):
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
         z = np.asarray(z, dtype=np.float64)
-        return self.between(np.full(z.shape, -np.inf), z)
+        return self._between(np.full(z.shape, -np.inf), z)
 
     @property
     def no_answer(self) -> Floats:

@@ -28,8 +28,8 @@ from acquisition import ModelError, Ping, Reading, SettingError, previous
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
 from acquisition.limits import shown
+from acquisition.ping import TEMPERATURE
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
-from noise.effects.medium import TEMPERATURE
 from noise.effects.state import number
 from noise.faults import HasWeights
 from noise.law import EchoLaw
@@ -73,11 +73,11 @@ class LearnedPath(Path):
 
     def survival(self, z: Tensor) -> Tensor:
         """Return the survival function P(registered beyond z | echo)."""
-        return 1.0 - self._mean(self.law.arrival, z)
+        return 1.0 - self._mean(self.law._arrival, z)
 
     def between(self, low: Tensor, high: Tensor) -> Tensor:
         """Return P(registered in (low, high] | echo)."""
-        return self._mean(self.law.between, low, high)
+        return self._mean(self.law._between, low, high)
 
     def _mean(self, function: Callable[..., Floats], *edges: Tensor) -> Tensor:
         """Return the mean of a function of the law's own ranges over the delays, given an echo."""

@@ -108,11 +108,11 @@ class CalibratedLaw(ReplacedLaw):
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
-        return self.inner.arrival((np.asarray(z) - self.offset) / self.scale)
+        return self.inner._arrival((np.asarray(z) - self.offset) / self.scale)
 
     def between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high])."""
-        return self.inner.between((low - self.offset) / self.scale, (high - self.offset) / self.scale)
+        return self.inner._between((low - self.offset) / self.scale, (high - self.offset) / self.scale)
 
 
 @dataclass(frozen=True)
@@ -195,11 +195,11 @@ class FaultyLaw(EchoLaw):
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z)."""
-        return np.sum([rate * part.arrival(z) for rate, part in self._likely], axis=0)
+        return np.sum([rate * part._arrival(z) for rate, part in self._likely], axis=0)
 
     def between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high])."""
-        return np.sum([rate * part.between(low, high) for rate, part in self._likely], axis=0)
+        return np.sum([rate * part._between(low, high) for rate, part in self._likely], axis=0)
 
     @property
     def no_answer(self) -> Floats:
@@ -222,7 +222,7 @@ class FaultyLaw(EchoLaw):
             The readings, and the cause of each: 0 for no fault, k for the k-th fault, (n,).
         """
         cause = np.searchsorted(np.cumsum(self.rate)[:-1], rng.random(len(self)), side="right")
-        drawn = [part.sample(rng) for _, part in self._likely]
+        drawn = [part._sample(rng) for _, part in self._likely]
         value, status = np.zeros(len(self)), np.full(len(self), EchoStatus.NO_ECHO, dtype=np.uint8)
         for k, reading in zip(np.flatnonzero(self.rate > 0), drawn, strict=True):
             affected = cause == k

@@ -58,7 +58,8 @@ def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
 class EchoLaw(ABC):
     """Law of the readings of n pings.
 
-    The arguments of `arrival`, `between` and `sample` are checked in all subclasses.
+    A subclass defines `arrival`, and may define `between` and `sample`. Arguments are checked when these are called
+    from outside; laws call `_arrival`, `_between` and `_sample`, which are the same methods without the checks.
 
     Attributes:
         distance: true distances, m, (n,).
@@ -72,15 +73,16 @@ class EchoLaw(ABC):
 
     has_probabilities: bool = True
     uniform_per_ping: bool = True
+    _arrival: Callable[[Floats], Floats]
+    _between: Callable[[Floats, Floats], Floats]
+    _sample: Callable[[UniformSource], Reading]
 
     def __init_subclass__(cls) -> None:
-        """Guard what a subclass overrides; reset `uniform_per_ping` where it has a `sample` without a declaration."""
+        """Check arguments of what a subclass overrides; reset `uniform_per_ping` if its `sample` has no declaration."""
         super().__init_subclass__()
         if "sample" in vars(cls) and "uniform_per_ping" not in vars(cls):
             cls.uniform_per_ping = False
-        for name in ("arrival", "between", "sample"):
-            if name in vars(cls):
-                setattr(cls, name, _guarded(vars(cls)[name]))
+        _guard(cls)
 
     def __init__(self, distance: Floats, resolution: float, max_range: float) -> None:
         self.distance = distance
@@ -91,10 +93,9 @@ class EchoLaw(ABC):
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf is allowed."""
 
-    @_guarded
     def between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high]); subclasses may have exact tails."""
-        return np.maximum(self.arrival(high) - self.arrival(low), 0.0)
+        return np.maximum(self._arrival(high) - self._arrival(low), 0.0)
 
     @property
     @abstractmethod
@@ -113,7 +114,7 @@ class EchoLaw(ABC):
             raise SettingError(
                 f"{type(self).__name__}.{name} has shape {number.shape}, expected {(n,)} or (..., {n}): one per ping"
             )
-        return number if number.shape[-1:] == (n,) else np.broadcast_to(number, (*number.shape[:-1], n))
+        return number if number.shape[-1:] == (n,) else np.broadcast_to(number, (*number.shape[:-1], n)).copy()
 
     def _numbers(self, name: str, value: Any) -> Floats:
         number = as_numbers(f"{type(self).__name__}.{name}", value)
@@ -143,7 +144,7 @@ class EchoLaw(ABC):
     @property
     def echo(self) -> Floats:
         """P(an echo is registered), (n,)."""
-        return self.arrival(np.full(len(self), np.inf))
+        return self._arrival(np.full(len(self), np.inf))
 
     @property
     def no_echo(self) -> Floats:
@@ -157,18 +158,22 @@ class EchoLaw(ABC):
 
     def cdf_step(self, step: ArrayLike) -> Floats:
         """Return P(echo and register <= step), (n,) or (m, n); 0 for steps below 1."""
-        step = self._per_ping("cdf_step.step", step)
-        return np.where(step < 1, 0.0, self.arrival(self.edge(step)))
+        return self._cdf_step(self._per_ping("cdf_step.step", step))
+
+    def _cdf_step(self, step: Floats | Ints) -> Floats:
+        return np.where(step < 1, 0.0, self._arrival(self._edge(step)))
 
     def edge(self, step: ArrayLike) -> Floats:
         """Return the upper edge of a step as exact range, m; -inf below the first step, +inf from the last step on."""
-        step = self._per_ping("edge.step", step)
+        return self._edge(self._per_ping("edge.step", step))
+
+    def _edge(self, step: Floats | Ints) -> Floats:
         inside = (step + 0.5) * self.resolution
         return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
 
     def cdf(self, range_: ArrayLike) -> Floats:
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
-        return self.cdf_step(np.floor(self._per_ping("cdf.range_", range_) / self.resolution + 1e-9))
+        return self._cdf_step(np.floor(self._per_ping("cdf.range_", range_) / self.resolution + 1e-9))
 
     @checked
     def log_prob(self, reading: Reading) -> Floats:
@@ -177,11 +182,10 @@ class EchoLaw(ABC):
             raise SettingError(f"{type(self).__name__}.log_prob.reading: {len(reading)} readings of {len(self)} pings")
         step = self.step(reading.range)
         with np.errstate(divide="ignore"):
-            echo = np.log(self.between(self.edge(step - 1), self.edge(step)))
+            echo = np.log(self._between(self._edge(step - 1), self._edge(step)))
             table = np.stack([np.log(self.no_echo), echo, np.log(self.no_answer)])
         return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
 
-    @_guarded
     def sample(self, rng: UniformSource) -> Reading:
         """Draw a reading for each ping by inversion of the law on its grid, from one uniform number a ping."""
         u = rng.random(len(self))
@@ -207,14 +211,14 @@ class EchoLaw(ABC):
 
     def _cdf_rows(self, step: Ints) -> Floats:
         """Return `cdf_step` for any number of leading axes, (..., n)."""
-        return self.cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
+        return self._cdf_step(step.reshape(-1, len(self))).reshape(step.shape)
 
     @checked
     def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
         low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)
         high = np.floor((1 + tolerance) * self.distance / self.resolution + 1e-9).astype(np.int64)
-        below, upto = self.cdf_step(np.stack([low - 1, high]))
+        below, upto = self._cdf_step(np.stack([low - 1, high]))
         return np.minimum(np.maximum(upto - below, 0.0), 1.0)
 
     def quantile(self, p: ArrayLike) -> Floats:
@@ -223,3 +227,14 @@ class EchoLaw(ABC):
         if not np.all((share >= 0.0) & (share <= 1.0)):
             raise SettingError(f"{type(self).__name__}.quantile.p: expected numbers from 0 to 1, got {shown(p)}")
         return np.where(echo > 0, self._invert(share * echo * (1 - 1e-12)) * self.resolution, 0.0)
+
+
+def _guard(cls: type) -> None:
+    """Check the arguments of a law's methods; keep them without the checks for calls from within."""
+    for name in ("arrival", "between", "sample"):
+        if name in vars(cls):
+            setattr(cls, f"_{name}", vars(cls)[name])
+            setattr(cls, name, _guarded(vars(cls)[name]))
+
+
+_guard(EchoLaw)

@@ -156,7 +156,7 @@ class PhysicalLaw(EchoLaw):
             return np.log(np.maximum(self.probability_tensor(reading).numpy(), 0.0))
 
     def _edges(self, step: np.ndarray) -> Tensor:
-        return torch.from_numpy(np.clip(self.edge(step), -END, END))
+        return torch.from_numpy(np.clip(self._edge(step), -END, END))
 
     def arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at a range <= z)."""

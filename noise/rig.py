@@ -43,7 +43,7 @@ class RigLaw(EchoLaw):
     @property
     def no_answer(self) -> Floats:
         """Raise SampleOnlyError, as `arrival` does."""
-        return self.arrival(self.distance)
+        return self._arrival(self.distance)
 
     def sample(self, rng: UniformSource) -> Reading:
         """Simulate every ping once, independently of the others.

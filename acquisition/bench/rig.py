@@ -21,7 +21,7 @@ from acquisition.bench.visits import Visits
 from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
 from acquisition.brief import brief
 from acquisition.io.recording import Recording
-from acquisition.ping import Ping
+from acquisition.ping import TEMPERATURE, Ping
 
 Progress = Callable[[int, int], None]
 
@@ -91,7 +91,7 @@ class Rig:
     def _draw(self, ping: Ping, drift: Drift, lost: NDArray[np.bool_], rng: np.random.Generator) -> DrawnPings:
         """Draw all random quantities of n pings; `lost` marks those whose registers a reset has changed."""
         setup, deviation = self.setup, drift(ping.time)
-        temperature = ping.covariates.get("temperature_c", setup.temperature_c) + setup.drift_c * deviation
+        temperature = ping.covariates.get(TEMPERATURE, setup.temperature_c) + setup.drift_c * deviation
         humidity = ping.covariates.get("humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * deviation
         humidity = np.clip(humidity, 0.0, 100.0)
         noise_rms = self.unit.noise * _noise_factor(setup.ambient, ping, rng)
@@ -130,7 +130,7 @@ class Rig:
         """Return the logged covariates: temperature to 0.1 degC, humidity, gain and range gate."""
         n = len(ping)
         return {
-            "temperature_c": registers.temperature_c.round(1),
+            TEMPERATURE: registers.temperature_c.round(1),
             "humidity_pct": ping.covariates.get("humidity_pct", np.full(n, self.setup.humidity_pct)),
             "gain": np.full(n, float(self.setup.gain)),
             "range_mm": np.full(n, 43.0 * (self.setup.range_register + 1)),

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from acquisition.arrays import Floats
+from acquisition.ping import CELSIUS, TEMPERATURE
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.state import Path, State
 from noise.statistics import winsorised
 
 ASSUMED_SPEED = 344.83  # m/s; 58 us/cm, the constant of the HC-SR04 family and the working assumption for the SRF08
-CELSIUS = 273.15
 SPEED_AT_0C = 331.3  # m/s, dry air
 
 
@@ -28,7 +28,6 @@ ASSUMED_TEMPERATURE_C = CELSIUS * ((ASSUMED_SPEED / SPEED_AT_0C) ** 2 - 1.0)  # 
 
 AIR_SD_K = 0.5  # standard deviation of an unmeasured air temperature, a heated room: 0.5 to 1 K; chosen here
 AIR_SCALE_SD = 0.5 * AIR_SD_K / (CELSIUS + ASSUMED_TEMPERATURE_C)  # resulting relative error of distances
-TEMPERATURE = "temperature_c"  # covariate: a thermometer at the sensor, degC
 REFERENCE_C = 20.0  # logged temperature at which the air has the temperature `temperature_c`
 MAX_SCALE_ERROR = 0.1  # largest relative error of an echo of the target; chosen here
 N_PERIODS = 48  # number of periods in the search for an oscillation; chosen here

@@ -12,9 +12,9 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.ping import CELSIUS, TEMPERATURE
 
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
-TEMPERATURE, CELSIUS = "temperature_c", 273.15
 COMPARED_C = (-11.0, 46.0)  # degC; -10 to 45 degC with the drift of a room: training/noise/conditions.py
 LOG_OFFSET_M = 0.02  # m; added to the distance to limit the slope of its logarithm
 

@@ -156,6 +156,18 @@ def test_laws_of_one_uniform_number_a_ping_are_sampled_equally_in_one_batch_and_
             np.testing.assert_array_equal(together.status[rows], apart.status)
 
 
+@pytest.mark.parametrize("name", [name for name in SAMPLED if name != "rig"])
+def test_arguments_are_checked_once_where_a_law_is_called_from_outside(name, monkeypatch):
+    law = listener(SAMPLED[name]).law(Ping.of(distance=[0.2, 1.0], run=np.arange(2), time=0.0))
+    for check in ("_per_ping", "_source"):
+        own = getattr(EchoLaw, check)
+        monkeypatch.setattr(EchoLaw, check, lambda *given, own=own: checks.append(given) or own(*given))
+    for method, argument in (("arrival", 0.5), ("cdf", 0.5), ("quantile", 0.5), ("sample", np.random.default_rng(0))):
+        checks = []
+        getattr(law, method)(argument)
+        assert len(checks) == 1, (method, checks)
+
+
 def test_a_law_with_a_sampling_method_of_its_own_does_not_inherit_the_declaration():
     class Shuffled(EchoLaw):
         def sample(self, rng):

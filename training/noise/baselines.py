@@ -67,7 +67,7 @@ class NearestConditionLaw(EchoLaw):
             rows = self.nearest == condition
             share[..., rows] = np.searchsorted(self.model.error[condition], error[..., rows], side="right")
         share /= self.model.pings[self.nearest]
-        return (1.0 - self._weight) * share + self._weight * self.smooth.arrival(z)
+        return (1.0 - self._weight) * share + self._weight * self.smooth._arrival(z)
 
     @property
     def no_answer(self) -> Floats:

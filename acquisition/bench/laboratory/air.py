@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.ping import CELSIUS
 
-CELSIUS = 273.15
 PRESSURE = 101_325.0  # Pa
 CARBON_DIOXIDE = 4.0e-4  # mole fraction in a room
 CARRIER = 40e3  # Hz, carrier frequency of the SRF08's burst

@@ -14,7 +14,8 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Floats
-from training.diagnosis.generators.surveys import TEMPERATURE, WIDE, drawn_surveys
+from acquisition.ping import TEMPERATURE
+from training.diagnosis.generators.surveys import WIDE, drawn_surveys
 from training.diagnosis.generators.world import (
     FULL_SCALE_M,
     LINK_CAUSES,

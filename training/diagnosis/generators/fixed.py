@@ -10,8 +10,8 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Floats
+from acquisition.ping import TEMPERATURE
 from training.diagnosis.generators.beam import SPEED_C, changed, speed_ratio
-from training.diagnosis.generators.surveys import TEMPERATURE
 from training.diagnosis.generators.world import LINK_CAUSES, Cause, Family, Planted, Register, Rng, Surveys, World, sign
 
 STEP_S, DAY_S = 600.0, 86_400.0

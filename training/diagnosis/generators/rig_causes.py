@@ -10,8 +10,9 @@ import numpy as np
 from acquisition import Ping
 from acquisition.bench import Ambient, Neighbour, Post, Scatterer
 from acquisition.bench.laboratory.air import Drift
+from acquisition.ping import TEMPERATURE
 from training.diagnosis.generators.rig import RigSonar, another_day, draw_world
-from training.diagnosis.generators.surveys import TEMPERATURE, WIDE, drawn_surveys
+from training.diagnosis.generators.surveys import WIDE, drawn_surveys
 from training.diagnosis.generators.world import FULL_SCALE_M, LINK_CAUSES, Cause, Family, Planted, Rng, World, sign
 
 ZERO_C = 273.15

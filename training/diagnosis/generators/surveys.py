@@ -10,12 +10,12 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Floats, Ints
+from acquisition.ping import TEMPERATURE
 from training.diagnosis.generators.world import Rng, Surveys
 
 ORDERS = ("random", "distance", "reflectance", "boustrophedon")
 MAX_POSITIONS = 200  # of a survey; the rig computes each anew
 FRESH_SHARE = 3  # a fresh recording has a third of the pings
-TEMPERATURE = "temperature_c"
 WIDE = {"angle_deg": tuple(float(a) for a in range(-40, 41, 5))}  # a survey in which targets leave the beam
 
 
