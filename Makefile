@@ -42,14 +42,15 @@ figures: $(STAMP)  ## make the pictures of the docs again: effects, film, tutori
 release: $(STAMP)  ## check what a release needs: make release VERSION=0.2.0
 	PYTHON=$(BIN)/python .ci/release $(VERSION)
 
-check: $(STAMP)  ## lint, types and import contracts only
+check: $(STAMP)  ## lint, types, import contracts, and known vulnerabilities where the package index lists them
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
+	$(BIN)/python .ci/audit
 
 audit: $(STAMP)  ## known vulnerabilities of the pinned dependencies (needs the network), and their licences
-	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
+	$(BIN)/python .ci/audit
 	$(BIN)/pip-licenses --format markdown --order license
 
 fuzz: $(STAMP)  ## ten minutes of bad files, options and values; a failure prints what repeats it
