@@ -23,7 +23,7 @@ from sonar_gym.control.driver import ParkingDriver, run_episode
 from sonar_gym.parking.vector import SonarParkingVectorEnv, cores
 from sonar_gym.sb3 import SonarVecEnv
 
-SONARS = ("ideal", "gaussian", "srf08-mlp")
+SONARS = ("ideal", "gaussian", "srf08-mlp", "srf08-lstm")
 ROUNDS, STEPS, EPISODES = 12, 100, 100
 MANY, MANY_STEPS, MANY_ROUNDS = 1024, 30, 8
 Clock = Callable[[], float]
@@ -113,7 +113,7 @@ def test_speed_with_stable_baselines() -> None:
 
 def test_memory_of_an_environment() -> None:
     print("\n| sonar, layout | kB per environment |\n|---|---|")
-    for name, layout in (("ideal", "eight"), ("srf08-mlp", "eight"), ("gaussian", "eight in turn")):
+    for name, layout in [*((name, "eight") for name in SONARS), ("gaussian", "eight in turn")]:
         SonarParkingVectorEnv(1, sonar=name, sonar_layout=layout, threads=1).close()  # fills the caches of credence
         memory = []
         for count in (64, 64 + MANY):

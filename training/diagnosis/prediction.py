@@ -29,6 +29,8 @@ AXES = {
     "run": ("session", 1.0),
     "interval_s": ("time since the previous ping (ms)", 1000.0),
     "temperature_c": ("logged temperature (°C)", 1.0),
+    "humidity_pct": ("logged humidity (%)", 1.0),
+    "range_mm": ("maximum range (mm)", 1.0),
     "range_rate_mps": ("range rate (m/s)", 1.0),
 }
 SHARES = {

@@ -198,7 +198,16 @@ def _row(batch: Batch, k: int, logged: list[str], before: Prediction, after: Pre
         f"{ping.time[k]:.1f}",
         f"{1000 * ping.distance[k]:.0f}",
         f"{np.degrees(ping.angle[k]):.1f}",
-        *(f"{axis(name, batch)[1] * ping.covariates[name][k]:.4g}" for name in logged),
+        *(_four_digits(axis(name, batch)[1] * ping.covariates[name][k]) for name in logged),
         f"{1000 * batch.reading.range[k]:.0f}" if echo else "no echo",
         *(f"{1000 * each.median[k]:.0f}" if each.law.echo[k] > 0.5 else "no echo" for each in expected),
     ]
+
+
+def _four_digits(value: float) -> str:
+    """Return a number with four significant digits, without an exponent.
+
+    >>> _four_digits(20_000.3), _four_digits(0.012345)
+    ('20000', '0.01235')
+    """
+    return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-")

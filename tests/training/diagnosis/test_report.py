@@ -39,6 +39,12 @@ def test_a_page_is_one_file_without_scripts(pages, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_what_scrolls_can_be_reached_with_the_keyboard(pages, name):
+    scrolling = re.findall(r'<(?:pre|div class="scroll")[^>]*>', pages[name])
+    assert all('tabindex="0"' in tag for tag in scrolling)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_page_has_no_jargon_above_the_details_and_no_broken_text(pages, name):
     text = text_of(pages[name])
     above = text.split(" Details ")[0]
