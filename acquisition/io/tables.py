@@ -167,7 +167,8 @@ def parse_numbers(
 
 def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
     """Return the fields of CSV text as text; see `read_text_table`."""
-    table = _parsed(data, name, dialect, number_twins, dtype=str)
+    # as missing values, empty fields are also recognised behind a delimiter at the end of each row
+    table = _parsed(data, name, dialect, number_twins, dtype=str, na_values=[""]).fillna("")
     if dialect.decimal == ",":
         table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
     return table

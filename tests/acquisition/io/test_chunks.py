@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
@@ -58,6 +58,8 @@ def assert_same(one, other):
 
 @UNKNOWN_ENDINGS
 @given(data=csv_bytes())
+@example(b"distance_mm,angle_deg,reading_mm\n200,0,195,\n1280,9")
+@example(b"distance_mm,angle_deg,reading_mm\n200,0,195,7\n1280,9")
 def test_parsing_numbers_at_once_gives_what_their_text_gives(data):
     assert_same(outcome(lambda: read_columns(data, "x")), outcome(lambda: convert("x", parse_table(data, "x"))))
 
