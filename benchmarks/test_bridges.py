@@ -119,8 +119,10 @@ def test_readings_of_8_sonars_at_20_hz_are_on_time(tmp_path: Path) -> None:
                      "--latency-s", 0.04, "--duration-s", DURATION_S)  # fmt: skip
     subprocess.run(["unshare", "-rn", "sh", "-c", ROUTED, sys.executable, "-c", LISTEN, log, *sonars], check=True)
     table = np.loadtxt(log)
-    assert len(table) > 0.95 * DURATION_S * SONARS * RATE_HZ
+    share, shares = len(table) / (DURATION_S * SONARS * RATE_HZ), []
+    print(f"\n{share:.4f} of the readings; load {os.getloadavg()[1]:.1f}")
     for name, column in (("ping", 1), ("arrival", 2)):
         found = np.concatenate([jitter(table[table[:, 0] == k, column]) for k in range(SONARS)])
-        print(f"{name}: median {1e3 * np.median(found):.2f} ms, within 5 ms {np.mean(found <= MAX_JITTER_S):.4f}")
-        assert np.mean(found <= MAX_JITTER_S) >= SHARE
+        shares.append(np.mean(found <= MAX_JITTER_S))
+        print(f"{name}: median {1e3 * np.median(found):.2f} ms, within 5 ms {shares[-1]:.4f}")
+    assert min(share, *shares) >= SHARE
