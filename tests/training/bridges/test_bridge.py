@@ -37,14 +37,22 @@ def recording(tmp_path):
     return Recording.of(ping, reading, sensor="2").save(tmp_path / "recording.csv")
 
 
+def enable_interrupts():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell starts background jobs with SIGINT ignored
+
+
 def test_a_server_answers_until_it_is_interrupted():
-    with subprocess.Popen(command("serve", "ideal", "--port", 0), stdout=subprocess.PIPE, text=True) as server:
-        line = server.stdout.readline()
-        address = address_of(next(word.rstrip(";") for word in line.split() if word.startswith("tcp://")))
-        with SonarClient(*address) as client:
-            assert client.ask(Ping.of([1.25]))[0].range[0] == pytest.approx(1.25)
-        server.send_signal(signal.SIGINT)
-        assert server.wait(20) == 130
+    words = command("serve", "ideal", "--port", 0)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=enable_interrupts) as server:
+        try:
+            line = server.stdout.readline()
+            address = address_of(next(word.rstrip(";") for word in line.split() if word.startswith("tcp://")))
+            with SonarClient(*address) as client:
+                assert client.ask(Ping.of([1.25]))[0].range[0] == pytest.approx(1.25)
+            server.send_signal(signal.SIGINT)
+            assert server.wait(20) == 130
+        finally:
+            server.kill()
 
 
 @pytest.mark.parametrize("simulator", ["webots", "gazebo"])
