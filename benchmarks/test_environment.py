@@ -75,6 +75,7 @@ def vector_step_seconds(envs: SonarParkingVectorEnv | SonarVecEnv, actions: np.n
     return (clock() - start) / actions[..., 0].size
 
 
+@pytest.mark.timeout(1800)
 def test_speed_of_a_vector_environment() -> None:
     reference = gymnasium.make("parking-v0")
     rng = np.random.default_rng(0)
