@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PYTHONS = [name for name in ("python3.11", "python3.13") if shutil.which(name)]
+
+
+def runs(python):
+    """Return whether an interpreter exists and runs; a version manager may leave names that do not."""
+    return shutil.which(python) is not None and subprocess.run([python, "-c", ""], capture_output=True).returncode == 0
+
+
+PYTHONS = [name for name in ("python3.11", "python3.13") if runs(name)]
 CORE = (
     "import sys; from training.cli import main; "
     "main(['record', '--driver', 'rig', '--pings', '1', '--out', 'rec.csv']); "
