@@ -49,6 +49,10 @@ GROUPS = {
         "verify-proof": ("proof.verify", "verify the ledger of such trials"),
         "judge": ("diagnosis.judging.command", "measure the diagnosis on labelled trials and on real recordings"),
         "transfer": ("agents.transfer", "train agents with several sonar models and test all of them in the rig"),
+        "leaderboard": (
+            "agents.leaderboard.command",
+            "score drivers on hard streets with damaged sonars",
+        ),
         "compare-noise": ("noise.compare", "score noise models and baselines on recordings of other sensors"),
         "compare-drivers": ("agents.compare_drivers", "park with ideal and noisy sonars, with and without credence"),
         "compare-optimizers": ("thesis.compare_optimizers", "train the thesis's networks and compare with its tables"),

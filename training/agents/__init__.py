@@ -4,6 +4,7 @@ train            train an agent by imitation and PPO (`sonar-gym train-agent`)
 imitation        the teacher, and imitation learning by dataset aggregation
 vec_env          vector environment of Stable-Baselines3 over several kinds of environment
 zoo              plain algorithms of Stable-Baselines3 with tuned settings (`sonar-gym zoo`)
+leaderboard      drivers on fixed streets with worn wheels and damaged sonars (`sonar-gym leaderboard`)
 sonars           sonars with faults, sonars that differ from the driver's assumption, sonars with a zero offset
 evaluate         success and collision rates on given streets (`sonar-gym evaluate-agent`)
 ship             save an agent with its card and scores (`sonar-gym ship-agent`)

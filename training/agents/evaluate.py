@@ -180,7 +180,7 @@ def _drive(
     """Drive some streets at once; finished cars are not stepped, since a rig is slow."""
     n = len(seeds)
     envs = SonarParkingVectorEnv(n, **settings)
-    envs.fleet.sonar.batched |= pooled
+    envs.fleet.sonar.law.batched |= pooled
     envs.reset(seed=seeds)
     pool.reset(np.arange(n))
     fleet, score, rows = envs.fleet, np.zeros(n), np.arange(n)

@@ -1,4 +1,4 @@
-"""Sonars with faults, sonars that differ from the driver's assumption, and sonars with a zero offset."""
+"""Sonars with faults, sonars that differ from the driver's assumption, and a zero offset, a loose contact."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from acquisition import Ping, Reading
+from acquisition import EchoStatus, Ping, Reading
+from acquisition.arrays import Bits, Ints
+from acquisition.errors import SampleOnlyError
 from noise import EchoLaw, SonarModel, load_model
 from noise.faults import Faulty, Noise, Short
 from noise.law import Floats, UniformSource
@@ -133,3 +135,69 @@ class ShiftedModel:
     def law(self, ping: Ping, past: Reading | None = None) -> ShiftedLaw:
         """Return the law of n pings."""
         return ShiftedLaw(self.model.law(replace(ping, distance=ping.distance + self.offset)), ping.distance)
+
+
+class LooseLaw(EchoLaw):
+    """Law of n pings of which some have arbitrary readings; it can only be sampled.
+
+    Args:
+        law: law of the other pings.
+        loose: whether the sonar of each ping has a loose contact, (n,).
+        source: number of the sonar of each ping, (n,); all paths of a ping have the same reading.
+        share: share of arbitrary readings.
+    """
+
+    has_probabilities = False
+
+    def __init__(self, law: EchoLaw, loose: Bits, source: Ints, share: float) -> None:
+        super().__init__(law.distance, law.resolution, law.max_range)
+        self.law, self.loose, self.source, self.share = law, loose, source, share
+
+    def arrival(self, z: Floats) -> Floats:
+        """Raise SampleOnlyError.
+
+        Raises:
+            SampleOnlyError: always.
+        """
+        raise SampleOnlyError("a sonar with a loose contact has no probabilities: draw readings with `sample(rng)`")
+
+    @property
+    def no_answer(self) -> Floats:
+        """Raise SampleOnlyError, as `arrival` does."""
+        return self.arrival(self.distance)
+
+    def sample(self, rng: UniformSource) -> Reading:
+        """Draw readings; those affected are uniform up to the maximum range."""
+        reading = self.law.sample(rng)
+        most = int(self.source.max(initial=-1)) + 1
+        chance, anything = rng.random(most), (1.0 - rng.random(most)) * self.max_range
+        affected = self.loose & (chance[self.source] < self.share)
+        steps = np.ceil(anything[self.source] / self.resolution) * self.resolution
+        status = np.where(affected, np.uint8(EchoStatus.ECHO), reading.status)
+        return Reading(np.where(affected, steps, reading.range), status)
+
+
+@dataclass(frozen=True)
+class LooseContact:
+    """A sonar model in which one sonar of each car has a loose contact: on car i that of number i modulo `sonars`.
+
+    Attributes:
+        model: model of all sonars.
+        share: share of arbitrary readings of that sonar, 0..1.
+        sonars: number of sonars of a car.
+    """
+
+    model: SonarModel
+    share: float
+    sonars: int
+    remembers: bool = False
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.model.resolution
+
+    def law(self, ping: Ping, past: Reading | None = None) -> LooseLaw:
+        """Return the law of n pings; their runs are the numbers of the sonars of all cars, car by car."""
+        loose = ping.run % self.sonars == (ping.run // self.sonars) % self.sonars
+        return LooseLaw(self.model.law(ping), loose, ping.run, self.share)

@@ -2,6 +2,7 @@
 
 canvas      one style for every figure
 checkpoint  state of an interrupted training
+checksum    SHA-256 of plain data and of files
 commit      version of the code that made a file
 progress    progress bars
 statistics  comparison of paired proportions

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import lzma
 import os
@@ -14,6 +13,7 @@ from typing import Any
 
 from acquisition import SonarError
 from acquisition.io.files import lock, read_limited, sync_folder
+from training.common.checksum import canonical, sha256
 
 MAX_LEDGER = 256 * 1024 * 1024  # bytes, decompressed; the last line of a longer one is cut short
 FIRST = "0" * 64  # stands for the hash of the line before the first
@@ -22,16 +22,6 @@ Line = dict[str, Any]
 
 class ProofError(SonarError):
     """A ledger is damaged, belongs to other settings, or is in use."""
-
-
-def canonical(content: Mapping[str, Any]) -> str:
-    """Return the only text of a content that a ledger may hold."""
-    return json.dumps(content, sort_keys=True, separators=(",", ":"))
-
-
-def sha256(data: str | bytes) -> str:
-    """Return the SHA-256 of text or bytes, 64 hexadecimal digits."""
-    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
 
 
 def linked(event: str, content: Mapping[str, Any], before: str) -> Line:

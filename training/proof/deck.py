@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from noise.discrepancy.judge.decision import WEIGHTS
+from training.common.checksum import sha256
 from training.common.commit import ROOT, commit
 from training.diagnosis.generators.ensemble import FAMILIES, PAIR, SAME, SIMULATOR, SINGLE, UNMODELLED, kinds_of
 from training.diagnosis.judging.command import LEFT_OUT
 from training.diagnosis.judging.tasks import HARD_CASE
-from training.proof.chain import sha256
 
 # shares of all trials, so that 300 hold 60 nulls, 60 unmodelled faults, and 42 pairs; single causes are the others
 SHARES = {SAME: 0.2, UNMODELLED: 0.2, PAIR: 0.14, SIMULATOR: 0.04}

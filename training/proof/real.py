@@ -11,8 +11,8 @@ from typing import Any
 import pandas as pd
 
 from acquisition import Recording
+from training.common.checksum import sha256
 from training.diagnosis.judging.real import READERS
-from training.proof.chain import sha256
 from training.proof.diagnosing import RECORDED, SIMULATED
 from training.proof.work import Diagnose, as_csv
 

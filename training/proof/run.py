@@ -19,10 +19,11 @@ from typing import Annotated, Any
 from acquisition.io.files import write_bytes
 from acquisition.io.places import Output, OutputFile, OutputFolder
 from acquisition.limits import Count, Limit, Workers
+from training.common.checksum import sha256
 from training.common.progress import bar
 from training.diagnosis.judging.tasks import Task, case_of
 from training.proof import real
-from training.proof.chain import Chain, ProofError, sha256
+from training.proof.chain import Chain, ProofError
 from training.proof.deck import cells_of, deck_of, hashes
 from training.proof.diagnosing import RECORDED, SIMULATED
 from training.proof.ledger import (

@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from acquisition import MissingExtraError
-from training.proof.chain import ProofError, canonical, sha256
+from training.common.checksum import canonical, sha256
+from training.proof.chain import ProofError
 
 try:
     from cryptography.exceptions import InvalidTag

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from tests.training.proof.conftest import args_of, run_stub, stub_diagnose
+from training.common.checksum import sha256
 from training.diagnosis.generators.ensemble import FAMILIES
 from training.diagnosis.judging.tasks import Task, case_of
 from training.proof import work
-from training.proof.chain import ProofError, load, parse, sha256
+from training.proof.chain import ProofError, load, parse
 from training.proof.deck import planned
 from training.proof.ledger import answers_of, lost_of
 from training.proof.run import LEDGER, Args, given, main, opened

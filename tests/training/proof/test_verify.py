@@ -6,7 +6,7 @@ import pytest
 
 from tests.training.proof.conftest import forged, stub_diagnose, stub_verdict
 from training.cli import main as cli
-from training.proof.chain import canonical
+from training.common.checksum import canonical
 from training.proof.ledger import answers_of
 from training.proof.page import PAGE, publish, table_of
 from training.proof.run import LEDGER

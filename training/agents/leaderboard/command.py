@@ -1,0 +1,70 @@
+"""Score a driver on fixed streets with the waveform rig, worn wheels and damaged sonars, and print the leaderboard.
+
+A driver is "scripted", the name or folder of an agent, the file of a model of Stable-Baselines3, or module:callable, a
+function from a number of cars to an object with the methods of `DriverPool`. Each row holds checksums of the driver,
+of all that defines the streets and of itself, which are verified before the table is printed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from acquisition import SettingError
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Loadable, OneOf
+from noise.fitting.threads import one_thread
+from training.agents.leaderboard.drivers import check_driver, digest_of, pool_by_name
+from training.agents.leaderboard.rows import read_rows, row_of, table, write_row
+from training.agents.leaderboard.tracks import drive_all
+from training.agents.zoo.settings import ALGORITHMS
+from training.common.commit import commit
+from training.common.progress import progress_bars
+
+Driver = Annotated[str, Loadable(check_driver)]
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym leaderboard`."""
+
+    driver: Annotated[Driver | None, tyro.conf.Positional] = None
+    """Driver to score; none: only verify and print the rows."""
+    name: str | None = None
+    """Name of its row; by default that of the driver."""
+    algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
+    """Algorithm of a model of Stable-Baselines3."""
+    out: OutputFolder = Path("runs/leaderboard")
+    """Folder of the rows, one file per driver."""
+
+    def __post_init__(self) -> None:
+        """Raise SettingError for a name that is no name of a file."""
+        if self.row_name in ("", ".", "..") or any(not (c.isalnum() or c in " ._+-") for c in self.row_name):
+            raise SettingError(f"--name {self.row_name!r}: expected letters, digits, spaces and ._+-")
+
+    @property
+    def row_name(self) -> str:
+        """Name of the row."""
+        return self.name if self.name is not None else Path(self.driver or "none").stem.replace(":", "-")
+
+
+def main(args: Args) -> None:
+    """Score the driver if one is given, and print the verified table."""
+    if args.driver is not None:
+        about = {
+            "name": args.row_name,
+            "driver": args.driver,
+            "algorithm": args.algorithm,
+            "driver_sha256": digest_of(args.driver),
+            "commit": commit(),
+        }
+        with one_thread(), progress_bars() as on_progress:
+            outcomes = drive_all(pool_by_name(args.driver, args.algorithm), on_progress)
+        write_row(args.out, row_of(about, outcomes))
+    rows = read_rows(args.out)
+    if not rows:
+        raise SettingError(f"{args.out}: no rows; give a driver to score")
+    print(table(rows))
