@@ -17,7 +17,11 @@ from training.agents.zoo.command import Args, Training, make_envs, parked
 from training.agents.zoo.settings import tuned
 from training.cli import main
 
-ROWS = [("ppo", env_id) for env_id in sonar_gym.ENVIRONMENTS] + [("sac", sonar_gym.GOAL_ENV_ID)]
+ROWS = [
+    *(("ppo", env_id) for env_id in sonar_gym.ENVIRONMENTS),
+    *(("ppo_lstm", env_id) for env_id in ("SonarParking-v0", "SonarParkingManoeuvre-v0")),
+    *((name, sonar_gym.GOAL_ENV_ID) for name in ("sac", "tqc")),
+]
 
 
 @pytest.mark.parametrize(("algorithm", "env_id"), ROWS)
@@ -56,14 +60,16 @@ def stop():
     ("algorithm", "env_id", "faster"),
     [
         ("ppo", "SonarParkingManoeuvre-v0", {"n_steps": 16, "batch_size": 256}),
+        ("ppo_lstm", "SonarParking-v0", {"n_steps": 8, "batch_size": 256, "n_epochs": 1}),
         ("sac", "SonarParkingGoal-v0", {"learning_starts": 400, "batch_size": 16, "buffer_size": 4000}),
+        ("tqc", "SonarParkingGoal-v0", {"learning_starts": 400, "batch_size": 16, "buffer_size": 4000}),
     ],
 )
 @one_thread()
 def test_an_interrupted_training_ends_with_the_same_model(tmp_path, algorithm, env_id, faster):
     settings = tuned(algorithm, env_id)
     settings = replace(settings, n_timesteps=8000, keywords={**settings.keywords, **faster})
-    steps = 3000 if algorithm == "ppo" else 1200
+    steps = 3000 if algorithm.startswith("ppo") else 1200
     whole = Training(Args(algorithm, tmp_path / "whole", env=env_id, steps=steps, seed=3), settings)
     whole.run()
     assert whole.leg >= 2
@@ -130,7 +136,7 @@ def test_the_test_counts_each_street_once(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["trpo"], "algorithm 'trpo': no such algorithm; expected ppo, sac"),
+        (["trpo"], "algorithm 'trpo': no such algorithm; expected ppo, ppo_lstm, sac, tqc"),
         (
             ["sac", "--env", "SonarParking-v0"],
             "sac has no settings for 'SonarParking-v0'; expected SonarParkingGoal-v0",

@@ -56,7 +56,7 @@ def main(args: Args) -> None:
     if args.driver is not None:
         about = {
             "name": args.row_name,
-            "driver": args.driver,
+            "driver": Path(args.driver).name,
             "algorithm": args.algorithm,
             "driver_sha256": digest_of(args.driver),
             "commit": commit(),

@@ -57,7 +57,7 @@ class Args:
     """Settings of `sonar-gym zoo`."""
 
     algorithm: Annotated[str, tyro.conf.Positional]
-    """Name of the algorithm: ppo, or sac with hindsight experience replay on the goal environment."""
+    """Name of the algorithm: ppo, ppo_lstm (recurrent), or sac and tqc with hindsight replay on the goal environment."""
     out: OutputFolder
     """Folder for model.zip, README.md, result.json and tensorboard/, and a checkpoint while training is unfinished."""
     env: str = sonar_gym.ENV_ID
@@ -199,7 +199,13 @@ def write(args: Args, settings: Tuned, model: BaseAlgorithm, rate: Rate, seconds
     write_text(args.out / RESULT, json.dumps(result, indent=2) + "\n")
     names = {name: getattr(value, "__name__", value) for name, value in settings.keywords.items()}
     names |= settings.callbacks
-    fields = {**result, "class_name": type(model).__name__, "rate": rate, "environments": settings.n_envs}
+    fields = {
+        **result,
+        "class_name": type(model).__name__,
+        "package": type(model).__module__.partition(".")[0],
+        "rate": rate,
+        "environments": settings.n_envs,
+    }
     fields["settings"] = "\n".join(f"- `{name}`: {value}" for name, value in names.items())
     write_text(args.out / README, Template(CARD.read_text(encoding="utf-8")).substitute(fields))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -14,7 +15,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from acquisition import SettingError
 from sonar_gym.curriculum import Curriculum
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "ppo_lstm": RecurrentPPO, "sac": SAC, "tqc": TQC}
 CLASSES = {"HerReplayBuffer": HerReplayBuffer}  # that a file names
 CALLBACKS: dict[str, type[BaseCallback]] = {"sonar_gym.curriculum.Curriculum": Curriculum}
 
