@@ -35,6 +35,7 @@ GROUPS = {
         "train-agent": ("agents.train", "train a parking agent with the sonar models you choose"),
         "evaluate-agent": ("agents.evaluate", "measure how often agents park in the same streets"),
         "zoo": ("agents.zoo.command", "train a plain algorithm with tuned settings and test it on unseen streets"),
+        "dataset": ("agents.dataset", "write episodes of drivers as datasets of Minari for offline learning"),
         "sweep": ("agents.sweep", "train agents with many seeds and settings on Ray Tune"),
         "effects": ("pages.effects", "list the effects that a diagnosis can name"),
         "view": ("pages.view", "show a folder of results as a page in the browser"),

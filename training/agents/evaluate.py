@@ -25,7 +25,7 @@ from noise.credence import wilson
 from noise.store import ModelName
 from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
 from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
-from sonar_gym.parking.fleet import MAX_STEPS, Observation
+from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
 from sonar_gym.parking.street import Difficulty
 from sonar_gym.parking.vector import SonarParkingVectorEnv
@@ -151,6 +151,7 @@ def evaluate(
     seeds: Sequence[int],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     pooled: bool = False,
+    watch: Callable[[Fleet, Ints], None] = lambda fleet, rows: None,
 ) -> Outcomes:
     """Drive one episode on the street of each seed.
 
@@ -161,12 +162,13 @@ def evaluate(
         on_progress: called with the number of finished episodes and their total.
         pooled: whether to draw the sonars of all cars at once, which is faster with a rig. The readings of a car then
             differ from those of the same car driven alone, but follow the same law.
+        watch: called after each step with the cars and the numbers of those that were stepped.
     """
     parts = []
     for begin in range(0, len(seeds), STREETS_AT_ONCE):
         some = list(seeds[begin : begin + STREETS_AT_ONCE])
         on_end = partial(_on_end, on_progress, begin, len(seeds))
-        parts.append(_drive(make_pool(len(some)), settings, some, pooled, on_end))
+        parts.append(_drive(make_pool(len(some)), settings, some, pooled, on_end, watch))
     return Outcomes.joined(parts)
 
 
@@ -175,7 +177,12 @@ def _on_end(on_progress: Callable[[int, int], None], before: int, total: int, en
 
 
 def _drive(
-    pool: DriverPool, settings: dict[str, Any], seeds: list[int], pooled: bool, on_end: Callable[[int], None]
+    pool: DriverPool,
+    settings: dict[str, Any],
+    seeds: list[int],
+    pooled: bool,
+    on_end: Callable[[int], None],
+    watch: Callable[[Fleet, Ints], None],
 ) -> Outcomes:
     """Drive some streets at once; finished cars are not stepped, since a rig is slow."""
     n = len(seeds)
@@ -188,6 +195,7 @@ def _drive(
         actions = pool.act(fleet.observation(rows), rows)
         fleet.step(rows, np.clip(actions.astype(np.float64), -1.0, 1.0))
         score[rows] += fleet.worlds.terms[rows].sum(axis=1)
+        watch(fleet, rows)
         rows = rows[~fleet.worlds.ended[rows].any(axis=1) & (fleet.worlds.steps[rows] < MAX_STEPS)]
         on_end(n - len(rows))
     envs.close()

@@ -13,9 +13,9 @@ from acquisition.errors import SampleOnlyError
 from noise import IdealModel, load_model
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.sb3 import SonarVecEnv
+from training.agents.drivers import ModelPool, load_zip, pool_by_name
 from training.agents.evaluate import ScriptedPool
 from training.agents.leaderboard import tracks
-from training.agents.leaderboard.drivers import ModelPool, load_zip, pool_by_name
 from training.agents.leaderboard.rows import read_row, read_rows, table
 from training.agents.leaderboard.tracks import TRACKS, OneDisplaced, Track, board_checksum
 from training.agents.sonars import LooseContact

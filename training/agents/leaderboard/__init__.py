@@ -2,6 +2,5 @@
 
 command  score a driver, and print the verified table (`sonar-gym leaderboard`)
 tracks   streets, damage and the checksum of all that defines them
-drivers  what can be scored: the scripted driver, agents, models of Stable-Baselines3, functions
 rows     the result of a driver in a file, with its checksum; the table
 """

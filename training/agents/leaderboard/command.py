@@ -15,16 +15,14 @@ import tyro
 
 from acquisition import SettingError
 from acquisition.io.places import OutputFolder
-from acquisition.limits import Loadable, OneOf
+from acquisition.limits import OneOf
 from noise.fitting.threads import one_thread
-from training.agents.leaderboard.drivers import check_driver, digest_of, pool_by_name
+from training.agents.drivers import Driver, digest_of, pool_by_name
 from training.agents.leaderboard.rows import read_rows, row_of, table, write_row
 from training.agents.leaderboard.tracks import drive_all
 from training.agents.zoo.settings import ALGORITHMS
 from training.common.commit import commit
 from training.common.progress import progress_bars
-
-Driver = Annotated[str, Loadable(check_driver)]
 
 
 @dataclass(frozen=True)

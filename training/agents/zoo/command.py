@@ -57,7 +57,7 @@ class Args:
     """Settings of `sonar-gym zoo`."""
 
     algorithm: Annotated[str, tyro.conf.Positional]
-    """Name of the algorithm: ppo, ppo_lstm (recurrent), or sac and tqc with hindsight replay on the goal environment."""
+    """Name of the algorithm: ppo, ppo_lstm (recurrent); sac and tqc with hindsight replay on the goal environment."""
     out: OutputFolder
     """Folder for model.zip, README.md, result.json and tensorboard/, and a checkpoint while training is unfinished."""
     env: str = sonar_gym.ENV_ID

@@ -1,4 +1,4 @@
-"""Drivers that a leaderboard scores, by their names.
+"""Drivers by their names.
 
 "scripted", the name or folder of an agent, the file of a model of Stable-Baselines3 (`model.zip`), or
 `module:callable`, a function from the number of cars to a `DriverPool`, as `training.agents.evaluate:ScriptedPool`.
@@ -14,7 +14,7 @@ import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 import sonar_gym
 from acquisition import ModelError, SettingError
 from acquisition.arrays import Ints, Singles
+from acquisition.limits import Loadable
 from sonar_gym.agent import DESCRIPTION, WEIGHTS, agent_names, load_policy
 from sonar_gym.parking.fleet import Observation
 from sonar_gym.sb3 import SonarVecEnv
@@ -154,3 +155,6 @@ def digest_of(name: str) -> str:
         return sha256_of_files([Path(name)])
     folder = WEIGHTS / name if name in agent_names() else Path(name)
     return sha256_of_files([folder / DESCRIPTION, folder / "weights.safetensors"])
+
+
+Driver = Annotated[str, Loadable(check_driver)]
