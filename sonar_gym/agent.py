@@ -41,6 +41,7 @@ class MemorySchema(Schema):
     ahead: Annotated[float, Limit(0.0, 5.0, "m")]
     coarse: Annotated[int, Limit(1, 1024)]
     credence: bool
+    echo: bool = True
 
 
 class AgentSchema(Schema):

@@ -56,6 +56,10 @@ GROUPS = {
         ),
         "compare-noise": ("noise.compare", "score noise models and baselines on recordings of other sensors"),
         "compare-drivers": ("agents.compare_drivers", "park with ideal and noisy sonars, with and without credence"),
+        "compare-observations": (
+            "agents.compare_observations",
+            "train agents with and without credence and echo flags, and test them in the rig",
+        ),
         "compare-optimizers": ("thesis.compare_optimizers", "train the thesis's networks and compare with its tables"),
         "compare-thesis": ("thesis.compare_thesis", "compare the rig with the networks published with the thesis"),
         "noise-report": ("noise.report", "write the page that compares all noise models"),

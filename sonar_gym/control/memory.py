@@ -45,6 +45,7 @@ class MemorySettings:
         behind, ahead: extent of the profiles from the rear axle, m.
         coarse: the left profile contains every `coarse`-th grid point.
         credence: whether credence is a feature and weights the profiles; if not, all echoes have equal weight.
+        echo: whether the memory knows which sonars received an echo; if not, no echo is an echo at the maximum range.
     """
 
     lags: int = 4
@@ -52,6 +53,7 @@ class MemorySettings:
     ahead: float = 0.5
     coarse: int = 4
     credence: bool = True
+    echo: bool = True
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid values."""
@@ -122,6 +124,7 @@ class ObservationMemory:
             observation: `ranges`, `credence`, `echo`, (r, s), and `ego`, (r, 7).
         """
         ranges, echo, ego = (np.asarray(observation[name]) for name in ("ranges", "echo", "ego"))
+        echo = echo if self.settings.echo else np.ones_like(echo)
         credence = np.asarray(observation["credence"]) if self.settings.credence else (echo > 0).astype(np.float32)
         metres = (ranges * MAX_RANGE).astype(np.float32)
         self._recent[rows, 1:] = self._recent[rows, :-1]

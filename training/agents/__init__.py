@@ -11,6 +11,7 @@ drivers          whatever drives, by name: scripted, agents, models of Stable-Ba
 dataset          episodes of drivers as datasets of Minari (`sonar-gym dataset`)
 ship             save an agent with its card and scores (`sonar-gym ship-agent`)
 compare_drivers  the scripted driver with and without credence (`sonar-gym compare-drivers`)
+compare_observations  agents with and without credence and echo flags (`sonar-gym compare-observations`)
 transfer         train with several sonars, test in the waveform rig (`sonar-gym transfer`)
 sweep            several seeds and settings on Ray Tune (`sonar-gym sweep`)
 rllib            the parking task for RLlib

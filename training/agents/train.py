@@ -74,6 +74,8 @@ class Args:
     """Initial learning rate of PPO; it decays linearly."""
     credence: bool = True
     """Whether the agent observes credence; without it all echoes have equal weight."""
+    echo: bool = True
+    """Whether the agent observes which sonars received an echo; without it, no echo is one at the maximum range."""
     seed: Seed = 0
     """The same seed gives the same agent."""
 
@@ -180,7 +182,7 @@ class Training:
     ) -> None:
         self.args, self.ppo, self._on_progress = args, ppo or PPOSettings(), on_progress
         self.imitation = ImitationSettings(**{**asdict(imitation or ImitationSettings()), "rounds": args.lessons})
-        self.memory = MemorySettings(credence=args.credence)
+        self.memory = MemorySettings(credence=args.credence, echo=args.echo)
         set_random_seed(_seeds(args.seed, 0)[1])
         self.envs = AgentVecEnv(args.num_envs, env_settings or args.env_settings, self.memory, args.repeat)
         self.model = make_model(args, self.envs, self.ppo)

@@ -5,6 +5,6 @@ checkpoint  state of an interrupted training
 checksum    SHA-256 of plain data and of files
 commit      version of the code that made a file
 progress    progress bars
-statistics  comparison of paired proportions
+statistics  comparison of paired proportions and of trained agents
 tables      Markdown tables
 """

@@ -1,13 +1,18 @@
-"""Comparison of two proportions that were measured on the same scenes."""
+"""Comparison of two proportions that were measured on the same scenes, and of trained agents.
+
+References:
+    Agarwal et al. (2021), "Deep reinforcement learning at the edge of the statistical precipice".
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, norm
+from scipy.stats import binomtest, bootstrap, norm, permutation_test, trim_mean
 
-from acquisition.arrays import Bits
+from acquisition.arrays import Bits, Floats
 
 CONFIDENCE = 0.95
 
@@ -63,3 +68,67 @@ class PairedComparison:
         """Return difference, interval (both in percentage points) and p-value."""
         low, high = self.interval
         return f"{100 * self.difference:+.1f} ({100 * low:+.1f} to {100 * high:+.1f}; p {self.p:.2g})"
+
+
+RESAMPLES = 5000
+
+
+def interquartile_mean(scores: Floats, axis: int = -1) -> Floats:
+    """Return the mean of the middle half of scores along an axis.
+
+    >>> float(interquartile_mean(np.array([0.0, 1.0, 2.0, 9.0])))
+    1.5
+    """
+    mean: Floats = trim_mean(scores, 0.25, axis=axis)
+    return mean
+
+
+def _more_often(first: Floats, second: Floats, axis: int = -1) -> Floats:
+    """Return P(a score of the second group exceeds one of the first), ties counted half."""
+    a, b = np.moveaxis(first, axis, -1)[..., :, None], np.moveaxis(second, axis, -1)[..., None, :]
+    share: Floats = (0.5 * ((b > a).mean((-2, -1)) + (b >= a).mean((-2, -1)))).astype(np.float64)
+    return share
+
+
+@dataclass(frozen=True)
+class AgentScores:
+    """Scores of the trained agents of one arm; the agent is the unit of all intervals.
+
+    Attributes:
+        scores: score of each agent on the same streets, (n,), n >= 2.
+    """
+
+    scores: Floats
+
+    @property
+    def centre(self) -> float:
+        """Interquartile mean."""
+        return float(interquartile_mean(self.scores))
+
+    def interval(self, rng: np.random.Generator) -> tuple[float, float]:
+        """Return the 95 % interval of the interquartile mean: percentile bootstrap over agents."""
+        return _interval((self.scores,), interquartile_mean, rng)
+
+    def exceeds(self, other: AgentScores, rng: np.random.Generator) -> tuple[float, tuple[float, float]]:
+        """Return P(an agent of this arm is better than one of another), and its 95 % interval over agents."""
+        pair = other.scores, self.scores
+        return float(_more_often(*pair)), _interval(pair, _more_often, rng)
+
+    def p(self, other: AgentScores, rng: np.random.Generator) -> float:
+        """Return the two-sided p-value of equal distributions: permutation of agents, difference of means."""
+        test = permutation_test(
+            (self.scores, other.scores),
+            lambda a, b, axis: np.mean(a, axis=axis) - np.mean(b, axis=axis),
+            vectorized=True,
+            rng=rng,
+        )
+        return float(test.pvalue)
+
+
+def _interval(groups: tuple[Floats, ...], statistic: Any, rng: np.random.Generator) -> tuple[float, float]:
+    if all(np.ptp(group) == 0.0 for group in groups):  # the bootstrap of a constant is that constant
+        value = float(statistic(*groups))
+        return value, value
+    settings: dict[str, Any] = {"vectorized": True, "method": "percentile", "n_resamples": RESAMPLES, "rng": rng}
+    limits = bootstrap(groups, statistic, confidence_level=CONFIDENCE, **settings).confidence_interval
+    return float(limits.low), float(limits.high)

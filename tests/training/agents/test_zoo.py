@@ -69,7 +69,7 @@ def stop():
 def test_an_interrupted_training_ends_with_the_same_model(tmp_path, algorithm, env_id, faster):
     settings = tuned(algorithm, env_id)
     settings = replace(settings, n_timesteps=8000, keywords={**settings.keywords, **faster})
-    steps = 3000 if algorithm.startswith("ppo") else 1200
+    steps = 3000 if algorithm.startswith("ppo") else 800
     whole = Training(Args(algorithm, tmp_path / "whole", env=env_id, steps=steps, seed=3), settings)
     whole.run()
     assert whole.leg >= 2

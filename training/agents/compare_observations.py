@@ -1,0 +1,124 @@
+"""Train agents that observe ranges only, with echo flags, with credence, or everything, and test them in the rig.
+
+All agents have the same algorithm (imitation), budget and streets; half of the cars have sonars with faults. The test
+is the track "hard" of the leaderboard: the waveform rig, worn wheels, one sonar displaced and one with a loose contact.
+The agent is the unit of all intervals. To continue an interrupted experiment, give the same command again.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+
+from acquisition.io.files import write_text
+from acquisition.io.places import OutputFolder
+from acquisition.limits import Limit, Seed, Workers
+from noise.fitting.threads import keep_one_thread, one_thread
+from sonar_gym.agent import load_policy
+from training.agents import train
+from training.agents.evaluate import pool_of
+from training.agents.leaderboard.tracks import TRACKS
+from training.common.progress import bar
+from training.common.statistics import AgentScores
+from training.common.tables import markdown_table
+
+ARMS = {  # what an agent observes besides ranges: credence, echo
+    "ranges": (False, False),
+    "ranges, echo": (False, True),
+    "ranges, credence": (True, False),
+    "everything": (True, True),
+}
+REFERENCE = "ranges, echo"  # what any real sonar gives
+HEADER = ("observed", "agents", "parked, interquartile mean", "each", f'better than "{REFERENCE}"', "p")
+
+
+@dataclass(frozen=True)
+class Args:
+    """Settings of `sonar-gym compare-observations`."""
+
+    out: OutputFolder = Path("runs/observations")
+    """Folder for agents and scores; files that exist are not made again."""
+    agents: Annotated[int, Limit(2, 1000)] = 10
+    """Number of agents of each arm."""
+    streets: Annotated[int, Limit(1, 64)] = 32
+    """Number of streets of the test, the same for all agents."""
+    lessons: Annotated[int, Limit(1, 1_000_000)] = 600
+    """Rounds of imitation of each agent."""
+    num_envs: Annotated[int, Limit(4, 65_536)] = 128
+    """Number of cars in training."""
+    workers: Workers = 2
+    """Number of processes."""
+    seed: Seed = 0
+    """Seed of the agents."""
+
+
+def folder_of(args: Args, arm: str, agent: int) -> Path:
+    """Return the folder of an agent."""
+    return args.out / f"{arm.replace(', ', '+')}-{agent}"
+
+
+def make(args: Args, arm: str, agent: int) -> None:
+    """Train one agent, or continue, and test it, unless its scores exist."""
+    folder = folder_of(args, arm, agent)
+    if (folder / "scores.csv").exists():
+        return
+    credence, echo = ARMS[arm]
+    settings = train.Args(
+        folder,
+        sonars=("srf08-mlp",),
+        odometry=("wheels",),
+        difficulty=("normal", "hard"),
+        lessons=args.lessons,
+        num_envs=args.num_envs,
+        credence=credence,
+        echo=echo,
+        seed=1000 * args.seed + agent,
+    )
+    train.train(settings)
+    track = replace(TRACKS["hard"], streets=args.streets)
+    with one_thread():
+        one = track.drive(pool_of(load_policy(folder / train.AGENT)), lambda done, total: None)
+    about = {"arm": arm, "agent": agent, "street": one.seeds, "success": one.success, "collision": one.collision}
+    write_text(folder / "scores.csv", pd.DataFrame(about).to_csv(index=False))
+
+
+def run(args: Args) -> pd.DataFrame:
+    """Run or continue the experiment, agent by agent of all arms; returns one episode per row."""
+    jobs = [(arm, agent) for agent, arm in product(range(args.agents), ARMS)]
+    with ProcessPoolExecutor(args.workers, initializer=keep_one_thread) as pool, bar("agents", len(jobs)) as update:
+        for k, done in enumerate(as_completed([pool.submit(make, args, *job) for job in jobs])):
+            done.result()
+            update(k + 1, len(jobs))
+    return pd.concat([pd.read_csv(folder_of(args, *job) / "scores.csv") for job in jobs], ignore_index=True)
+
+
+def table(results: pd.DataFrame) -> str:
+    """Return the results in Markdown; intervals at 95 % over agents."""
+    rates = results.groupby(["arm", "agent"])["success"].mean()
+    scores = {arm: AgentScores(rates[arm].to_numpy()) for arm in ARMS}
+    return markdown_table(HEADER, (_row(scores, arm, np.random.default_rng(0)) for arm in ARMS))
+
+
+def _row(scores: dict[str, AgentScores], arm: str, rng: np.random.Generator) -> tuple[object, ...]:
+    one, reference = scores[arm], scores[REFERENCE]
+    each = ", ".join(f"{100 * score:.0f}" for score in one.scores)
+    low, high = one.interval(rng)
+    centre = f"{100 * one.centre:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+    if arm == REFERENCE:
+        return arm, len(one.scores), centre, each, "", ""
+    better, (least, most) = one.exceeds(reference, rng)
+    odds = f"{100 * better:.0f} % ({100 * least:.0f} to {100 * most:.0f})"
+    return arm, len(one.scores), centre, each, odds, f"{one.p(reference, rng):.2g}"
+
+
+def main(args: Args) -> None:
+    """Run the experiment, print its table, and write table.md."""
+    text = table(run(args))
+    write_text(args.out / "table.md", text + "\n")
+    print(text)
