@@ -7,9 +7,9 @@ out=runs/agents
 python="${PYTHON:-.venv/bin/python}"
 run="$python -m training.cli"
 if [ "${1:-}" = quick ]; then
-    out=runs/agents-quick lessons=60 steps=1 episodes=20 ablation=20 streets=2 seeds=1
+    out=runs/agents-quick lessons=60 steps=1 episodes=20 ablation=2 agents=2 streets=2 seeds=1
 else
-    lessons=3000 steps=1000000 episodes=500 ablation=300 streets=30 seeds=3
+    lessons=3000 steps=1000000 episodes=500 ablation=32 agents=10 streets=30 seeds=3
 fi
 mkdir -p $out
 shipped="--odometry exact wheels --difficulty normal hard --lessons $lessons"
@@ -25,20 +25,9 @@ shipped_agent() {
     $run evaluate-agent --agent $drivers --sonars rig --believed srf08-mlp --episodes $((episodes * 2 / 5)) --out $out/rig.json
 }
 
-# agents with and without credence, with a faulty sonar; then agents trained with several sonars
+# agents with and without credence and echo flags; then agents trained with several sonars
 comparisons() {
-    $python -c "
-from noise import load_model, save_model
-from noise.faults import Faulty, Noise, Short
-save_model(Faulty(load_model('srf08-mlp'), [Short(0.15), Noise(0.15, 0.1)]), '$out/faulty')"
-    for seed in $(seq 0 $((seeds - 1))); do
-        for arm in credence no-credence; do
-            $run train-agent --out $out/$arm-$seed --$arm --sonars $out/faulty --no-faults --odometry wheels --seed "$seed" \
-                --lessons $((lessons / 5)) --hidden 128 64 --num-envs 128
-            $run evaluate-agent --agent $out/$arm-$seed/agent --sonars $out/faulty --odometry wheels --episodes $ablation \
-                --out $out/$arm-$seed.json
-        done
-    done
+    $run compare-observations --out $out/observations --agents $agents --lessons $((lessons / 5)) --streets $ablation --workers 1
     $run transfer --out $out/transfer --seeds $seeds --lessons $((lessons / 6)) --episodes $streets --workers 1
 }
 

@@ -76,6 +76,7 @@ def make(args: Args, arm: str, agent: int) -> None:
         difficulty=("normal", "hard"),
         lessons=args.lessons,
         num_envs=args.num_envs,
+        hidden=(128, 64),
         credence=credence,
         echo=echo,
         seed=1000 * args.seed + agent,

@@ -109,7 +109,7 @@ class Recorder:
         """Note the result of the last actions."""
         assert self._last is not None  # act comes first
         worlds = fleet.worlds
-        terminated: Bits = worlds.ended[rows].any(axis=1)
+        terminated: Bits = np.any(worlds.ended[rows], axis=1)
         truncated = ~terminated & (worlds.steps[rows] >= MAX_STEPS)
         reward: Floats = worlds.terms[rows].sum(axis=1)
         after = fleet.observation(rows)

@@ -54,7 +54,7 @@ class ModelPool:
     def act(self, observation: Observation, rows: Ints) -> Singles:
         """Return an action for each of some cars, (r, 2)."""
         state = None if self._state is None else tuple(part[:, rows] for part in self._state)
-        actions, after = self._model.predict(observation, state, self._begins[rows], deterministic=True)  # type: ignore[arg-type]
+        actions, after = self._model.predict(observation, state, self._begins[rows], deterministic=True)
         if after is not None:
             self._keep(after, rows)
         self._begins[rows] = False
@@ -112,7 +112,7 @@ def _function(name: str) -> Callable[[int], DriverPool]:
         sys.path.pop(0)
     if not callable(found):
         raise SettingError(f"driver {name!r}: is a {type(found).__name__}, expected a function of the number of cars")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def check_driver(name: str) -> None:

@@ -79,8 +79,7 @@ def interquartile_mean(scores: Floats, axis: int = -1) -> Floats:
     >>> float(interquartile_mean(np.array([0.0, 1.0, 2.0, 9.0])))
     1.5
     """
-    mean: Floats = trim_mean(scores, 0.25, axis=axis)
-    return mean
+    return np.asarray(trim_mean(scores, 0.25, axis=axis), dtype=np.float64)
 
 
 def _more_often(first: Floats, second: Floats, axis: int = -1) -> Floats:

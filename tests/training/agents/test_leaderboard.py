@@ -178,7 +178,7 @@ def test_the_checksum_depends_on_streets_damage_and_models(monkeypatch):
         (["no.such:thing"], "driver 'no.such:thing': cannot be imported"),
         (["training.agents.evaluate:FRAME_STEPS"], "is a int, expected a function of the number of cars"),
         (["nosuch.zip"], "nosuch.zip: is no file of a model"),
-        (["scripted", "--name", "../x"], "--name '../x': expected letters"),
+        (["scripted", "--name", "../x"], "--name '../x': it becomes a file: use letters"),
         ([], "no rows; give a driver to score"),
     ],
 )

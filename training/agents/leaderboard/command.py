@@ -41,7 +41,9 @@ class Args:
     def __post_init__(self) -> None:
         """Raise SettingError for a name that is no name of a file."""
         if self.row_name in ("", ".", "..") or any(not (c.isalnum() or c in " ._+-") for c in self.row_name):
-            raise SettingError(f"--name {self.row_name!r}: expected letters, digits, spaces and ._+-")
+            raise SettingError(
+                f"--name {self.row_name!r}: it becomes a file: use letters, digits, spaces, and . _ + - only"
+            )
 
     @property
     def row_name(self) -> str:

@@ -62,7 +62,7 @@ def row_of(about: Mapping[str, str], outcomes: Mapping[str, Outcomes]) -> Row:
 
 def write_row(folder: Path, row: Row) -> Path:
     """Write a row into a folder, under its name."""
-    return write_text(folder / f"{row['name']}.json", json.dumps(row, indent=1) + "\n")
+    return write_text(folder / f"{row['name'].replace(' ', '-')}.json", json.dumps(row, indent=1) + "\n")
 
 
 def read_row(path: Path, board: str) -> Row:

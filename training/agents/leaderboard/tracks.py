@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.arrays import Ints
+from acquisition.arrays import Bits
 from noise import load_model
 from noise.rig import SIMULATED
 from sonar_gym.parking.randomization import Drawn, Randomization
@@ -129,7 +129,7 @@ def drive_all(pool: Callable[[int], DriverPool], on_progress: Callable[[str, int
     }
 
 
-def digits(bits: Ints) -> str:
+def digits(bits: Bits) -> str:
     """Return bits as a text of 0 and 1.
 
     >>> digits(np.array([True, False]))
