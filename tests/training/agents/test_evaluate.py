@@ -7,11 +7,12 @@ import gymnasium
 import pytest
 
 from acquisition import SettingError
+from noise import GaussianModel, IdealModel
 from sonar_gym.agent import AgentDriver, load_policy
 from sonar_gym.control.driver import ParkingDriver, run_episode
 from training.agents.evaluate import Args, Rate, evaluate, pool_of
 from training.agents.ship import command
-from training.agents.sonars import mismatched
+from training.agents.sonars import MismatchedLaw, MismatchedModel, mismatched
 from training.cli import main
 
 
@@ -27,6 +28,18 @@ def test_many_cars_at_once_end_as_each_alone(name):
         assert (alone.success, alone.collision) == (outcomes.success[k], outcomes.collision[k])
         assert alone.steps == outcomes.steps[k]
         assert alone.score == pytest.approx(outcomes.score[k], abs=1e-4)
+
+
+def test_a_pooled_rig_is_sampled_once_for_all_cars(monkeypatch):
+    sizes = []
+    sample = MismatchedLaw.sample
+    monkeypatch.setattr(MismatchedLaw, "sample", lambda law, rng: (sizes.append(len(law)), sample(law, rng))[1])
+    sonar = MismatchedModel(IdealModel(), GaussianModel())
+    for pooled in (True, False):
+        sizes.clear()
+        outcomes = evaluate(pool_of("scripted"), {"sonar": sonar, "threads": 1}, [0, 1, 2], pooled=pooled)
+        steps = outcomes.steps + 1  # and the pings of the reset
+        assert len(sizes) == (steps.max() if pooled else steps.sum())
 
 
 def test_intervals_are_wilson_s():
