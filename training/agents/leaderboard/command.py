@@ -7,6 +7,7 @@ of all that defines the streets and of itself, which are verified before the tab
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +25,8 @@ from training.agents.zoo.settings import ALGORITHMS
 from training.common.commit import commit
 from training.common.progress import progress_bars
 
+NO_NAME = re.compile(r"[^\w .+-]")  # characters that a row's name cannot have
+
 
 @dataclass(frozen=True)
 class Args:
@@ -40,15 +43,15 @@ class Args:
 
     def __post_init__(self) -> None:
         """Raise SettingError for a name that is no name of a file."""
-        if self.row_name in ("", ".", "..") or any(not (c.isalnum() or c in " ._+-") for c in self.row_name):
+        if self.name is not None and (NO_NAME.search(self.name) or not self.name.strip(" .")):
             raise SettingError(
-                f"--name {self.row_name!r}: it becomes a file: use letters, digits, spaces, and . _ + - only"
+                f"--name {self.name!r}: it becomes a file: use letters, digits, spaces, and . _ + - only"
             )
 
     @property
     def row_name(self) -> str:
         """Name of the row."""
-        return self.name if self.name is not None else Path(self.driver or "none").stem.replace(":", "-")
+        return self.name if self.name is not None else NO_NAME.sub("-", Path(self.driver or "").stem)
 
 
 def main(args: Args) -> None:
