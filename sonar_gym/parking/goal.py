@@ -15,9 +15,9 @@ from acquisition.limits import as_numbers
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
 from sonar_gym.parking.street import Goal
 
-# Of x and y, m, of cosine and sine of the heading, and of a crash, which costs more than the discounted sum of all
-# later rewards at a discount of up to 0.95
-WEIGHTS = np.array([1.0, 1.0, 0.3, 0.3, 20.0])
+# Of x and y, m, of cosine and sine of the heading, and of a crash, which must cost more than waiting: 5 m from the goal
+# the discounted sum of all later rewards at a discount of 0.95 is -100
+WEIGHTS = np.array([1.0, 1.0, 0.3, 0.3, 100.0])
 
 
 class SonarParkingGoalEnv(SonarParkingEnv):
@@ -39,7 +39,7 @@ class SonarParkingGoalEnv(SonarParkingEnv):
     ## Rewards
 
     `compute_reward`: minus the weighted sum of the absolute differences of the two goals, without regard to `info`; a
-    collision, or leaving the street, counts 20. `info["reward_terms"]` holds the terms of `SonarParkingEnv`, which are
+    collision, or leaving the street, counts 100. `info["reward_terms"]` holds the terms of `SonarParkingEnv`, which are
     not used.
 
     Args:

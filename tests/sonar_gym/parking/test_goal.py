@@ -70,3 +70,13 @@ def test_hindsight_replay_trains_on_it():
 def test_a_reward_raises_an_error():
     with pytest.raises(SettingError, match=r"SonarParkingGoal-v0 takes no reward: its reward is the distance"):
         SonarParkingGoalEnv(reward={"parked": 1.0})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_crash_costs_more_than_waiting(seed):
+    env = SonarParkingGoalEnv()
+    first, _ = env.reset(seed=seed)
+    begin, goal, info = first["achieved_goal"], first["desired_goal"], {}
+    crashed = begin + np.array([0.0, 0.0, 0.0, 0.0, 1.0], dtype=np.float32)
+    discount = 0.95  # of the zoo's settings
+    assert env.compute_reward(crashed, goal, info) < env.compute_reward(begin, goal, info) / (1.0 - discount)
