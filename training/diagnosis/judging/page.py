@@ -14,10 +14,10 @@ from training.diagnosis.judging.scoring import STRONG_NATS, STRONG_P, STRONG_SIZ
 from training.diagnosis.judging.tasks import HARD_CASE, REAL, TIMED
 
 SECONDS = {2_000: 5.0, 10_000: 15.0, 133_100: 40.0}  # pings -> target of the design, s
-HEADER = ("metric", "target", "measured", "95 % interval", "n", "met")
 NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}.
 "{STRONG_NATS:g} nats apart" does not use the test: a second simulation describes a fresh recording worse than a second
-recording by so many nats. Shares have Wilson intervals, medians and percentiles bootstrap intervals. A gap is that
+recording by so many nats. In brackets: the number of values, and the 95 % interval (Wilson for shares, bootstrap for
+medians and percentiles). A gap is that
 between the simulation's own readings and a second recording in the same visits, in CRPS with silence counted, where it
 exceeds two standard errors; on unseen visits a forest of the recording stands for the second. Times are those of this
 run, beside other work. Not measured: the width of intervals relative to an oracle, and whether the next measurement
@@ -54,10 +54,8 @@ def judged(records: Records, left_out: Sequence[str]) -> Judged:
 
 def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
     """Return the page; `heading` holds commit, command line and counts."""
-    first = list(content.scopes.items())[:2]
-    missed = [(name, row) for name, found in first for row in found if row.hit is False]
     parts = ["# The diagnosis, measured\n", heading, "", NOTES, "", "## Misses", ""]
-    parts.append(markdown_table(("trials", *HEADER), ((name, *_cells(row)) for name, row in missed)))
+    parts.append(_misses(dict(list(content.scopes.items())[:2])))
     parts += [
         "",
         "## Targets",
@@ -71,7 +69,7 @@ def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
 
 
 def _left_out(families: Sequence[str]) -> str:
-    return f"Left out of the fit: {', '.join(families)}. In brackets the number of values."
+    return f"Left out of the fit: {', '.join(families)}."
 
 
 def as_json(content: Judged) -> dict[str, Any]:
@@ -79,9 +77,18 @@ def as_json(content: Judged) -> dict[str, Any]:
     return {name: [{**asdict(row), "hit": row.hit} for row in found] for name, found in content.scopes.items()}
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    span = f"{row.number(row.low)} to {row.number(row.high)}"
-    return row.metric, row.aim, row.number(row.value), span if row.low == row.low else "–", f"{row.n:,}", row.met
+def _misses(scopes: dict[str, list[Row]]) -> str:
+    """Return a row for each target that any of the scopes misses."""
+    every = list(zip(*scopes.values(), strict=True))
+    lines = [(same[0].metric, same[0].aim, *map(_cell, same)) for same in every if any(r.hit is False for r in same)]
+    return markdown_table(("metric", "target", *scopes), lines)
+
+
+def _cell(row: Row) -> str:
+    """Return value, interval and number of values; bold where it misses its target."""
+    span = f"; {row.number(row.low)} – {row.number(row.high)}" if row.low == row.low else ""
+    text = f"{row.number(row.value)} ({row.n:,}{span})" if row.n else "–"
+    return f"**{text}**" if row.hit is False else text
 
 
 def _by_scope(content: Judged) -> str:

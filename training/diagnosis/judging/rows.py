@@ -61,12 +61,6 @@ class Row:
             return None
         return self.target[0] <= self.value <= self.target[1]
 
-    @property
-    def met(self) -> str:
-        """Whether the target is met, in words; a miss whose interval reaches the target says so."""
-        reached = self.low <= self.target[1] and self.high >= self.target[0]
-        return {True: "yes", None: "–", False: "**no**, interval reaches it" if reached else "**no**"}[self.hit]
-
     def number(self, value: float) -> str:
         """Return a value in the unit of the row."""
         return "–" if not np.isfinite(value) else f"{100 * value:.0f} %" if self.percent else f"{value:.3g}"

@@ -25,8 +25,7 @@ def test_a_share_has_the_wilson_interval():
     row = share("x", (0.8, np.inf), [True] * 9 + [False])
     assert (row.low, row.high) == pytest.approx((0.596, 0.982), abs=1e-3)
     assert row.hit
-    assert replace(row, target=(0.95, np.inf)).met == "**no**, interval reaches it"
-    assert replace(row, target=(0.99, np.inf)).met == "**no**"
+    assert replace(row, target=(0.95, np.inf)).hit is False
 
 
 def test_a_right_answer_meets_every_target_that_it_is_part_of(record):
@@ -109,7 +108,7 @@ def test_the_page_prints_misses_first_and_families_left_out_apart(record):
     page = markdown(content, "made by x", ("fixed", "driving"))
     assert (
         page.index("## Misses")
-        < page.index("| left out of the fit | strong single: true cause")
+        < page.index("| strong single: true cause most probable | ≥ 95 % | **50 % (10; 24 % – 76 %)** | **0 % (5;")
         < page.index("## Targets")
     )
     assert "hard: 1 right, 1 wrong" in page
