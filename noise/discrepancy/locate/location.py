@@ -22,6 +22,7 @@ from noise.discrepancy.thresholds import BIAS_TOLERANCE_M, FALSE_ALARM
 
 TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
 ORDER = {Aspect.SPREAD: 1, Aspect.REPEAT: 1, Aspect.MEMORY: 1, Aspect.SKEW: 2}  # of moments; 0 for all others
+ROUNDING = 1e-9  # relative error of a sum over clusters
 MAX_PER_ASPECT = 3  # located mismatches of one aspect; more are hardly distinct
 
 
@@ -87,7 +88,8 @@ def _most_probable(tested: Tested, group: Group, j: int, psi: Floats, allowed: B
     psi, exposure = psi[:, index], _exposure(tested, group, j)[:, index]
     slope = psi.sum(axis=0) / np.where(exposure.sum(axis=0) == 0, 1.0, exposure.sum(axis=0))
     centred = psi - slope * exposure
-    norm = np.sqrt(np.maximum((centred**2).sum(axis=0), 1e-300))
+    least = ROUNDING * np.abs(psi).sum(axis=0)  # all clusters may agree to rounding
+    norm = np.maximum(np.sqrt((centred**2).sum(axis=0)), np.maximum(least, 1e-150))
     z = psi.sum(axis=0) / norm
     edges = np.array([_complexity(tested.regressors[i]) for i in index])
     chosen = int(np.argmax(z**2 - edges * np.log(len(psi))))
