@@ -104,9 +104,7 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
         value: (n,).
         members: (m,), at least two.
     """
-    ordered, m = np.sort(members), len(members)
-    spread = np.sum((2.0 * np.arange(m) - m + 1.0) * ordered) / (m * (m - 1.0))
-    return np.asarray(np.abs(value[:, None] - members).mean(axis=1) - spread)
+    return np.asarray(np.abs(value[:, None] - members).mean(axis=1) - repeatability(members))
 
 
 def gains(model: SonarModel, before: Simulation, batch: Batch) -> bool:
