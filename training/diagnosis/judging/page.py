@@ -84,9 +84,9 @@ def _misses(scopes: dict[str, list[Row]]) -> str:
     return markdown_table(("metric", "target", *scopes), lines)
 
 
-def _cell(row: Row) -> str:
-    """Return value, interval and number of values; bold where it misses its target."""
-    span = f"; {row.number(row.low)} – {row.number(row.high)}" if row.low == row.low else ""
+def _cell(row: Row, interval: bool = True) -> str:
+    """Return value, number of values, and the interval if it is wanted; bold where the target is missed."""
+    span = f"; {row.number(row.low)} – {row.number(row.high)}" if interval and row.low == row.low else ""
     text = f"{row.number(row.value)} ({row.n:,}{span})" if row.n else "–"
     return f"**{text}**" if row.hit is False else text
 
@@ -94,13 +94,11 @@ def _cell(row: Row) -> str:
 def _by_scope(content: Judged) -> str:
     scopes = content.scopes
     first = scopes.get("all families", [])
-    lines = [(row.metric, row.aim, *(_brief(found[k]) for found in scopes.values())) for k, row in enumerate(first)]
+    lines = [
+        (row.metric, row.aim, *(_cell(found[k], interval=False) for found in scopes.values()))
+        for k, row in enumerate(first)
+    ]
     return markdown_table(("metric", "target", *scopes), lines)
-
-
-def _brief(row: Row) -> str:
-    text = f"{row.number(row.value)} ({row.n})" if row.n else "–"
-    return f"**{text}**" if row.hit is False else text
 
 
 def is_right(record: Record) -> bool:
