@@ -37,7 +37,10 @@ docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an e
 figures: $(STAMP)  ## make the pictures of the docs again: effects, film, tutorials (a quarter of an hour)
 	$(BIN)/sonar-gym effects --out docs/reference/effects
 	$(BIN)/sonar-gym demo --out demo && cp demo/parking.gif docs/images/parking.gif
-	for book in docs/tutorials/*.ipynb; do PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/jupyter execute --inplace $$book || exit 1; done
+	for book in docs/tutorials/*.ipynb; do folder=$$(mktemp -d) && cp $$book $$folder \
+		&& PATH=$(CURDIR)/$(BIN):$$PATH env -u MPLBACKEND TTY_COMPATIBLE=0 $(BIN)/jupyter nbconvert --to notebook --execute --inplace \
+		--ExecutePreprocessor.coalesce_streams=True --ExecutePreprocessor.record_timing=False $$folder/*.ipynb \
+		&& cp $$folder/*.ipynb docs/tutorials || exit 1; done
 
 release: $(STAMP)  ## check what a release needs: make release VERSION=0.2.0
 	PYTHON=$(BIN)/python .ci/release $(VERSION)

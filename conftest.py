@@ -47,19 +47,19 @@ def materials() -> Path:
     from acquisition.bench import Rig, Setup, Unit
 
     folder = Path(tempfile.mkdtemp(prefix="snippets-"))
-    distance, angle = np.meshgrid(np.linspace(0.3, 2.4, 8), np.radians([0.0, 10.0, 20.0, 30.0]))
+    distance, angle = np.meshgrid(np.linspace(0.2, 3.0, 8), np.radians([0.0, 10.0, 20.0]))
+    n_visits, pings = distance.size, 20  # enough for a diagnosis to name a cause
     ping = Ping.of(
-        distance=np.repeat(distance.ravel(), 10),
-        angle=np.repeat(angle.ravel(), 10),
+        distance=np.repeat(distance.ravel(), pings),
+        angle=np.repeat(angle.ravel(), pings),
         incidence=0.0,
         reflectance=0.9,
-        time=0.1 * np.arange(320),
+        time=0.1 * np.arange(n_visits * pings),
     )
-    for seed, (name, zero_m) in enumerate((("REC", 0.03), ("SIM", 0.0), ("other", 0.0))):
+    for seed, (name, zero_m) in enumerate((("REC", 0.03), ("SIM", 0.0))):
         rig = Rig(Unit.nominal(), Setup(gain=31, zero_m=zero_m))
         rig.record(ping, np.random.default_rng(seed)).save(folder / f"{name}.csv")
-    for copy in ("rec.csv", "recording.csv"):
-        shutil.copy(folder / "REC.csv", folder / copy)
+    shutil.copy(folder / "REC.csv", folder / "recording.csv")
     (folder / "mine.py").write_text(SIMULATOR)
     (folder / "log.csv").write_text(LOG)
     return folder

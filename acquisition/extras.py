@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+from importlib.util import find_spec
 from typing import Any, Protocol
 
 from acquisition.errors import MissingExtraError
@@ -32,4 +33,19 @@ def load_extra(module: str, extra: str) -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise MissingExtraError(f"this needs the package {error.name!r}: pip install 'sonar-gym[{extra}]'") from None
+        raise _missing(error.name, extra) from None
+
+
+def require(package: str, extra: str) -> None:
+    """Raise MissingExtraError unless a package is installed.
+
+    Args:
+        package: name by which it is imported.
+        extra: that provides it.
+    """
+    if find_spec(package) is None:
+        raise _missing(package, extra)
+
+
+def _missing(package: str | None, extra: str) -> MissingExtraError:
+    return MissingExtraError(f"this needs the package {package!r}: pip install 'sonar-gym[{extra}]'")

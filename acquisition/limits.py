@@ -211,16 +211,18 @@ def _check(name: str, value: Any, hint: Any) -> None:
                 raise SettingError(f"{name}: expected at least {extra.min_length} value, got {len(value)}")
     if hint in (int, float):
         check_number(name, value, limit, whole=hint is int)
-    elif isinstance(value, PurePath):
-        _expect("\0" not in str(value), name, "a path without null characters", str(value))
-    elif hint is bool or hint is str:
-        _expect(isinstance(value, hint), name, "true or false" if hint is bool else "text", value)
+    elif hint is bool:
+        _expect(isinstance(value, bool), name, "true or false", value)
     elif get_origin(hint) is Literal:
         check_choice(name, value, get_args(hint))
     elif get_origin(hint) is tuple:
         _check_tuple(name, value, get_args(hint))
     elif get_origin(hint) in (Union, types.UnionType):
         _check_union(name, value, get_args(hint))
+    elif isinstance(value, PurePath):
+        _check_path(name, value)
+    elif hint is str:
+        _expect(isinstance(value, str), name, "text", value)
 
 
 def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:
@@ -237,6 +239,12 @@ def _check_union(name: str, value: Any, members: tuple[Any, ...]) -> None:
     rest = [member for member in members if member is not type(None)]
     if len(rest) == 1 and value is not None:
         _check(name, value, rest[0])
+    elif isinstance(value, PurePath):
+        _check_path(name, value)
+
+
+def _check_path(name: str, path: PurePath) -> None:
+    _expect("\0" not in str(path), name, "a path without null characters", str(path))
 
 
 def check_choice(name: str, value: Any, known: Sequence[Any]) -> None:

@@ -7,7 +7,7 @@ Neither is encoded as NaN or as maximum range.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
@@ -56,8 +56,8 @@ def _picked(name: str, index: Any) -> Any:
     return rows if rows.size else rows.astype(np.int64)
 
 
-def check_pairs(name: str, ping: Ping, reading: Reading | None) -> None:
-    """Raise SettingError unless there is one reading for each ping."""
+def check_pairs(name: str, ping: Sized, reading: Reading | None) -> None:
+    """Raise SettingError unless there is one reading for each ping, or ping of a law."""
     if reading is not None and len(reading) != len(ping):
         raise SettingError(f"{name}: expected one reading for each ping, got {len(reading)} for {len(ping)}")
 

@@ -11,6 +11,8 @@ effects: the catalogue of effects. learned: networks. fitting: maximum likelihoo
 
 import lazy_loader as lazy
 
+from acquisition.extras import require
 from acquisition.version import __version__ as __version__
 
+require("scipy", "noise")
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

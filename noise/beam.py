@@ -45,12 +45,10 @@ class BeamLaw(EchoLaw):
     def _anywhere(self, z: Floats) -> Floats:
         return np.clip(z / self.max_range, 0.0, 1.0)
 
-    def between(self, low: Floats, high: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range in (low, high])."""
+    def _between(self, low: Floats, high: Floats) -> Floats:
         return np.tensordot(self.model.echo_weights, self.parts(low, high), axes=1)
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         z = np.asarray(z, dtype=np.float64)
         return self._between(np.full(z.shape, -np.inf), z)
 

@@ -64,8 +64,7 @@ class ShortLaw(ReplacedLaw):
         super().__init__(law, 1.0 - law.no_answer)
         self.span = span
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         return self.echo_share * np.clip(np.asarray(z) / self.span, 0.0, 1.0)
 
 
@@ -76,11 +75,10 @@ class ScatteredLaw(ReplacedLaw):
         super().__init__(law, law.echo)
         self.sigma = sigma
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         return self.echo_share * ndtr((np.asarray(z) - self.distance) / self.sigma)
 
-    def between(self, low: Floats, high: Floats) -> Floats:
+    def _between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high]), exact in both tails."""
         below, above = (low - self.distance) / self.sigma, (high - self.distance) / self.sigma
         share = np.where(below > 0, ndtr(-below) - ndtr(-above), ndtr(above) - ndtr(below))
@@ -94,8 +92,7 @@ class ConstantLaw(ReplacedLaw):
         super().__init__(law, 1.0 - law.no_answer)
         self.value = float(law.step(value)) * law.resolution
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         return self.echo_share * (np.asarray(z) >= self.value)
 
 
@@ -106,12 +103,10 @@ class CalibratedLaw(ReplacedLaw):
         super().__init__(law, law.echo)
         self.inner, self.scale, self.offset = law, scale, offset
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         return self.inner._arrival((np.asarray(z) - self.offset) / self.scale)
 
-    def between(self, low: Floats, high: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range in (low, high])."""
+    def _between(self, low: Floats, high: Floats) -> Floats:
         return self.inner._between((low - self.offset) / self.scale, (high - self.offset) / self.scale)
 
 
@@ -193,12 +188,10 @@ class FaultyLaw(EchoLaw):
         self.parts, self.rate = parts, rate
         self.uniform_per_ping = all(part.uniform_per_ping for part in parts)
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         return np.sum([rate * part._arrival(z) for rate, part in self._likely], axis=0)
 
-    def between(self, low: Floats, high: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range in (low, high])."""
+    def _between(self, low: Floats, high: Floats) -> Floats:
         return np.sum([rate * part._between(low, high) for rate, part in self._likely], axis=0)
 
     @property
@@ -229,8 +222,7 @@ class FaultyLaw(EchoLaw):
             value[affected], status[affected] = reading.range[affected], reading.status[affected]
         return Reading(value, status), cause
 
-    def sample(self, rng: UniformSource) -> Reading:
-        """Draw a reading for each ping."""
+    def _sample(self, rng: UniformSource) -> Reading:
         return self.draw(rng)[0]
 
     def cause_given(self, reading: Reading) -> Floats:

@@ -8,10 +8,7 @@ remaining probability is divided between no echo and no answer, so that all outc
 
 from __future__ import annotations
 
-import functools
-import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -20,7 +17,9 @@ from numpy.typing import ArrayLike
 from acquisition import EchoStatus, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.errors import SampleOnlyError
 from acquisition.limits import Limit, as_numbers, shown
+from acquisition.ping import check_pairs
 
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 
@@ -40,26 +39,11 @@ class ExtrapolationWarning(UserWarning):
     """A learned law was asked about conditions outside its training data."""
 
 
-def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a method of a law whose arguments are checked: a source of random numbers, or ranges for each ping."""
-    names = list(inspect.signature(method).parameters)[1:]
-    kind = "_source" if method.__name__ == "sample" else "_per_ping"
-
-    @functools.wraps(method)
-    def call(self: EchoLaw, *args: Any, **kwargs: Any) -> Any:
-        admit = getattr(self, kind)
-        given = [admit(f"{method.__name__}.{name}", value) for name, value in zip(names, args, strict=False)]
-        named = {name: admit(f"{method.__name__}.{name}", value) for name, value in kwargs.items()}
-        return method(self, *given, *args[len(given) :], **named)
-
-    return call
-
-
 class EchoLaw(ABC):
     """Law of the readings of n pings.
 
-    A subclass defines `arrival`, and may define `between` and `sample`. Arguments are checked when these are called
-    from outside; laws call `_arrival`, `_between` and `_sample`, which are the same methods without the checks.
+    A subclass defines `_arrival`, and may define `_between` and `_sample`: `arrival`, `between` and `sample` without
+    the checks of their arguments. Laws call these of each other.
 
     Attributes:
         distance: true distances, m, (n,).
@@ -68,33 +52,35 @@ class EchoLaw(ABC):
         has_probabilities: whether probabilities are available; False if the law can only be sampled.
         uniform_per_ping: whether `sample(rng)` takes all its randomness as `rng.random((..., n))` calls with one column
             a ping, so that copies with different generators can be sampled in one batch. A subclass that overrides
-            `sample` must declare it again; otherwise it is False.
+            `_sample` must declare it again; otherwise it is False.
     """
 
     has_probabilities: bool = True
     uniform_per_ping: bool = True
-    _arrival: Callable[[Floats], Floats]
-    _between: Callable[[Floats, Floats], Floats]
-    _sample: Callable[[UniformSource], Reading]
 
     def __init_subclass__(cls) -> None:
-        """Check arguments of what a subclass overrides; reset `uniform_per_ping` if its `sample` has no declaration."""
+        """Reset `uniform_per_ping` of a subclass whose `_sample` has no declaration."""
         super().__init_subclass__()
-        if "sample" in vars(cls) and "uniform_per_ping" not in vars(cls):
+        if "_sample" in vars(cls) and "uniform_per_ping" not in vars(cls):
             cls.uniform_per_ping = False
-        _guard(cls)
 
     def __init__(self, distance: Floats, resolution: float, max_range: float) -> None:
         self.distance = distance
         self.resolution = resolution
         self.max_range = max_range
 
-    @abstractmethod
-    def arrival(self, z: Floats) -> Floats:
+    def arrival(self, z: ArrayLike) -> Floats:
         """Return P(an echo is registered at an exact range <= z), for z in m, (n,) or (m, n); +inf is allowed."""
+        return self._arrival(self._per_ping("arrival.z", z))
 
-    def between(self, low: Floats, high: Floats) -> Floats:
+    @abstractmethod
+    def _arrival(self, z: Floats) -> Floats: ...
+
+    def between(self, low: ArrayLike, high: ArrayLike) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high]); subclasses may have exact tails."""
+        return self._between(self._per_ping("between.low", low), self._per_ping("between.high", high))
+
+    def _between(self, low: Floats, high: Floats) -> Floats:
         return np.maximum(self._arrival(high) - self._arrival(low), 0.0)
 
     @property
@@ -121,16 +107,6 @@ class EchoLaw(ABC):
         if np.isnan(number).any():
             raise SettingError(f"{type(self).__name__}.{name}: expected numbers, got {shown(value)} with a NaN")
         return number
-
-    def _source(self, name: str, value: Any) -> UniformSource:
-        """Return an argument that is a source of random numbers."""
-        if isinstance(value, type) or not callable(getattr(value, "random", None)):
-            raise SettingError(
-                f"{type(self).__name__}.{name}: expected a generator, such as numpy.random.default_rng(0), "
-                f"got {shown(value)}"
-            )
-        source: UniformSource = value
-        return source
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -178,8 +154,7 @@ class EchoLaw(ABC):
     @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
-        if len(reading) != len(self):
-            raise SettingError(f"{type(self).__name__}.log_prob.reading: {len(reading)} readings of {len(self)} pings")
+        check_pairs(f"{type(self).__name__}.log_prob.reading", self, reading)
         step = self.step(reading.range)
         with np.errstate(divide="ignore"):
             echo = np.log(self._between(self._edge(step - 1), self._edge(step)))
@@ -187,7 +162,16 @@ class EchoLaw(ABC):
         return np.take_along_axis(table, reading.status[None].astype(np.int64), axis=0)[0]
 
     def sample(self, rng: UniformSource) -> Reading:
-        """Draw a reading for each ping by inversion of the law on its grid, from one uniform number a ping."""
+        """Draw a reading for each ping."""
+        if isinstance(rng, type) or not callable(getattr(rng, "random", None)):
+            raise SettingError(
+                f"{type(self).__name__}.sample.rng: expected a generator, such as numpy.random.default_rng(0), "
+                f"got {shown(rng)}"
+            )
+        return self._sample(rng)
+
+    def _sample(self, rng: UniformSource) -> Reading:
+        """Draw by inversion of the law on its grid, from one uniform number a ping."""
         u = rng.random(len(self))
         p_echo = self.echo
         step = self._invert(np.minimum(u, p_echo))
@@ -229,12 +213,16 @@ class EchoLaw(ABC):
         return np.where(echo > 0, self._invert(share * echo * (1 - 1e-12)) * self.resolution, 0.0)
 
 
-def _guard(cls: type) -> None:
-    """Check the arguments of a law's methods; keep them without the checks for calls from within."""
-    for name in ("arrival", "between", "sample"):
-        if name in vars(cls):
-            setattr(cls, f"_{name}", vars(cls)[name])
-            setattr(cls, name, _guarded(vars(cls)[name]))
+class SampleOnlyLaw(EchoLaw):
+    """A law that can only be sampled; a subclass defines `_sample`."""
 
+    has_probabilities = False
 
-_guard(EchoLaw)
+    def _arrival(self, z: Floats) -> Floats:
+        """Raise SampleOnlyError: there are no probabilities."""
+        raise SampleOnlyError(f"{type(self).__name__} has no probabilities: draw readings with `sample(rng)`")
+
+    @property
+    def no_answer(self) -> Floats:
+        """Raise SampleOnlyError, as `arrival` does."""
+        return self._arrival(self.distance)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.limits import Count, as_numbers, shown
+from acquisition.ping import check_pairs
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
 from noise.model import SonarModel, follow
 
@@ -75,6 +76,7 @@ def crps(law: EchoLaw, reading: Reading, levels: Count = LEVELS) -> Floats:
         reading: readings, (n,).
         levels: number K of quantiles.
     """
+    check_pairs("crps.reading", law, reading)
     score = _quantile_score(law.quantile, reading.range, levels)
     return np.where(reading.echo, score, np.nan)
 
@@ -90,6 +92,7 @@ def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = No
             default.
         levels: number K of quantiles; see `crps`.
     """
+    check_pairs("crps_with_silence.reading", law, reading)
     end, echo = law.max_range if silence is None else silence, law.echo
 
     def quantile(level: Floats) -> Floats:
@@ -115,6 +118,7 @@ def pit(law: EchoLaw, reading: Reading, rng: np.random.Generator) -> Floats:
 
     Outcomes are ordered: echoes by range, then no echo, then no answer; the value is uniform within an outcome.
     """
+    check_pairs("pit.reading", law, reading)
     step = law.step(reading.range)
     echo, silent = law.echo, law.no_echo
     below = np.stack([echo, law.cdf_step(step - 1), echo + silent])
@@ -167,6 +171,7 @@ def credence_reliability(
         rows: pings to use; all by default.
     """
     slack = 1e-9
+    check_pairs("credence_reliability.reading", law, reading)
     true = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance + slack)
     return reliability(law.credence(tolerance)[rows], true[rows], _clusters(cluster, len(reading))[rows], bins)
 

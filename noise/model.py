@@ -53,11 +53,10 @@ class NormalLaw(EchoLaw):
         super().__init__(ping.distance, resolution, max_range)
         self.mean, self.sigma, self.miss = mean, sigma, miss
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         return (1.0 - self.miss) * ndtr(self._score(z))
 
-    def between(self, low: Floats, high: Floats) -> Floats:
+    def _between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high]), exact in both tails."""
         below, above = self._score(low), self._score(high)
         upper = below > 0  # beyond the mean, the upper tail is the smaller number
@@ -79,7 +78,7 @@ class NormalLaw(EchoLaw):
         """P(the sensor does not answer): 0."""
         return np.zeros(len(self))
 
-    def sample(self, rng: UniformSource) -> Reading:
+    def _sample(self, rng: UniformSource) -> Reading:
         """Draw a reading for each ping from one uniform number, in closed form for speed."""
         u = rng.random(len(self))
         echo = u < 1.0 - self.miss
@@ -107,7 +106,7 @@ class CertainLaw(NormalLaw):
         """Register step nearest to each distance, as floats."""
         return np.minimum(np.maximum(np.ceil(self.distance / self.resolution - 0.5), 1.0), self.last_step)
 
-    def sample(self, rng: UniformSource) -> Reading:
+    def _sample(self, rng: UniformSource) -> Reading:
         """Return the readings; no random number is drawn."""
         echo = self.miss < 1.0
         return Reading(self._steps * (echo * self.resolution), echo.view(np.uint8))

@@ -10,7 +10,7 @@ useful gradients far out in the tails.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,8 +21,9 @@ from torch import Tensor
 from acquisition import ModelError, Ping, Reading
 from acquisition.arguments import checked
 from acquisition.brief import shortened
+from acquisition.ping import check_pairs
 from noise.effects import CATALOGUE, Conditions, Effect, Path, State
-from noise.effects.state import DETECTION_WIDTH_DB, direct_path, number
+from noise.effects.state import DETECTION_WIDTH_DB, Atom, direct_path, number
 from noise.law import EchoLaw, Floats
 from noise.model import MAX_RANGE
 
@@ -104,38 +105,51 @@ class PhysicalLaw(EchoLaw):
         """Return P(echo, register <= edge) for register edges in m, (..., n), atoms included."""
         edge = torch.clamp(edge, -END, END)
         there = 1.0 - self.survival(self.register_to_range(edge))
-        for atom in self.state.atoms:
-            there = (1.0 - atom.weight) * there + atom.weight * atom.cdf(edge)
+        for atom, echo in zip(self.state.atoms, self._echo_of_atoms, strict=True):
+            there = (1.0 - atom.weight) * there + atom.weight * echo * atom.cdf(edge)
         return there
+
+    @cached_property
+    def _echo_of_atoms(self) -> list[Tensor | float]:
+        """Factor of the distribution of each atom: the probability of an echo before it, if it replaces echoes only."""
+        atoms = self.state.atoms
+        return [self._any_echo(atoms[:k]) if atom.of_echo else 1.0 for k, atom in enumerate(atoms)]
 
     def no_answer_tensor(self) -> Tensor:
         """Return P(no answer), (n,)."""
         out = torch.zeros(len(self), dtype=torch.float64)
         for atom in self.state.atoms:
-            out = (1.0 - atom.weight) * out + atom.weight * atom.no_answer
+            if not atom.of_echo:
+                out = (1.0 - atom.weight) * out + atom.weight * atom.no_answer
         return out
 
     def no_echo_tensor(self) -> Tensor:
         """Return P(the sensor answers that there is no echo), (n,)."""
         out = self.survival(self.register_to_range(torch.full((len(self),), END, dtype=torch.float64)))
         for atom in self.state.atoms:
-            out = (1.0 - atom.weight) * out + atom.weight * atom.no_echo
+            if not atom.of_echo:
+                out = (1.0 - atom.weight) * out + atom.weight * atom.no_echo
         return out
 
     def any_echo_tensor(self) -> Tensor:
         """Return P(echo), (n,), exact where echoes are rare, unlike 1 - P(no echo)."""
+        return self._any_echo(self.state.atoms)
+
+    def _any_echo(self, atoms: Sequence[Atom]) -> Tensor:
+        """Return P(echo) after some of the atoms, (n,)."""
         end = torch.full((len(self),), END, dtype=torch.float64)
         out = self.between_tensor(self.register_to_range(-end), self.register_to_range(end))
-        for atom in self.state.atoms:
-            out = (1.0 - atom.weight) * out + atom.weight * (1.0 - atom.no_echo - atom.no_answer)
+        for atom in atoms:
+            if not atom.of_echo:
+                out = (1.0 - atom.weight) * out + atom.weight * (1.0 - atom.no_echo - atom.no_answer)
         return out
 
     def echo_tensor(self, step: np.ndarray) -> Tensor:
         """Return P(echo at the given register step), (n,)."""
         low, high = self._edges(step - 1), self._edges(step)
         out = self.between_tensor(self.register_to_range(low), self.register_to_range(high))
-        for atom in self.state.atoms:
-            out = (1.0 - atom.weight) * out + atom.weight * (atom.cdf(high) - atom.cdf(low))
+        for atom, echo in zip(self.state.atoms, self._echo_of_atoms, strict=True):
+            out = (1.0 - atom.weight) * out + atom.weight * echo * (atom.cdf(high) - atom.cdf(low))
         return out
 
     def probability_tensor(self, reading: Reading) -> Tensor:
@@ -152,14 +166,14 @@ class PhysicalLaw(EchoLaw):
     @checked
     def log_prob(self, reading: Reading) -> Floats:
         """Return the log probability of each reading, nats, (n,); -inf for impossible readings."""
+        check_pairs("PhysicalLaw.log_prob.reading", self, reading)
         with torch.no_grad(), np.errstate(divide="ignore"):
             return np.log(np.maximum(self.probability_tensor(reading).numpy(), 0.0))
 
     def _edges(self, step: np.ndarray) -> Tensor:
         return torch.from_numpy(np.clip(self._edge(step), -END, END))
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at a range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         with torch.no_grad():
             edge = torch.as_tensor(z, dtype=torch.float64)
             return np.broadcast_to(self.arrival_tensor(edge).numpy(), np.shape(z)).copy()

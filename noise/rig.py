@@ -16,36 +16,20 @@ from acquisition.arguments import checked
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.air import Drift
 from acquisition.bench.registers import METRES
-from acquisition.errors import SampleOnlyError
-from noise.law import EchoLaw, Floats, UniformSource
+from noise.law import SampleOnlyLaw, UniformSource
 
 # full gain, and reflectors exactly at their nominal positions
 SIMULATED = Setup(gain=31, placement_m=0.0, placement_deg=0.0, tilt_deg=0.0)
 
 
-class RigLaw(EchoLaw):
+class RigLaw(SampleOnlyLaw):
     """Law of the readings of n pings that can only be sampled."""
-
-    has_probabilities = False
 
     def __init__(self, model: RigModel, ping: Ping) -> None:
         super().__init__(ping.distance, model.resolution, model.max_range)
         self.model, self.ping = model, ping
 
-    def arrival(self, z: Floats) -> Floats:
-        """Raise SampleOnlyError: the rig has no probabilities.
-
-        Raises:
-            SampleOnlyError: always.
-        """
-        raise SampleOnlyError("the rig simulates pings and has no probabilities: draw readings with `sample(rng)`")
-
-    @property
-    def no_answer(self) -> Floats:
-        """Raise SampleOnlyError, as `arrival` does."""
-        return self._arrival(self.distance)
-
-    def sample(self, rng: UniformSource) -> Reading:
+    def _sample(self, rng: UniformSource) -> Reading:
         """Simulate every ping once, independently of the others.
 
         Raises:

@@ -162,6 +162,7 @@ class Forest(Registered):
 
     kind: Literal["forest"]
     names: Annotated[list[str], MinLen(1)]
+    times: tuple[float, float]
     typical: Numbers
     leaf: Annotated[list[list[int]], MinLen(1)]
     error: Annotated[list[float | None], MinLen(1)]

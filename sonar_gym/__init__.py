@@ -6,11 +6,14 @@ imported on first use; PyTorch is imported only by models that need it.
 
 from typing import Any
 
-import gymnasium
 import lazy_loader
 
+from acquisition.extras import require
 from acquisition.name_check import check_names
 from acquisition.version import __version__ as __version__
+
+require("gymnasium", "gym")
+import gymnasium  # noqa: E402 - the check comes first
 
 __getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
 ENV_ID = "SonarParking-v0"
@@ -18,10 +21,10 @@ MAX_EPISODE_STEPS = 400
 # Each id with the difficulty of its streets, and the mean sum of rewards from which it counts as solved: about that of
 # parking in nine of ten streets, and in six of ten for the manoeuvre
 ENVIRONMENTS = {
-    ENV_ID: ("normal", 23.0),
-    "SonarParkingEasy-v0": ("easy", 21.5),
-    "SonarParkingHard-v0": ("hard", 28.0),
-    "SonarParkingManoeuvre-v0": ("manoeuvre", 15.0),
+    ENV_ID: ("normal", 16.5),
+    "SonarParkingEasy-v0": ("easy", 11.0),
+    "SonarParkingHard-v0": ("hard", 20.5),
+    "SonarParkingManoeuvre-v0": ("manoeuvre", 26.0),
 }
 GOAL_ENV_ID = "SonarParkingGoal-v0"
 __all__ += ["ENVIRONMENTS", "ENV_ID", "GOAL_ENV_ID"]

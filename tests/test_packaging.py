@@ -23,6 +23,13 @@ CORE = (
     "main(['record', '--driver', 'rig', '--pings', '1', '--out', 'rec.csv']); "
     "assert not {'torch', 'gymnasium', 'serial'} & set(sys.modules)"
 )
+BARE = (
+    "import importlib, acquisition\n"
+    "for name, extra in (('noise', 'noise'), ('sonar_gym', 'gym')):\n"
+    "    try:\n        importlib.import_module(name)\n"
+    "    except acquisition.MissingExtraError as error:\n        assert f'sonar-gym[{extra}]' in str(error)\n"
+    "    else:\n        raise AssertionError(name)\n"
+)
 DRIVE = (
     "import gymnasium, sonar_gym; "
     "env = gymnasium.make('SonarParking-v0', sonar='srf08-mlp', credence_driver='random'); "
@@ -71,4 +78,5 @@ def test_the_wheel_runs_the_environment(built, tmp_path, python):
 def test_the_core_records_without_torch(built, tmp_path):
     (sdist,) = built.glob("*.tar.gz")
     run_fresh(sys.executable, tmp_path, str(sdist), CORE)
+    subprocess.run([str(tmp_path / "venv" / "bin" / "python"), "-c", BARE], check=True, cwd=tmp_path)
     assert (tmp_path / "rec.csv").stat().st_size > 1000

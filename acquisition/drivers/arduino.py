@@ -54,6 +54,12 @@ BOARD_ERRORS = {
 LINE = re.compile(rb"<(--|[0-9A-F]{2}) ([KEB])(?: ([ -)+-~]*))?\*([0-9A-F]{4})")
 
 
+def check_pin(name: str, pin: int) -> None:
+    """Raise SettingError if a sensor cannot be at a pin; the name is that of the sensor and its line."""
+    if not 2 <= pin <= LAST_PIN or pin in I2C_PINS:
+        raise SettingError(f"{name} pin must be 2 to {LAST_PIN} but not 20 or 21 (I2C), got {pin}")
+
+
 class BoardError(NoAnswerError):
     """The board reported an error; `code` is its number in `BOARD_ERRORS`."""
 

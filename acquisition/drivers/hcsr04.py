@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from acquisition.drivers.arduino import I2C_PINS, LAST_PIN, Bridge, opened_at
+from acquisition.drivers.arduino import Bridge, check_pin, opened_at
 from acquisition.drivers.driver import Echoes
 from acquisition.errors import NoAnswerError, SettingError
 
@@ -31,9 +31,8 @@ class HcSr04:
 
     def __post_init__(self) -> None:
         """Raise SettingError for invalid pins or an invalid limit."""
-        for name, pin in (("trigger", self.trigger), ("echo", self.echo)):
-            if not 2 <= pin <= LAST_PIN or pin in I2C_PINS:
-                raise SettingError(f"HC-SR04 {name} pin must be 2 to {LAST_PIN} but not 20 or 21 (I2C), got {pin}")
+        check_pin("HC-SR04 trigger", self.trigger)
+        check_pin("HC-SR04 echo", self.echo)
         if self.trigger == self.echo:
             raise SettingError(f"HC-SR04 trigger and echo must be two pins, got {self.trigger} for both")
         if not NO_ECHO_US < self.limit_us <= 400_000:

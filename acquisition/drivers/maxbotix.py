@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from acquisition.drivers.arduino import I2C_PINS, LAST_PIN, Bridge, opened_at
+from acquisition.drivers.arduino import Bridge, check_pin, opened_at
 from acquisition.drivers.driver import Echoes
 from acquisition.drivers.serialport import LineReader, Port, open_port
 from acquisition.errors import GarbledError, NoAnswerError, SettingError
@@ -41,6 +41,16 @@ class OutputFormat:
     period_s: float
     nearest: int
     pulse_us: float
+
+    def echoes(self, count: int, sensor: str) -> Echoes:
+        """Return the range of a count, m, if there is an echo.
+
+        Raises:
+            GarbledError: the count is not one of this model; the message names the sensor.
+        """
+        if not 0 < count <= self.no_echo:
+            raise GarbledError(f"{sensor}: reads {count}, expected 1 to {self.no_echo}: check the model")
+        return Echoes((count * self.unit_m,) if count < self.no_echo else ())
 
 
 # from the data sheets of the families; for a sensor with another largest value, add a row
@@ -104,9 +114,7 @@ class MaxBotix:
                 f"is inverted, and the baud rate, {BAUD}"
             )
         count = int(line[1:])
-        if not 0 < count <= self._format.no_echo:
-            raise GarbledError(f"{self}: reads {count}, expected 1 to {self._format.no_echo}: check the model")
-        return Echoes((count * self._format.unit_m,) if count < self._format.no_echo else ())
+        return self._format.echoes(count, str(self))
 
     def __str__(self) -> str:
         return f"MaxBotix {self.model}"
@@ -144,8 +152,7 @@ class MaxBotixPwm:
     def __post_init__(self) -> None:
         """Raise SettingError for an unknown family or an invalid pin."""
         _check_model(self.model)
-        if not 2 <= self.echo <= LAST_PIN or self.echo in I2C_PINS:
-            raise SettingError(f"MaxBotix echo pin must be 2 to {LAST_PIN} but not 20 or 21 (I2C), got {self.echo}")
+        check_pin("MaxBotix echo", self.echo)
         self._format = MODELS[self.model]
 
     @classmethod
@@ -163,9 +170,7 @@ class MaxBotixPwm:
         """
         limit_us = round(2e6 * self._format.period_s)
         count = round(self.bridge.pulse_us(f"P {self.echo:X} {limit_us:X}", str(self)) / self._format.pulse_us)
-        if not 0 < count <= self._format.no_echo:
-            raise GarbledError(f"{self}: reads {count}, expected 1 to {self._format.no_echo}: check the model")
-        return Echoes((count * self._format.unit_m,) if count < self._format.no_echo else ())
+        return self._format.echoes(count, str(self))
 
     def __str__(self) -> str:
         return f"MaxBotix {self.model} on pin {self.echo}"

@@ -15,7 +15,8 @@ from typing import Any
 
 import pandas as pd
 
-from acquisition.errors import MissingExtraError, RecordingError
+from acquisition.errors import RecordingError
+from acquisition.extras import require
 from acquisition.io.columns import RowFault, convert
 from acquisition.io.files import is_file, write_atomic
 
@@ -25,10 +26,8 @@ BATCH = 2**17  # rows that are read at once
 
 
 def _arrow() -> tuple[Any, Any]:
-    try:
-        return import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ModuleNotFoundError:
-        raise MissingExtraError("Parquet files need the package pyarrow: pip install 'sonar-gym[parquet]'") from None
+    require("pyarrow", "parquet")
+    return import_module("pyarrow"), import_module("pyarrow.parquet")
 
 
 def is_parquet(path: Path) -> bool:

@@ -2,5 +2,4 @@
 
 simulated_sensor: `SimulatedSensor`, the simulated sonar behind every twin, and its clocks.
 devantech: SRF08, SRF10 and SRF02 on an I2C bus.
-serial_devices: Arduino, HC-SR04 and MaxBotix at a serial port or a pseudo-terminal.
 """

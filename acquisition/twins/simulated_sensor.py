@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,26 +33,13 @@ class TwinClock:
 
 
 @dataclass
-class HostClock(TwinClock):
-    """Time of the host, s, for twins at a real port."""
-
-    def __call__(self) -> float:
-        """Return the time, s."""
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        time.sleep(seconds)
-
-
-@dataclass
 class SimulatedSensor:
     """A simulated sonar without a wire protocol.
 
     Attributes:
         rig: unit and laboratory; gain, range and output are set by the twin.
         rng: random generator.
-        clock: time of the twin, s; a `HostClock` for a twin at a real port.
+        clock: time of the twin, s.
     """
 
     rig: Rig

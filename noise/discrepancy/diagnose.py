@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from acquisition import Recording, SettingError
+from acquisition.arrays import Singles
 from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import Grown, grown
@@ -21,13 +22,14 @@ from noise.discrepancy.judge.held_out import Simulation, best_of, forest_gains, 
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
+from noise.discrepancy.locate.bootstrap import Greatest, joint, signs_of
 from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
-from noise.discrepancy.locate.placement import with_own_placement
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.trend import trend_test
+from noise.discrepancy.locate.scores import with_own_placement
+from noise.discrepancy.locate.trend import NO_TREND, UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -48,11 +50,13 @@ from noise.discrepancy.result import (
 )
 from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL
 from noise.effects import CATALOGUE
+from noise.effects.medium import TEMPERATURE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import PLACEMENT, Stack
 from noise.fitting.threads import one_thread
 from noise.model import SonarModel
 
+COMPENSATIONS = (0.0, 0.5, 1.0)  # shares of the temperature's influence that a sensor may leave
 NOTHING = Interval(0.0, 0.0, 0.0, "1")
 
 
@@ -136,10 +140,12 @@ def diagnose(
     law = data.baseline.law
     own, other = with_own_placement(law, data.sample)
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
-    tested = orthogonal_test(own, other, data.sample, data.rng("test"))
-    trend = trend_test(own, other, data.sample)
-    directed = directed_test(wider, data.sample, data.rng("directed"))
-    tested = replace(tested, p_value=any_of(tested.p_value, trend.p_value, directed))
+    signs = signs_of(data.sample.cluster, data.rng("signs"))
+    tested = on_any_compensation(own, other, data, "test", signs)
+    directed = directed_test(wider, data.sample, signs, data.rng("directed"))
+    # the trend test is for surveys that are too small for the directed one
+    trend = NO_TREND if len(directed.draws) else trend_test(own, other, data.sample)
+    tested = replace(tested, p_value=any_of(joint(Greatest(tested.p_value, tested.greatest), directed), trend.p_value))
     where = (locate(tested) or trend.where) if tested.p_value.value < FALSE_ALARM else ()
     visible = least_of(could_have_seen(own, data.sample, tested, data.rng("power")), trend.visible)
     if differs(tested.p_value, where):
@@ -179,7 +185,7 @@ def _prepared(
     batch = on_register_of(baseline, Batch.of(recorded))
     folds = Folds.of(batch, stream(seed, "folds"))
     warnings = warnings_of(recorded, simulated)
-    return Data(baseline, batch, folds, Sample(batch, baseline.readings), seed, warnings, tell)
+    return Data(baseline, batch, folds, Sample.comparable(batch, baseline.readings), seed, warnings, tell)
 
 
 def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
@@ -230,8 +236,23 @@ def _different(
 
 
 def against(data: Data, search: Search, law: Stack) -> Tested:
-    """Return the orthogonal test of a law of the recording, beside the law of the simulation."""
-    return orthogonal_test(law, search.common, data.sample, data.rng("rest"))
+    """Return the test of a law of the recording, beside the law of the simulation."""
+    return on_any_compensation(law, search.common, data, "rest")
+
+
+def on_any_compensation(
+    recorded: Stack, simulated: Stack, data: Data, purpose: str, signs: Singles | None = None
+) -> Tested:
+    """Return the orthogonal test, on days of another temperature that with the greatest p-value of all compensations.
+
+    Where the simulation does not show whether its sensor allows for the temperature, what follows from that is no
+    difference.
+    """
+    laws = [(recorded, simulated)]
+    if TEMPERATURE in data.sample.of_the_day and compensation_is_unknown(simulated, data.sample):
+        laws = [(recorded.at(each), simulated.at(each)) for each in ({UNCOMPENSATED: s} for s in COMPENSATIONS)]
+    tests = [orthogonal_test(*each, data.sample, data.rng(purpose), signs=signs) for each in laws]
+    return max(tests, key=lambda each: each.p_value.value)
 
 
 def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[SonarModel | None, SonarModel | None]:
@@ -273,7 +294,9 @@ def _diagnosis(
     places: Sequence[Place],
 ) -> Diagnosis:
     base, folds = data.baseline, data.folds
-    scores = held_out(data.simulation, base.emulator, corrected or base.before, data.forest.model, folds.unseen)
+    scores = held_out(
+        data.simulation, base.emulator, corrected or data.simulation.model, data.forest.model, folds.unseen
+    )
     verdict = Verdict(
         kind,
         summary_of(kind, causes, where, rest, visible, len(data.batch)),

@@ -168,7 +168,7 @@ class AsynchronousCrosstalk(Effect):
 
     name = "asynchronous_crosstalk"
     stage = Stage.PATHS
-    needs_time = True
+    needs_time = by_clock = True
     localised = True
     by_ping = True
     confused_with = ("false_alarm", "spike")

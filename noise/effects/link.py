@@ -131,7 +131,7 @@ class Stuck(Effect):
 
 
 class NoiseBurst(Effect):
-    """With `probability` a reading has a normal error of `sigma_m` about the true range: the thesis's NOISE fault."""
+    """With `probability` an echo has a normal error of `sigma_m` about the true range: the thesis's NOISE fault."""
 
     name = "noise_burst"
     stage = Stage.SEQUENCE
@@ -149,7 +149,7 @@ class NoiseBurst(Effect):
         """Add a replacement by a wide normal about the reading of the direct echo."""
         centre = state.scale * state.direct.length + state.offset
         zero = number(0.0)
-        atom = Atom(self.probability, lambda edge: ndtr((edge - centre) / self.sigma_m), zero, zero)
+        atom = Atom(self.probability, lambda edge: ndtr((edge - centre) / self.sigma_m), zero, zero, of_echo=True)
         return state.with_atom(atom)
 
     def statement(self) -> str:

@@ -162,7 +162,7 @@ class ThermalDrift(Effect):
 
     name = "thermal_drift"
     stage = Stage.MEDIUM
-    needs_time = True
+    needs_time = by_clock = True
     summary = "The air warms or cools during the recording: the scale of ranges changes with time"
     parameters = (
         Parameter(

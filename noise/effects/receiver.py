@@ -344,7 +344,7 @@ class WarmUp(Effect):
 
     name = "warm_up"
     stage = Stage.REGISTER
-    needs_time = True
+    needs_time = by_clock = True
     summary = "The zero drifts while the sensor warms up"
     parameters = (
         Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01), typical=0.01),

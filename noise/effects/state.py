@@ -135,12 +135,14 @@ class Atom:
         cdf: P(echo, register <= edge) for register edges in m, (..., n).
         no_echo: P(no echo), (n,) or scalar.
         no_answer: P(no answer), (n,) or scalar.
+        of_echo: whether it replaces echoes only; `cdf` is then that of a reading that is an echo.
     """
 
     weight: Tensor
     cdf: Callable[[Tensor], Tensor]
     no_echo: Tensor
     no_answer: Tensor
+    of_echo: bool = False
 
 
 @dataclass(frozen=True)

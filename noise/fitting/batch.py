@@ -13,7 +13,7 @@ from torch import Tensor
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
 from noise.effects.base import target_tolerance
-from noise.fitting.visits import last_echo, visits_of, with_range_rate
+from noise.fitting.visits import last_echo, movement, visits_of, with_range_rate
 
 MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
 MAX_STATIONARY_M = 0.01  # change of the logged distance of a stationary target; chosen here
@@ -31,6 +31,7 @@ class Batch:
         condition: index of the condition of each ping, for splits, (n,).
         resolution: step of the register, m.
         last: range and true distance of the last echo before each ping in its run, m, nan where none, (n, 2).
+        moved: change of the true distance since the ping before in its run, m, (n,).
         timed: whether the time of each ping was logged.
         simulated_offset: mean error of the simulation under the same condition, m, nan where unknown, (n,).
     """
@@ -42,6 +43,7 @@ class Batch:
     condition: NDArray[np.int64]
     resolution: float
     last: NDArray[np.float64]
+    moved: NDArray[np.float64]
     timed: bool = True
     simulated_offset: NDArray[np.float64] | None = None
 
@@ -61,8 +63,9 @@ class Batch:
         past = previous(recording.reading, recording.run)
         ping, reading = with_range_rate(recording)[order], recording.reading[order]
         label = np.unique(visit[order], return_inverse=True)[1]
-        last, timed = last_echo(recording)[order], recording.has("time_s")
-        return cls(ping, past[order], reading, label, condition[order], recording.resolution, last, timed)
+        last, moved = last_echo(recording)[order], movement(recording)[order]
+        timed, step = recording.has("time_s"), recording.resolution
+        return cls(ping, past[order], reading, label, condition[order], step, last, moved, timed)
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -79,17 +82,22 @@ class Batch:
             visit=visit,
             condition=self.condition[mask],
             last=self.last[mask],
+            moved=self.moved[mask],
             simulated_offset=None if self.simulated_offset is None else self.simulated_offset[mask],
         )
 
     def thin(self, n: int) -> Batch:
         """Return about n pings at most: the first pings of every visit or, if necessary, of every k-th visit."""
+        return self if len(self) <= n else self.select(self.beginnings(n))
+
+    def beginnings(self, n: int) -> NDArray[np.bool_]:
+        """Return the mask of the first pings of every visit or, if necessary, of every k-th; about n are set."""
         if len(self) <= n:
-            return self
+            return np.ones(len(self), dtype=bool)
         stride = -(-2 * self.n_visits // n)
         # the first pings of a visit carry most of its information, so visits are shortened before any is omitted
         n_each = max(2, n * stride // self.n_visits)
-        return self.select((self.visit % stride == 0) & (self.count < n_each))
+        return (self.visit % stride == 0) & (self.count < n_each)
 
     @cached_property
     def n_visits(self) -> int:

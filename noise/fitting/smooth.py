@@ -36,8 +36,17 @@ KEPT = 4  # samples of pings whose correction is kept: those of a comparison of 
 MEMORY = ("past_error", "past_echo")
 
 
-def column(name: str, conditions: Conditions) -> Tensor:
-    """Return an input of the correction, (n,): a logged condition, the time, or a feature of the previous reading."""
+def column(name: str, conditions: Conditions, typical: Tensor | None = None) -> Tensor:
+    """Return an input of the correction, (n,): a logged condition, the time, or a feature of the previous reading.
+
+    Args:
+        name: of the input.
+        conditions: of n pings.
+        typical: value that stands for a covariate that was not logged.
+
+    Raises:
+        ModelError: the covariate was not logged, and nothing stands for it.
+    """
     c = conditions
     if name in c.covariates:
         return c.covariates[name]
@@ -53,6 +62,8 @@ def column(name: str, conditions: Conditions) -> Tensor:
         return torch.where(c.past_status == EchoStatus.NO_ANSWER, 0.0, known)
     if name in ("reflectance", "time"):
         return getattr(c, name)
+    if typical is not None:
+        return typical.expand(c.distance.shape)
     raise ModelError(f"smooth term: it needs the column {name!r}, which these pings do not have; log it or set it")
 
 
@@ -89,8 +100,9 @@ class Inputs:
         return cls(tuple(chosen), middle, scale, z.min(0).values, z.max(0).values)
 
     def standardised(self, conditions: Conditions) -> Tensor:
-        """Return the inputs, standardised and limited to the fitted range, (n, d)."""
-        x = torch.stack([column(name, conditions) for name in self.names], dim=-1)
+        """Return the inputs, standardised and limited to the fitted range, (n, d); a missing covariate is its mean."""
+        each = zip(self.names, self.middle, strict=True)
+        x = torch.stack([column(name, conditions, middle) for name, middle in each], dim=-1)
         return torch.minimum(torch.maximum((x - self.middle) / self.scale, self.low), self.high)
 
 

@@ -17,6 +17,7 @@ from noise.statistics import robust_std
 
 WEAK_DB, STRONG_DB = 1.0, 4.0  # scatter of the level of visits where fits begin
 MIN_SCATTER_M = 5e-4  # of a starting point; chosen here
+NEAR_FACTOR, NEAR_SHARE = 3.0, 0.05  # change of a parameter that a law has: of a probability, or of the bounds' width
 MIN_SHIFT_M = 1e-3  # of the target's echo between the bounds of a parameter that is estimated from it; chosen here
 
 
@@ -42,8 +43,9 @@ def starting_points(
 ) -> list[Stack]:
     """Return stacks with different parameter values of one effect.
 
-    These are the present values, the starting values of the catalogue, lengths of extra modes of the data, values that
-    fit the target's echo, the effect's own guesses, and a Sobol design over the bounds.
+    These are the present values, values near them if the law has the effect, the starting values of the catalogue,
+    lengths of extra modes of the data, values that fit the target's echo, the effect's own guesses, and a Sobol design
+    over the bounds.
 
     Args:
         stack: stack with or without the effect.
@@ -53,7 +55,7 @@ def starting_points(
         design: number of points of the Sobol design, a power of two.
         whole: readings for the other estimates; `batch` by default.
     """
-    every = [stack.parameter((name, p.name)) for p in stack.known[name].parameters]
+    every, has_it = [stack.parameter((name, p.name)) for p in stack.known[name].parameters], name in stack.values
     stack = stack.put([(name, p.name) for p in every], [stack.get((name, p.name)) for p in every])
     logged = (whole or batch).ping.covariates
     keys = [(name, p.name) for p in every if p.low < p.high and p.identifiable(logged)]
@@ -62,12 +64,25 @@ def starting_points(
     points = [[stack.get(key) for key in keys], first]
     for j, column in enumerate(columns):
         points += [[*first[:j], value, *first[j + 1 :]] for value in column[1:]]
+    if has_it:
+        points += _near(stack, keys)
     for row in dict.fromkeys((tuple(points[0]), tuple(first))):
         points += _one_at_a_time(stack.put(keys, row), keys, whole or batch)
     points += [[guess[key[1]] for key in keys] for guess in guesses_of(stack.known[name], whole or batch)]
     sobol = qmc.Sobol(len(keys), rng=rng).random(design)
     points += [[between_bounds(stack.parameter(k), u) for k, u in zip(keys, row, strict=True)] for row in sobol]
     return [stack.put(keys, point) for point in points]
+
+
+def _near(stack: Stack, keys: Sequence[Key]) -> list[list[float]]:
+    """Return the parameter values with each one in turn a little less and a little more than it is."""
+    here, out = [stack.get(key) for key in keys], []
+    for j, key in enumerate(keys):
+        p, step = stack.parameter(key), NEAR_SHARE * (stack.parameter(key).high - stack.parameter(key).low)
+        one_sided = p.null in (p.low, p.high) and p.null == 0.0
+        moved = (here[j] / NEAR_FACTOR, here[j] * NEAR_FACTOR) if one_sided else (here[j] - step, here[j] + step)
+        out += [[*here[:j], value, *here[j + 1 :]] for value in moved if p.low < value < p.high]
+    return out
 
 
 def guesses_of(effect: type[Effect], batch: Batch) -> list[dict[str, float]]:

@@ -23,6 +23,12 @@ def last_echo(recording: Recording) -> NDArray[np.float64]:
     return echoes.groupby(run).ffill().groupby(run).shift().to_numpy()
 
 
+def movement(recording: Recording) -> NDArray[np.float64]:
+    """Return the change of the logged distance since the ping before in its run, m, (n,); 0 for the first."""
+    change = pd.Series(recording.ping.distance).groupby(recording.run).diff().fillna(0.0)
+    return np.asarray(change, dtype=np.float64)
+
+
 def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return condition and visit (one condition in one run) of each ping, (n,) each.
 

@@ -65,13 +65,12 @@ class MixtureLaw(EchoLaw):
         """P(the sensor does not answer), (n,)."""
         return np.broadcast_to(1.0 - np.asarray(self.answer_rate), (len(self),))
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         z = np.asarray(z, dtype=np.float64)
         peaks = (self.share[:-2] * expit((z[..., None, :] - self.centre) / self.scale)).sum(axis=-2)
         return self.answer_rate * (peaks + self.share[-2] * self._share_of_scale(z))
 
-    def between(self, low: Floats, high: Floats) -> Floats:
+    def _between(self, low: Floats, high: Floats) -> Floats:
         """Return P(an echo is registered at an exact range in (low, high]), exact in the tails."""
         a, b = ((z[..., None, :] - self.centre) / self.scale for z in (low, high))
         wide = np.where(np.isinf(a) | np.isinf(b), np.inf, (high - low)[..., None, :] / self.scale)
@@ -82,7 +81,7 @@ class MixtureLaw(EchoLaw):
     def _share_of_scale(self, z: Floats) -> Floats:
         return np.clip(z / self.max_range, 0.0, 1.0)
 
-    def sample(self, rng: UniformSource) -> Reading:
+    def _sample(self, rng: UniformSource) -> Reading:
         """Draw a reading for each ping from two uniform numbers, for the outcome and for the range within it."""
         n, c = len(self), len(self.centre)
         which, where = rng.random((2, n))

@@ -6,6 +6,7 @@ depend on the number of worlds.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +22,7 @@ from acquisition.arrays import Floats, Ints, Singles
 from acquisition.limits import Limit, check_value, near, shown
 from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
+from sonar_gym.parking.cost_to_go import PARKED_ANGLE, PARKED_OVERHANG, CostTables, Space
 from sonar_gym.parking.obstacles import obstacles_of
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.randomization import LEVEL_NAMES, Randomization
@@ -30,7 +32,6 @@ from sonar_gym.parking.street import (
     Goal,
     Street,
     StreetSettings,
-    arc_table,
     check_gap,
     draw_street,
     placed,
@@ -55,9 +56,7 @@ STEP_S = 0.1  # s; an SRF08 needs 65 ms, several at once after a general call (D
 MAX_RANGE = 3.01  # m; SRF08 with range register 69: (69 + 1) * 43 mm
 MAX_STEPS = 400  # steps of an episode, the time limit set by `gymnasium.make` and `make_vec`
 ODOMETRY_SPAN = (10.0, 2.0)  # m; scales of the odometry along and across the initial heading
-PARKED_ANGLE = np.radians(10.0)
 PARKED_SPEED = 0.03  # m/s
-PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's line
 CHUNK = 64  # worlds that are stepped at a time
 THREAD_ROWS = 64  # worlds per thread below which threads are slower than none
 EGO = 7  # length of `ego`
@@ -121,7 +120,7 @@ class Fleet:
         self.mounts = layout(sonar_layout)
         self.randomization: Randomization = settings_of(Randomization, randomize, "randomize")
         self._randomizes = self.randomization != Randomization()
-        self._levels = np.full(count, -1)
+        self._levels, self._costs = np.full(count, -1), CostTables()
         self.street_settings = street_settings(difficulty, street)
         self.car_settings: CarSettings = settings_of(CarSettings, car, "car")
         check_gap(self.street_settings.gap[0], self.car_settings)
@@ -196,7 +195,8 @@ class Fleet:
             half_angles=mount_arrays(self.mounts)[1],
             heights=heights(self.mounts),
             timing=self.sensing.timing,
-            arc=arc_table(car),
+            grids=self._costs.grids,
+            costs=self._costs.values,
             weights=np.array(astuple(self.reward_weights)),
             scale=np.array([car.max_speed, car.max_steering, *ODOMETRY_SPAN, MAX_STEPS]),
             limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -BEHIND]),
@@ -353,7 +353,17 @@ class Fleet:
         worlds.velocity[row, :faces], worlds.moves[row] = scene.velocity, bool(scene.velocity.any())
         worlds.floor[row] = street.settings.floor_reflectance, np.radians(street.settings.floor_texture_deg)
         worlds.car[row] = (*street.start, 0.0, 0.0)
-        worlds.task[row] = (*street.gap, street.line, goal.x, goal.y, goal.turn, goal.ready_x, 0.0)
+        task = *street.gap, street.line, goal.x, goal.y, goal.turn, goal.ready_x, self._table_of(street), 0.0
+        worlds.task[row] = task
+
+    def _table_of(self, street: Street) -> int:
+        """Return the number of the table of cost to go of a street, made if it is new."""
+        gap, shortest = street.gap[1] - street.gap[0], street.settings.gap[0]
+        # a gap that the options make shorter has the table of one shorter by up to 1 cm, so that there are few tables
+        length = shortest if gap > shortest - 1e-6 else max(math.floor(100.0 * gap) / 100.0, self.car_settings.length)
+        number = self._costs.number(Space.of(street.settings, self.car_settings, length))
+        self.constants = self.constants._replace(grids=self._costs.grids, costs=self._costs.values)
+        return number
 
     # ---- output ------------------------------------------------------------------------------------------------------
 

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from acquisition.arrays import Floats, Singles
 from acquisition.limits import as_numbers
+from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
-from sonar_gym.parking.street import Goal
+from sonar_gym.parking.street import Goal, rear_room
 
-# Of x and y, m, of cosine and sine of the heading, and of a crash, which must cost more than waiting: 5 m from the goal
-# the discounted sum of all later rewards at a discount of 0.95 is -100
-WEIGHTS = np.array([1.0, 1.0, 0.3, 0.3, 100.0])
+GOAL = 5  # length of a goal
+CRASHED = -35.0  # about the discounted sum of the rewards of a car that waits at the start, at a discount of 0.98
+FAR_M = 1.0  # m; cost to go at which the reward is -1/2
 
 
 class SonarParkingGoalEnv(SonarParkingEnv):
@@ -38,9 +39,10 @@ class SonarParkingGoalEnv(SonarParkingEnv):
 
     ## Rewards
 
-    `compute_reward`: minus the weighted sum of the absolute differences of the two goals, without regard to `info`; a
-    collision, or leaving the street, counts 100. `info["reward_terms"]` holds the terms of `SonarParkingEnv`, which are
-    not used.
+    `compute_reward`: minus c / (c + 1 m), where c is the cost to go (`cost_to_go`) of the pose achieved into a space
+    around the pose desired; and -35 for a collision or for leaving the street, without regard to `info`. The straight
+    distance would not do: beside the gap it is small, but a car cannot move sideways. `info["reward_terms"]` holds the
+    terms of `SonarParkingEnv`, which are not used.
 
     Args:
         settings: keyword arguments of `SonarParkingEnv` except `reward`.
@@ -48,7 +50,7 @@ class SonarParkingGoalEnv(SonarParkingEnv):
 
     def __init__(self, **settings: Any) -> None:
         if "reward" in settings:
-            raise SettingError("SonarParkingGoal-v0 takes no reward: its reward is the distance to the goal")
+            raise SettingError("SonarParkingGoal-v0 takes no reward: its reward is the cost to go to the goal")
         super().__init__(**settings)
         self._own_space = self.observation_space
         limit = np.array([*ODOMETRY_SPAN, 1.0, 1.0, 1.0], dtype=np.float32)
@@ -56,7 +58,10 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         self.observation_space = spaces.Dict(
             {"observation": flatten_space(self._own_space), "achieved_goal": goal, "desired_goal": goal}
         )
-        self._desired: Singles = np.zeros(len(WEIGHTS), dtype=np.float32)
+        self._desired: Singles = np.zeros(GOAL, dtype=np.float32)
+        space = Space.of(self.fleet.street_settings, self.fleet.car_settings)
+        self._table = cost_table(space)
+        self._stand = space.car.rear_overhang + rear_room(space.length, space.car), -space.line - 0.5 * space.depth
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -85,13 +90,20 @@ class SonarParkingGoalEnv(SonarParkingEnv):
             Rewards, () or (k,).
         """
         goals = [as_numbers(*one) for one in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal))]
-        if any(goal.shape != goals[0].shape or goal.shape[-1:] != WEIGHTS.shape for goal in goals):
+        if any(goal.shape != goals[0].shape or goal.shape[-1:] != (GOAL,) for goal in goals):
             shapes = " and ".join(str(goal.shape) for goal in goals)
-            raise SettingError(
-                f"achieved_goal and desired_goal: expected equal shapes (..., {len(WEIGHTS)}), got {shapes}"
-            )
-        difference = np.abs(goals[0] - goals[1])
-        return np.asarray(-(difference @ WEIGHTS))
+            raise SettingError(f"achieved_goal and desired_goal: expected equal shapes (..., {GOAL}), got {shapes}")
+        return np.where(goals[0][..., -1] > 0.5, CRASHED, -self._closeness(*goals))
+
+    def _closeness(self, achieved: Floats, desired: Floats) -> Floats:
+        """Return c / (c + `FAR_M`), 0 at the goal and 1 far away, () or (k,)."""
+        c, s = desired[..., 2], desired[..., 3]
+        dx, dy = achieved[..., 0] - desired[..., 0], achieved[..., 1] - desired[..., 1]
+        turn = np.arctan2(c * achieved[..., 3] - s * achieved[..., 2], c * achieved[..., 2] + s * achieved[..., 3])
+        pose = np.stack([self._stand[0] + c * dx + s * dy, self._stand[1] + c * dy - s * dx, turn], axis=-1)
+        grid, values = self._table
+        cost = costs_to_go(pose.reshape(-1, 3).astype(np.float64), grid, values).reshape(turn.shape)
+        return cost / (cost + FAR_M)
 
     def _goal(self) -> Singles:
         """Return the pose at the end of the reference path in the frame of the start, and no crash, (5,)."""

@@ -14,18 +14,19 @@ import numpy as np
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.limits import Limit, check_settings
 from sonar_gym.compiled import compiled
+from sonar_gym.parking.cost_to_go import cost_to_go
 from sonar_gym.sensing.crosstalk import add_crosstalk
 from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll, shift
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 from sonar_gym.sensing.paths import cast_paths, meet_moving
 from sonar_gym.sensing.records import SAME_TIME_S, PingArrays, firing_delay
 
-GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, COST = range(8)
-N_TASK = 8
+GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, TABLE, COST = range(9)
+N_TASK = 9
 PARKED, COLLISION, LEFT_STREET = range(3)
 REWARD_TERMS = ("shaping", "time", "parked", "crashed")
 # Weights of the reward, in the order of the fields of `RewardWeights`
-POTENTIAL, DISCOUNT, TIME, PARKED_ONCE, CRASHED_ONCE, CRASH_DISTANCE, OFF_PATH, OFF_HEADING = range(8)
+POTENTIAL, DISCOUNT, TIME, PARKED_ONCE, CRASHED_ONCE, CRASH_DISTANCE = range(6)
 PARTS = 5  # parts of a step; contact is tested at the end of each
 
 
@@ -37,8 +38,8 @@ class RewardWeights:
     """Weights of the reward.
 
     The task's own reward is `time`, `parked` and `crashed`. To it a potential-based shaping is added (Ng, Harada and
-    Russell 1999): `discount` * Phi(next pose) - Phi(pose), where Phi is minus `potential` times the cost to go along a
-    reference path, and zero where the episode ends. Its discounted sum depends on the start alone, so the best policy
+    Russell 1999): `discount` * Phi(next pose) - Phi(pose), where Phi is minus `potential` times the cost to go
+    (`cost_to_go`), and zero where the episode ends. Its discounted sum depends on the start alone, so the best policy
     is that of the task's own reward.
 
     Attributes:
@@ -48,18 +49,14 @@ class RewardWeights:
         parked: once, for standing in the gap.
         crashed: once, for touching an obstacle or leaving the street.
         crash_distance: once, per metre of cost to go from the place where the car crashed.
-        off_path: cost of a deviation of 1 m from the reference path, in metres of cost to go.
-        off_heading: cost of a deviation of 1 rad from its heading, in metres of cost to go.
     """
 
     potential: Weight = 5.0
     discount: Annotated[float, Limit(0.0, 1.0)] = 1.0
-    time: Weight = -0.01
+    time: Weight = -0.05
     parked: Weight = 10.0
     crashed: Weight = -3.0
     crash_distance: Weight = -5.0
-    off_path: Weight = 3.0
-    off_heading: Weight = 0.5
 
     def __post_init__(self) -> None:
         """Raise SettingError for a weight that is not finite, or a discount beyond 0..1."""
@@ -74,7 +71,8 @@ class WorldArrays(NamedTuple):
         car: x, y, heading, speed, steering angle: m, m, rad, m/s, rad, (n, 5).
         odometry: state of the odometry, see `odometry.update_odometry`, (n, 7).
         task: begin and end of the gap, m; y of the strip's line, m; x and y of the end of the reference path, m; angle
-            of its two arcs, rad; x at which they begin, m; cost to go, m; in columns `GAP` to `COST`, (n, N_TASK).
+            of its two arcs, rad; x at which they begin, m; number of the table of cost to go; cost to go, m; in columns
+            `GAP` to `COST`, (n, N_TASK).
         mounts: poses of the sonars in the frame of the car, (n, s, 3).
         counts: number of segments, (n,).
         segments: segments, m, (n, m, 4).
@@ -134,7 +132,8 @@ class StepConstants(NamedTuple):
         half_angles: half opening angles, rad, (s,).
         heights: heights of the sonars above the floor, m, 0 for those that do not hear it, (s,).
         timing: period, phase and latency of each sonar, s, (s, 3).
-        arc: arc of the reference path, see `cost_to_go`.
+        grids: headers of the tables of cost to go, see `cost_to_go`, (k, N_GRID).
+        costs: their values, m.
         weights: weights of the reward, in the order of `RewardWeights`.
         scale: scales of `ego`: speed, steering angle, distance along, distance across, steps, (5,).
         limits: limits of `is_parked`: speed, m/s, angle, rad, overhang, m; x of the open end of the street, m.
@@ -149,7 +148,8 @@ class StepConstants(NamedTuple):
     half_angles: Floats
     heights: Floats
     timing: Floats
-    arc: Floats
+    grids: Floats
+    costs: Singles
     weights: Floats
     scale: Floats
     limits: Floats
@@ -157,44 +157,6 @@ class StepConstants(NamedTuple):
     crosstalk: bool
     dt: float
     max_range: float
-
-
-@compiled
-def cost_to_go(pose: Floats, task: Floats, arc: Floats, per_metre: float, per_radian: float) -> float:
-    """Return the minimum over the reference path of the remaining length plus the cost of the deviation from the path.
-
-    The path follows the lane, then two equal arcs backwards. On the lane the minimum has a closed form, as in
-    refraction of
-    light: distances to the path and along it have different costs. On the arcs, poses at intervals of 1 cm are
-        compared.
-
-    Args:
-        pose: pose of the car, (3,).
-        task: row of `WorldArrays.task`.
-        arc: angle, distance along x, distance along y, arc length: rad, m, m, m, from 0 on, (k, 4).
-        per_metre: cost of a deviation of 1 m from the path, m.
-        per_radian: cost of a deviation of 1 rad from its heading, m.
-    """
-    radius = arc[-1, 3] / arc[-1, 0]
-    arc_length = radius * task[TURN]
-    ahead = abs(pose[1]) / math.sqrt(per_metre * per_metre - 1.0) if per_metre > 1.0 else math.inf
-    lane_x = min(pose[0] + ahead, task[READY_X])
-    deviation_cost = per_metre * math.hypot(pose[0] - lane_x, pose[1])
-    best = 2.0 * arc_length + task[READY_X] - lane_x + deviation_cost + per_radian * abs(pose[2])
-    for second in (True, False):
-        for k in range(arc.shape[0]):
-            remaining = arc[k, 3] if second else 2.0 * arc_length - arc[k, 3]
-            if arc[k, 0] > task[TURN]:
-                break
-            if remaining >= best:
-                continue
-            x = task[GOAL_X] + arc[k, 1] if second else task[READY_X] - arc[k, 1]
-            y = task[GOAL_Y] + arc[k, 2] if second else -arc[k, 2]
-            cost = remaining + per_metre * math.sqrt((pose[0] - x) ** 2 + (pose[1] - y) ** 2)
-            if cost < best:
-                turn = abs((pose[2] - arc[k, 0] + math.pi) % (2.0 * math.pi) - math.pi)
-                best = min(best, cost + per_radian * turn)
-    return best
 
 
 @compiled
@@ -254,16 +216,17 @@ def update_ego(ego: Singles, car: Floats, odometry: Floats, i: int, scale: Float
 
 
 @compiled
-def update_reward(terms: Floats, car: Floats, task: Floats, ended: Bits, i: int, arc: Floats, weights: Floats) -> None:
+def update_reward(w: WorldArrays, i: int, r: StepConstants) -> None:
     """Write the terms of the reward and the cost to go."""
-    cost = cost_to_go(car[i, :3], task[i], arc, weights[OFF_PATH], weights[OFF_HEADING])
-    crashed = ended[i, COLLISION] or ended[i, LEFT_STREET]
-    next_cost = 0.0 if crashed or ended[i, PARKED] else cost  # the potential is zero where an episode ends
-    terms[i, 0] = weights[POTENTIAL] * (task[i, COST] - weights[DISCOUNT] * next_cost)
-    terms[i, 1] = weights[TIME]
-    terms[i, 2] = weights[PARKED_ONCE] if ended[i, PARKED] else 0.0
-    terms[i, 3] = weights[CRASHED_ONCE] + weights[CRASH_DISTANCE] * cost if crashed else 0.0
-    task[i, COST] = cost
+    weights, terms, task, ended, car = r.weights, w.terms[i], w.task[i], w.ended[i], w.car[i]
+    cost = cost_to_go(car[0] - task[GAP], car[1], car[2], r.grids[int(task[TABLE])], r.costs)
+    crashed = ended[COLLISION] or ended[LEFT_STREET]
+    next_cost = 0.0 if crashed or ended[PARKED] else cost  # the potential is zero where an episode ends
+    terms[0] = weights[POTENTIAL] * (task[COST] - weights[DISCOUNT] * next_cost)
+    terms[1] = weights[TIME]
+    terms[2] = weights[PARKED_ONCE] if ended[PARKED] else 0.0
+    terms[3] = weights[CRASHED_ONCE] + weights[CRASH_DISTANCE] * cost if crashed else 0.0
+    task[COST] = cost
 
 
 @compiled
@@ -292,7 +255,7 @@ def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
     for i in rows:
         w.steps[i] = 0
         w.ended[i] = False
-        update_reward(w.terms, w.car, w.task, w.ended, i, r.arc, r.weights)
+        update_reward(w, i, r)
         w.terms[i] = 0.0
         update_ego(w.ego, w.car, w.odometry, i, r.scale, r.dynamics[0], 0)
 
@@ -386,5 +349,5 @@ def finish(i: int, hit: int, start: Floats, w: WorldArrays, r: StepConstants) ->
     ended[COLLISION], ended[LEFT_STREET] = hit != NO_HIT, state[0] < r.limits[3]
     ended[PARKED] = hit == NO_HIT and is_parked(state, r.body, w.task[i], r.limits)
     update_odometry(w.odometry[i], start, state[:3])
-    update_reward(w.terms, w.car, w.task, w.ended, i, r.arc, r.weights)
+    update_reward(w, i, r)
     update_ego(w.ego, w.car, w.odometry, i, r.scale, r.dynamics[0], w.steps[i])

@@ -345,11 +345,15 @@ class Goal:
     @classmethod
     def of(cls, street: Street, car: CarSettings) -> Goal:
         """Return the goal in the middle of the strip, as far from the gap's first box as a single move allows."""
-        spare = street.gap[1] - street.gap[0] - car.length - TURN_ROOM
-        x = street.gap[0] + car.rear_overhang + min(max(spare, REAR_ROOM[0]), REAR_ROOM[1])
+        x = street.gap[0] + car.rear_overhang + rear_room(street.gap[1] - street.gap[0], car)
         y, radius = 0.5 * (street.line + street.kerb), arc_radius(car)
         turn = float(np.arccos(min(max(1.0 + y / (2.0 * radius), -1.0), 1.0)))
         return cls(x, y, turn, float(x + 2.0 * radius * np.sin(turn)))
+
+
+def rear_room(gap: float, car: CarSettings) -> float:
+    """Return the space behind the car at the end of the reference path in a gap, m."""
+    return min(max(gap - car.length - TURN_ROOM, REAR_ROOM[0]), REAR_ROOM[1])
 
 
 def arc_radius(car: CarSettings) -> float:
@@ -362,26 +366,3 @@ def arc_table(car: CarSettings) -> Floats:
     radius = arc_radius(car)
     angle = np.arange(0.0, np.pi, PATH_STEP / radius)
     return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])
-
-
-def reference_path(street: Street, car: CarSettings) -> Floats:
-    """Return a feasible path: along the lane, then backwards in two equal arcs.
-
-    Args:
-        street: street to park on.
-        car: measures of the car.
-
-    Returns:
-        X, y, heading of the rear axle and remaining length: m, m, rad, m, (k, 4).
-    """
-    goal, radius, arc = Goal.of(street, car), arc_radius(car), arc_table(car)
-    angle, along, across, arc_length = np.vstack([arc[arc[:, 0] < goal.turn], _arc_end(radius, goal.turn)]).T
-    arcs, lane_x = 2.0 * radius * goal.turn, np.arange(-BEHIND, goal.ready_x, PATH_STEP)
-    lane = np.column_stack([lane_x, 0 * lane_x, 0 * lane_x, arcs + goal.ready_x - lane_x])
-    first = np.column_stack([goal.ready_x - along, -across, angle, arcs - arc_length])
-    second = np.column_stack([goal.x + along, goal.y + across, angle, arc_length])[::-1]
-    return np.vstack([lane, first, second])
-
-
-def _arc_end(radius: float, turn: float) -> Floats:
-    return np.array([[turn, radius * np.sin(turn), radius * (1.0 - np.cos(turn)), radius * turn]])

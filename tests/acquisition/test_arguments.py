@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from acquisition import Ping, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
-from acquisition.limits import Limit
+from acquisition.limits import Limit, check_value
 
 
 @checked
@@ -72,3 +72,9 @@ def test_what_does_not_fit_is_named(given, message):
     by_place = {"ping": PING, "path": "a", "gain": 0, "names": None, **default, **given}
     with pytest.raises(SettingError, match=message):
         listen(*by_place.values())
+
+
+@pytest.mark.parametrize("hint", [int | None, bool, Literal["a"], tuple[float, ...]])
+def test_a_path_stands_for_no_number_and_no_choice(hint):
+    with pytest.raises(SettingError, match=r"^seed: expected .*got "):
+        check_value("seed", Path("a"), hint)

@@ -110,7 +110,7 @@ def test_constant_gives_one_reading_and_noise_preserves_no_echo():
 class DeadLaw(EchoLaw):
     """A law without any answer."""
 
-    def arrival(self, z):
+    def _arrival(self, z):
         return np.zeros(np.shape(z))
 
     @property

@@ -159,7 +159,7 @@ def test_laws_of_one_uniform_number_a_ping_are_sampled_equally_in_one_batch_and_
 @pytest.mark.parametrize("name", [name for name in SAMPLED if name != "rig"])
 def test_arguments_are_checked_once_where_a_law_is_called_from_outside(name, monkeypatch):
     law = listener(SAMPLED[name]).law(Ping.of(distance=[0.2, 1.0], run=np.arange(2), time=0.0))
-    for check in ("_per_ping", "_source"):
+    for check in ("_per_ping", "sample"):
         own = getattr(EchoLaw, check)
         monkeypatch.setattr(EchoLaw, check, lambda *given, own=own: checks.append(given) or own(*given))
     for method, argument in (("arrival", 0.5), ("cdf", 0.5), ("quantile", 0.5), ("sample", np.random.default_rng(0))):
@@ -170,7 +170,7 @@ def test_arguments_are_checked_once_where_a_law_is_called_from_outside(name, mon
 
 def test_a_law_with_a_sampling_method_of_its_own_does_not_inherit_the_declaration():
     class Shuffled(EchoLaw):
-        def sample(self, rng):
+        def _sample(self, rng):
             return super().sample(np.random.default_rng(int(rng.random(1)[0] * 100)))
 
     class Quiet(EchoLaw):

@@ -8,7 +8,7 @@ from scipy import stats
 from acquisition import Ping, Reading, SettingError
 from noise import GaussianModel, IdealModel
 from noise.effects import CATALOGUE
-from noise.metrics import ClusterMean, credence_reliability, crps, evaluate, pit
+from noise.metrics import ClusterMean, credence_reliability, crps, crps_with_silence, evaluate, pit
 from noise.physical import PhysicalModel
 
 
@@ -103,3 +103,19 @@ def test_the_true_model_scores_best(rng):
     entropy = np.mean(0.5 * np.log(2 * np.pi * np.e * sigma**2) - np.log(0.001))
     assert scores[0].log_likelihood.mean == pytest.approx(-entropy, abs=5 * scores[0].log_likelihood.error)
     assert evaluate(IdealModel(), ping, drawn, visit).log_likelihood.mean == -np.inf
+
+
+SCORES = {
+    "crps": crps,
+    "crps_with_silence": crps_with_silence,
+    "pit": lambda law, reading: pit(law, reading, np.random.default_rng(0)),
+    "credence": lambda law, reading: credence_reliability(law, reading, [0]),
+    "log_prob": lambda law, reading: law.log_prob(reading),
+}
+
+
+@pytest.mark.parametrize("model", [GaussianModel(), PhysicalModel()], ids=["gaussian", "physical"])
+@pytest.mark.parametrize("score", SCORES.values(), ids=SCORES)
+def test_there_is_one_reading_for_each_ping(score, model):
+    with pytest.raises(SettingError, match=r"\.reading: expected one reading for each ping, got 1 for 2"):
+        score(model.law(Ping.of(distance=[1.0, 2.0])), Reading.of([1.0]))

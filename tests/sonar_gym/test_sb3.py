@@ -5,6 +5,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor
@@ -102,3 +103,22 @@ def test_attributes_are_set_for_all_environments():
         envs.set_attr("max_episode_steps", 7, indices=[0])
     with pytest.raises(SettingError, match="SonarVecEnv takes no autoreset_mode"):
         SonarVecEnv(2, autoreset_mode="NextStep")
+
+
+def test_features_of_an_observation_resolve_what_is_near():
+    envs = SonarVecEnv(3)
+    extractor = sonar_gym.SonarExtractor(envs.observation_space)
+    observations = {name: torch.as_tensor(value) for name, value in envs.reset().items()}
+    features = extractor(observations)
+    assert features.shape == (3, extractor.features_dim)
+    observations["ranges"][:, 3] = torch.tensor([0.10, 0.15, 3.01]) / 3.01
+    moved = extractor(observations)[:, [3, 11]]
+    assert moved == pytest.approx(torch.tensor([[-0.5, 2 / 3], [-1 / 3, 0.5], [2 * 3.01 / 3.31 - 1, 0.0]]), abs=1e-5)
+
+
+@pytest.mark.parametrize("sonar_layout", ["eight", "four"])
+def test_the_extractor_makes_a_policy_of_ppo(sonar_layout):
+    features = {"features_extractor_class": sonar_gym.SonarExtractor}
+    envs = SonarVecEnv(2, sonar_layout=sonar_layout)
+    model = PPO("MultiInputPolicy", envs, n_steps=8, batch_size=16, policy_kwargs=features, device="cpu")
+    assert model.learn(16).num_timesteps == 16

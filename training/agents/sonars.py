@@ -8,10 +8,9 @@ import numpy as np
 
 from acquisition import EchoStatus, Ping, Reading
 from acquisition.arrays import Bits, Ints
-from acquisition.errors import SampleOnlyError
 from noise import EchoLaw, SonarModel, load_model
 from noise.faults import Faulty, Noise, Short
-from noise.law import Floats, UniformSource
+from noise.law import Floats, SampleOnlyLaw, UniformSource
 
 TRAINING_FAULTS = (Short(0.05), Noise(0.1, 0.05))  # arbitrary readings; 50 mm scatter; rates chosen here
 SEED_WORDS = 8  # 64-bit words taken from a stream to seed the generator of a batch
@@ -35,19 +34,19 @@ class MismatchedLaw(EchoLaw):
         self.actual, self.assumed = actual, assumed
         self.has_probabilities = assumed.has_probabilities
 
-    def arrival(self, z: Floats) -> Floats:
+    def _arrival(self, z: Floats) -> Floats:
         """Return P(an echo is registered at an exact range <= z) under the assumed law."""
-        return self.assumed.arrival(z)
+        return self.assumed._arrival(z)
 
     @property
     def no_answer(self) -> Floats:
         """P(the sensor does not answer) under the assumed law, (n,)."""
         return self.assumed.no_answer
 
-    def sample(self, rng: UniformSource) -> Reading:
+    def _sample(self, rng: UniformSource) -> Reading:
         """Draw readings from the actual law."""
         words = rng.random(len(self))[:SEED_WORDS].view(np.uint64)
-        return self.actual.sample(np.random.default_rng(words))
+        return self.actual._sample(np.random.default_rng(words))
 
 
 @dataclass(frozen=True)
@@ -96,22 +95,19 @@ class ShiftedLaw(EchoLaw):
         self.law = law
         self.uniform_per_ping = law.uniform_per_ping
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
-        return self.law.arrival(z)
+    def _arrival(self, z: Floats) -> Floats:
+        return self.law._arrival(z)
 
-    def between(self, low: Floats, high: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range in (low, high])."""
-        return self.law.between(low, high)
+    def _between(self, low: Floats, high: Floats) -> Floats:
+        return self.law._between(low, high)
 
     @property
     def no_answer(self) -> Floats:
         """P(the sensor does not answer), (n,)."""
         return self.law.no_answer
 
-    def sample(self, rng: UniformSource) -> Reading:
-        """Draw readings."""
-        return self.law.sample(rng)
+    def _sample(self, rng: UniformSource) -> Reading:
+        return self.law._sample(rng)
 
 
 @dataclass(frozen=True)
@@ -137,7 +133,7 @@ class ShiftedModel:
         return ShiftedLaw(self.model.law(replace(ping, distance=ping.distance + self.offset)), ping.distance)
 
 
-class LooseLaw(EchoLaw):
+class LooseLaw(SampleOnlyLaw):
     """Law of n pings of which some have arbitrary readings; it can only be sampled.
 
     Args:
@@ -147,28 +143,13 @@ class LooseLaw(EchoLaw):
         share: share of arbitrary readings.
     """
 
-    has_probabilities = False
-
     def __init__(self, law: EchoLaw, loose: Bits, source: Ints, share: float) -> None:
         super().__init__(law.distance, law.resolution, law.max_range)
         self.law, self.loose, self.source, self.share = law, loose, source, share
 
-    def arrival(self, z: Floats) -> Floats:
-        """Raise SampleOnlyError.
-
-        Raises:
-            SampleOnlyError: always.
-        """
-        raise SampleOnlyError("a sonar with a loose contact has no probabilities: draw readings with `sample(rng)`")
-
-    @property
-    def no_answer(self) -> Floats:
-        """Raise SampleOnlyError, as `arrival` does."""
-        return self.arrival(self.distance)
-
-    def sample(self, rng: UniformSource) -> Reading:
+    def _sample(self, rng: UniformSource) -> Reading:
         """Draw readings; those affected are uniform up to the maximum range."""
-        reading = self.law.sample(rng)
+        reading = self.law._sample(rng)
         most = int(self.source.max(initial=-1)) + 1
         chance, anything = rng.random(most), (1.0 - rng.random(most)) * self.max_range
         affected = self.loose & (chance[self.source] < self.share)

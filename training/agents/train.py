@@ -17,7 +17,6 @@ import numpy as np
 from annotated_types import MinLen
 from rich.console import Console
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.utils import set_random_seed
@@ -149,18 +148,6 @@ def make_model(args: Args, envs: AgentVecEnv, ppo: PPOSettings) -> PPO:
     )
 
 
-class _StepCallback(BaseCallback):
-    """Reports the number of decisions."""
-
-    def __init__(self, on_step: Callable[[int], None]) -> None:
-        super().__init__()
-        self._report = on_step
-
-    def _on_step(self) -> bool:
-        self._report(self.num_timesteps)
-        return True
-
-
 class Training:
     """A training in legs; leg 0 is imitation.
 
@@ -261,9 +248,12 @@ class Training:
         remaining = max(0.05, 1.0 - self.steps / self.args.steps)
         self.model.lr_schedule = lambda _: self.args.learning_rate * (1.0 if frozen else remaining)
         decisions = self.ppo.rollout * self.ppo.updates * self.args.num_envs
-        total, repeat = self.args.steps, self.args.repeat
-        callback = _StepCallback(lambda done: self._on_progress("PPO", min(done * repeat, total), total))
-        self.model.learn(decisions, callback=callback, reset_num_timesteps=False)
+        self.model.learn(decisions, callback=self._on_decision, reset_num_timesteps=False)
+
+    def _on_decision(self, _locals: Mapping[str, Any], _globals: Mapping[str, Any]) -> bool:
+        total = self.args.steps
+        self._on_progress("PPO", min(self.steps, total), total)
+        return True
 
     def _results(self) -> dict[str, Any]:
         """Return the mean results of finished episodes."""

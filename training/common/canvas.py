@@ -56,6 +56,15 @@ STYLE: dict[Any, Any] = {
 }
 
 
+class NotebookFigure(Figure):
+    """Figure that a notebook shows although pyplot, which shows those that it made itself, did not make it."""
+
+    def _repr_png_(self) -> bytes:
+        out = io.BytesIO()
+        self.savefig(out, format="png", metadata={"Software": None})
+        return out.getvalue()
+
+
 def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.4, 3.5)) -> str:
     """Return a figure with one pair of axes as scalable SVG text.
 
@@ -75,15 +84,15 @@ def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.
     return text
 
 
-def figure_of(draws: Sequence[Draw], size: tuple[float, float]) -> Figure:
-    """Return a figure with several pairs of axes in one row.
+def figure_of(draws: Sequence[Draw], size: tuple[float, float]) -> NotebookFigure:
+    """Return a figure with several pairs of axes in one row, which a notebook shows.
 
     Args:
         draws: draw on one pair of axes each.
         size: width and height, inches.
     """
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = NotebookFigure(figsize=size, layout="constrained")
         for draw, axes in zip(draws, figure.subplots(1, len(draws), squeeze=False)[0], strict=True):
             draw(axes)
     return figure

@@ -58,8 +58,7 @@ class NearestConditionLaw(EchoLaw):
         self.smooth, self.model, self.nearest = smooth, model, nearest
         self._weight = PRIOR_PINGS / (PRIOR_PINGS + model.pings[nearest])
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         z = np.asarray(z, dtype=np.float64)
         error = np.broadcast_to(z - self.distance + 1e-9, z.shape)
         share = np.empty(z.shape)

@@ -12,15 +12,11 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from acquisition import MissingExtraError
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
+
 from training.common.checksum import canonical, sha256
 from training.proof.chain import ProofError
-
-try:
-    from cryptography.exceptions import InvalidTag
-    from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
-except ModuleNotFoundError:
-    raise MissingExtraError("the proof needs the package 'cryptography': pip install 'sonar-gym[train]'") from None
 
 BLOCK = 2048  # bytes of a padded answer; four times the longest of 144 pairs and faults
 N_NONCE = 12  # bytes, as the cipher requires

@@ -18,7 +18,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from acquisition import MissingExtraError, Recording
+from acquisition import Recording
+from acquisition.extras import require
 from training.common.commit import ROOT
 from training.diagnosis.generators.trial import RECORDINGS
 from training.diagnosis.judging.record import _content as content_of
@@ -124,10 +125,9 @@ def on_ray(workers: int) -> Iterator[Call]:
     Raises:
         MissingExtraError: Ray is not installed.
     """
-    try:
-        import ray
-    except ModuleNotFoundError:
-        raise MissingExtraError("--ray needs the package 'ray': pip install 'sonar-gym[ray]'") from None
+    require("ray", "ray")
+    import ray
+
     ray.init(log_to_driver=False, include_dashboard=False, ignore_reinit_error=True)
     try:
         yield lambda function, *arguments: ray.get(ray.remote(function).remote(*arguments))

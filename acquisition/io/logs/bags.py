@@ -25,7 +25,8 @@ import pandas as pd
 
 from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
-from acquisition.errors import MissingExtraError, RecordingError, RecordingNotFoundError, SettingError
+from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
+from acquisition.extras import require
 from acquisition.io.recording import Recording
 from acquisition.io.tables import read_text_table
 
@@ -223,11 +224,10 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         if not path.exists():
             raise RecordingNotFoundError(f"{path}: no such bag; give a .bag, .mcap or .db3 file, or a ROS 2 folder")
-        try:
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-        except ModuleNotFoundError:
-            raise MissingExtraError("reading bags needs the package rosbags: pip install 'sonar-gym[ros]'") from None
+        require("rosbags", "ros")
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
         self.path = path
         # bags written before ROS 2 Iron contain no message definitions; those of Humble apply
         self._open = lambda: AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))

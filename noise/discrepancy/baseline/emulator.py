@@ -197,7 +197,13 @@ def with_catalogue(stack: Stack, readings: Batch, rng: np.random.Generator) -> S
 
 
 def _can_be_added(stack: Stack, name: str, batch: Batch) -> bool:
-    """Return whether an effect is absent, or lacks a parameter that a logged covariate identifies."""
+    """Return whether an effect is absent, or lacks a parameter that a logged covariate identifies.
+
+    What follows the clock of the day on which the simulation ran, such as a drift of its air, is no property of it: a
+    survey in order of distance has the time stand for the distance, and another day has another drift.
+    """
+    if CATALOGUE[name].by_clock:
+        return False
     covariates = (p for p in CATALOGUE[name].parameters if p.covariate)
     return name not in stack.values or any(p.identifiable(batch.ping.covariates) for p in covariates)
 

@@ -25,6 +25,8 @@ from noise.metrics import crps_with_silence
 from noise.model import MAX_RANGE
 
 MAX_PINGS = 4000  # of the forest, thinned by visit; bounds time and the size of the file
+N_TIMES = 8  # that stand for all recorded times
+TIME = "time"
 MAX_VALUES = 4_000_000  # computed at once; bounds the memory
 INTEGERS, NUMBERS = ("root", "feature", "left", "right"), ("threshold",)
 
@@ -35,6 +37,8 @@ class AnalogueForest:
 
     Attributes:
         names: inputs.
+        times: first and last recorded time, s. What follows the clock is unknown at others: such a ping may be at any
+            recorded time.
         typical: medians of the inputs, which stand for covariates that were not logged, (d,).
         trees: over the inputs.
         leaf: of each stored reading in each tree, -1 where the tree was grown without it, (m, t).
@@ -43,6 +47,7 @@ class AnalogueForest:
     """
 
     names: tuple[str, ...]
+    times: tuple[float, float]
     typical: Floats
     trees: Trees
     leaf: Ints
@@ -70,11 +75,23 @@ class AnalogueForest:
         """Return the law of n pings, given the previous reading of each; a ping alone is the first of its visit."""
         x = columns(self.names, ping, past, dict(zip(self.names, self.typical.tolist(), strict=True)))
         reached = self.trees.leaves(x)
+        other = (ping.time < self.times[0]) | (ping.time > self.times[1])
+        if TIME in self.names and other.any():
+            reached = np.tile(reached, N_TIMES)
+            reached[other] = self._at_any_time(x[other])
         return self.mixture(ping, reached, np.ones(reached.shape, dtype=bool))
+
+    def _at_any_time(self, x: Floats) -> Ints:
+        """Return the leaves of inputs, (n, d), at times all over the record, (n, `N_TIMES` t)."""
+        leaves = []
+        for time in np.linspace(*self.times, N_TIMES):
+            x[:, self.names.index(TIME)] = time
+            leaves.append(self.trees.leaves(x))
+        return np.concatenate(leaves, axis=1)
 
     def mixture(self, ping: Ping, reached: Ints, used: Bits) -> QuantileLaw:
         """Return the law of n pings with given leaves, (n, t), and trees, (n, t)."""
-        n, (m, n_trees) = len(ping), self.leaf.shape
+        n, m, n_trees = len(ping), len(self.leaf), reached.shape[1]
         stored = self.leaf >= 0
         size = np.bincount(self.leaf[stored], minlength=len(self.trees.feature))
         shape = len(size)
@@ -97,7 +114,13 @@ class AnalogueForest:
         error = [x if np.isfinite(x) else None for x in self.error.tolist()]
         trees = {name: getattr(self.trees, name).tolist() for name in (*INTEGERS, *NUMBERS)}
         base = {"kind": "forest", "resolution": self.resolution, "max_range": self.max_range}
-        own = {"names": list(self.names), "typical": self.typical.tolist(), "leaf": self.leaf.tolist(), "error": error}
+        own = {
+            "names": list(self.names),
+            "times": list(self.times),
+            "typical": self.typical.tolist(),
+            "leaf": self.leaf.tolist(),
+            "error": error,
+        }
         return {**base, **own, "trees": trees}
 
     @classmethod
@@ -113,8 +136,9 @@ class AnalogueForest:
             trees = Trees(**integers, threshold=np.asarray(given["threshold"], dtype=np.float64))
             error = np.array([np.inf if x is None else float(x) for x in data["error"]])
             names, typical = tuple(map(str, data["names"])), np.asarray(data["typical"], dtype=np.float64)
+            first, last = map(float, data["times"])
             leaf, limits = np.asarray(data["leaf"], dtype=np.int64), (data["resolution"], data["max_range"])
-            model = cls(names, typical, trees, leaf, error, *map(float, limits))
+            model = cls(names, (first, last), typical, trees, leaf, error, *map(float, limits))
             _check(model)
         except (KeyError, TypeError, ValueError) as problem:
             raise ModelError(f"model: cannot be built from its parts ({problem}); it may be damaged") from None
@@ -142,7 +166,7 @@ def _check(model: AnalogueForest) -> None:
     empty = ~inner & (np.bincount(stored[stored < n], minlength=n) == 0)
     if (stored >= n).any() or inner[stored].any() or empty.any():
         raise ValueError("a reading is in no leaf, or a leaf holds no reading")
-    numbers = np.r_[model.typical, trees.threshold, model.resolution, model.max_range]
+    numbers = np.r_[model.times, model.typical, trees.threshold, model.resolution, model.max_range]
     if model.typical.shape != (len(model.names),) or not np.isfinite(numbers).all() or np.isnan(model.error).any():
         raise ValueError("a value is missing or not finite")
     if min(model.resolution, model.max_range) <= 0.0 or (np.diff(model.error[np.isfinite(model.error)]) < 0).any():
@@ -176,7 +200,8 @@ def _grown(batch: Batch, names: tuple[str, ...], rng: np.random.Generator, max_r
     order = np.argsort(error, kind="stable")
     leaf = np.where(drawn, reached, -1)[order]
     typical = np.median(x, axis=0)
-    model = AnalogueForest(names, typical, trees, leaf, error[order], batch.resolution, max_range)
+    times = float(batch.ping.time.min()), float(batch.ping.time.max())
+    model = AnalogueForest(names, times, typical, trees, leaf, error[order], batch.resolution, max_range)
     # with a single visit every tree was grown on it, and it can only be predicted from itself
     return Grown(model, batch, model.mixture(batch.ping, reached, ~drawn if batch.n_visits > 1 else drawn))
 

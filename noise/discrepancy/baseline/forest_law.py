@@ -30,8 +30,7 @@ class QuantileLaw(EchoLaw):
         self._shift = np.arange(len(knots)) * (1.0 + 2.0 * float(knots.max(initial=0.0)))
         self._sorted = (knots + self._shift[:, None]).ravel()
 
-    def arrival(self, z: Floats) -> Floats:
-        """Return P(an echo is registered at an exact range <= z)."""
+    def _arrival(self, z: Floats) -> Floats:
         first, last = self.knots[:, 0], self.knots[:, -1]
         inside = np.clip(z, first, last)
         row = np.arange(len(self))

@@ -35,11 +35,12 @@ def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
 class Simulation:
     """The user's own simulation: a model, and its readings where they were given as a file.
 
-    Readings under the same condition are the simulation itself; a model of them only stands for it elsewhere. What the
-    model misses of simulated visits that it has not seen is not counted against the simulation.
+    Readings under the same condition are the simulation itself; a model of them only stands for it elsewhere: a forest
+    of them or the emulator, whichever predicts simulated visits better that it has not seen. What it misses there is
+    not counted against the simulation.
 
     Attributes:
-        model: the given model, or a forest of the readings.
+        model: the given model, or the one that stands for the readings.
         readings: None where the model itself is the simulation.
         excess: mean CRPS of the model beyond that of the simulation, m, with its standard error.
     """
@@ -53,14 +54,20 @@ class Simulation:
         """Return the simulation of a baseline."""
         if base.forest is None or base.before is not base.forest.model:
             return cls(base.before)
-        few = base.forest.batch
+        model: SonarModel = base.before
+        few, crps = base.forest.batch, base.forest.crps
+        if base.held_out is not None:
+            unseen = np.isin(few.condition, base.held_out.condition)
+            by_emulator = crps_of_each(base.emulator, few.select(unseen))
+            if by_emulator.mean() < crps[unseen].mean():
+                model, few, crps = base.emulator, few.select(unseen), by_emulator
         own = [np.full(len(rows), repeatability(ends(few)[rows])) for rows in few.visit_rows]
-        beyond = base.forest.crps - np.concatenate(own)
+        beyond = crps - np.concatenate(own)
         known = ~np.isnan(beyond)
         if not known.any():
-            return cls(base.before, base.readings)
+            return cls(model, base.readings)
         mean = ClusterMean.of(beyond[known], few.visit[known])
-        return cls(base.before, base.readings, (max(mean.mean, 0.0), float(np.nan_to_num(mean.error))))
+        return cls(model, base.readings, (max(mean.mean, 0.0), float(np.nan_to_num(mean.error))))
 
     def crps_of_each(self, batch: Batch) -> Floats:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""
@@ -88,11 +95,15 @@ def ends(batch: Batch) -> Floats:
     return np.where(batch.reading.echo, batch.error, MAX_RANGE - batch.ping.distance)
 
 
-def repeatability(value: Floats) -> float:
-    """Return the mean CRPS of readings of one visit, m, each predicted by the others; NaN for a single one."""
-    n = len(value)
+def repeatability(value: Floats) -> Floats:
+    """Return the mean CRPS of readings of one visit, m, each predicted by the others; NaN for a single one.
+
+    Args:
+        value: readings of a visit along the last axis, (..., n).
+    """
+    n = value.shape[-1]
     rank = 2.0 * np.arange(n) - n + 1.0
-    return float(np.sum(rank * np.sort(value)) / (n * (n - 1.0))) if n > 1 else float("nan")
+    return np.sum(rank * np.sort(value), axis=-1) / (n * (n - 1.0) if n > 1 else np.nan)
 
 
 def fair_crps(value: Floats, members: Floats) -> Floats:
@@ -102,9 +113,9 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
 
     Args:
         value: (n,).
-        members: (m,), at least two.
+        members: at least two for all values, (m,), or for each, (n, m).
     """
-    return np.asarray(np.abs(value[:, None] - members).mean(axis=1) - repeatability(members))
+    return np.asarray(np.abs(value[:, None] - members).mean(axis=-1) - repeatability(members))
 
 
 def gains(model: SonarModel, before: Simulation, batch: Batch) -> bool:

@@ -14,9 +14,10 @@ import numpy as np
 from torch import Tensor
 
 from acquisition import previous
-from acquisition.arrays import Floats, Ints
+from acquisition.arrays import Floats, Ints, Singles
+from noise.discrepancy.locate.bootstrap import Greatest, p_of_greatest, studentised
 from noise.discrepancy.locate.nuisance import CrossFit, basis_of, folds_of, units_of
-from noise.discrepancy.locate.orthogonal import DRAWS, MIN_CLUSTERS, OVERLAP, studentised
+from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import ping_law, scores
 from noise.discrepancy.result import PValue
@@ -33,12 +34,9 @@ MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the si
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
 LOWEST_LOG = float(np.log(1e-12))
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
-# regressors of time and phase look for the first, and the aspect of spread for the last, which the scatter of
-# placements changes too
-ELSEWHERE = ("thermal_drift", "warm_up", "asynchronous_crosstalk", JITTER)
 
 
-def directed_test(law: Stack, sample: Sample, rng: np.random.Generator, draws: int = DRAWS) -> PValue:
+def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
 
     Both files are scored under one law, since the expected log-likelihood ratio depends on the law's own spread.
@@ -46,30 +44,38 @@ def directed_test(law: Stack, sample: Sample, rng: np.random.Generator, draws: i
     Args:
         law: describes the simulation, with the wider scatter of placements of both files.
         sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
-        rng: draws readings, folds and signs.
-        draws: number of bootstrap draws.
+        signs: of the sample's clusters in each draw of the bootstrap, (draws, clusters).
+        rng: draws readings and folds.
     """
-    recorded = sample.recorded.thin(MAX_PINGS)
-    simulated = _drawn(law, recorded, rng) if sample.simulated is None else sample.simulated.thin(MAX_PINGS)
-    both = Sample(recorded, simulated)
-    if len(np.unique(both.cluster)) < MIN_VISITS:
-        return PValue(1.0, draws)
+    nothing = Greatest(PValue(1.0, len(signs), 0), np.empty(0))
+    both, cluster = _thinned(law, sample, rng)
+    if len(np.unique(cluster)) < MIN_VISITS:
+        return nothing
+    start = (0, len(both.recorded))
     pairs = [
         (law.without_part(int(k)), batch.select(part == k), np.flatnonzero(part == k) + start)
-        for batch, part, start in zip(both.batches, both.left_out(law), (0, len(recorded)), strict=True)
+        for batch, part, start in zip(both.batches, both.left_out(law), start, strict=True)
         for k in np.unique(part)
     ]
     names, ratios = directions(law, pairs)
     if not names:
-        return PValue(1.0, draws)
-    psi = _sums(law, both, ratios, rng)
+        return nothing
+    psi = _sums(law, both, cluster, ratios, rng)
     z, _, scaled = studentised(psi, (psi != 0).sum(axis=0) >= MIN_CLUSTERS)
     if not scaled.shape[1]:
-        return PValue(1.0, draws, len(names))
-    signs = (2.0 * rng.integers(0, 2, (draws, len(psi))) - 1.0).astype(np.float32)
-    greatest = np.abs(signs @ scaled).max(axis=1)
-    top = float(np.nanmax(np.abs(z))) * (1.0 - 1e-6)
-    return PValue((1 + int(np.sum(greatest >= top))) / (draws + 1), draws, len(names))
+        return nothing
+    greatest = np.abs(signs[:, : len(psi)] @ scaled).max(axis=1)
+    return Greatest(p_of_greatest(z, greatest, len(names)), greatest)
+
+
+def _thinned(law: Stack, sample: Sample, rng: np.random.Generator) -> tuple[Sample, Ints]:
+    """Return a part of both files of at most `MAX_PINGS` each, and the sample's cluster of each of its pings."""
+    rows = [batch.beginnings(MAX_PINGS) for batch in sample.batches]
+    cluster = sample.cluster[np.concatenate(rows)]
+    recorded = sample.recorded.thin(MAX_PINGS)
+    if sample.simulated is None:
+        return Sample(recorded, _drawn(law, recorded, rng)), np.concatenate([cluster, cluster])
+    return Sample(recorded, sample.simulated.thin(MAX_PINGS)), cluster
 
 
 def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
@@ -89,7 +95,9 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
     base = np.concatenate([_log_prob(each, [{}], batch)[0] for each, batch, _ in pairs])
     names, ratios = [], []
     for name in CATALOGUE:
-        if name in ELSEWHERE or not _shown(name, pairs[0][1]):
+        # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
+        # placements changes too
+        if CATALOGUE[name].by_clock or name == JITTER or not _shown(name, pairs[0][1]):
             continue
         every = changes(law, name)
         nats = np.concatenate([_log_prob(each, every, batch) for each, batch, _ in pairs], axis=1)
@@ -138,7 +146,7 @@ def _log_prob(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Fl
     return np.log(np.maximum(at_each(law, list(every[0]), values, probability), np.exp(LOWEST_LOG)))
 
 
-def _sums(law: Stack, sample: Sample, ratios: Floats, rng: np.random.Generator) -> Floats:
+def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, rng: np.random.Generator) -> Floats:
     """Return the sums over clusters of (D - m) (U - g), (clusters, directions)."""
     level = np.concatenate([scores(law, batch).level_db for batch in sample.batches])
     level = np.clip(level, -20.0, 20.0)
@@ -146,7 +154,6 @@ def _sums(law: Stack, sample: Sample, ratios: Floats, rng: np.random.Generator) 
     x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
     units = units_of(sample.visit, np.concatenate([x, np.round(own, 3)], axis=1))
     first = np.unique(units, return_index=True)[1]
-    cluster = sample.cluster
     basis = basis_of(x[first], own[first], cluster[first], rng)
     folds = folds_of(cluster[first], rng)
     count = np.add.reduceat(np.ones(len(units)), first)

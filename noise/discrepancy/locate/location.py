@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Bits, Floats
+from noise.discrepancy.locate.bootstrap import studentised
 from noise.discrepancy.locate.moments import Group, bin_sums, moments, one_weight
-from noise.discrepancy.locate.orthogonal import Tested, studentised
+from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.regressors import Regressor
 from noise.discrepancy.locate.scores import ASPECTS
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Range

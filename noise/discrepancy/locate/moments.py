@@ -69,13 +69,30 @@ def moments(group: Group, columns: Sequence[Column], units: Ints, cluster: Ints,
     out = []
     for column, expected in zip(columns, group.expected, strict=True):
         weight = group.plain_weight(column.form)[units]
-        parts = [bin_sums(column, cluster, weight * part, n) for part in value.T]
+        parts = [bin_sums(column, cluster, weight * part, n) for part in centred(column, group, value).T]
         if expected is not None:
             for j, part in enumerate(parts):
                 product = expected * by_unit[:, j : j + 1]
                 part -= np.stack([np.bincount(at, each, n) for each in product.T], axis=1)
         out.append(np.stack([part @ column.combine for part in parts], axis=2))
     return np.concatenate(out, axis=1)
+
+
+def centred(column: Column, group: Group, value: Floats) -> Floats:
+    """Return values less their mean in each bin of what both files have beside the conditions, (n, k).
+
+    After a reading of another object, say, readings of both files may have another mean than g(x). Such readings may be
+    more frequent in one file without a difference in what follows them.
+    """
+    if column.form is not Form.SHARED or column.factor is not None:
+        return value
+    rows = np.flatnonzero(group.valid & (column.base >= 0))
+    at = column.base[rows]
+    count = np.maximum(np.bincount(at, minlength=column.n_bins), 1)
+    mean = np.stack([np.bincount(at, part[rows], column.n_bins) / count for part in value.T], axis=1)
+    out = value.copy()
+    out[rows] -= mean[at]
+    return out
 
 
 def one_weight(group: Group, columns: Sequence[Column], units: Ints, k: int) -> tuple[Floats, Floats]:

@@ -19,22 +19,20 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from acquisition.arrays import Bits, Floats, Ints
+from acquisition.arrays import Bits, Floats, Ints, Singles
+from noise.discrepancy.locate.bootstrap import exceeded, p_of_greatest, signs_of, studentised
 from noise.discrepancy.locate.moments import Group, bin_sums, moments
 from noise.discrepancy.locate.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.locate.regressors import Column, Form, Regressor, columns_of
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.sample import MIN_OVERLAP, Sample
 from noise.discrepancy.locate.scores import ASPECTS, Scores, scores
 from noise.discrepancy.result import Aspect, PValue
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.stack import Stack
 
-DRAWS = 2000
-OVERLAP = (0.05, 0.95)  # of m(x): beyond, one file has hardly any readings, so that there is nothing to compare
+OVERLAP = (MIN_OVERLAP, 1.0 - MIN_OVERLAP)  # of m(x)
 MIN_CLUSTERS = 8  # of a statistic: 2^7 distinct sign patterns allow p < 0.01
-MIN_EFFECTIVE = 4.0  # clusters of equal size that its sum of squares is worth: no mismatch rests on one visit
 MIN_VARIANCE = 0.02  # of an indicator, when statistics are weighted by the inverse variance
-ROUNDING = 1e-10  # square of a cluster's sum, scores being of order one, below which it is rounding error
 RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
 INDICATORS = (*RATES, Aspect.REPEAT, Aspect.COINCIDENCE)
 
@@ -52,7 +50,7 @@ class Tested:
         by_aspect: p-value of each aspect's own maximum.
         regressors: descriptions, K.
         overlap: share of the recording's pings with m(x) in `OVERLAP`.
-        critical: quantile function of the greatest |z| under the null: sorted draws of the bootstrap, (draws,).
+        greatest: |z| of the most extreme statistic in each draw of the bootstrap, (draws,).
         scale: root of the sum of squares over clusters that each statistic is divided by, (A, K).
         groups, columns, units, cluster: intermediate results for `locate` and `could_have_seen`.
     """
@@ -63,7 +61,7 @@ class Tested:
     by_aspect: dict[Aspect, PValue]
     regressors: tuple[Regressor, ...]
     overlap: float
-    critical: Floats
+    greatest: Floats
     scale: Floats
     groups: tuple[Group, ...]
     columns: tuple[Column, ...]
@@ -72,9 +70,12 @@ class Tested:
 
     def p_of(self, z: float) -> PValue:
         """Return the p-value of a statistic, adjusted for the choice of regressor and aspect."""
-        draws = len(self.critical)
-        value = (1 + int(np.sum(self.critical >= abs(z) * (1 - 1e-6)))) / (draws + 1)
-        return PValue(value, draws, len(self.regressors), int(np.sum(np.isfinite(self.z).any(axis=1))))
+        return PValue(
+            exceeded(abs(z), self.greatest),
+            len(self.greatest),
+            len(self.regressors),
+            int(np.sum(np.isfinite(self.z).any(axis=1))),
+        )
 
 
 def orthogonal_test(
@@ -83,7 +84,7 @@ def orthogonal_test(
     sample: Sample,
     rng: np.random.Generator,
     *,
-    draws: int = DRAWS,
+    signs: Singles | None = None,
     only: Only | None = None,
 ) -> Tested:
     """Test whether the recording differs from its law in a way that the simulation does not.
@@ -93,7 +94,7 @@ def orthogonal_test(
         law_simulated: law that describes the simulation.
         sample: readings.
         rng: divides clusters into folds and draws signs.
-        draws: number of bootstrap draws.
+        signs: of clusters in each draw of the bootstrap, if they are shared with another test, (draws, clusters).
         only: which (regressor, aspect) pairs are tested; all by default.
     """
     scored = _both(law_recorded, law_simulated, sample)
@@ -108,12 +109,15 @@ def orthogonal_test(
         groups = [_known(frame, rows) for rows in _same_rows(scored.valid)]
         overlap = 1.0
     else:
-        basis = basis_of(x[first], own[first], sample.cluster[first], rng)
+        compared = [k for k, name in enumerate(sample.conditions) if name not in sample.of_the_day]
+        shared = x[first][:, compared] if compared else np.zeros((len(first), 1))
+        basis = basis_of(shared, own[first], sample.cluster[first], rng)
         folds = folds_of(sample.cluster[first], rng)
         fitted = [_fitted(frame, rows, basis, folds) for rows in _same_rows(scored.valid)]
         groups = [group for group, _ in fitted]
         overlap = next(share for group, share in fitted if ASPECTS.index(Aspect.DETECTION) in group.aspects)
-    return _tested(groups, frame, overlap, rng, draws, only)
+    signs = signs_of(sample.cluster, rng) if signs is None else signs
+    return _tested(groups, frame, overlap, signs, only)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,19 +234,18 @@ def _expected_weights(
     return tuple(out)
 
 
-def _tested(
-    groups: list[Group], frame: _Frame, overlap: float, rng: np.random.Generator, draws: int, only: Only | None
-) -> Tested:
+def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, only: Only | None) -> Tested:
     columns, cluster = tuple(frame.columns), frame.sample.cluster
     regressors = tuple(r for column in columns for r in column.regressors)
-    n = int(cluster.max()) + 1
     z, scale = np.full((2, len(ASPECTS), len(regressors)), np.nan)
-    signs = (2.0 * rng.integers(0, 2, (draws, n)) - 1.0).astype(np.float32)
-    greatest = np.zeros((len(ASPECTS), draws))
+    greatest = np.zeros((len(ASPECTS), len(signs)))
+    # g and m do not depend on the conditions of the day, so that regions of these are not compared
+    comparable = np.array([not set(r.columns) & set(frame.sample.of_the_day) for r in regressors])
     for group in groups:
         psi = moments(group, columns, frame.units, cluster, group.residual)
         for j, a in enumerate(group.aspects):
             allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
+            allowed &= comparable
             allowed &= _clusters_with(columns, cluster, group.unexpected[:, j]) >= MIN_CLUSTERS
             z[a], scale[a], scaled = studentised(psi[:, :, j], allowed)
             if scaled.shape[1]:
@@ -263,37 +266,16 @@ def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> F
     return np.concatenate(counts)
 
 
-def studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats, Floats]:
-    """Return z and scale of each regressor, z nan where too few clusters contribute, and scaled sums of the others."""
-    square = psi**2
-    total = square.sum(axis=0)
-    effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300)
-    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > ROUNDING * len(psi))
-    scaled = psi[:, enough] / np.sqrt(total[enough])
-    z = np.full(psi.shape[1], np.nan)
-    z[enough] = scaled.sum(axis=0)
-    return z, np.sqrt(total), scaled.astype(np.float32)
-
-
 def _result(z: Floats, scale: Floats, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float) -> Tested:
     regressors = tuple(r for column in frame.columns for r in column.regressors)
-    critical = np.sort(greatest.max(axis=0))
-    own = {aspect: _p_value(z[a], greatest[a], len(regressors)) for a, aspect in enumerate(ASPECTS)}
+    most = greatest.max(axis=0)
+    own = {aspect: p_of_greatest(z[a], greatest[a], len(regressors)) for a, aspect in enumerate(ASPECTS)}
     best = None
     if np.isfinite(z).any():
         a, k = np.unravel_index(np.nanargmax(np.abs(z)), z.shape)
         best = (ASPECTS[a], int(k))
     count = int(np.isfinite(z).any(axis=1).sum())
-    p_value = replace(_p_value(z, critical, len(regressors)), n_aspects=count)
+    p_value = replace(p_of_greatest(z, most, len(regressors)), n_aspects=count)
     groups_, columns = tuple(groups), tuple(frame.columns)
     units, cluster = frame.units, frame.sample.cluster
-    return Tested(p_value, z, best, own, regressors, overlap, critical, scale, groups_, columns, units, cluster)
-
-
-def _p_value(z: Floats, greatest: Floats, n_regressors: int) -> PValue:
-    """Return the p-value of the greatest |z|, given the greatest in each draw under the null."""
-    draws = len(greatest)
-    if not np.isfinite(z).any():
-        return PValue(1.0, draws, n_regressors, 1)
-    top = float(np.nanmax(np.abs(z))) * (1 - 1e-6)
-    return PValue((1 + int(np.sum(greatest >= top))) / (draws + 1), draws, n_regressors, 1)
+    return Tested(p_value, z, best, own, regressors, overlap, most, scale, groups_, columns, units, cluster)

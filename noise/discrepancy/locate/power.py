@@ -75,7 +75,7 @@ def _wanted(tested: Tested) -> float:
 
 
 def _critical(tested: Tested) -> float:
-    return float(np.quantile(tested.critical, 1.0 - FALSE_ALARM))
+    return float(np.quantile(tested.greatest, 1.0 - FALSE_ALARM))
 
 
 def least_mean(critical: float, n: int) -> float:

@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.sample import Sample, condition_columns, is_continuous
+from noise.discrepancy.locate.sample import Sample, condition_columns, is_continuous, movement
 from noise.fitting.batch import Batch
 
 N_BINS = 8  # of a condition: at quantiles of the recording
@@ -23,7 +23,6 @@ N_PAIR_BINS = 4  # of each side of a box
 MAX_RUNS = 12  # runs that are tested one by one
 N_PERIODS = 12  # longest resolvable periods, T/2, T/3, ... of a record of length T
 MIN_CYCLES = 2  # a period is resolvable if the record holds so many of it, and it at least two readings
-STILL_M = 1e-3  # change of distance between pings below which a target is stationary
 
 
 class Form(StrEnum):
@@ -178,7 +177,7 @@ def _histories(sample: Sample) -> list[Column]:
         found += _binned("order", 2.0**order - 1.0, rows, N_BINS, Form.SHARED)
     past = np.concatenate([_previous(batch) for batch in sample.batches])
     found += _binned("previous_reading", past, rows, N_PAIR_BINS, Form.SHARED)
-    move = np.concatenate([_movement(batch) for batch in sample.batches])
+    move = np.concatenate([_since_echo(batch) for batch in sample.batches])
     return found + _binned("movement", move, rows, N_PAIR_BINS, Form.SHARED)
 
 
@@ -198,10 +197,9 @@ def _previous(batch: Batch) -> Floats:
     return np.where(batch.past.echo, place, np.where(batch.past.answered, -2.0, np.nan))
 
 
-def _movement(batch: Batch) -> Floats:
+def _since_echo(batch: Batch) -> Floats:
     """Return the change of distance since the last echo of the run, m, (n,), 0 for a stationary target."""
-    change = batch.ping.distance - batch.last[:, 1]
-    return np.where(np.abs(change) < STILL_M, 0.0, change)
+    return movement(batch.ping.distance - batch.last[:, 1])
 
 
 def _recorded_only(sample: Sample) -> list[Column]:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from scipy.stats import f_oneway
+from scipy.stats import f_oneway, ks_2samp
 
 from acquisition.arrays import Bits, Floats, Ints
 from noise.fitting.batch import Batch
@@ -15,6 +15,12 @@ from noise.fitting.stack import Stack
 from noise.statistics import winsorised
 
 MIN_CLUSTERS = 12  # fewer give no bootstrap
+GEOMETRY = ("distance", "angle", "incidence", "reflectance")
+DISTINCT = 0.5  # Kolmogorov-Smirnov distance of a condition between the files, from which they are of different days
+STILL_M = 1e-3  # change of distance between pings below which a target is stationary
+ROUNDING_M = 1e-9  # of logged distances
+MIN_MOVED = 0.2  # share of a file among movements so great or so small, which m(x) does not allow for
+MIN_OVERLAP = 0.05  # share of a file among comparable pings; with less there is nothing to compare
 MAX_CLUSTERS = 1500  # more do not improve the variance estimates; neighbours in time are merged
 
 
@@ -29,6 +35,21 @@ class Sample:
 
     recorded: Batch
     simulated: Batch | None
+
+    @classmethod
+    def comparable(cls, recorded: Batch, simulated: Batch | None) -> Sample:
+        """Return two files without pings before which the target moved as it hardly ever does in the other file.
+
+        What a sonar keeps of an earlier reading shows where the target has moved. Of movements that one file alone has,
+        nothing follows, unless the law of the simulation is known. Where most pings are such, all are compared.
+        """
+        if simulated is None:
+            return cls(recorded, None)
+        size = [np.abs(movement(batch.moved)) for batch in (recorded, simulated)]
+        keep = [_overlaps(own, other) for own, other in (size, size[::-1])]
+        if min(mask.mean() for mask in keep) < 0.5:
+            return cls(recorded, simulated)
+        return cls(recorded.select(keep[0]), simulated.select(keep[1]))
 
     @property
     def batches(self) -> tuple[Batch, ...]:
@@ -50,6 +71,18 @@ class Sample:
         if "angle" in both and "incidence" in both and np.array_equal(np.abs(both["angle"]), np.abs(both["incidence"])):
             del both["incidence"]
         return both
+
+    @cached_property
+    def of_the_day(self) -> tuple[str, ...]:
+        """Logged conditions, other than those of the target, that hardly overlap between the files.
+
+        They are those of two days, such as the temperature of the air. Given them, the files cannot be compared at all.
+        """
+        logged = [name for name in self.conditions if name not in GEOMETRY]
+        files = [(self.conditions[name][self.is_recorded], self.conditions[name][~self.is_recorded]) for name in logged]
+        return tuple(
+            n for n, each in zip(logged, files, strict=True) if len(each[1]) and ks_2samp(*each).statistic > DISTINCT
+        )
 
     @cached_property
     def cluster(self) -> Ints:
@@ -95,6 +128,19 @@ class Sample:
         """Visit of each ping, numbered through both files, (n,)."""
         start = np.cumsum([0, *(batch.n_visits for batch in self.batches)])
         return np.concatenate([batch.visit + k for batch, k in zip(self.batches, start[:-1], strict=True)])
+
+
+def movement(change: Floats) -> Floats:
+    """Return changes of distance, m, 0 for a stationary target, (n,)."""
+    return np.where(np.abs(change) < STILL_M, 0.0, change)
+
+
+def _overlaps(own: Floats, other: Floats) -> Bits:
+    """Return which movements of a file, m, lie where the other has at least `MIN_MOVED` of those beyond, (n,)."""
+    moved, others = np.sort(own[own > 0]), np.sort(other[other > 0])
+    above = [len(each) - np.searchsorted(each, own - ROUNDING_M) for each in (moved, others)]
+    below = [np.searchsorted(each, own + ROUNDING_M) for each in (moved, others)]
+    return (own == 0) | np.all([b >= MIN_MOVED * (a + b) for a, b in (above, below)], axis=0)
 
 
 def is_continuous(batch: Batch) -> bool:

@@ -17,13 +17,17 @@ import torch
 from scipy.special import ndtr, ndtri
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.result import Aspect
+from noise.discrepancy.thresholds import MAX_PLACEMENT_M
 from noise.fitting.batch import Batch
-from noise.fitting.stack import Stack
-from noise.fitting.visit_effects import direct_median, law_of, single_ping_law
+from noise.fitting.stack import PLACEMENT, Stack
+from noise.fitting.visit_effects import direct_median, law_of, placement_scatter, single_ping_law
 from noise.physical import PhysicalLaw
+from noise.statistics import winsorised
 
 ASPECTS = tuple(Aspect)
+BIAS = ASPECTS.index(Aspect.BIAS)
 LIMIT = 3.0  # normal scores are winsorised here: 0.3 % of a normal sample lie beyond
 MIN_PROBABILITY = 1e-9  # smallest divisor: a window or step that the law all but excludes
 AGREEMENT_M = 0.05  # outliers of one reflector agree within the absolute part of the tolerance about a target
@@ -138,7 +142,7 @@ def _of_terms(terms: _Terms, batch: Batch, other: Floats) -> Scores:
     }
     value = np.stack([np.where(table[a][1], table[a][0], 0.0) for a in ASPECTS], axis=1).astype(np.float64)
     natural = value.copy()
-    natural[:, ASPECTS.index(Aspect.BIAS)] = np.where(target, error, 0.0)
+    natural[:, BIAS] = np.where(target, error, 0.0)
     natural[:, ASPECTS.index(Aspect.SPREAD)] /= 2.0  # d(sd) / sd = d(variance) / (2 variance)
     valid = np.stack([table[a][1] for a in ASPECTS], axis=1)
     probability = np.stack([terms.echo, early, late], axis=1)
@@ -188,13 +192,19 @@ def _memory(score: Floats, target: Bits, batch: Batch) -> tuple[Floats, Bits]:
 
 
 def _repeat(again: Floats, batch: Batch) -> tuple[Floats, Bits]:
-    """Return whether an echo equals the one before, minus the same at lag two or, in a new visit, its probability."""
+    """Return whether an echo equals the one before, minus the same at lag two or, in a new visit, its probability.
+
+    Both earlier readings are at the target, before it or behind it: if one alone were, neither lag would stand for the
+    other.
+    """
     echo, first = batch.reading.echo, batch.count == 0
     two = _back(batch, 2)
     same = echo & echo[two] & (np.abs(batch.reading.range - batch.reading.range[two]) < 0.5 * batch.resolution)
     expected = np.where(first, again, same)
     other_place = np.abs(batch.last[:, 1] - batch.ping.distance) > batch.reach
-    valid = echo & batch.past.echo & ((batch.count >= 2) & echo[two] | first & other_place)
+    place = np.sign(batch.error) * batch.is_outlier(batch.error)
+    alike = (batch.count >= 2) & echo[two] & (place[_back(batch, 1)] == place[two])
+    valid = echo & batch.past.echo & (alike | first & other_place)
     return batch.repeats - expected, valid
 
 
@@ -211,3 +221,29 @@ def _earlier_outlier(stack: Stack, batch: Batch) -> Floats:
     row = np.maximum.accumulate(np.where(outlier, np.arange(len(batch)), -1))
     row = np.r_[-1, row[:-1]]
     return np.where(row >= batch.first, batch.reading.range[np.maximum(row, 0)], np.nan)
+
+
+def with_own_placement(law: Stack, sample: Sample) -> tuple[Stack, Stack]:
+    """Return the law of the recording and that of the simulation, each with the scatter of placements in its file.
+
+    The variance of visit means, less that of a mean of so many pings, is that of placements (analysis of variance),
+    what the law misses in a position included. Both are measured under laws that saw neither file there, so that this
+    is alike. Where visits have a single ping, both scatters cannot be told apart, and the law is left as it is.
+    """
+    parts = sample.left_out(law)
+    laws = [_placed(law, batch, part) for batch, part in zip(sample.batches, parts, strict=True)]
+    return laws[0], laws[-1] if sample.simulated is not None else law
+
+
+def _placed(law: Stack, batch: Batch, part: Ints) -> Stack:
+    scored = scores(law, batch, part)
+    valid, error = scored.valid[:, BIAS], scored.natural[:, BIAS]
+    count = np.bincount(batch.visit, valid)
+    if np.sum(count >= 2) < 2:
+        return law
+    mean = np.bincount(batch.visit, error * valid) / np.maximum(count, 1.0)
+    within = float(np.sum(valid * (error - mean[batch.visit]) ** 2) / np.sum(np.maximum(count - 1.0, 0.0)))
+    several = count >= 2
+    between = float(np.var(winsorised(mean[several]))) - within * float(np.mean(1.0 / count[several]))
+    most = max(MAX_PLACEMENT_M, law.get(PLACEMENT))
+    return law.put([PLACEMENT], [min(np.sqrt(max(between, 0.0)) / placement_scatter(1.0), most)])

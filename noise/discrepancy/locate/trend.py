@@ -16,7 +16,7 @@ from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.locate.sample import Sample, positions
-from noise.discrepancy.locate.scores import ASPECTS, scores
+from noise.discrepancy.locate.scores import BIAS, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.effects.medium import TEMPERATURE
@@ -25,7 +25,7 @@ from noise.fitting.starts import target_echo
 
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 POWER, TWO_SIDED = 0.9, 0.95
-N_TESTS = 3  # of one hypothesis, for which the level is adjusted: this one, the orthogonal and the directed one
+N_TESTS = 2  # of one hypothesis, for which the level is adjusted: this one and the orthogonal test
 ROUNDING = 1e-9  # m, below which errors are alike
 UNCOMPENSATED: Key = ("sound_speed", "logged_share")
 SHARES = np.linspace(0.0, 1.0, 21)  # from full compensation to none
@@ -95,13 +95,15 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
     return Trend(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
 
 
-def _of_temperature(law: Stack, sample: Sample) -> Floats | None:
-    """Return the change of each reading without compensation for temperature, m, (n,).
-
-    None where a file does not log it, or the law knows the compensation from the simulation's own readings.
-    """
+def compensation_is_unknown(law: Stack, sample: Sample) -> bool:
+    """Return whether both files log the temperature, and the simulation's readings do not tell how it enters."""
     logged = all(TEMPERATURE in batch.ping.covariates for batch in sample.batches)
-    if sample.simulated is None or not logged or UNCOMPENSATED[0] in law.values:
+    return sample.simulated is not None and logged and UNCOMPENSATED[0] not in law.values
+
+
+def _of_temperature(law: Stack, sample: Sample) -> Floats | None:
+    """Return the change of each reading without compensation for temperature, m, (n,); None where it is known."""
+    if not compensation_is_unknown(law, sample):
         return None
     ends = [np.concatenate([target_echo(law.at({UNCOMPENSATED: x}), b) for b in sample.batches]) for x in (0.0, 1.0)]
     return ends[1] - ends[0]
@@ -114,9 +116,8 @@ def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> 
     """
     laws, parts = (law_recorded, law_simulated), sample.left_out(law_simulated)
     scored = [scores(law, batch, part) for law, batch, part in zip(laws, sample.batches, parts, strict=False)]
-    bias = ASPECTS.index(Aspect.BIAS)
-    valid = np.concatenate([each.valid[:, bias] for each in scored])
-    natural = np.concatenate([each.natural[:, bias] for each in scored])
+    valid = np.concatenate([each.valid[:, BIAS] for each in scored])
+    natural = np.concatenate([each.natural[:, BIAS] for each in scored])
     count = np.bincount(sample.visit, valid)
     mean = np.bincount(sample.visit, natural * valid) / np.maximum(count, 1.0)
     first = np.unique(sample.visit, return_index=True)[1]

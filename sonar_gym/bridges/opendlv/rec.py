@@ -27,7 +27,6 @@ from sonar_gym.bridges.opendlv.wire import Envelope, decode
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.scene import Scene
 
-SAME_PING = 0.5  # periods; a reading closer than this to an expected ping belongs to it
 MAX_SILENT = 1_000_000  # pings of a sensor that are added as no echo
 
 

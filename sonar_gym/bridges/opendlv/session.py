@@ -1,4 +1,4 @@
-"""OpenDLV sessions: datagrams by UDP, to a multicast group or, where there is none, to loopback addresses.
+"""OpenDLV sessions: datagrams by UDP to a multicast group.
 
 A session with number CID is the group 225.0.0.CID, port 12175. Without a time to live (the default) nothing leaves this
 machine, and datagrams from other machines are ignored.
@@ -10,7 +10,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Protocol
 
@@ -115,38 +115,6 @@ class MulticastLink:
         self._sender.close()
 
 
-class UnicastLink:
-    """Plain UDP between fixed addresses, for machines without multicast.
-
-    Args:
-        own: address to bind.
-        peers: addresses that datagrams are sent to and accepted from.
-    """
-
-    def __init__(self, own: Address, peers: Sequence[Address]) -> None:
-        self.peers = list(peers)
-        self._socket = _udp()
-        try:
-            self._socket.bind(own)
-        except OSError as error:
-            self.close()
-            raise DeviceError(f"UDP address {own[0]}:{own[1]}: cannot be bound ({error.strerror})") from None
-        self.address: Address = self._socket.getsockname()
-
-    def send(self, datagram: bytes) -> None:
-        """Send a datagram to all peers."""
-        for peer in self.peers:
-            _send(self._socket, datagram, peer)
-
-    def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next datagram of a peer, or None after a time, s."""
-        return _receive(self._socket, timeout_s, lambda sender: sender in self.peers)
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-
 def _udp() -> socket.socket:
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
@@ -154,11 +122,11 @@ def _udp() -> socket.socket:
     return udp
 
 
-def _send(udp: socket.socket, datagram: bytes, to: Address | None = None) -> None:
+def _send(udp: socket.socket, datagram: bytes) -> None:
     if len(datagram) > MAX_DATAGRAM:
         raise SettingError(f"OpenDLV datagram has {len(datagram)} bytes, at most {MAX_DATAGRAM} fit")
     try:
-        udp.send(datagram) if to is None else udp.sendto(datagram, to)
+        udp.send(datagram)
     except (BlockingIOError, ConnectionRefusedError):
         return  # nobody listens yet, or the queue is full: UDP promises no delivery
     except OSError as error:

@@ -56,15 +56,6 @@ def _wall(path: Path, number: int, line: str, reflectance: float) -> WallSegment
     return WallSegment(x1, y1, x2, y2, reflectance)
 
 
-def save_map(scene: Scene) -> str:
-    r"""Return the faces of a scene as the text of a map.
-
-    >>> save_map(Scene([WallSegment(2.0, -1.0, 2.0, 1.0)]))
-    '2,-1,2,1;\n'
-    """
-    return "".join(",".join(f"{value:.9g}" for value in face) + ";\n" for face in scene.segments)
-
-
 def interpolate_pose(times: Floats, poses: Floats, at: Sequence[float] | Floats) -> Floats:
     """Return poses at given times by linear interpolation, (m, 3); constant before the first and after the last.
 

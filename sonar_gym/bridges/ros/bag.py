@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 
-from acquisition import EchoStatus, MissingExtraError, Reading, Recording, RecordingError, SettingError
+from acquisition import Recording, RecordingError, SettingError
 from acquisition.arguments import checked
-from acquisition.arrays import Floats
+from acquisition.extras import require
 from acquisition.limits import PositiveMetres
 from noise import CredenceTable
 from sonar_gym.bridges.ros.messages import (
@@ -83,11 +82,10 @@ def write_bag(
     """
     if folder.exists():
         raise SettingError(f"{folder}: exists; give the name of a new folder")
-    try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError:
-        raise MissingExtraError("writing bags needs the package rosbags: pip install 'sonar-gym[ros]'") from None
+    require("rosbags", "ros")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
     table = None if model is None else broad_table(resolve(model), max_range)
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -141,36 +139,3 @@ def _array(bag: _Bag, stamp_ns: int, frame: str, state: tuple[int, str, dict[str
         level=level, name=frame, message=text, hardware_id="sonar", values=pairs
     )
     return types[DIAGNOSTIC_TYPE](header=bag.header(stamp_ns, frame), status=[status])
-
-
-@checked
-def read_credence(path: Path) -> tuple[pd.DataFrame, Reading, Floats]:
-    """Return time stamps and sensors, readings, and credence of a bag that `write_bag` has written with a model.
-
-    Raises:
-        RecordingError: the bag is unreadable or has no credence.
-    """
-    from rosbags.highlevel import AnyReader
-
-    from sonar_gym.bridges.ros.messages import STATUS
-
-    rows: list[tuple[float, str, float, int, float]] = []
-    try:
-        with AnyReader([path]) as reader:
-            chosen = [c for c in reader.connections if c.msgtype == DIAGNOSTIC_TYPE]
-            for connection, stamp, raw in reader.messages(chosen) if chosen else ():  # of no connections, all messages
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                for status in message.status:
-                    values = {pair.key: pair.value for pair in status.values}
-                    kind = int(STATUS[values["status"]])
-                    rows.append(
-                        (stamp * 1e-9, status.name, float(values["range_m"]), kind, float(values["credence"]))
-                    )  # fmt: skip
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
-        raise RecordingError(f"{path}: not a bag with credence: {error}") from error
-    if not rows:
-        raise RecordingError(f"{path}: has no {DIAGNOSTIC_TYPE} with credence")
-    stamp_s, sensor, range_, status_, credence = zip(*rows, strict=True)
-    kinds = np.array(status_, dtype=np.uint8)
-    reading = Reading(np.where(kinds == EchoStatus.ECHO, range_, 0.0), kinds)
-    return pd.DataFrame({"stamp_s": stamp_s, "sensor": sensor}), reading, np.array(credence)

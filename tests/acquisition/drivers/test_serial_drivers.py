@@ -18,8 +18,15 @@ from acquisition.drivers import ArduinoBus, Bridge, HcSr04, MaxBotix, Srf08
 from acquisition.drivers.arduino import parse, with_checksum
 from acquisition.drivers.maxbotix import MODELS
 from acquisition.twins.devantech import BadWire, Srf08Twin
-from acquisition.twins.serial_devices import ArduinoTwin, HcSr04Twin, MaxBotixTwin, PseudoTerminal, TwinPort
-from acquisition.twins.simulated_sensor import HostClock, TwinClock
+from acquisition.twins.simulated_sensor import TwinClock
+from tests.acquisition.drivers.serial_devices import (
+    ArduinoTwin,
+    HcSr04Twin,
+    HostClock,
+    MaxBotixTwin,
+    PseudoTerminal,
+    TwinPort,
+)
 
 QUIET = Setup(placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, drift_c=0.0, post=None)
 WALL = Ping.of(distance=1.0, reflectance=0.9)

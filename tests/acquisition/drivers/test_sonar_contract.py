@@ -7,8 +7,8 @@ from acquisition import Ping
 from acquisition.bench import Rig, Setup, Unit, Wall
 from acquisition.drivers import DRIVERS, ArduinoBus, Bridge, HcSr04, MaxBotix, MaxBotixPwm, Srf02, Srf08, Srf10
 from acquisition.twins.devantech import Srf02Twin, Srf08Twin, Srf10Twin
-from acquisition.twins.serial_devices import ArduinoTwin, HcSr04Twin, MaxBotixTwin, TwinPort
 from acquisition.twins.simulated_sensor import TwinClock
+from tests.acquisition.drivers.serial_devices import ArduinoTwin, HcSr04Twin, MaxBotixTwin, TwinPort
 
 SETTINGS = {"gain": 20, "range_register": 140}
 UNITS = ("cm", "us", "inch")

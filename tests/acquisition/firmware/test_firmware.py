@@ -12,7 +12,7 @@ import pytest
 from acquisition import NoAnswerError
 from acquisition.drivers import ArduinoBus, Bridge, HcSr04, Srf08
 from acquisition.drivers.arduino import parse
-from acquisition.twins.serial_devices import PseudoTerminal
+from tests.acquisition.drivers.serial_devices import PseudoTerminal
 
 FIRMWARE = Path(__file__).parents[3] / "acquisition" / "firmware"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino")

@@ -355,3 +355,12 @@ def test_few_or_untimed_early_readings_fit_some_clock_by_chance(early, times, am
     echoes = EchoSample(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
     assert CATALOGUE["asynchronous_crosstalk"].ambiguous(echoes) == ambiguous
     assert not CATALOGUE["false_alarm"].ambiguous(echoes)
+
+
+def test_a_noise_burst_makes_no_echo_of_a_target_that_is_not_heard():
+    ping = Ping.of(distance=np.array([1.0, 9.0]))
+    deaf = CATALOGUE["sensitivity"](loss_db=55.0)
+    burst = CATALOGUE["noise_burst"](probability=0.5, sigma_m=0.1)
+    without, with_it = (PhysicalModel(effects).law(ping) for effects in ([deaf], [deaf, burst]))
+    assert without.echo[1] < 1e-6
+    np.testing.assert_allclose(with_it.echo, without.echo, rtol=1e-9, atol=1e-15)

@@ -1,6 +1,7 @@
 """The smooth correction: null, aspects, gradients, files, and what it learns."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,6 +109,15 @@ def test_a_damaged_term_is_a_clear_error(damage):
 def test_a_missing_column_is_a_clear_error():
     with pytest.raises(ModelError, match="needs the column 'humidity_pct'"):
         column("humidity_pct", Conditions.of(ping()))
+
+
+def test_the_mean_stands_for_a_covariate_that_was_not_logged():
+    def logged(value):
+        return Conditions.of(replace(ping(), covariates={"temperature_c": np.broadcast_to(value, 40)}))
+
+    inputs = Inputs.of((*NAMES, "temperature_c"), logged(np.linspace(15.0, 25.0, 40)))
+    assert "temperature_c" in inputs.names
+    assert torch.allclose(inputs.standardised(Conditions.of(ping())), inputs.standardised(logged(20.0)))
 
 
 def test_beyond_the_fitted_range_the_correction_is_constant():

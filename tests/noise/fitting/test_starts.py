@@ -94,3 +94,14 @@ def test_the_value_of_a_stuck_register_is_guessed_exactly():
     assert guess["value_m"] == 0.3327
     assert guess["probability"] == pytest.approx(0.1, abs=0.04)
     assert CATALOGUE["stuck"].guesses(EchoSample(distance, np.zeros(300), distance)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"), [("dropped_reading", "probability", 0.02), ("sensitivity", "loss_db", 30.0)]
+)
+def test_a_parameter_that_the_law_has_also_starts_a_little_beside_it(name, parameter, value):
+    batch = batch_of()
+    law = nuisance_start(Stack.of(PhysicalModel([CATALOGUE[name](**{parameter: value})])), batch)
+    starts = {start.get((name, parameter)) for start in starting_points(law, name, batch, np.random.default_rng(0))}
+    assert any(value < start <= 4.0 * value for start in starts)
+    assert any(value > start >= value / 4.0 for start in starts)

@@ -63,7 +63,16 @@ def test_every_prediction_sums_to_one(placement, correlation, urn, width, detect
     last = np.arange(101) * 0.01
     range_ = np.stack([np.full(101, 0.52), np.zeros(101), last], axis=1).ravel()
     reading, visit = Reading.of(range_), np.repeat(np.arange(101), 3)
-    batch = Batch(Ping.of(distance=np.full(303, 0.5)), reading, reading, visit, visit, 0.01, np.full((303, 2), np.nan))
+    batch = Batch(
+        Ping.of(distance=np.full(303, 0.5)),
+        reading,
+        reading,
+        visit,
+        visit,
+        0.01,
+        np.full((303, 2), np.nan),
+        np.zeros(303),
+    )
     p = torch.exp(log_prob(law_of(model, batch), visits, batch))
     assert float(p[2::3].sum()) == pytest.approx(1.0, abs=1e-6)
 

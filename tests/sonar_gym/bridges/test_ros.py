@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, RecordingError, SettingError
+from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, SettingError
 from acquisition.io.logs.bags import GroundTruthSource, import_bag, reading_mm
 from noise import load_model
 from sonar_gym.bridges.ros.hearing import HeardRanges, scan_sectors
-from sonar_gym.bridges.ros.messages import ideal_distances, range_values
+from sonar_gym.bridges.ros.messages import STATUS, ideal_distances, range_values
 from sonar_gym.bridges.ros.node import HeardNode, NodeSettings, Types, run_node
 
 pytest.importorskip("rosbags", reason="needs the extra sonar-gym[ros]")
-from sonar_gym.bridges.ros.bag import read_credence, write_bag
+from sonar_gym.bridges.ros.bag import DIAGNOSTIC_TYPE, write_bag
 
 MIN, MAX = 0.03, 6.0
 
@@ -31,6 +31,24 @@ def recording():
     status[7] = EchoStatus.NO_ANSWER
     reading = Reading(np.where(status == EchoStatus.ECHO, reading.range, 0.0), status)
     return Recording.of(ping, reading, sensor="front left")
+
+
+def credence_in(path):
+    """Return sensor, range, status and credence of each diagnostic message of a bag, as arrays."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path]) as reader:
+        chosen = [c for c in reader.connections if c.msgtype == DIAGNOSTIC_TYPE]
+        found = (
+            [reader.deserialize(raw, c.msgtype).status[0] for c, _, raw in reader.messages(chosen)] if chosen else []
+        )
+    values = [{pair.key: pair.value for pair in status.values} for status in found]
+    return (
+        [status.name for status in found],
+        np.array([float(v["range_m"]) for v in values]),
+        np.array([STATUS[v["status"]] for v in values]),
+        np.array([float(v["credence"]) for v in values]),
+    )
 
 
 @given(st.lists(st.tuples(st.sampled_from(list(EchoStatus)), st.floats(0.05, 5.9)), min_size=1))
@@ -53,18 +71,18 @@ def test_a_recording_survives_the_way_to_a_bag_and_back(recording, tmp_path, sql
     np.testing.assert_allclose(back.ping.distance, recording.ping.distance, atol=1e-6)
     np.testing.assert_allclose(back.ping.time, recording.ping.time, atol=1e-6)
     assert set(back.table["sensor"]) == {"front left"}
-    stamps, reading, credence = read_credence(tmp_path / "bag")
-    np.testing.assert_array_equal(reading.status, recording.reading.status)
-    np.testing.assert_allclose(reading.range, recording.reading.range, rtol=1e-5)
-    assert np.all(credence[~reading.echo] == 0.0)
-    assert credence[reading.echo].mean() > 0.5
-    assert set(stamps["sensor"]) == {"front left"}
+    sensor, range_, status, credence = credence_in(tmp_path / "bag")
+    np.testing.assert_array_equal(status, recording.reading.status)
+    echo = status == EchoStatus.ECHO
+    np.testing.assert_allclose(range_[echo], recording.reading.range[echo], rtol=1e-5)
+    assert np.all(credence[~echo] == 0.0)
+    assert credence[echo].mean() > 0.5
+    assert set(sensor) == {"front left"}
 
 
-def test_a_bag_without_credence_and_a_folder_that_exists_are_named(recording, tmp_path):
+def test_a_bag_without_a_model_has_no_credence_and_a_folder_that_exists_is_named(recording, tmp_path):
     write_bag(recording, tmp_path / "bag")
-    with pytest.raises(RecordingError, match="has no diagnostic_msgs/msg/DiagnosticArray with credence"):
-        read_credence(tmp_path / "bag")
+    assert credence_in(tmp_path / "bag")[0] == []
     with pytest.raises(SettingError, match="exists; give the name of a new folder"):
         write_bag(recording, tmp_path / "bag")
 
@@ -164,5 +182,6 @@ def test_without_ros_the_node_says_what_it_needs(monkeypatch):
 
 def test_credence_in_the_bag_is_that_of_the_table(recording, tmp_path):
     write_bag(recording, tmp_path / "bag", "gaussian")
-    _, reading, credence = read_credence(tmp_path / "bag")
-    assert np.corrcoef(credence[reading.echo], reading.range[reading.echo])[0, 1] > 0.0  # 1 cm matters less far away
+    _, range_, status, credence = credence_in(tmp_path / "bag")
+    echo = status == EchoStatus.ECHO
+    assert np.corrcoef(credence[echo], range_[echo])[0, 1] > 0.0  # 1 cm matters less far away

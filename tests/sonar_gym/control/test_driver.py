@@ -9,6 +9,7 @@ from noise import GaussianModel
 from sonar_gym.control.driver import ParkingDriver, ReversePath, run_episode
 from sonar_gym.control.perception import RawPerception, box_distance, find_runs, find_spaces, lane_heading
 from sonar_gym.parking.environment import MAX_RANGE
+from sonar_gym.parking.fleet import RewardWeights
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.scene import Box, Scene
@@ -147,7 +148,7 @@ def test_reward_of_parking_exceeds_that_of_idle_and_random_actions():
     scores = [[run_episode(env, driver(), seed).score for seed in range(5)] for driver in (ParkingDriver, Idle, Random)]
     parked, idle, random = np.array(scores)
     assert parked.min() > 10.0  # ten for parking; progress outweighs the cost of time
-    assert np.allclose(idle, -0.01 * 400)
+    assert np.allclose(idle, 400 * RewardWeights().time)
     assert parked.min() > max(idle.max(), random.max()) + 5.0
 
 

@@ -9,10 +9,11 @@ from acquisition import SettingError
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.parking.obstacles import OBSTACLES
-from sonar_gym.parking.street import StreetSettings, draw_street, reference_path
+from sonar_gym.parking.street import StreetSettings, draw_street
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import SOUND_SPEED, touches
+from tests.sonar_gym.parking.reference import reference_path
 
 BOXES = [{"begin": 4.0, "length": 0.3}, {"begin": 6.0, "length": 0.3}]
 FRONT_X = 0.36

@@ -10,12 +10,13 @@ from noise import GaussianModel
 from noise.faults import Constant, Faulty
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
-from sonar_gym.parking.street import LEVELS, StreetSettings, draw_street, reference_path
+from sonar_gym.parking.street import LEVELS, StreetSettings, draw_street
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.scene import Scene, WallSegment
 from sonar_gym.sensing.timing import sensor_latency
+from tests.sonar_gym.parking.reference import reference_path
 
 BOXES = [{"begin": 0.6, "length": 0.3}, {"begin": 1.9, "length": 0.3, "reflectance": 0.8, "texture_deg": 5.0}]
 NO_LAG = {"acceleration": 1e9, "speed_lag": 0.0}  # the car reaches 0.5 m/s at once

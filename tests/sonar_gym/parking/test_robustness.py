@@ -7,8 +7,8 @@ from gymnasium.vector import AutoresetMode
 
 import sonar_gym
 from acquisition import SettingError
-from acquisition.errors import SampleOnlyError
-from noise import EchoLaw, GaussianModel
+from noise import GaussianModel
+from noise.law import SampleOnlyLaw
 from sonar_gym.control.driver import ParkingDriver, run_episode
 
 NOT_FINITE = (np.nan, np.inf, -np.inf)
@@ -98,28 +98,19 @@ def test_100000_random_steps_of_many_are_clipped_or_raise_an_error(sonar):
     assert count_errors_of_many(gymnasium.make_vec(sonar_gym.ENV_ID, num_envs=64, sonar=sonar), 1600) > 50
 
 
-class SampleOnlyLaw(EchoLaw):
-    """A law that can only be sampled."""
-
-    has_probabilities = False
+class Sampled(SampleOnlyLaw):
+    """The samples of a law alone."""
 
     def __init__(self, law):
         super().__init__(law.distance, law.resolution, law.max_range)
         self.sample = law.sample
-
-    def arrival(self, z):
-        raise SampleOnlyError("draw readings")
-
-    @property
-    def no_answer(self):
-        raise SampleOnlyError("draw readings")
 
 
 class SampleOnlyModel(GaussianModel):
     """The Gaussian sonar without its probabilities."""
 
     def law(self, ping, past=None):
-        return SampleOnlyLaw(super().law(ping, past))
+        return Sampled(super().law(ping, past))
 
 
 def test_a_sonar_without_probabilities_gives_the_same_readings_and_credence():

@@ -6,8 +6,7 @@ import pytest
 from acquisition import Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.twins.devantech import Srf02Twin, Srf08Twin, Srf10Twin
-from acquisition.twins.serial_devices import ArduinoTwin, HcSr04Twin, MaxBotixTwin, PseudoTerminal
-from acquisition.twins.simulated_sensor import HostClock
+from tests.acquisition.drivers.serial_devices import ArduinoTwin, HcSr04Twin, HostClock, MaxBotixTwin, PseudoTerminal
 from training.cli import main
 
 PLAN = "distances_mm = [1000]\nangles_deg = [0]\nreflectances = [0.9]\npings = 3\ninterval_s = 0.2\n"

@@ -103,7 +103,7 @@ class Training:
     Attributes:
         model: the learner.
         leg: number of complete legs.
-        seconds: time of the complete legs, s.
+        seconds: processor time of the complete legs, s.
     """
 
     def __init__(self, args: Args, settings: Tuned, on_progress: OnProgress = lambda name, done, total: None) -> None:
@@ -140,11 +140,11 @@ class Training:
         board = self.args.out / BOARD / f"{self.args.algorithm}_{self.args.seed}"
         self.model.set_logger(configure(str(board), ["tensorboard"]))
         while self.model.num_timesteps < self.steps:
-            begin = time.perf_counter()
+            begin = time.process_time()
             self._begin_leg()
             remaining = self.steps - self.model.num_timesteps
             self.model.learn(min(self.leg_steps, remaining), self.callbacks, reset_num_timesteps=False)
-            self.leg, self.seconds = self.leg + 1, self.seconds + time.perf_counter() - begin
+            self.leg, self.seconds = self.leg + 1, self.seconds + time.process_time() - begin
             state = {"settings": self.fixed, "leg": self.leg, "seconds": self.seconds}
             save_learner(self.path, self.model, self.callbacks, state)
             after_leg()
@@ -197,8 +197,7 @@ def write(args: Args, settings: Tuned, model: BaseAlgorithm, rate: Rate, seconds
         "interval": rate.interval,
     }
     write_text(args.out / RESULT, json.dumps(result, indent=2) + "\n")
-    names = {name: getattr(value, "__name__", value) for name, value in settings.keywords.items()}
-    names |= settings.callbacks
+    names = {**settings.keywords, **settings.callbacks}
     fields = {
         **result,
         "class_name": type(model).__name__,
@@ -206,8 +205,15 @@ def write(args: Args, settings: Tuned, model: BaseAlgorithm, rate: Rate, seconds
         "rate": rate,
         "environments": settings.n_envs,
     }
-    fields["settings"] = "\n".join(f"- `{name}`: {value}" for name, value in names.items())
+    fields["settings"] = "\n".join(f"- `{name}`: {_text(value)}" for name, value in names.items())
     write_text(args.out / README, Template(CARD.read_text(encoding="utf-8")).substitute(fields))
+
+
+def _text(value: Any) -> Any:
+    """Return a setting with classes by their names."""
+    if isinstance(value, dict):
+        return {name: _text(one) for name, one in value.items()}
+    return getattr(value, "__name__", value)
 
 
 def main(args: Args) -> None:
@@ -222,5 +228,5 @@ def main(args: Args) -> None:
     training.path.unlink(missing_ok=True)
     Console(highlight=False, soft_wrap=True).print(
         f"{args.out / MODEL}: parked in {rate} of {rate.trials} unseen streets of {args.env}, "
-        f"{model.num_timesteps} steps in {training.seconds:.0f} s"
+        f"{model.num_timesteps} steps in {training.seconds:.0f} s of processor time"
     )

@@ -14,9 +14,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from acquisition import SettingError
 from sonar_gym.curriculum import Curriculum
+from sonar_gym.sb3 import SonarExtractor
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "ppo_lstm": RecurrentPPO, "sac": SAC, "tqc": TQC}
-CLASSES = {"HerReplayBuffer": HerReplayBuffer}  # that a file names
+CLASSES = {"HerReplayBuffer": HerReplayBuffer, "SonarExtractor": SonarExtractor}  # that a file names
 CALLBACKS: dict[str, type[BaseCallback]] = {"sonar_gym.curriculum.Curriculum": Curriculum}
 
 
@@ -62,5 +63,11 @@ def tuned(algorithm: str, env_id: str) -> Tuned:
     row = dict(known[env_id])
     callbacks = {name: given for one in row.pop("callback", ()) for name, given in one.items()}
     n_envs, n_timesteps = int(row.pop("n_envs")), int(row.pop("n_timesteps"))
-    keywords = {name: CLASSES.get(value, value) if isinstance(value, str) else value for name, value in row.items()}
-    return Tuned(algorithm, n_envs, n_timesteps, keywords, callbacks)
+    return Tuned(algorithm, n_envs, n_timesteps, _named(row), callbacks)
+
+
+def _named(value: Any) -> Any:
+    """Return settings with the classes that they name."""
+    if isinstance(value, dict):
+        return {name: _named(one) for name, one in value.items()}
+    return CLASSES.get(value, value) if isinstance(value, str) else value

@@ -8,12 +8,12 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from scoringrules import crps_ensemble
 from threadpoolctl import threadpool_limits
 
 from acquisition import Recording
 from acquisition.arrays import Bits, Floats
 from noise import discrepancy
+from noise.discrepancy.judge.held_out import fair_crps
 from noise.discrepancy.result import Diagnosis, Location
 from noise.fitting.batch import Batch
 from noise.fitting.visits import visits_of
@@ -105,7 +105,6 @@ def _crps(model: SonarModel, batch: Batch) -> Floats:
 def ensemble_crps(recording: Recording, other: Recording) -> Floats:
     """Return the CRPS of answered pings, m, in the order of a `Batch`; the ensemble is the same visit of another file.
 
-    Its estimator is unbiased (Ferro 2014), so that a small ensemble is no handicap.
     Readings of the ensemble are moved to the distance of the ping.
     """
     visit = visits_of(recording)[1]
@@ -119,5 +118,5 @@ def ensemble_crps(recording: Recording, other: Recording) -> Floats:
         members = error[same if len(same) > 1 else answered][:MAX_MEMBERS]
         drawn = np.where(np.isfinite(members), distance[rows, None] + members, MAX_RANGE)
         y = np.where(reading.echo[rows], reading.range[rows], MAX_RANGE)
-        out[rows] = crps_ensemble(y, drawn, estimator="fair")
+        out[rows] = fair_crps(y, drawn)
     return out[order]

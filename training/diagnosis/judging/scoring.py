@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from training.diagnosis.judging.record import Record
 
 STRONG_SIZE = 0.5  # half of "plain to see"
-STRONG_P = 0.002  # beyond doubt: three tests of 2,000 draws cannot give less than 0.0015
+STRONG_P = 0.002  # beyond doubt: two tests of 2,000 draws cannot give less than 0.0015
 STRONG_NATS = 15.0  # the design's definition, here of the CRPS on a fresh recording
 LEAST_SHARE = 0.1  # a wrong cause with a smaller share does little harm
 BELIEVED, PARTLY = 0.5, 0.3  # probability and share from which a wrong name of an unmodelled fault misleads

@@ -222,7 +222,7 @@ def test_a_bag_without_sonars_is_an_error(tmp_path):
 
 def test_a_missing_library_is_an_error_with_the_extra(tmp_path, monkeypatch):
     (tmp_path / "log.bag").write_bytes(b"")
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'sonar-gym\[ros\]'"):
         import_bag(tmp_path / "log.bag", constants={"distance_mm": 1.0})
 

@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scoringrules import crps_ensemble
 
+from noise.discrepancy.baseline.forest import grown
+from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each, fair_crps, repeatability
-from tests.noise.discrepancy.made import batch_of, model_of
+from tests.noise.discrepancy.made import batch_of, law_of, model_of
 
 METRES = st.floats(0.0, 11.0)
 
@@ -50,3 +52,14 @@ def test_what_a_model_misses_of_a_simulation_is_not_held_against_it():
     crude = Simulation(model_of({"zero_offset": {"offset_m": 0.05}}), readings, (0.05, 0.0))
     assert not crude.is_beaten((elsewhere, crps_of_each(model_of(), elsewhere)))
     assert Simulation(crude.model, readings).is_beaten((elsewhere, crps_of_each(model_of(), elsewhere)))
+
+
+def test_the_better_model_of_a_simulation_stands_for_it():
+    """A forest of few places knows less of other places than the law that made the readings."""
+    readings = batch_of({}, seed=1)
+    rng = np.random.default_rng(0)
+    held_out = readings.select(readings.condition % 5 == 0)
+    forest, law, wrong = grown(readings, rng), model_of(), model_of({"sensitivity": {"loss_db": 70.0}})
+    for emulator, expected in ((law, law), (wrong, forest.model)):
+        base = Baseline(law_of(), readings, forest.model, emulator, held_out, forest)
+        assert Simulation.of(base).model is expected

@@ -26,7 +26,7 @@ def p_values(lab, n, **design):
     out = []
     for seed in range(n):
         sample = lab.pair(np.random.default_rng(seed), **design)
-        tested = orthogonal_test(lab.rough, lab.rough, sample, np.random.default_rng(seed), draws=500)
+        tested = orthogonal_test(lab.rough, lab.rough, sample, np.random.default_rng(seed))
         out.append(tested.p_value.value)
     return np.array(out)
 

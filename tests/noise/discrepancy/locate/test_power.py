@@ -32,7 +32,7 @@ def test_the_stated_size_is_found(lab, least, effect, parameter):
     for seed in range(40):
         change = {effect: {parameter: least[effect]}}
         sample = lab.pair(np.random.default_rng(100 + seed), change, visits=60)
-        tested = orthogonal_test(lab.exact, lab.exact, sample, np.random.default_rng(seed), draws=999)
+        tested = orthogonal_test(lab.exact, lab.exact, sample, np.random.default_rng(seed))
         found += tested.p_value.value <= 0.01
     assert found >= 28  # 90 % of 40 is 36; the critical value is itself an estimate from 60 visits
 

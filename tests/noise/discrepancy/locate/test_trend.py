@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import kstest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.locate.placement import with_own_placement
 from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.locate.scores import with_own_placement
 from noise.discrepancy.locate.trend import trend_test
 from noise.fitting.batch import Batch
 from noise.fitting.stack import PLACEMENT, Stack

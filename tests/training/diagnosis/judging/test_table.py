@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise.discrepancy.diagnose import any_of
-from noise.discrepancy.locate.orthogonal import DRAWS
+from noise.discrepancy.locate.bootstrap import DRAWS, Greatest, joint
 from noise.discrepancy.result import PValue
 from training.diagnosis.judging import scoring
 from training.diagnosis.judging.page import as_json, is_right, judged, markdown
@@ -70,8 +69,9 @@ def test_the_most_probable_effect_counts_whether_cause_or_alternative(record):
 
 
 def test_the_clearest_difference_that_the_tests_can_show_is_strong(record):
-    clearest = PValue(1.0 / (DRAWS + 1), DRAWS, 100, 6)
-    assert scoring.is_strong(record(causes=(OFFSET,), p_value=any_of(clearest, clearest, clearest).value))
+    draws = np.random.default_rng(0).permuted(np.tile(np.arange(DRAWS, dtype=float), (2, 1)), axis=1)
+    clearest = [Greatest(PValue(1.0 / (DRAWS + 1), DRAWS, 100, 6), each) for each in draws]
+    assert scoring.is_strong(record(causes=(OFFSET,), p_value=joint(*clearest).value))
 
 
 def test_equivalent_ids_are_one_statement(record):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import binascii
 import os
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -17,6 +18,19 @@ from acquisition.twins.simulated_sensor import SimulatedSensor, TwinClock
 SPEED_M_PER_US = 0.01 / 58.0
 NO_ECHO_US = 38_000
 POLL_S = 0.002  # between reads of a pseudo-terminal
+
+
+@dataclass
+class HostClock(TwinClock):
+    """Time of the host, s, for twins at a real port."""
+
+    def __call__(self) -> float:
+        """Return the time, s."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        time.sleep(seconds)
 
 
 class Device(Protocol):

@@ -1,0 +1,77 @@
+"""The wild cluster bootstrap of the greatest of many statistics, and of the least of the p-values of several tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.arrays import Bits, Floats, Ints, Singles
+from noise.discrepancy.result import PValue
+
+DRAWS = 2000
+MIN_EFFECTIVE = 4.0  # clusters of equal size that its sum of squares is worth: no mismatch rests on one visit
+ROUNDING = 1e-10  # square of a cluster's sum, scores being of order one, below which it is rounding error
+
+
+@dataclass(frozen=True, eq=False)
+class Greatest:
+    """The greatest of the statistics of a test.
+
+    Attributes:
+        p_value: of the greatest |z|.
+        draws: the greatest |z| in each draw of the bootstrap; empty where nothing could be tested.
+    """
+
+    p_value: PValue
+    draws: Floats
+
+
+def signs_of(cluster: Ints, rng: np.random.Generator, draws: int = DRAWS) -> Singles:
+    """Return a random sign of each cluster in each draw of the bootstrap, (draws, clusters)."""
+    return (2.0 * rng.integers(0, 2, (draws, int(cluster.max()) + 1)) - 1.0).astype(np.float32)
+
+
+def studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats, Floats]:
+    """Return z and scale of each regressor, z nan where too few clusters contribute, and scaled sums of the others."""
+    square = psi**2
+    total = square.sum(axis=0)
+    effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300)
+    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > ROUNDING * len(psi))
+    scaled = psi[:, enough] / np.sqrt(total[enough])
+    z = np.full(psi.shape[1], np.nan)
+    z[enough] = scaled.sum(axis=0)
+    return z, np.sqrt(total), scaled.astype(np.float32)
+
+
+def p_of_greatest(z: Floats, greatest: Floats, n_regressors: int) -> PValue:
+    """Return the p-value of the greatest |z|, given the greatest in each draw under the null."""
+    draws = len(greatest)
+    if not np.isfinite(z).any():
+        return PValue(1.0, draws, n_regressors, 1)
+    return PValue(exceeded(float(np.nanmax(np.abs(z))), greatest), draws, n_regressors, 1)
+
+
+def exceeded(z: float, greatest: Floats) -> float:
+    """Return the share of draws in which the greatest |z| is at least a value, which counts as a draw itself."""
+    return float((1 + np.sum(greatest >= z * (1 - 1e-6))) / (len(greatest) + 1))
+
+
+def joint(*tests: Greatest) -> PValue:
+    """Return the p-value of several tests of one hypothesis whose clusters have the same sign in the same draw.
+
+    The least of their p-values is compared with that in each draw (Westfall and Young 1993, step 1). Tests that look
+    at the same readings are alike, so that this is more powerful than Bonferroni's inequality.
+    """
+    run = [test for test in tests if len(test.draws)]
+    if len(run) < 2:
+        return (run or tests)[0].p_value
+    least = np.min([_ranked(test.draws) for test in run], axis=0)
+    value = float((1 + np.sum(least <= min(test.p_value.value for test in run))) / (len(least) + 1))
+    each = [test.p_value for test in run]
+    return PValue(value, len(least), sum(p.n_regressors for p in each), max(p.n_aspects for p in each))
+
+
+def _ranked(draws: Floats) -> Floats:
+    """Return the p-value that each draw would have, (draws,)."""
+    return (len(draws) - np.searchsorted(np.sort(draws), draws * (1 - 1e-6))) / (len(draws) + 1)

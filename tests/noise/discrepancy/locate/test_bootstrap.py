@@ -1,0 +1,38 @@
+"""The joint p-value of tests keeps its level, and does not pay for a test that adds nothing."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from noise.discrepancy.locate.bootstrap import Greatest, joint, p_of_greatest, signs_of, studentised
+
+N, K = 60, 5
+
+
+def greatest_of(psi, signs):
+    z, _, scaled = studentised(psi, np.ones(psi.shape[1], dtype=bool))
+    draws = np.abs(signs @ scaled).max(axis=1)
+    return Greatest(p_of_greatest(z, draws, psi.shape[1]), draws)
+
+
+def test_a_test_beside_itself_changes_nothing():
+    rng = np.random.default_rng(0)
+    signs = signs_of(np.arange(N), rng)
+    one = greatest_of(rng.standard_normal((N, K)), signs)
+    assert joint(one, one).value == pytest.approx(one.p_value.value, abs=1e-3)
+
+
+def test_a_test_of_nothing_does_not_count():
+    rng = np.random.default_rng(1)
+    one = greatest_of(rng.standard_normal((N, K)), signs_of(np.arange(N), rng))
+    assert joint(one, Greatest(one.p_value, np.empty(0))).value == one.p_value.value
+
+
+def test_joint_p_values_of_two_tests_are_uniform():
+    p = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        signs, common = signs_of(np.arange(N), rng, draws=500), rng.standard_normal((N, K))
+        other = np.concatenate([common[:, :2], rng.standard_normal((N, 2 * K))], axis=1)
+        p.append(joint(greatest_of(common, signs), greatest_of(other, signs)).value)
+    assert kstest(p, "uniform").pvalue > 0.01
