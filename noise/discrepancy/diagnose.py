@@ -29,6 +29,7 @@ from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import with_own_placement
+from noise.discrepancy.locate.stability import stability_test
 from noise.discrepancy.locate.trend import NO_TREND, UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
@@ -221,7 +222,15 @@ def _different(
     none = search.nothing(found)
     data.tell("weighing", 0.7)
     rest = Rest(search, data.forest, data.baseline.forest)
-    judged = judge(rest, none, found, tested.p_value, partial(against, data, search), data.rng("judge"))
+    judged = judge(
+        rest,
+        none,
+        found,
+        tested.p_value,
+        partial(against, data, search),
+        partial(steady, data, search),
+        data.rng("judge"),
+    )
     data.tell("correcting", 0.9)
     causes_only, corrected = corrected_models(data, recorded, judged)
     left = judged.rest
@@ -238,6 +247,11 @@ def _different(
 def against(data: Data, search: Search, law: Stack) -> Tested:
     """Return the test of a law of the recording, beside the law of the simulation."""
     return on_any_compensation(law, search.common, data, "rest")
+
+
+def steady(data: Data, search: Search, law: Stack, name: str) -> PValue:
+    """Return the test that an effect of a law of the recording has the same size everywhere."""
+    return stability_test(law, search.common, data.sample, name, data.rng("stability"))
 
 
 def on_any_compensation(

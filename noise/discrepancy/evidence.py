@@ -24,6 +24,7 @@ class Evidence:
         prior: log prior of its size, nats, at most 0.
         p_before: p-value of the test of the simulation's law.
         p_after: p-value of the test of the corrected law.
+        p_stable: p-value of the test that its size is the same everywhere.
         n_effects: number of selected effects.
         catch_all: whether it is an effect that many others resemble.
     """
@@ -38,6 +39,7 @@ class Evidence:
     prior: float
     p_before: float
     p_after: float
+    p_stable: float
     n_effects: int
     catch_all: bool
 

@@ -24,6 +24,7 @@ from noise.fitting.learn_smooth import Learned
 from noise.fitting.stack import Key, Stack
 
 Test = Callable[[Stack], Tested]
+Stability = Callable[[Stack, str], PValue]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,13 @@ def is_left(tested: Tested) -> bool:
 
 
 def judge(
-    rest: Rest, none: Hypothesis, found: Hypothesis, before: PValue, test: Test, rng: np.random.Generator
+    rest: Rest,
+    none: Hypothesis,
+    found: Hypothesis,
+    before: PValue,
+    test: Test,
+    stability: Stability,
+    rng: np.random.Generator,
 ) -> Judged:
     """Return the causes of a difference with their probabilities.
 
@@ -106,13 +113,15 @@ def judge(
         found: the selected hypothesis.
         before: p-value of the test of the simulation's law.
         test: tests whether the recording differs from a law.
+        stability: tests whether an effect of a law has the same size everywhere.
         rng: draws the bootstrap samples of the shares, and the centres of an empirical term.
     """
     search = rest.search
     selected = Judgement(search, test, found)
     places = tuple(place_of(search, found, name) for name in found.effects)
     divided = shares(rest, none, found, rng)
-    evidence = {place.effect: evidence_of(selected, place, divided, before) for place in places}
+    steady = {name: stability(selected.final.stack, name) for name in found.effects}
+    evidence = {p.effect: evidence_of(selected, p, divided, before, steady[p.effect]) for p in places}
     certain = {name: decision_model().probability(each) for name, each in evidence.items()}
     believed = kept(certain, divided)
     final = selected.with_effects(believed)
@@ -157,7 +166,7 @@ def _cause(search: Search, place: Place, certain: float, divided: Shares, known:
     )
 
 
-def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PValue) -> Evidence:
+def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PValue, stable: PValue) -> Evidence:
     """Return what the decision model needs to know of a selected effect."""
     search, found, name = selected.search, selected.found, place.effect
     gain, error = divided.gains[name]
@@ -172,6 +181,7 @@ def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PVal
         prior=float(np.mean([log_prior(stack, search.common, [name]) for stack in found.stacks])),
         p_before=before.value,
         p_after=selected.after.p_value.value,
+        p_stable=stable.value,
         n_effects=len(found.effects),
         catch_all=search.common.known[name].by_ping,
     )

@@ -15,7 +15,7 @@ clusters (wild cluster bootstrap; Cameron, Gelbach and Miller 2008).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from noise.discrepancy.locate.moments import Group, bin_sums, moments
 from noise.discrepancy.locate.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.locate.regressors import Column, Form, Regressor, columns_of
 from noise.discrepancy.locate.sample import MIN_OVERLAP, Sample
-from noise.discrepancy.locate.scores import ASPECTS, Scores, scores
+from noise.discrepancy.locate.scores import ASPECTS, Scores, scores_of_both
 from noise.discrepancy.result import Aspect, PValue
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.stack import Stack
@@ -97,7 +97,26 @@ def orthogonal_test(
         signs: of clusters in each draw of the bootstrap, if they are shared with another test, (draws, clusters).
         only: which (regressor, aspect) pairs are tested; all by default.
     """
-    scored = _both(law_recorded, law_simulated, sample)
+    return compared(scores_of_both(law_recorded, law_simulated, sample), sample, rng, signs=signs, only=only)
+
+
+def compared(
+    scored: Scores,
+    sample: Sample,
+    rng: np.random.Generator,
+    *,
+    signs: Singles | None = None,
+    only: Only | None = None,
+) -> Tested:
+    """Test whether the scores of the recording have another mean than those of the simulation.
+
+    Args:
+        scored: scores of both files, in the order of the sample.
+        sample: readings.
+        rng: divides clusters into folds and draws signs.
+        signs: of clusters in each draw of the bootstrap, if they are shared with another test, (draws, clusters).
+        only: which (regressor, aspect) pairs are tested; all by default.
+    """
     columns = columns_of(sample)
     x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
     level = np.clip(scored.level_db, -20.0, 20.0)  # beyond, detection is certain or impossible
@@ -115,7 +134,7 @@ def orthogonal_test(
         folds = folds_of(sample.cluster[first], rng)
         fitted = [_fitted(frame, rows, basis, folds) for rows in _same_rows(scored.valid)]
         groups = [group for group, _ in fitted]
-        overlap = next(share for group, share in fitted if ASPECTS.index(Aspect.DETECTION) in group.aspects)
+        overlap = max(fitted, key=lambda each: int(each[0].valid.sum()))[1]
     signs = signs_of(sample.cluster, rng) if signs is None else signs
     return _tested(groups, frame, overlap, signs, only)
 
@@ -135,23 +154,10 @@ class _Frame:
         return np.asarray(np.add.reduceat(value, self.first, axis=0))
 
 
-def _both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
-    """Return the scores of both files, in units of the spread under the law of the simulation."""
-    parts = sample.left_out(law_simulated)
-    own = scores(law_recorded, sample.recorded, parts[0])
-    common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded, parts[0])
-    rescaled = own.value.copy()
-    rescaled[:, 0] *= own.sigma / common.sigma
-    both = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
-    if sample.simulated is not None:
-        both.append(scores(law_simulated, sample.simulated, parts[1]))
-    return Scores(*(np.concatenate([getattr(each, f.name) for each in both]) for f in fields(Scores)))
-
-
 def _same_rows(valid: Bits) -> list[Ints]:
-    """Return the indices of aspects that are valid for the same pings."""
+    """Return the indices of aspects that are valid for the same pings, and for any."""
     which = np.unique(valid, axis=1, return_inverse=True)[1].ravel()
-    return [np.flatnonzero(which == k) for k in range(which.max() + 1)]
+    return [np.flatnonzero((which == k) & valid.any(axis=0)) for k in np.unique(which[valid.any(axis=0)])]
 
 
 def _known(frame: _Frame, aspects: Ints) -> Group:

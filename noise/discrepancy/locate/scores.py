@@ -92,6 +92,19 @@ def scores(stack: Stack, batch: Batch, part: Ints | None = None) -> Scores:
     return Scores(*(np.concatenate([getattr(each, f.name) for each in parts])[back] for f in fields(Scores)))
 
 
+def scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
+    """Return the scores of both files, in units of the spread under the law of the simulation."""
+    parts = sample.left_out(law_simulated)
+    own = scores(law_recorded, sample.recorded, parts[0])
+    common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded, parts[0])
+    rescaled = own.value.copy()
+    rescaled[:, 0] *= own.sigma / common.sigma
+    both = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
+    if sample.simulated is not None:
+        both.append(scores(law_simulated, sample.simulated, parts[1]))
+    return Scores(*(np.concatenate([getattr(each, f.name) for each in both]) for f in fields(Scores)))
+
+
 def _mask(rows: Ints, n: int) -> Bits:
     out = np.zeros(n, dtype=bool)
     out[rows] = True
