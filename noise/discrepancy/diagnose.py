@@ -29,7 +29,7 @@ from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import with_own_placement
-from noise.discrepancy.locate.stability import stability_test
+from noise.discrepancy.locate.stability import Stability, stability_test
 from noise.discrepancy.locate.trend import NO_TREND, UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
@@ -249,7 +249,7 @@ def against(data: Data, search: Search, law: Stack) -> Tested:
     return on_any_compensation(law, search.common, data, "rest")
 
 
-def steady(data: Data, search: Search, law: Stack, name: str) -> PValue:
+def steady(data: Data, search: Search, law: Stack, name: str) -> Stability:
     """Return the test that an effect of a law of the recording has the same size everywhere."""
     return stability_test(law, search.common, data.sample, name, data.rng("stability"))
 

@@ -25,6 +25,7 @@ class Evidence:
         p_before: p-value of the test of the simulation's law.
         p_after: p-value of the test of the corrected law.
         p_stable: p-value of the test that its size is the same everywhere.
+        variation: by how much its size differs somewhere, relative to itself, 0 to 1.
         n_effects: number of selected effects.
         catch_all: whether it is an effect that many others resemble.
     """
@@ -40,6 +41,7 @@ class Evidence:
     p_before: float
     p_after: float
     p_stable: float
+    variation: float
     n_effects: int
     catch_all: bool
 

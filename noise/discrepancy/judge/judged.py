@@ -13,6 +13,7 @@ from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.shares import Rest, Shares, shares
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested
+from noise.discrepancy.locate.stability import Stability
 from noise.discrepancy.name.alternatives import Place, place_of
 from noise.discrepancy.name.candidates import log_prior
 from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
@@ -24,7 +25,7 @@ from noise.fitting.learn_smooth import Learned
 from noise.fitting.stack import Key, Stack
 
 Test = Callable[[Stack], Tested]
-Stability = Callable[[Stack, str], PValue]
+Steady = Callable[[Stack, str], Stability]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def judge(
     found: Hypothesis,
     before: PValue,
     test: Test,
-    stability: Stability,
+    stability: Steady,
     rng: np.random.Generator,
 ) -> Judged:
     """Return the causes of a difference with their probabilities.
@@ -166,7 +167,7 @@ def _cause(search: Search, place: Place, certain: float, divided: Shares, known:
     )
 
 
-def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PValue, stable: PValue) -> Evidence:
+def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PValue, stable: Stability) -> Evidence:
     """Return what the decision model needs to know of a selected effect."""
     search, found, name = selected.search, selected.found, place.effect
     gain, error = divided.gains[name]
@@ -181,7 +182,8 @@ def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PVal
         prior=float(np.mean([log_prior(stack, search.common, [name]) for stack in found.stacks])),
         p_before=before.value,
         p_after=selected.after.p_value.value,
-        p_stable=stable.value,
+        p_stable=stable.p_value.value,
+        variation=stable.variation,
         n_effects=len(found.effects),
         catch_all=search.common.known[name].by_ping,
     )
