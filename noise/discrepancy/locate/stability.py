@@ -1,9 +1,9 @@
 """Stability: is the size of an effect the same under all conditions, at all times, and after all readings?
 
-The score of a reading is the derivative of its log probability with respect to the size of the effect, under the
-corrected law for the recording and under the law of the simulation for the simulation. Where one size is right
-everywhere, it has mean zero in every region, but for what both laws get wrong. An effect that stands for something
-else, such as lost readings for those lost beyond 2 m alone, has a size that differs from region to region
+The score of a reading is the derivative of its log probability with respect to the size of the effect under the
+corrected law, less its mean under the law of the file. Where one size is right everywhere, the mean of the recording is
+that of the simulation in every region, what both laws get wrong included. An effect that stands for something else,
+such as lost readings for those lost beyond 2 m alone, has a size that differs from region to region
 (parameter instability tests; Nyblom 1989, Zeileis and Hornik 2007).
 """
 
@@ -19,7 +19,7 @@ from noise.discrepancy.locate.moments import one_weight
 from noise.discrepancy.locate.orthogonal import Tested, compared
 from noise.discrepancy.locate.regressors import Regressor
 from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import BIAS, Scores, scores_of_both
+from noise.discrepancy.locate.scores import BIAS, Scores, ping_law, scores_of_both
 from noise.discrepancy.result import Aspect, PValue
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch
@@ -28,6 +28,7 @@ from noise.fitting.stack import Key, Stack
 from noise.fitting.visit_effects import VisitEffects, law_of, single_ping_law
 from noise.physical import PhysicalModel
 
+DRAWN = 10  # readings of each ping for the expected score under a law
 STEP = 1e-3  # of a parameter, as a share of its bounds: a derivative
 QUANTILE = 0.995  # of the scores of the recording, beyond which scores are winsorised: no reading decides
 LOWEST = 1e-12  # probability
@@ -76,18 +77,35 @@ def _of_parameter(
     recorded: Stack, simulated: Stack, sample: Sample, scored: Scores, key: Key, rng: np.random.Generator
 ) -> Stability:
     """Return the stability of one parameter."""
-    absent = key[0] not in simulated.values
-    others = {k: recorded.get(k) for k in _keys(recorded, key[0]) if k != key}
-    laws = (recorded, simulated.at(others) if absent else simulated)[: len(sample.batches)]
     parts = sample.left_out(simulated)
-    value = [_by_part(*each, key) for each in zip(laws, sample.batches, parts, strict=True)]
-    limit = float(np.quantile(np.abs(value[0]), QUANTILE))
-    size = recorded.get(key) - (simulated.get(key) if key[1] != SHARE or not absent else 0.0)
+    slopes = [
+        _slopes(recorded, law, batch, part, key, rng)
+        for law, batch, part in zip((recorded, simulated), sample.batches, parts, strict=False)
+    ]
+    limit = float(np.quantile(np.abs(slopes[0][0]), QUANTILE))
+    absent = key[0] not in simulated.values
+    size = recorded.get(key) - (0.0 if absent and key[1] == SHARE else simulated.get(key))
     if limit <= 0.0 or size == 0.0:
         return Stability()
-    scores = np.clip(np.concatenate(value) / limit, -1.0, 1.0)
+    within = [np.clip(each / limit, -1.0, 1.0) for each in slopes]
+    scores = np.concatenate([each[0] - each[1:].mean(axis=0) for each in within])
     tested = compared(_only(scored, scores), sample, rng, only=varies)
     return Stability(tested.p_value, min(1.0, abs(_change(tested, scores) / (limit * size))))
+
+
+def _slopes(recorded: Stack, law: Stack, batch: Batch, part: Ints, key: Key, rng: np.random.Generator) -> Floats:
+    """Return the slope under the law of the recording at each reading, and at drawn ones, (1 + draws, n).
+
+    Each part of the readings has laws whose smooth corrections were fitted without it.
+    """
+    out = np.empty((1 + DRAWN, len(batch)))
+    for k in np.unique(part):
+        rows, judge = part == k, recorded.without_part(int(k))
+        own = batch.select(rows)
+        drawing = ping_law(law.without_part(int(k)), own)
+        drawn = (replace(own, reading=drawing.sample(rng)) for _ in range(DRAWN))
+        out[:, rows] = [slope(judge, each, key) for each in (own, *drawn)]
+    return out
 
 
 def _change(tested: Tested, scores: Floats) -> float:
@@ -119,14 +137,6 @@ def _only(scored: Scores, value: Floats) -> Scores:
     every, valid = np.zeros_like(scored.value), np.zeros_like(scored.valid)
     every[:, BIAS], valid[:, BIAS] = value, True
     return Scores(every, valid, every, scored.level_db, scored.sigma, scored.probability)
-
-
-def _by_part(law: Stack, batch: Batch, part: Ints, key: Key) -> Floats:
-    """Return the slope at each reading under the law whose smooth correction was fitted without its part, (n,)."""
-    out = np.empty(len(batch))
-    for k in np.unique(part):
-        out[part == k] = slope(law.without_part(int(k)), batch.select(part == k), key)
-    return out
 
 
 def slope(law: Stack, batch: Batch, key: Key) -> Floats:
