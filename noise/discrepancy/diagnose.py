@@ -190,13 +190,12 @@ def _prepared(
 
 
 def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
-    """Return the recording on the simulation's register where that has finer steps that divide its own.
+    """Return the recording on the simulation's register where that has finer steps.
 
     Coarser steps are then a difference that quantisation explains, and not a property of the data.
     """
     fine = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
-    ratio = batch.resolution / fine
-    return replace(batch, resolution=fine) if ratio > 1.5 and abs(ratio - round(ratio)) < 1e-6 * ratio else batch
+    return replace(batch, resolution=fine) if batch.resolution > 1.5 * fine else batch
 
 
 def _alike(data: Data, recorded: Recording, tested: Tested, visible: tuple[Visible, ...]) -> Diagnosis:

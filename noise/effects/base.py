@@ -80,11 +80,21 @@ def target_tolerance(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class EchoSample:
-    """Echo readings from which initial values are estimated: arrays (n,) of distance, m, time, s, and range, m."""
+    """Echo readings from which initial values are estimated.
+
+    Attributes:
+        distance: of the target, m, (n,).
+        time: s, (n,).
+        range: reading, m, (n,).
+        interval: time since the previous ping of the run, s, 0 for the first, (n,); None where it is unknown.
+        grid_m: step on whose multiples all readings lie, m; 0 where it is unknown.
+    """
 
     distance: NDArray[np.float64]
     time: NDArray[np.float64]
     range: NDArray[np.float64]
+    interval: NDArray[np.float64] | None = None
+    grid_m: float = 0.0
 
     @property
     def off_target(self) -> EchoSample:
@@ -97,7 +107,8 @@ class EchoSample:
         return self._where(self.range < self.distance - target_tolerance(self.distance))
 
     def _where(self, rows: NDArray[np.bool_]) -> EchoSample:
-        return EchoSample(self.distance[rows], self.time[rows], self.range[rows])
+        interval = None if self.interval is None else self.interval[rows]
+        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, self.grid_m)
 
 
 class Effect(ABC):

@@ -13,12 +13,13 @@ from acquisition import EchoStatus
 from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.medium import ASSUMED_SPEED
-from noise.effects.state import State, new_path, wall_level_db
+from noise.effects.state import State, heard_level_db, new_path, wall_level_db
 from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
 RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
 BURST_WAITS_M = (0.01, 0.1, 0.34, 0.86, 1.72)  # waits of about 0, 0.6, 2, 5 and 10 ms as range; chosen here
+FAR_BIN_M = 0.05  # within which far reflectors are one; the scatter of a reading
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
 
 
@@ -54,7 +55,8 @@ class PreviousPing(Effect):
         length = self.far_m + self.doubled * (2.0 * c.distance - self.far_m)
         early, possible = self._since_last(state)
         possible = possible & (early < length)
-        path = new_path("previous", length, wall_level_db(length), self.presence * possible.to(torch.float64))
+        level_db = heard_level_db(length) + self.doubled * (wall_level_db(length) - heard_level_db(length))
+        path = new_path("previous", length, level_db, self.presence * possible.to(torch.float64))
         return state.with_path(replace(path, lag=-early))
 
     def _since_last(self, state: State) -> tuple[Tensor, Tensor]:
@@ -69,8 +71,16 @@ class PreviousPing(Effect):
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return second round trips within bursts of several waits."""
-        return [{"presence": 0.9, "far_m": 12.0, "doubled": 1.0, "wait_m": wait} for wait in BURST_WAITS_M]
+        """Return second round trips within bursts of several waits, and the far reflector of most early readings."""
+        bursts = [{"presence": 0.9, "far_m": 12.0, "doubled": 1.0, "wait_m": wait} for wait in BURST_WAITS_M]
+        early = echoes.early
+        if early.interval is None or not (early.interval > 0.0).any():
+            return bursts
+        far = (early.range + ASSUMED_SPEED * early.interval / 2.0)[early.interval > 0.0]
+        place = np.rint(far / FAR_BIN_M)
+        most, count = np.unique(place, return_counts=True)
+        middle = float(np.median(far[place == most[int(np.argmax(count))]]))
+        return [*bursts, {"presence": 0.5, "far_m": middle, "doubled": 0.0, "wait_m": 0.0}]
 
     def statement(self) -> str:
         """Return a sentence with the distance of the far reflector."""
@@ -139,7 +149,7 @@ class SynchronousCrosstalk(Effect):
     def apply(self, state: State) -> State:
         """Add the path from the other sonar."""
         length = 0.5 * (state.conditions.distance + self.other_m)
-        path = new_path("other sonar", length, wall_level_db(length), self.presence, state.conditions.angle)
+        path = new_path("other sonar", length, heard_level_db(length), self.presence, state.conditions.angle)
         return state.with_path(path)
 
     def statement(self) -> str:
@@ -187,7 +197,7 @@ class AsynchronousCrosstalk(Effect):
     def apply(self, state: State) -> State:
         """Add the burst as a lag instead of a length, since a clock does not depend on the temperature of the air."""
         late = torch.remainder(self.first_s - state.conditions.time, self.period_s) * (ASSUMED_SPEED / 2.0)
-        path = new_path("another clock", late, wall_level_db(torch.ones_like(late)), self.presence)
+        path = new_path("another clock", late, heard_level_db(late), self.presence)
         return state.with_path(replace(path, length=torch.zeros_like(late), lag=late, spread=self.spread_m))
 
     def statement(self) -> str:

@@ -15,6 +15,7 @@ from noise.effects.state import MARGIN_DB, Clutter, Path, State, number
 GATE_MARGIN_M = 0.02  # distance of an initial gate beyond the farthest echo; chosen here
 MAX_NOISE_PER_M = 20.0  # false alarms per metre; chosen here
 HALF_WAVE = 4.29e-3  # m; one period of 40 kHz as range, 25 us at 343.4 m/s there and back
+MAX_STEP_M = 0.2  # of a register; a sonar with coarser steps is no range finder
 
 # Lag of the threshold crossing after the start of the echo, as range, by the level of its peak above the threshold:
 # 8 cycles of 40 kHz through two resonators of 2 kHz width at -6 dB, first crossing of one polarity.
@@ -279,12 +280,17 @@ class Quantisation(Effect):
     name = "quantisation"
     stage = Stage.REGISTER
     summary = "Readings have coarse steps"
-    parameters = (Parameter("step_m", "m", 0.0, 0.0, 0.2, "cm or inch output, Devantech SRF08", (0.01, 0.0254)),)
+    parameters = (Parameter("step_m", "m", 0.0, 0.0, MAX_STEP_M, "cm or inch output, Devantech SRF08", (0.01, 0.0254)),)
     step_m: Tensor
 
     def apply(self, state: State) -> State:
         """Round the register."""
         return replace(state, step=float(self.step_m.detach()))
+
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return the step on whose multiples all readings lie."""
+        return [{"step_m": echoes.grid_m}] if 0.0 < echoes.grid_m <= MAX_STEP_M else []
 
     def statement(self) -> str:
         """Return a sentence with the step."""
@@ -297,13 +303,20 @@ class Truncation(Effect):
     name = "truncation"
     stage = Stage.REGISTER
     summary = "Readings are truncated to whole steps"
-    parameters = (Parameter("step_m", "m", 0.0, 0.0, 0.2, "integer division to cm or inch, us / 58", (0.01, 0.0254)),)
+    parameters = (
+        Parameter("step_m", "m", 0.0, 0.0, MAX_STEP_M, "integer division to cm or inch, us / 58", (0.01, 0.0254)),
+    )
     step_m: Tensor
 
     def apply(self, state: State) -> State:
         """Round to the step after a shift by half a step."""
         step = self.step_m.detach()
         return replace(state, step=max(state.step, float(step)), offset=state.offset - step / 2.0)
+
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return the step on whose multiples all readings lie."""
+        return [{"step_m": echoes.grid_m}] if 0.0 < echoes.grid_m <= MAX_STEP_M else []
 
     def statement(self) -> str:
         """Return a sentence with the step and the mean error."""

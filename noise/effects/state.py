@@ -230,6 +230,14 @@ def wall_level_db(length: Tensor) -> Tensor:
     return MARGIN_DB - 20.0 / math.log(10.0) * torch.log(torch.clamp(length, min=0.01))
 
 
+def heard_level_db(length: Tensor) -> Tensor:
+    """Return the level of what is heard whenever it is present, dB: that of a wall at 1 m.
+
+    How strong sound from elsewhere is, no law says; its presence is the probability that it is heard.
+    """
+    return wall_level_db(torch.ones_like(length))
+
+
 def new_path(
     name: str, length: Tensor, level_db: Tensor, presence: float | Tensor = 1.0, bearing: float | Tensor = 0.0
 ) -> Path:

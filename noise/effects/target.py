@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from noise.effects.base import Effect, Parameter, Stage
-from noise.effects.state import State, new_path, wall_level_db
+from noise.effects.state import State, heard_level_db, new_path, wall_level_db
 
 WAVELENGTH = 8.584e-3  # m; 40 kHz at 19 degC and 50 % relative humidity
 NEAR = 0.02  # m; lower limit of the distance in the asymptotic formulas below
@@ -195,7 +195,7 @@ class FixedClutter(Effect):
     def apply(self, state: State) -> State:
         """Add the path to the object."""
         length = self.range_m + torch.zeros_like(state.conditions.distance)
-        path = new_path("clutter", length, wall_level_db(length), self.presence)
+        path = new_path("clutter", length, heard_level_db(length), self.presence)
         return state.with_path(replace(path, spread=self.spread_m))
 
     def statement(self) -> str:

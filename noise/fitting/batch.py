@@ -30,6 +30,7 @@ class Batch:
         visit: index of the visit of each ping, ascending, (n,).
         condition: index of the condition of each ping, for splits, (n,).
         resolution: step of the register, m.
+        grid_m: step on whose multiples all readings lie, m: the register's own, or a coarser one.
         last: range and true distance of the last echo before each ping in its run, m, nan where none, (n, 2).
         moved: change of the true distance since the ping before in its run, m, (n,).
         timed: whether the time of each ping was logged.
@@ -42,6 +43,7 @@ class Batch:
     visit: NDArray[np.int64]
     condition: NDArray[np.int64]
     resolution: float
+    grid_m: float
     last: NDArray[np.float64]
     moved: NDArray[np.float64]
     timed: bool = True
@@ -65,7 +67,7 @@ class Batch:
         label = np.unique(visit[order], return_inverse=True)[1]
         last, moved = last_echo(recording)[order], movement(recording)[order]
         timed, step = recording.has("time_s"), recording.resolution
-        return cls(ping, past[order], reading, label, condition[order], step, last, moved, timed)
+        return cls(ping, past[order], reading, label, condition[order], step, step, last, moved, timed)
 
     def __len__(self) -> int:
         """Return the number of pings."""

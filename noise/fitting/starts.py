@@ -11,6 +11,7 @@ from scipy.stats import qmc
 
 from acquisition.arrays import Floats
 from noise.effects import EchoSample, Effect, Parameter, Stage
+from noise.effects.interping import INTERVAL
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std
@@ -136,7 +137,9 @@ def target_echo(stack: Stack, batch: Batch) -> Floats:
 def echoes_of(batch: Batch) -> EchoSample:
     """Return the echoes of a batch in the form that `Effect.guesses` expects."""
     echo = batch.reading.echo
-    return EchoSample(batch.ping.distance[echo], batch.ping.time[echo], batch.reading.range[echo])
+    ping, interval = batch.ping, batch.ping.covariates.get(INTERVAL)
+    known = None if interval is None else interval[echo]
+    return EchoSample(ping.distance[echo], ping.time[echo], batch.reading.range[echo], known, batch.grid_m)
 
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:

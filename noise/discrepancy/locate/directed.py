@@ -110,7 +110,7 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
 
 def _shown(name: str, batch: Batch) -> bool:
     effect = CATALOGUE[name]
-    return batch.resolution <= effect.coarsest_step_m and any(
+    return batch.grid_m <= effect.coarsest_step_m and any(
         p.identifiable(batch.ping.covariates) for p in effect.parameters
     )
 
