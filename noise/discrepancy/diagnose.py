@@ -18,19 +18,21 @@ from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import Grown, grown
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
-from noise.discrepancy.judge.held_out import Simulation, best_of, forest_gains, gains, held_out
-from noise.discrepancy.judge.judged import Judged, judge
+from noise.discrepancy.judge.correction import Options
+from noise.discrepancy.judge.held_out import Simulation, held_out
+from noise.discrepancy.judge.judged import judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
-from noise.discrepancy.locate.bootstrap import Greatest, joint, signs_of
-from noise.discrepancy.locate.directed import directed_test
+from noise.discrepancy.locate.bootstrap import Found, Greatest, joint, signs_of
+from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
+from noise.discrepancy.locate.few import COARSER, placement_test, register_test, within_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
 from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.scores import with_own_placement
 from noise.discrepancy.locate.stability import Stability, stability_test
-from noise.discrepancy.locate.trend import NO_TREND, UNCOMPENSATED, compensation_is_unknown, trend_test
+from noise.discrepancy.locate.trend import UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -144,14 +146,22 @@ def diagnose(
     signs = signs_of(data.sample.cluster, data.rng("signs"))
     tested = on_any_compensation(own, other, data, "test", signs)
     directed = directed_test(wider, data.sample, signs, data.rng("directed"))
-    # the trend test is for surveys that are too small for the directed one
-    trend = NO_TREND if len(directed.draws) else trend_test(own, other, data.sample)
-    tested = replace(tested, p_value=any_of(joint(Greatest(tested.p_value, tested.greatest), directed), trend.p_value))
-    where = (locate(tested) or trend.where) if tested.p_value.value < FALSE_ALARM else ()
-    visible = least_of(could_have_seen(own, data.sample, tested, data.rng("power")), trend.visible)
+    whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
+    found = [whole, *few_positions(own, other, data), register_test(data.batch)]
+    tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))
+    where = located(tested, found) if tested.p_value.value < FALSE_ALARM else ()
+    visible = could_have_seen(own, data.sample, tested, data.rng("power"))
+    for each in found:
+        visible = least_of(visible, each.visible)
     if differs(tested.p_value, where):
         return _different(data, recorded, tested, where, visible, tuple(without))
     return _alike(data, recorded, tested, visible)
+
+
+def located(tested: Tested, found: Sequence[Found]) -> tuple[Location, ...]:
+    """Return where the orthogonal test finds differences, or else the most significant other test."""
+    others = sorted((each for each in found if each.where), key=lambda each: each.p_value.value)
+    return locate(tested) or next((each.where for each in others), ())
 
 
 def any_of(*tests: PValue) -> PValue:
@@ -195,7 +205,7 @@ def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
     Coarser steps are then a difference that quantisation explains, and not a property of the data.
     """
     fine = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
-    return replace(batch, resolution=fine) if batch.resolution > 1.5 * fine else batch
+    return replace(batch, resolution=fine) if batch.resolution > COARSER * fine else batch
 
 
 def _alike(data: Data, recorded: Recording, tested: Tested, visible: tuple[Visible, ...]) -> Diagnosis:
@@ -231,21 +241,33 @@ def _different(
         data.rng("judge"),
     )
     data.tell("correcting", 0.9)
-    causes_only, corrected = corrected_models(data, recorded, judged)
+    options = Options.of(judged, search, data.forest, recorded.resolution)
+    corrected = options.corrected(data.simulation)
     left = judged.rest
     left = replace(left, description=location_in_words(left.where[0]) if left.where else None)
     believed = [cause for cause in judged.causes if cause.effect in judged.believed]
     kind = kind_of(believed, judged.together, left)
     places = [place for place in judged.places if place.effect in {cause.effect for cause in judged.causes}]
     diagnosis = _diagnosis(
-        data, recorded, tested, where, visible, kind, judged.causes, left, causes_only, corrected, places
+        data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
     return replace(diagnosis, evidence=judged.evidence, likely={p.effect: p.likely for p in judged.places})
 
 
 def against(data: Data, search: Search, law: Stack) -> Tested:
     """Return the test of a law of the recording, beside the law of the simulation."""
-    return on_any_compensation(law, search.common, data, "rest")
+    tested = on_any_compensation(law, search.common, data, "rest")
+    others = few_positions(law, search.common, data)
+    return replace(tested, p_value=any_of(tested.p_value, *(each.p_value for each in others))) if others else tested
+
+
+def few_positions(recorded: Stack, simulated: Stack, data: Data) -> list[Found]:
+    """Return the results of the tests for recordings of few positions; none for others."""
+    sample = data.sample
+    if len(np.unique(sample.cluster)) >= MIN_VISITS:
+        return []
+    within = within_test(recorded, simulated, sample, data.rng("within"))
+    return [trend_test(recorded, simulated, sample), placement_test(recorded, simulated, sample), within]
 
 
 def steady(data: Data, search: Search, law: Stack, name: str) -> Stability:
@@ -266,31 +288,6 @@ def on_any_compensation(
         laws = [(recorded.at(each), simulated.at(each)) for each in ({UNCOMPENSATED: s} for s in COMPENSATIONS)]
     tests = [orthogonal_test(*each, data.sample, data.rng(purpose), signs=signs) for each in laws]
     return max(tests, key=lambda each: each.p_value.value)
-
-
-def corrected_models(data: Data, recorded: Recording, judged: Judged) -> tuple[SonarModel | None, SonarModel | None]:
-    """Return the model with the causes alone, and the corrected model that is offered; None where there is none.
-
-    What no cause explains joins the corrected model as an empirical term, where that improves unseen visits; where the
-    recording's own readings under similar conditions predict unseen ones better than any law, they are the corrected
-    model. A correction is offered only if it beats the user's simulation on unseen visits beyond chance: for a law on
-    those that nothing was fitted to, and for a forest on all, each by trees that have not seen it.
-    """
-    stack = judged.final.single.stack
-    causes_only = offered(stack, recorded) if judged.believed else None
-    options = [] if causes_only is None else [causes_only]
-    if judged.learned is not None and judged.learned.stack.terms != judged.final.stack.terms:
-        options.append(offered(judged.learned.stack, recorded))
-    unseen, before = data.folds.unseen, data.simulation
-    best = best_of(options, data.forest.model, unseen)
-    if gains(best, before, unseen):
-        return causes_only, best
-    return causes_only, data.forest.model if forest_gains(before, data.forest, unseen) else None
-
-
-def offered(stack: Stack, recorded: Recording) -> SonarModel:
-    """Return the model of single pings of a stack, on the recording's register where that is coarser."""
-    return replace(stack, resolution=max(stack.resolution, recorded.resolution)).single_ping_model
 
 
 def _diagnosis(

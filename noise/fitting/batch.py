@@ -30,11 +30,11 @@ class Batch:
         visit: index of the visit of each ping, ascending, (n,).
         condition: index of the condition of each ping, for splits, (n,).
         resolution: step of the register, m.
-        grid_m: step on whose multiples all readings lie, m: the register's own, or a coarser one.
         last: range and true distance of the last echo before each ping in its run, m, nan where none, (n, 2).
         moved: change of the true distance since the ping before in its run, m, (n,).
         timed: whether the time of each ping was logged.
         simulated_offset: mean error of the simulation under the same condition, m, nan where unknown, (n,).
+        grid_m: step on whose multiples all readings lie, m: the register's own, or a coarser one; 0 where unknown.
     """
 
     ping: Ping
@@ -43,11 +43,11 @@ class Batch:
     visit: NDArray[np.int64]
     condition: NDArray[np.int64]
     resolution: float
-    grid_m: float
     last: NDArray[np.float64]
     moved: NDArray[np.float64]
     timed: bool = True
     simulated_offset: NDArray[np.float64] | None = None
+    grid_m: float = 0.0
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -67,7 +67,7 @@ class Batch:
         label = np.unique(visit[order], return_inverse=True)[1]
         last, moved = last_echo(recording)[order], movement(recording)[order]
         timed, step = recording.has("time_s"), recording.resolution
-        return cls(ping, past[order], reading, label, condition[order], step, step, last, moved, timed)
+        return cls(ping, past[order], reading, label, condition[order], step, last, moved, timed, grid_m=step)
 
     def __len__(self) -> int:
         """Return the number of pings."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.discrepancy.baseline.forest import Grown, floored_log_prob
+from noise.discrepancy.baseline.forest import floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.locate.sample import positions
 from noise.discrepancy.name.estimates import Z
@@ -116,30 +115,6 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
         members: at least two for all values, (m,), or for each, (n, m).
     """
     return np.asarray(np.abs(value[:, None] - members).mean(axis=-1) - repeatability(members))
-
-
-def gains(model: SonarModel, before: Simulation, batch: Batch) -> bool:
-    """Return whether a model's CRPS is less than the simulation's beyond chance: the interval excludes zero."""
-    return before.is_beaten((batch, crps_of_each(model, batch)))
-
-
-def forest_gains(before: Simulation, forest: Grown, unseen: Batch) -> bool:
-    """Return whether a forest's CRPS on visits that its trees have not seen is less than a simulation's."""
-    return before.is_beaten((forest.batch, forest.crps), (unseen, crps_of_each(forest.model, unseen)))
-
-
-def best_of(models: Sequence[SonarModel], fallback: SonarModel, batch: Batch) -> SonarModel:
-    """Return the model with the least CRPS; the fallback only where it gains beyond chance.
-
-    Laws with causes hold under other conditions too, and a forest of readings under their own alone.
-
-    Args:
-        models: laws.
-        fallback: a model that knows no law.
-        batch: visits that no model was fitted to.
-    """
-    best = min(models, key=lambda model: crps(model, batch), default=fallback)
-    return fallback if gains(fallback, Simulation(best), batch) else best
 
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:

@@ -35,7 +35,8 @@ class Judged:
     Attributes:
         causes: selected effects, the believed ones and the greatest shares first.
         believed: ids of those that are believed.
-        final: the hypothesis with the believed causes, fitted to both folds.
+        found: the hypothesis with the believed causes, fitted to each fold.
+        final: the same, fitted to both folds.
         places: selected effects and their alternatives.
         evidence: by selected effect.
         together: share of the believed causes.
@@ -46,6 +47,7 @@ class Judged:
 
     causes: tuple[Cause, ...]
     believed: tuple[str, ...]
+    found: Hypothesis
     final: Final
     places: tuple[Place, ...]
     evidence: Mapping[str, Evidence]
@@ -133,7 +135,9 @@ def judge(
     causes.sort(key=lambda cause: (cause.effect not in believed, -cause.share.value))
     together, left = _divided(divided, [name for name in found.effects if name not in believed])
     learned = empirical_term(final.final.stack, search.joined, rng) if is_left(final.after) else None
-    return Judged(tuple(causes), believed, final.final, places, evidence, together, left, final.after, learned)
+    return Judged(
+        tuple(causes), believed, final.found, final.final, places, evidence, together, left, final.after, learned
+    )
 
 
 def kept(certain: Mapping[str, float], divided: Shares) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints, Singles
-from noise.discrepancy.result import PValue
+from noise.discrepancy.result import Location, PValue, Visible
 
 DRAWS = 2000
 MIN_EFFECTIVE = 4.0  # clusters of equal size that its sum of squares is worth: no mismatch rests on one visit
@@ -25,6 +25,24 @@ class Greatest:
 
     p_value: PValue
     draws: Floats
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of one test among others.
+
+    Attributes:
+        p_value: of the test.
+        where: the located difference, if it rejects at `FALSE_ALARM`.
+        visible: the least difference that is seen with a power of 90 %; None where that is not known.
+    """
+
+    p_value: PValue
+    where: tuple[Location, ...] = ()
+    visible: Visible | None = None
+
+
+NOTHING = Found(PValue(1.0, 0, 0))
 
 
 def signs_of(cluster: Ints, rng: np.random.Generator, draws: int = DRAWS) -> Singles:

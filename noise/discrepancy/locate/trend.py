@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.bootstrap import NOTHING, Found
 from noise.discrepancy.locate.sample import Sample, positions
 from noise.discrepancy.locate.scores import BIAS, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
@@ -29,24 +30,6 @@ N_TESTS = 2  # of one hypothesis, for which the level is adjusted: this one and 
 ROUNDING = 1e-9  # m, below which errors are alike
 UNCOMPENSATED: Key = ("sound_speed", "logged_share")
 SHARES = np.linspace(0.0, 1.0, 21)  # from full compensation to none
-
-
-@dataclass(frozen=True)
-class Trend:
-    """Result of the test.
-
-    Attributes:
-        p_value: of the most significant coefficient.
-        where: the mean difference, if the test rejects at `FALSE_ALARM`.
-        visible: the least mean difference that is seen with a power of 90 %; None where nothing can be tested.
-    """
-
-    p_value: PValue
-    where: tuple[Location, ...]
-    visible: Visible | None
-
-
-NO_TREND = Trend(PValue(1.0, 0, 0), (), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +51,7 @@ class _Line:
         return np.asarray(2.0 * student.sf(np.abs(self.value) / self.error, self.freedom))
 
 
-def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Trend:
+def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
     """Test whether the mean errors of visits differ, everywhere or along a condition.
 
     Args:
@@ -83,7 +66,7 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
     fits = [[line for x in conditions if (line := _line(each, recorded, place, x)) is not None] for each in possible]
     lines = max(fits, key=lambda each: min((line.p.min() for line in each), default=1.0))
     if not lines:
-        return NO_TREND
+        return NOTHING
     p = np.concatenate([line.p for line in lines])
     value = float(min(1.0, p.min() * len(p)))
     mean = lines[0]
@@ -92,7 +75,7 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Tre
     p_value = PValue(value, 0, len(p), 1)
     least = student.ppf(1.0 - FALSE_ALARM / (2.0 * N_TESTS * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
     where = (Location(Aspect.BIAS, {}, size, p_value),) if value < FALSE_ALARM else ()
-    return Trend(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
+    return Found(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
 
 
 def compensation_is_unknown(law: Stack, sample: Sample) -> bool:

@@ -1,0 +1,229 @@
+"""Tests for recordings of few positions, in which a bootstrap over positions has no power.
+
+Between positions: careful placement scatters by at most `MAX_PLACEMENT_M`, and the error of the law shows in the
+simulation. Where the mean errors of the recorded positions scatter more than both, in an F test without the greatest of
+them, the sonar differs: one target may have been misplaced.
+
+Within positions: pings of one position are comparable with each other, whatever is wrong with the position. Scores and
+regressors lose their mean there, so that regressors of time, order and history remain. The statistic of a regressor is
+its slope in the recording less that in the simulation, and clusters are blocks of pings, long enough that the means of
+neighbours are not correlated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.bootstrap import NOTHING, Found, exceeded, signs_of, studentised
+from noise.discrepancy.locate.moments import bin_sums
+from noise.discrepancy.locate.orthogonal import INDICATORS, MIN_CLUSTERS
+from noise.discrepancy.locate.regressors import Column, Form, columns_of
+from noise.discrepancy.locate.sample import Sample, positions
+from noise.discrepancy.locate.scores import ASPECTS, BIAS, Scores, scores_of_both
+from noise.discrepancy.result import Aspect, Interval, Location, PValue
+from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
+
+COARSER = 1.5  # ratio of the steps of two registers that differ
+LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong
+MIN_PLACES = 5  # positions of each file for an F test
+MAX_BLOCKS = 200  # of a file; more do not improve the variance estimates
+CORRELATED = 1.64  # standard errors of a correlation at the 5 % level, one-sided
+TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
+
+
+def register_test(recorded: Batch) -> Found:
+    """Test whether the readings lie on a coarser grid than that of the register.
+
+    The p-value is the probability that as many different readings on a fine register lie on one such grid by chance.
+    """
+    if recorded.grid_m <= COARSER * recorded.resolution:
+        return NOTHING
+    different = len(np.unique(recorded.reading.range[recorded.reading.echo]))
+    chance = (recorded.resolution / recorded.grid_m) ** max(different - 1, 0)
+    return Found(PValue(max(chance, LEAST_CHANCE), 0, 1, 1))
+
+
+def placement_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
+    """Test whether the mean errors of recorded positions scatter more than placement and the law's error allow.
+
+    Args:
+        law_recorded: law of the recording.
+        law_simulated: law that describes the simulation.
+        sample: readings.
+    """
+    scored = scores_of_both(law_recorded, law_simulated, sample)
+    files = [_means(scored, sample, rows) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
+    if min(len(mean) for mean, _ in files) < MIN_PLACES:
+        return NOTHING
+    (mean, variance), others = files[0], files[1:]
+    allowed = MAX_PLACEMENT_M**2 + sum(float(np.mean(other**2)) for other, _ in others)
+    ratio = np.sort(mean**2 / (allowed + variance))[:-1]
+    freedom = len(ratio), len(others[0][0]) if others else np.inf
+    p = float(fisher.sf(ratio.mean(), *freedom)) if others else float(fisher.sf(ratio.mean(), freedom[0], 1e9))
+    p_value = PValue(p, 0, 1, 1)
+    size = float(np.sqrt(np.mean(mean**2)))
+    where = (Location(Aspect.BIAS, {}, Interval(size, 0.0, float(np.abs(mean).max()), "m"), p_value),)
+    return Found(p_value, where if p < FALSE_ALARM else ())
+
+
+def _means(scored: Scores, sample: Sample, rows: Bits) -> tuple[Floats, Floats]:
+    """Return the mean error of each position of a file, m, and the variance of such a mean, m^2, (positions,) each."""
+    place = _places(sample)[rows & scored.valid[:, BIAS]]
+    error = scored.natural[rows & scored.valid[:, BIAS], BIAS]
+    place = np.unique(place, return_inverse=True)[1]
+    count = np.bincount(place)
+    mean = np.bincount(place, error) / count
+    within = np.bincount(place, (error - mean[place]) ** 2) / np.maximum(count - 1, 1)
+    return mean, within / count
+
+
+def _places(sample: Sample) -> Ints:
+    """Return the position of each ping in each file, (n,)."""
+    rows = [np.c_[np.full(len(b), k), positions(b)[b.visit]] for k, b in enumerate(sample.batches)]
+    return np.asarray(np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+
+
+def within_test(law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: np.random.Generator) -> Found:
+    """Test whether readings depend otherwise on time, order or history than those of the simulation.
+
+    Args:
+        law_recorded: law of the recording.
+        law_simulated: law that describes the simulation.
+        sample: readings.
+        rng: draws signs.
+    """
+    scored = scores_of_both(law_recorded, law_simulated, sample)
+    place = _places(sample)
+    block = _blocks(scored, sample, place)
+    columns = [column for column in columns_of(sample) if column.form is not Form.CONDITION]
+    signs = signs_of(block, rng)
+    greatest, best = np.zeros(len(signs)), (0.0, Aspect.BIAS, 0, 0)
+    n_aspects = 0
+    for a, aspect in enumerate(ASPECTS):
+        rows = np.flatnonzero(scored.valid[:, a])
+        if not len(rows) or not columns:
+            continue
+        parts = [_of_column(scored, sample, column, place, block, a) for column in columns]
+        psi, allowed = (np.concatenate([each[k] for each in parts], axis=-1) for k in range(2))
+        z, _, scaled = studentised(psi, allowed)
+        if not scaled.shape[1]:
+            continue
+        n_aspects += 1
+        greatest = np.maximum(greatest, np.abs(signs @ scaled).max(axis=1))
+        k = int(np.nanargmax(np.abs(z)))
+        best = max(best, (float(abs(z[k])), aspect, k, a), key=lambda each: each[0])
+    if not n_aspects:
+        return NOTHING
+    n_regressors = sum(len(column.regressors) for column in columns)
+    p_value = PValue(exceeded(best[0], greatest), len(signs), n_regressors, n_aspects)
+    if p_value.value >= FALSE_ALARM:
+        return Found(p_value)
+    return Found(p_value, (_located(scored, sample, columns, place, block, best[2], best[3], p_value),))
+
+
+def _blocks(scored: Scores, sample: Sample, place: Ints) -> Ints:
+    """Return the block of each ping, (n,): neighbouring pings of one visit, as many as are not independent."""
+    length = 1
+    while True:
+        block, row = np.zeros(len(place), dtype=np.int64), 0
+        for batch in sample.batches:
+            label = np.unique(np.c_[batch.visit, batch.count // length], axis=0, return_inverse=True)[1].ravel()
+            block[row : row + len(batch)] = label + (block[:row].max() + 1 if row else 0)
+            row += len(batch)
+        longest = max(int(batch.count.max()) + 1 for batch in sample.batches)
+        n_blocks = max(len(np.unique(block[rows])) for rows in (sample.is_recorded, ~sample.is_recorded))
+        if 4 * length > longest or (n_blocks <= MAX_BLOCKS and not _correlated(scored, place, block, sample)):
+            return block
+        length *= 2
+
+
+def _correlated(scored: Scores, place: Ints, block: Ints, sample: Sample) -> bool:
+    """Return whether mean errors of neighbouring blocks of a position are correlated in either file."""
+    valid = scored.valid[:, BIAS]
+    value = _within(scored.value[:, BIAS] * valid, valid, place)
+    mean = np.bincount(block, value) / np.maximum(np.bincount(block, valid), 1.0)
+    first = np.unique(block, return_index=True)[1]
+    neighbours = place[first][1:] == place[first][:-1]
+    for rows in (sample.is_recorded[first][1:], ~sample.is_recorded[first][1:]):
+        pair = neighbours & rows
+        if pair.sum() >= MIN_CLUSTERS and np.ptp(mean[1:][pair]) > 0 and np.ptp(mean[:-1][pair]) > 0:
+            r = float(np.corrcoef(mean[1:][pair], mean[:-1][pair])[0, 1])
+            if r > CORRELATED / np.sqrt(pair.sum()):
+                return True
+    return False
+
+
+def _within(value: Floats, valid: Bits, place: Ints) -> Floats:
+    """Return values less their mean at each position, 0 where not valid, (n, ...)."""
+    n = int(place.max()) + 1
+    count = np.maximum(np.bincount(place, valid, n), 1.0)
+    flat = value.reshape(len(value), -1)
+    mean = np.stack([np.bincount(place, column * valid, n) / count for column in flat.T], axis=1)
+    return np.asarray(((flat - mean[place]) * valid[:, None]).reshape(value.shape))
+
+
+def _regressors(column: Column) -> Floats:
+    """Return the regressors of a column at each ping, 0 where it is unknown, (n, k)."""
+    known = column.base >= 0
+    phi = np.where(known[:, None], column.combine[np.maximum(column.base, 0)], 0.0)
+    return np.asarray(phi if column.factor is None else phi * column.factor[:, None])
+
+
+def _of_column(scored: Scores, sample: Sample, column: Column, place: Ints, block: Ints, a: int) -> tuple[Floats, Bits]:
+    """Return the part of each block in the difference of slopes, (blocks, k), and which regressors are tested, (k,)."""
+    valid = scored.valid[:, a] & (column.base >= 0)
+    value = _within(scored.value[:, a], valid, place)
+    phi = _within(_regressors(column), valid, place)
+    n = int(block.max()) + 1
+    out = np.zeros((n, phi.shape[1]))
+    allowed = np.ones(phi.shape[1], dtype=bool)
+    for rows, sign in ((sample.is_recorded, 1.0), (~sample.is_recorded, -1.0)):
+        if not rows.any():
+            continue
+        norm = (phi[rows] ** 2).sum(axis=0)
+        sums = np.stack([np.bincount(block[rows], (part[rows] * value[rows]), n) for part in phi.T], axis=1)
+        out += sign * sums / np.maximum(norm, 1e-12)
+        acting = np.stack([np.bincount(block[rows], np.abs(part[rows]) > 0, n) > 0 for part in phi.T], axis=1)
+        allowed &= (norm > 1e-9) & (acting.sum(axis=0) >= MIN_CLUSTERS)
+    if ASPECTS[a] in INDICATORS:
+        event = valid & (np.abs(scored.value[:, a]) > 0.5)
+        allowed &= (bin_sums(column, block, event.astype(np.float64), n, absolute=True) @ column.combine > 0).sum(
+            axis=0
+        ) >= MIN_CLUSTERS
+    return out, allowed
+
+
+def _located(
+    scored: Scores,
+    sample: Sample,
+    columns: Sequence[Column],
+    place: Ints,
+    block: Ints,
+    k: int,
+    a: int,
+    p_value: PValue,
+) -> Location:
+    """Return the difference of the k-th regressor in an aspect, in natural units."""
+    for column in columns:
+        if k < len(column.regressors):
+            break
+        k -= len(column.regressors)
+    natural = Scores(scored.natural, scored.valid, scored.natural, scored.level_db, scored.sigma, scored.probability)
+    psi = _of_column(natural, sample, column, place, block, a)[0][:, k]
+    value, error = float(psi.sum()), float(np.sqrt(np.sum(psi**2)))
+    regressor = column.regressors[k]
+    region = {
+        name: (max(low, column.span[name][0]), min(high, column.span[name][1]))
+        for name, low, high in regressor.region
+        if name in column.span
+    }
+    if regressor.phase_of_s > 0:
+        region = {"period_s": (regressor.phase_of_s, regressor.phase_of_s)}
+    size = Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, ASPECTS[a].unit)
+    return Location(ASPECTS[a], region, size, p_value)
