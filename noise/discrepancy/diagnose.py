@@ -159,9 +159,9 @@ def diagnose(
 
 
 def located(tested: Tested, found: Sequence[Found]) -> tuple[Location, ...]:
-    """Return where the orthogonal test finds differences, or else the most significant other test."""
-    others = sorted((each for each in found if each.where), key=lambda each: each.p_value.value)
-    return locate(tested) or next((each.where for each in others), ())
+    """Return where the tests find differences, those of the most significant test first."""
+    every = [replace(found[0], where=locate(tested)), *found[1:]]
+    return tuple(place for each in sorted(every, key=lambda each: each.p_value.value) for place in each.where)
 
 
 def any_of(*tests: PValue) -> PValue:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Bits, Floats
 from noise.discrepancy.baseline.forest import floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.locate.sample import positions
@@ -70,9 +70,13 @@ class Simulation:
 
     def crps_of_each(self, batch: Batch) -> Floats:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""
-        out = crps_of_each(self.model, batch) - self.excess[0]
+        return self._scored(batch)[0]
+
+    def _scored(self, batch: Batch) -> tuple[Floats, Bits]:
+        """Return the CRPS of each reading, m, (n,), and whether it is an estimate, (n,)."""
+        out, estimated = crps_of_each(self.model, batch) - self.excess[0], np.ones(len(batch), dtype=bool)
         if self.readings is None:
-            return out
+            return out, estimated
         places = [positions(each)[each.visit] for each in (self.readings, batch)]
         place = np.unique(np.concatenate(places), axis=0, return_inverse=True)[1].ravel()
         own, asked = np.split(place, [len(self.readings)])
@@ -80,13 +84,15 @@ class Simulation:
             members = ends(self.readings)[own == k]
             if len(members) >= MIN_MEMBERS:
                 out[asked == k] = fair_crps(ends(batch)[asked == k], members)
-        return out
+                estimated[asked == k] = False
+        return out, estimated
 
     def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
         """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
-        gain = np.concatenate([batch.visit_sums(self.crps_of_each(batch) - crps) for batch, crps in scored])
-        n = sum(len(batch) for batch, _ in scored)
-        return bool(gain.sum() > Z * np.hypot(standard_error(gain), n * self.excess[1]))
+        own = [self._scored(batch) for batch, _ in scored]
+        gain = np.concatenate([b.visit_sums(before[0] - crps) for before, (b, crps) in zip(own, scored, strict=True)])
+        n_estimated = sum(int(before[1].sum()) for before in own)
+        return bool(gain.sum() > Z * np.hypot(standard_error(gain), n_estimated * self.excess[1]))
 
 
 def ends(batch: Batch) -> Floats:
