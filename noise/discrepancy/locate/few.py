@@ -7,7 +7,7 @@ them, the sonar differs: one target may have been misplaced.
 Within positions: pings of one position are comparable with each other, whatever is wrong with the position. Scores and
 regressors lose their mean there, so that regressors of time, order and history remain. The statistic of a regressor is
 its slope in the recording less that in the simulation, and clusters are blocks of pings, long enough that the means of
-neighbours are not correlated.
+neighbours are not correlated in the simulation.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from noise.fitting.stack import Stack
 COARSER = 1.5  # ratio of the steps of two registers that differ
 LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong
 MIN_PLACES = 5  # positions of each file for an F test
+MIN_PER_PLACE = 3  # blocks of a position, on average
 MAX_BLOCKS = 200  # of a file; more do not improve the variance estimates
 CORRELATED = 1.64  # standard errors of a correlation at the 5 % level, one-sided
 TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
@@ -102,6 +103,8 @@ def within_test(law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: 
     place = _places(sample)
     block = _blocks(scored, sample, place)
     columns = [column for column in columns_of(sample) if column.form is not Form.CONDITION]
+    if block is None:
+        return NOTHING
     signs = signs_of(block, rng)
     greatest, best = np.zeros(len(signs)), (0.0, Aspect.BIAS, 0, 0)
     n_aspects = 0
@@ -127,36 +130,47 @@ def within_test(law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: 
     return Found(p_value, (_located(scored, sample, columns, place, block, best[2], best[3], p_value),))
 
 
-def _blocks(scored: Scores, sample: Sample, place: Ints) -> Ints:
-    """Return the block of each ping, (n,): neighbouring pings of one visit, as many as are not independent."""
-    length = 1
-    while True:
-        block, row = np.zeros(len(place), dtype=np.int64), 0
-        for batch in sample.batches:
-            label = np.unique(np.c_[batch.visit, batch.count // length], axis=0, return_inverse=True)[1].ravel()
-            block[row : row + len(batch)] = label + (block[:row].max() + 1 if row else 0)
-            row += len(batch)
-        longest = max(int(batch.count.max()) + 1 for batch in sample.batches)
-        n_blocks = max(len(np.unique(block[rows])) for rows in (sample.is_recorded, ~sample.is_recorded))
-        if 4 * length > longest or (n_blocks <= MAX_BLOCKS and not _correlated(scored, place, block, sample)):
+def _blocks(scored: Scores, sample: Sample, place: Ints) -> Ints | None:
+    """Return the block of each ping, (n,): neighbouring pings of one visit, twice as many as are not independent.
+
+    Where the errors of a position are correlated throughout it, its pings cannot be compared with each other: None.
+    """
+    longest, length = max(int(batch.count.max()) + 1 for batch in sample.batches), 1
+    while length <= longest:
+        block = _divided(sample, 2 * length)
+        n_blocks = int(block.max()) + 1
+        if n_blocks < MIN_PER_PLACE * (int(place.max()) + 1):
+            break
+        enough = n_blocks <= MAX_BLOCKS * len(sample.batches)
+        if enough and not _correlated(scored, place, _divided(sample, length), sample):
             return block
         length *= 2
+    return None
+
+
+def _divided(sample: Sample, length: int) -> Ints:
+    """Return blocks of so many pings of each visit, (n,)."""
+    label = np.concatenate([batch.count // length for batch in sample.batches])
+    return np.asarray(np.unique(np.c_[sample.visit, label], axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
 def _correlated(scored: Scores, place: Ints, block: Ints, sample: Sample) -> bool:
-    """Return whether mean errors of neighbouring blocks of a position are correlated in either file."""
+    """Return whether mean errors of neighbouring blocks of a position are correlated in the simulation.
+
+    Two recordings of one sonar are correlated alike; where no simulated readings are given, the recording shows it.
+    """
     valid = scored.valid[:, BIAS]
     value = _within(scored.value[:, BIAS] * valid, valid, place)
     mean = np.bincount(block, value) / np.maximum(np.bincount(block, valid), 1.0)
     first = np.unique(block, return_index=True)[1]
-    neighbours = place[first][1:] == place[first][:-1]
-    for rows in (sample.is_recorded[first][1:], ~sample.is_recorded[first][1:]):
-        pair = neighbours & rows
-        if pair.sum() >= MIN_CLUSTERS and np.ptp(mean[1:][pair]) > 0 and np.ptp(mean[:-1][pair]) > 0:
-            r = float(np.corrcoef(mean[1:][pair], mean[:-1][pair])[0, 1])
-            if r > CORRELATED / np.sqrt(pair.sum()):
-                return True
-    return False
+    own = sample.is_recorded if sample.simulated is None else ~sample.is_recorded
+    pair = (place[first][1:] == place[first][:-1]) & own[first][1:]
+    if pair.sum() < MIN_CLUSTERS or not min(np.ptp(mean[1:][pair]), np.ptp(mean[:-1][pair])) > 0:
+        return False
+    r = float(np.corrcoef(mean[1:][pair], mean[:-1][pair])[0, 1])
+    # k independent values less their mean have a correlation of -1 / (k - 1)
+    each = pair.sum() / len(np.unique(place[first][1:][pair])) + 1.0
+    return r + 1.0 / (each - 1.0) > CORRELATED / np.sqrt(pair.sum())
 
 
 def _within(value: Floats, valid: Bits, place: Ints) -> Floats:

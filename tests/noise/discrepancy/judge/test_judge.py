@@ -22,8 +22,8 @@ from noise.fitting.batch import Batch
 from tests.noise.discrepancy.made import batch_of, law_of, recording_of
 
 torch.set_num_threads(1)
-STRONG = Evidence(300.0, 20.0, 1500, 100, 0.95, 0.05, 40.0, -0.5, 5e-4, 0.4, 1, False)
-WEAK = Evidence(3.0, 4.0, 1500, 100, 0.05, 0.9, 0.1, -5.0, 0.009, 5e-4, 3, True)
+STRONG = Evidence(300.0, 20.0, 1500, 100, 0.95, 0.05, 40.0, -0.5, 5e-4, 0.4, 0.6, 0.0, 1, False)
+WEAK = Evidence(3.0, 4.0, 1500, 100, 0.05, 0.9, 0.1, -5.0, 0.009, 5e-4, 5e-4, 0.9, 3, True)
 REST = Unexplained(Interval(0.1, 0.05, 0.2, "1"), PValue(0.001, 2000))
 CAUSE = Cause("zero_offset", 0.9, (), Interval(0.9, 0.8, 1.0, "1"), 100.0, 10.0, {}, "")
 

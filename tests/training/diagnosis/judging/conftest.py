@@ -13,6 +13,10 @@ EVIDENCE = {
     "prior": -0.5,
     "p_before": 0.0005,
     "p_after": 0.3,
+    "p_stable": 0.4,
+    "variation": 0.0,
+    "p_stable": 0.4,
+    "variation": 0.0,
     "n_effects": 1,
     "catch_all": False,
 }

@@ -1,0 +1,94 @@
+"""Recordings of few positions: what is plain to see is found, and careless placement or a shared drift is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from acquisition import Ping, Reading, Recording
+from noise.discrepancy.locate.few import placement_test, register_test, within_test
+from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.result import Aspect
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
+
+MARKS = np.linspace(0.3, 1.5, 10)
+PINGS = 60
+INTERVAL_S = 0.1
+
+
+@pytest.fixture(scope="module")
+def law():
+    return Stack({"travel_time_jitter": {"sigma_m": 0.003}, "visits": {"placement_m": 0.002}})
+
+
+def marks(seed, at_mark=0.0, within=0.0, placement=0.002, memory=0.0, step=0.001):
+    """Return readings at ruler marks, with an error at each mark, m, and one within each visit, m, (pings,)."""
+    rng = np.random.default_rng(seed)
+    place = MARKS + rng.normal(0.0, placement, len(MARKS)) + at_mark
+    noise = rng.normal(0.0, 0.003, (len(MARKS), PINGS))
+    for k in range(1, PINGS):
+        noise[:, k] += memory * noise[:, k - 1]
+    value = (place[:, None] + noise + within).ravel()
+    ping = Ping.of(distance=np.repeat(MARKS, PINGS))
+    ping = replace(ping, time=np.arange(len(value)) * INTERVAL_S)
+    return Batch.of(Recording.of(ping, Reading.of(np.round(np.round(value / step) * step, 4))))
+
+
+def between(law, recorded, simulated):
+    return placement_test(law, law, Sample(recorded, simulated))
+
+
+def within(law, recorded, simulated, seed=0):
+    return within_test(law, law, Sample(recorded, simulated), np.random.default_rng(seed))
+
+
+def test_marks_that_scatter_as_targets_are_placed_do_not_differ(law):
+    p = [between(law, marks(k, placement=0.005), marks(1000 + k, placement=0.001)).p_value.value for k in range(40)]
+    assert min(p) > 0.01
+
+
+def test_errors_of_several_centimetres_at_marks_are_found_although_they_follow_no_line(law):
+    wave = 0.03 * np.sin(np.arange(len(MARKS)))
+    found = between(law, marks(1, wave), marks(2))
+    assert found.p_value.value < 1e-3
+    assert found.where[0].aspect is Aspect.BIAS
+    assert found.where[0].size.value == pytest.approx(np.sqrt(np.mean(wave**2)), rel=0.2)
+    assert between(law, marks(3, wave), marks(4, wave)).p_value.value > 0.01  # the law lacks it in both files
+
+
+def test_one_misplaced_target_is_no_difference(law):
+    assert between(law, marks(1, np.where(np.arange(len(MARKS)) == 4, 0.06, 0.0)), marks(2)).p_value.value > 0.01
+
+
+def test_a_known_law_needs_no_simulated_readings(law):
+    assert between(law, marks(1, 0.03 * np.sin(np.arange(len(MARKS)))), None).p_value.value < 1e-3
+    assert within(law, marks(1, within=np.linspace(-0.01, 0.01, PINGS)), None).p_value.value < 0.01
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.7])
+def test_p_values_of_two_recordings_of_one_sonar_are_not_small(law, memory):
+    p = [within(law, marks(k, memory=memory), marks(1000 + k, memory=memory), k).p_value.value for k in range(50)]
+    assert kstest(p, "uniform", alternative="greater").pvalue > 0.01
+
+
+def test_a_drift_within_each_visit_is_found_and_one_that_both_files_have_is_not(law):
+    drift = np.linspace(-0.006, 0.006, PINGS)
+    found = within(law, marks(1, within=drift), marks(2))
+    assert found.p_value.value < 0.01
+    assert found.where[0].aspect is Aspect.BIAS
+    assert within(law, marks(3, within=drift), marks(4, within=drift)).p_value.value > 0.01
+
+
+def test_errors_of_whole_positions_are_no_difference_within_positions(law):
+    assert within(law, marks(1, 0.03 * np.sin(np.arange(len(MARKS)))), marks(2)).p_value.value > 0.01
+
+
+def test_a_coarser_register_is_certain_and_few_readings_on_a_grid_are_not():
+    coarse = replace(marks(1, step=0.0127), resolution=0.001)
+    assert register_test(coarse).p_value.value < 1e-4
+    assert register_test(marks(1)).p_value.value == 1.0
+    alike = replace(coarse.select(coarse.visit == 0), resolution=0.001)
+    few = len(np.unique(alike.reading.range))
+    assert register_test(alike).p_value.value == pytest.approx((0.001 / 0.0127) ** (few - 1), rel=0.1)
