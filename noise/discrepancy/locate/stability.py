@@ -82,15 +82,16 @@ def _of_parameter(
         _slopes(recorded, law, batch, part, key, rng)
         for law, batch, part in zip((recorded, simulated), sample.batches, parts, strict=False)
     ]
-    limit = float(np.quantile(np.abs(slopes[0][0]), QUANTILE))
+    limit = max(float(np.quantile(np.abs(each[0]), QUANTILE)) for each in slopes)
     absent = key[0] not in simulated.values
     size = recorded.get(key) - (0.0 if absent and key[1] == SHARE else simulated.get(key))
     if limit <= 0.0 or size == 0.0:
         return Stability()
     within = [np.clip(each / limit, -1.0, 1.0) for each in slopes]
     scores = np.concatenate([each[0] - each[1:].mean(axis=0) for each in within])
+    information = np.concatenate([each[1:].var(axis=0, ddof=1) for each in within])
     tested = compared(_only(scored, scores), sample, rng, only=varies)
-    return Stability(tested.p_value, min(1.0, abs(_change(tested, scores) / (limit * size))))
+    return Stability(tested.p_value, min(1.0, abs(_change(tested, information) / (limit * size))))
 
 
 def _slopes(recorded: Stack, law: Stack, batch: Batch, part: Ints, key: Key, rng: np.random.Generator) -> Floats:
@@ -108,10 +109,10 @@ def _slopes(recorded: Stack, law: Stack, batch: Batch, part: Ints, key: Key, rng
     return out
 
 
-def _change(tested: Tested, scores: Floats) -> float:
+def _change(tested: Tested, information: Floats) -> float:
     """Return the change of the parameter in the most deviating region beyond chance, times the limit of the scores.
 
-    It is one step of Newton's method: the sum of the scores over their information.
+    It is one step of Fisher's method: the sum of the scores over their information, the variance under the law, (n,).
     """
     if tested.best is None:
         return 0.0
@@ -119,8 +120,8 @@ def _change(tested: Tested, scores: Floats) -> float:
     z, scale = tested.z[BIAS, k], tested.scale[BIAS, k]
     beyond = max(0.0, abs(float(z)) - float(np.quantile(tested.greatest, 1.0 - FALSE_ALARM)))
     weight, phi = one_weight(group, tested.columns, tested.units, k)
-    information = float(np.sum((weight * phi * scores**2) * (group.recorded[tested.units] > 0)))
-    return beyond * float(scale) / information if information > 0.0 else 0.0
+    total = float(np.sum(weight * phi * information * group.recorded[tested.units]))
+    return beyond * float(scale) / total if total > 0.0 else 0.0
 
 
 def varies(regressor: Regressor, aspect: Aspect) -> bool:
