@@ -49,12 +49,13 @@ class Evidence:
         """Return the features of the decision model.
 
         They are few, because wrong causes are few in an ensemble: how well the gain repeats itself from visit to visit,
-        on a scale that tells 2 standard errors from 4 and not 40 from 42, what nothing explains, and whether the test
-        finds anything left.
+        on a scale that tells 2 standard errors from 4 and not 40 from 42, how much a visit gains, and by how much the
+        size of the effect varies: what stands for something else acts in a part of the readings only.
         """
         t = self.gain / self.gain_error if self.gain_error > 0.0 else 0.0
-        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), self.rest, np.log(self.p_after)])
+        each = np.clip(self.gain / self.n_visits, 0.0, None)
+        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log1p(each), self.variation])
 
 
 MAX_T = 1e3  # standard errors; keeps the feature finite
-FEATURES = ("log_t", "rest", "log_p_after")
+FEATURES = ("log_t", "log_gain_per_visit", "variation")

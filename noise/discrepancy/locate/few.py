@@ -157,14 +157,15 @@ def _divided(sample: Sample, length: int) -> Ints:
 def _correlated(scored: Scores, place: Ints, block: Ints, sample: Sample) -> bool:
     """Return whether mean errors of neighbouring blocks of a position are correlated in the simulation.
 
-    Two recordings of one sonar are correlated alike; where no simulated readings are given, the recording shows it.
+    Two recordings of one sonar are correlated alike, and readings of a known law are not.
     """
+    if sample.simulated is None:
+        return False
     valid = scored.valid[:, BIAS]
     value = _within(scored.value[:, BIAS] * valid, valid, place)
     mean = np.bincount(block, value) / np.maximum(np.bincount(block, valid), 1.0)
     first = np.unique(block, return_index=True)[1]
-    own = sample.is_recorded if sample.simulated is None else ~sample.is_recorded
-    pair = (place[first][1:] == place[first][:-1]) & own[first][1:]
+    pair = (place[first][1:] == place[first][:-1]) & ~sample.is_recorded[first][1:]
     if pair.sum() < MIN_CLUSTERS or not min(np.ptp(mean[1:][pair]), np.ptp(mean[:-1][pair])) > 0:
         return False
     r = float(np.corrcoef(mean[1:][pair], mean[:-1][pair])[0, 1])

@@ -69,7 +69,7 @@ def test_a_known_law_needs_no_simulated_readings(law):
 
 @pytest.mark.parametrize("memory", [0.0, 0.7])
 def test_p_values_of_two_recordings_of_one_sonar_are_not_small(law, memory):
-    p = [within(law, marks(k, memory=memory), marks(1000 + k, memory=memory), k).p_value.value for k in range(50)]
+    p = [within(law, marks(k, memory=memory), marks(1000 + k, memory=memory), k).p_value.value for k in range(30)]
     assert kstest(p, "uniform", alternative="greater").pvalue > 0.01
 
 

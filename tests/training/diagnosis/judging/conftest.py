@@ -15,8 +15,6 @@ EVIDENCE = {
     "p_after": 0.3,
     "p_stable": 0.4,
     "variation": 0.0,
-    "p_stable": 0.4,
-    "variation": 0.0,
     "n_effects": 1,
     "catch_all": False,
 }
