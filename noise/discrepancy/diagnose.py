@@ -23,7 +23,7 @@ from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
-from noise.discrepancy.locate.bootstrap import Found, Greatest, joint, signs_of
+from noise.discrepancy.locate.bootstrap import Found, Greatest, any_of, joint, signs_of
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
 from noise.discrepancy.locate.few import COARSER, placement_test, register_test, within_test
 from noise.discrepancy.locate.location import locate
@@ -162,17 +162,6 @@ def located(tested: Tested, found: Sequence[Found]) -> tuple[Location, ...]:
     """Return where the tests find differences, those of the most significant test first."""
     every = [replace(found[0], where=locate(tested)), *found[1:]]
     return tuple(place for each in sorted(every, key=lambda each: each.p_value.value) for place in each.where)
-
-
-def any_of(*tests: PValue) -> PValue:
-    """Return the p-value of several tests of one hypothesis: the smallest times their number (Bonferroni).
-
-    A test without a statistic, such as one of shared positions where there are none, is no test.
-    """
-    run = [each for each in tests if each.n_regressors] or list(tests)
-    draws = (min((each.draws for each in run if each.draws), default=0) + 1) // len(run) - 1
-    value = max(len(run) * min(each.value for each in run), 1.0 / (draws + 1))
-    return PValue(min(1.0, value), draws, sum(each.n_regressors for each in run), max(each.n_aspects for each in run))
 
 
 def least_of(found: tuple[Visible, ...], other: Visible | None) -> tuple[Visible, ...]:

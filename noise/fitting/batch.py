@@ -121,11 +121,6 @@ class Batch:
         """Rows of each visit."""
         return np.split(np.arange(len(self)), self.starts[1:])
 
-    @property
-    def stationary_rows(self) -> list[NDArray[np.int64]]:
-        """Rows of each visit with a stationary target."""
-        return [rows for rows, stationary in zip(self.visit_rows, self.stationary, strict=True) if stationary]
-
     @cached_property
     def stationary(self) -> NDArray[np.bool_]:
         """Whether the target was stationary in each visit, (n_visits,)."""

@@ -253,14 +253,6 @@ def placement_scatter(placement_m: float) -> float:
     return placement_m * float(np.sqrt(sum(share * wider**2 for wider, share in BANKS)))
 
 
-def shared_scatter(visits: VisitEffects, batch: Batch) -> float:
-    """Return the standard deviation of the offset shared within a visit, m, careless placement included."""
-    with torch.no_grad():
-        priors = [(share, *prior_offset(visits, batch, wider)) for wider, share in BANKS]
-    variance = sum(float(share * spread.mean()) for share, _, spread in priors)
-    return float(np.sqrt(variance + float(priors[0][1].var(correction=0))))
-
-
 def law_of(model: PhysicalModel, batch: Batch) -> PhysicalLaw:
     """Return a model's law of a batch, at the resolution of the batch."""
     return PhysicalLaw(model.state(batch.conditions), batch.ping.distance, batch.resolution, model.max_range)

@@ -15,6 +15,7 @@ from scipy.sparse import csr_matrix
 
 from acquisition import ModelError, Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.brief import brief
 from noise.discrepancy.baseline.forest_law import N_LEVELS, QuantileLaw, quantiles
 from noise.discrepancy.baseline.trees import Trees, columns, grow, input_groups
 from noise.fitting.batch import Batch
@@ -45,6 +46,8 @@ class AnalogueForest:
         error: of each stored reading, m, ascending, infinite for no echo, (m,).
         resolution, max_range: of the register, m.
     """
+
+    __repr__ = brief
 
     names: tuple[str, ...]
     times: tuple[float, float]

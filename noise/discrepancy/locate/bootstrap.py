@@ -90,6 +90,20 @@ def joint(*tests: Greatest) -> PValue:
     return PValue(value, len(least), sum(p.n_regressors for p in each), max(p.n_aspects for p in each))
 
 
+def any_of(*tests: PValue) -> PValue:
+    """Return the p-value of several tests of one hypothesis, 1 - (1 - p)^k of the smallest of k (Sidak 1967).
+
+    It is exact for independent tests, and too large for those that tend to reject together.
+
+    A test without a statistic, such as one of shared positions where there are none, is no test.
+    """
+    run = [each for each in tests if each.n_regressors] or list(tests)
+    draws = (min((each.draws for each in run if each.draws), default=0) + 1) // len(run) - 1
+    least = min(min(each.value for each in run), 1.0 - 1e-12)
+    value = max(float(-np.expm1(len(run) * np.log1p(-least))), 1.0 / (draws + 1))
+    return PValue(value, draws, sum(each.n_regressors for each in run), max(each.n_aspects for each in run))
+
+
 def _ranked(draws: Floats) -> Floats:
     """Return the p-value that each draw would have, (draws,)."""
     return (len(draws) - np.searchsorted(np.sort(draws), draws * (1 - 1e-6))) / (len(draws) + 1)

@@ -47,7 +47,6 @@ class Tested:
         p_value: of the greatest |z|.
         z: studentised statistics, nan where too few clusters contribute, (A, K).
         best: aspect and index of the regressor with the greatest |z|; None where nothing can be tested.
-        by_aspect: p-value of each aspect's own maximum.
         regressors: descriptions, K.
         overlap: share of the recording's pings with m(x) in `OVERLAP`.
         greatest: |z| of the most extreme statistic in each draw of the bootstrap, (draws,).
@@ -58,7 +57,6 @@ class Tested:
     p_value: PValue
     z: Floats
     best: tuple[Aspect, int] | None
-    by_aspect: dict[Aspect, PValue]
     regressors: tuple[Regressor, ...]
     overlap: float
     greatest: Floats
@@ -275,7 +273,6 @@ def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> F
 def _result(z: Floats, scale: Floats, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float) -> Tested:
     regressors = tuple(r for column in frame.columns for r in column.regressors)
     most = greatest.max(axis=0)
-    own = {aspect: p_of_greatest(z[a], greatest[a], len(regressors)) for a, aspect in enumerate(ASPECTS)}
     best = None
     if np.isfinite(z).any():
         a, k = np.unravel_index(np.nanargmax(np.abs(z)), z.shape)
@@ -284,4 +281,4 @@ def _result(z: Floats, scale: Floats, greatest: Floats, groups: list[Group], fra
     p_value = replace(p_of_greatest(z, most, len(regressors)), n_aspects=count)
     groups_, columns = tuple(groups), tuple(frame.columns)
     units, cluster = frame.units, frame.sample.cluster
-    return Tested(p_value, z, best, own, regressors, overlap, most, scale, groups_, columns, units, cluster)
+    return Tested(p_value, z, best, regressors, overlap, most, scale, groups_, columns, units, cluster)

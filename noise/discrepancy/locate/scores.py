@@ -31,7 +31,6 @@ BIAS = ASPECTS.index(Aspect.BIAS)
 LIMIT = 3.0  # normal scores are winsorised here: 0.3 % of a normal sample lie beyond
 MIN_PROBABILITY = 1e-9  # smallest divisor: a window or step that the law all but excludes
 AGREEMENT_M = 0.05  # outliers of one reflector agree within the absolute part of the tolerance about a target
-NORMAL = (Aspect.BIAS, Aspect.SPREAD, Aspect.SKEW)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +169,7 @@ def _within(step: tuple[Floats, Floats], window: tuple[Floats, Floats]) -> tuple
 
 
 def normal_scores(low: Floats, high: Floats) -> Floats:
-    """Return E[h(Phi^-1(U)) | low < U <= high] - E[h], for the winsorised h of `NORMAL`, (3, n)."""
+    """Return E[h(Phi^-1(U)) | low < U <= high] - E[h], for the winsorised h of bias, spread and skew, (3, n)."""
     below, above = ndtri(low), ndtri(high)
     width = high - low
     at = np.clip(np.where(np.isfinite(below + above), (below + above) / 2.0, np.where(low > 0.5, below, above)), -9, 9)

@@ -217,24 +217,6 @@ def headline(diagnosis: Diagnosis) -> str:
     return SILENT if silent(diagnosis) else diagnosis.verdict.summary
 
 
-def formula_text(left: str, terms: Sequence[tuple[float, str, str]]) -> str:
-    """Return a fitted linear formula, such as that of an unnamed remainder.
-
-    Args:
-        left: quantity on the left side.
-        terms: coefficient, its unit and the variable ("" for a constant) of each term.
-
-    >>> formula_text("reading - prediction", [(3.1, "mm", ""), (-0.2, "mm/deg", "angle")])
-    'reading - prediction = 3.1 mm - 0.2 mm/deg × angle'
-    """
-    parts: list[str] = []
-    for coefficient, unit, variable in terms:
-        sign = ("- " if coefficient < 0 else "+ ") if parts else ("-" if coefficient < 0 else "")
-        times = f" × {variable}" if variable else ""
-        parts.append(f"{sign}{plain(abs(coefficient))}{' ' + unit if unit else ''}{times}")
-    return f"{left} = {' '.join(parts) or '0'}"
-
-
 def fit_line(verdict: Verdict) -> str:
     """Return the errors of simulation and corrected model on unseen visits as a sentence."""
     test = verdict.held_out

@@ -72,4 +72,3 @@ def test_a_target_is_stationary_if_its_logged_distance_is():
     batch = Batch.of(recording_of(moving, moving))
     assert (moving[1] - moving[0]) * VISIT_PINGS > MAX_STATIONARY_M
     assert not batch.stationary.any()
-    assert batch.stationary_rows == []

@@ -1,7 +1,5 @@
 """Prequential likelihood: known answers and laws."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -12,7 +10,7 @@ from scipy import stats
 from acquisition import Ping, Reading, Recording
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, placement_scatter, shared_scatter
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
 from noise.physical import PhysicalModel
 
 STEP = 0.001
@@ -127,13 +125,3 @@ def test_a_misplaced_target_counts_about_once():
     each = log_prob(law_of(jittering(0.005), batch), VisitEffects(placement_m=0.002), batch).numpy()
     right = log_prob(law_of(jittering(0.005), batch), VisitEffects(placement_m=0.06), batch).numpy()
     assert each.sum() > right.sum() - 20.0
-
-
-def test_the_shared_offset_scatters_only_by_what_the_simulation_does_not_explain():
-    batch = Batch.of(Recording.of(Ping.of(distance=np.linspace(0.5, 3.0, 40)), Reading.of(np.linspace(0.5, 3.0, 40))))
-    unknown = VisitEffects(placement_m=0.06)
-    assert shared_scatter(unknown, batch) == pytest.approx(placement_scatter(0.06), rel=0.01)
-    known = replace(batch, simulated_offset=np.random.default_rng(0).normal(0.0, 0.005, 40))
-    linked = VisitEffects(placement_m=0.06, simulation_correlation=0.999)
-    assert shared_scatter(linked, known) < 0.012
-    assert shared_scatter(linked, known) > 0.999 * known.simulated_offset.std()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from noise.discrepancy.locate.bootstrap import Greatest, joint, p_of_greatest, signs_of, studentised
+from noise.discrepancy.locate.bootstrap import Greatest, any_of, joint, p_of_greatest, signs_of, studentised
+from noise.discrepancy.result import PValue
 
 N, K = 60, 5
 
@@ -36,3 +37,10 @@ def test_joint_p_values_of_two_tests_are_uniform():
         other = np.concatenate([common[:, :2], rng.standard_normal((N, 2 * K))], axis=1)
         p.append(joint(greatest_of(common, signs), greatest_of(other, signs)).value)
     assert kstest(p, "uniform").pvalue > 0.01
+
+
+def test_the_least_of_independent_p_values_is_adjusted_to_a_uniform_one():
+    rng = np.random.default_rng(0)
+    p = [any_of(*(PValue(float(each), 10**6) for each in rng.random(3))).value for _ in range(2000)]
+    assert kstest(p, "uniform").pvalue > 0.01
+    assert any_of(PValue(0.01, 2000), PValue(1.0, 0, 0)).value == pytest.approx(0.01)  # without statistics, no test

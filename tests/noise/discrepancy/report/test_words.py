@@ -154,12 +154,6 @@ def test_summaries_of_every_kind_are_sentences():
     assert many.endswith("2 smaller causes beside.")
 
 
-def test_a_formula_has_signs_between_its_terms():
-    terms = [(-3.14, "mm", ""), (0.25, "mm/m", "distance"), (-0.1, "", "angle")]
-    assert words.formula_text("error", terms) == "error = -3.1 mm + 0.25 mm/m × distance - 0.1 × angle"
-    assert words.formula_text("error", []) == "error = 0"
-
-
 @given(st.lists(st.floats(-0.5, 1.5) | st.just(math.nan), min_size=1, max_size=6), st.floats(0.0, 1.0))
 def test_the_bar_never_exceeds_its_width(shares, left):
     drawing = ElementTree.fromstring(markup.share_bar(verdict([cause(share=each) for each in shares], left)))
