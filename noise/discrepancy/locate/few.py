@@ -31,6 +31,7 @@ from noise.fitting.stack import Stack
 
 COARSER = 1.5  # ratio of the steps of two registers that differ
 LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong
+KNOWN = 1e9  # degrees of freedom where nothing is estimated
 MIN_PLACES = 5  # positions of each file for an F test
 MIN_PER_PLACE = 3  # blocks of a position, on average
 MAX_BLOCKS = 200  # of a file; more do not improve the variance estimates
@@ -60,28 +61,45 @@ def placement_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) ->
     """
     scored = scores_of_both(law_recorded, law_simulated, sample)
     files = [_means(scored, sample, rows) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
-    if min(len(mean) for mean, _ in files) < MIN_PLACES:
+    if min(len(mean) for mean, _, _ in files) < MIN_PLACES:
         return NOTHING
-    (mean, variance), others = files[0], files[1:]
-    allowed = MAX_PLACEMENT_M**2 + sum(float(np.mean(other**2)) for other, _ in others)
-    ratio = np.sort(mean**2 / (allowed + variance))[:-1]
-    freedom = len(ratio), len(others[0][0]) if others else np.inf
-    p = float(fisher.sf(ratio.mean(), *freedom)) if others else float(fisher.sf(ratio.mean(), freedom[0], 1e9))
+    (mean, variance, distance), others = files[0], files[1:]
+    variance = variance + MAX_PLACEMENT_M**2 + sum(float(np.mean(other**2)) for other, _, _ in others)
+    ratio = np.sort(mean**2 / variance)[:-1]
+    p = float(fisher.sf(ratio.mean(), len(ratio), len(others[0][0]) if others else KNOWN))
     p_value = PValue(p, 0, 1, 1)
-    size = float(np.sqrt(np.mean(mean**2)))
-    where = (Location(Aspect.BIAS, {}, Interval(size, 0.0, float(np.abs(mean).max()), "m"), p_value),)
-    return Found(p_value, where if p < FALSE_ALARM else ())
+    return Found(p_value, (_largest(mean, variance, distance, p_value),) if p < FALSE_ALARM else ())
 
 
-def _means(scored: Scores, sample: Sample, rows: Bits) -> tuple[Floats, Floats]:
-    """Return the mean error of each position of a file, m, and the variance of such a mean, m^2, (positions,) each."""
-    place = _places(sample)[rows & scored.valid[:, BIAS]]
-    error = scored.natural[rows & scored.valid[:, BIAS], BIAS]
-    place = np.unique(place, return_inverse=True)[1]
+def _means(scored: Scores, sample: Sample, rows: Bits) -> tuple[Floats, Floats, Floats]:
+    """Return mean error, m, its variance, m^2, and distance, m, of each position of a file, (positions,) each."""
+    rows = rows & scored.valid[:, BIAS]
+    error, every = scored.natural[rows, BIAS], np.concatenate([batch.ping.distance for batch in sample.batches])
+    place = np.unique(_places(sample)[rows], return_inverse=True)[1]
     count = np.bincount(place)
     mean = np.bincount(place, error) / count
     within = np.bincount(place, (error - mean[place]) ** 2) / np.maximum(count - 1, 1)
-    return mean, within / count
+    return mean, within / count, np.bincount(place, every[rows]) / count
+
+
+def _largest(mean: Floats, variance: Floats, distance: Floats, p_value: PValue) -> Location:
+    """Return the interval of distances in which the mean error is most significant, less log n for each of its ends."""
+    order = np.argsort(distance)
+    mean, variance, distance = mean[order], variance[order], distance[order]
+    runs = [(k, j) for k in range(len(mean)) for j in range(k + 1, len(mean) + 1)]
+    whole = (0, len(mean))
+
+    def gain(run: tuple[int, int]) -> float:
+        ends = (run[0] > whole[0]) + (run[1] < whole[1])
+        part = slice(*run)
+        return float(mean[part].sum() ** 2 / variance[part].sum() - ends * np.log(len(mean)))
+
+    best = max(runs, key=gain)
+    part = slice(*best)
+    error = TWO_SIDED * float(np.sqrt(variance[part].sum())) / (best[1] - best[0])
+    value = float(mean[part].mean())
+    region = {} if best == whole else {"distance": (float(distance[part][0]), float(distance[part][-1]))}
+    return Location(Aspect.BIAS, region, Interval(value, value - error, value + error, "m"), p_value)
 
 
 def _places(sample: Sample) -> Ints:
