@@ -23,16 +23,16 @@ from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
-from noise.discrepancy.locate.bootstrap import Found, Greatest, any_of, joint, signs_of
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
 from noise.discrepancy.locate.few import COARSER, placement_test, register_test, within_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
-from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import with_own_placement
 from noise.discrepancy.locate.stability import Stability, stability_test
 from noise.discrepancy.locate.trend import UNCOMPENSATED, compensation_is_unknown, trend_test
+from noise.discrepancy.moments.bootstrap import Found, Greatest, any_of, joint, signs_of
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import with_own_placement
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search

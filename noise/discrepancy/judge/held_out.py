@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.arrays import Bits, Floats
 from noise.discrepancy.baseline.forest import floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
-from noise.discrepancy.locate.sample import positions
+from noise.discrepancy.moments.sample import positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import HeldOut, Interval, Score

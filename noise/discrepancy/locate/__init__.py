@@ -1,1 +1,1 @@
-"""Where simulation and recording differ: scores, the orthogonal test, regions, and its power."""
+"""Where simulation and recording differ: the tests, regions, and their power."""

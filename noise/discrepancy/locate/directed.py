@@ -15,11 +15,11 @@ from torch import Tensor
 
 from acquisition import previous
 from acquisition.arrays import Floats, Ints, Singles
-from noise.discrepancy.locate.bootstrap import Greatest, p_of_greatest, studentised
-from noise.discrepancy.locate.nuisance import CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
-from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import ping_law, scores
+from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, studentised
+from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import ping_law, scores
 from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB

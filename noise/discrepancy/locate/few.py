@@ -18,12 +18,12 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.bootstrap import NOTHING, Found, exceeded, signs_of, studentised
-from noise.discrepancy.locate.moments import bin_sums
 from noise.discrepancy.locate.orthogonal import INDICATORS, MIN_CLUSTERS
-from noise.discrepancy.locate.regressors import Column, Form, columns_of
-from noise.discrepancy.locate.sample import Sample, positions
-from noise.discrepancy.locate.scores import ASPECTS, BIAS, Scores, scores_of_both
+from noise.discrepancy.moments.bootstrap import NOTHING, Found, exceeded, signs_of, studentised
+from noise.discrepancy.moments.moments import bin_sums
+from noise.discrepancy.moments.regressors import Column, Form, columns_of
+from noise.discrepancy.moments.sample import Sample, positions
+from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores_of_both
 from noise.discrepancy.result import Aspect, Interval, Location, PValue
 from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M
 from noise.fitting.batch import Batch

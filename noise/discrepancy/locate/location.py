@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Bits, Floats
-from noise.discrepancy.locate.bootstrap import studentised
-from noise.discrepancy.locate.moments import Group, bin_sums, moments, one_weight
 from noise.discrepancy.locate.orthogonal import Tested
-from noise.discrepancy.locate.regressors import Regressor
-from noise.discrepancy.locate.scores import ASPECTS
+from noise.discrepancy.moments.bootstrap import studentised
+from noise.discrepancy.moments.moments import Group, bin_sums, moments, one_weight
+from noise.discrepancy.moments.regressors import Regressor
+from noise.discrepancy.moments.scores import ASPECTS
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Range
 from noise.discrepancy.thresholds import BIAS_TOLERANCE_M, FALSE_ALARM
 

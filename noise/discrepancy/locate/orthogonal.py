@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints, Singles
-from noise.discrepancy.locate.bootstrap import exceeded, p_of_greatest, signs_of, studentised
-from noise.discrepancy.locate.moments import Group, bin_sums, moments
-from noise.discrepancy.locate.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
-from noise.discrepancy.locate.regressors import Column, Form, Regressor, columns_of
-from noise.discrepancy.locate.sample import MIN_OVERLAP, Sample
-from noise.discrepancy.locate.scores import ASPECTS, Scores, scores_of_both
+from noise.discrepancy.moments.bootstrap import exceeded, p_of_greatest, signs_of, studentised
+from noise.discrepancy.moments.moments import Group, bin_sums, moments
+from noise.discrepancy.moments.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
+from noise.discrepancy.moments.regressors import Column, Form, Regressor, columns_of
+from noise.discrepancy.moments.sample import MIN_OVERLAP, Sample
+from noise.discrepancy.moments.scores import ASPECTS, Scores, scores_of_both
 from noise.discrepancy.result import Aspect, PValue
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.stack import Stack

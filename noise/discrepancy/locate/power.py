@@ -16,10 +16,10 @@ import numpy as np
 from acquisition import Reading
 from acquisition.arrays import Floats, Ints
 from noise.discrepancy.locate.location import TWO_SIDED, size_of
-from noise.discrepancy.locate.moments import moments
 from noise.discrepancy.locate.orthogonal import Tested
-from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import ASPECTS, ping_law, scores
+from noise.discrepancy.moments.moments import moments
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import ASPECTS, ping_law, scores
 from noise.discrepancy.result import Aspect, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch

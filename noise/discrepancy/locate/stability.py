@@ -15,11 +15,11 @@ import numpy as np
 from torch import Tensor
 
 from acquisition.arrays import Floats, Ints
-from noise.discrepancy.locate.moments import one_weight
 from noise.discrepancy.locate.orthogonal import Tested, compared
-from noise.discrepancy.locate.regressors import Regressor
-from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import BIAS, Scores, ping_law, scores_of_both
+from noise.discrepancy.moments.moments import one_weight
+from noise.discrepancy.moments.regressors import Regressor
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import BIAS, Scores, ping_law, scores_of_both
 from noise.discrepancy.result import Aspect, PValue
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.bootstrap import NOTHING, Found
-from noise.discrepancy.locate.sample import Sample, positions
-from noise.discrepancy.locate.scores import BIAS, scores
+from noise.discrepancy.moments.bootstrap import NOTHING, Found
+from noise.discrepancy.moments.sample import Sample, positions
+from noise.discrepancy.moments.scores import BIAS, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.effects.medium import TEMPERATURE

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from acquisition.arrays import Bits, Floats
-from noise.discrepancy.locate.sample import MIN_CLUSTERS, positions
+from noise.discrepancy.moments.sample import MIN_CLUSTERS, positions
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from acquisition import Ping, Recording
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.moments.sample import Sample
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.few import placement_test, register_test, within_test
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.result import Aspect
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack

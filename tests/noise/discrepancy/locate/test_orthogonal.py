@@ -8,10 +8,10 @@ from scipy.stats import kstest
 from sklearn.ensemble import RandomForestRegressor
 
 from noise.discrepancy.locate.location import locate, size_of
-from noise.discrepancy.locate.nuisance import CrossFit, folds_of
 from noise.discrepancy.locate.orthogonal import orthogonal_test
-from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import ASPECTS
+from noise.discrepancy.moments.nuisance import CrossFit, folds_of
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import ASPECTS
 from noise.discrepancy.result import Aspect
 
 DESIGNS = {

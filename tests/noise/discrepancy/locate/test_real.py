@@ -6,7 +6,7 @@ import pytest
 
 from acquisition import Recording
 from noise.discrepancy.locate.orthogonal import orthogonal_test
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.moments.sample import Sample
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.locate.sample import Sample
 from noise.discrepancy.locate.stability import slope, stability_test
+from noise.discrepancy.moments.sample import Sample
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 

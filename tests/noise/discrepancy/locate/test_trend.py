@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import kstest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.locate.sample import Sample
-from noise.discrepancy.locate.scores import with_own_placement
 from noise.discrepancy.locate.trend import trend_test
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import with_own_placement
 from noise.fitting.batch import Batch
 from noise.fitting.stack import PLACEMENT, Stack
 from noise.fitting.visit_effects import placement_scatter

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise.discrepancy.locate.bootstrap import DRAWS, Greatest, joint
+from noise.discrepancy.moments.bootstrap import DRAWS, Greatest, joint
 from noise.discrepancy.result import PValue
 from training.diagnosis.judging import scoring
 from training.diagnosis.judging.page import as_json, is_right, judged, markdown

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.regressors import Column, Form
+from noise.discrepancy.moments.regressors import Column, Form
 
 
 @dataclass(frozen=True, eq=False)

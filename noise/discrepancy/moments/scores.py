@@ -17,7 +17,7 @@ import torch
 from scipy.special import ndtr, ndtri
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.result import Aspect
 from noise.discrepancy.thresholds import MAX_PLACEMENT_M
 from noise.fitting.batch import Batch

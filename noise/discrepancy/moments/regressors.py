@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.locate.sample import Sample, condition_columns, is_continuous, movement
+from noise.discrepancy.moments.sample import Sample, condition_columns, is_continuous, movement
 from noise.fitting.batch import Batch
 
 N_BINS = 8  # of a condition: at quantiles of the recording

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.orthogonal import orthogonal_test
-from noise.discrepancy.locate.sample import Sample
+from noise.discrepancy.moments.sample import Sample
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from noise.discrepancy.locate.bootstrap import Greatest, any_of, joint, p_of_greatest, signs_of, studentised
+from noise.discrepancy.moments.bootstrap import Greatest, any_of, joint, p_of_greatest, signs_of, studentised
 from noise.discrepancy.result import PValue
 
 N, K = 60, 5

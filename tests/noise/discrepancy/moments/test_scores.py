@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
-from noise.discrepancy.locate.scores import ASPECTS, LIMIT, normal_scores, scores
+from noise.discrepancy.moments.scores import ASPECTS, LIMIT, normal_scores, scores
 from noise.discrepancy.result import Aspect
 
 
