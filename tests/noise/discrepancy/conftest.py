@@ -1,4 +1,4 @@
-"""Logs of a robot that wanders to and fro in front of a wall."""
+"""Logs of a robot that wanders to and fro in front of a wall, and pairs of files."""
 
 from types import SimpleNamespace
 
@@ -7,6 +7,9 @@ import pytest
 from scipy.special import ndtr
 
 from acquisition import Ping, Reading, Recording
+from noise.fitting.stack import Stack
+from noise.fitting.visit_effects import placement_scatter
+from tests.noise.discrepancy.pairs import ROUGH, TRUTH, model, pair, record, survey
 
 PACE_S = 0.1
 
@@ -39,3 +42,11 @@ def log_of(reading, **ping):
 def robot():
     """Where a robot is, at which angle, its logs, and its pace."""
     return SimpleNamespace(way=way, turning=turning, log_of=log_of, pace_s=PACE_S)
+
+
+@pytest.fixture(scope="session")
+def lab():
+    """The maker of pairs, the rough law, and the parts that they are made of."""
+    rough = Stack.of(model(ROUGH)).put([("visits", "placement_m")], [0.003])
+    exact = Stack.of(model(TRUTH)).put([("visits", "placement_m")], [0.003 / placement_scatter(1.0)])
+    return SimpleNamespace(pair=pair, survey=survey, record=record, model=model, rough=rough, exact=exact, truth=TRUTH)

@@ -1,17 +1,12 @@
 """Pairs of files from physical laws that the law under test describes only roughly."""
 
-from types import SimpleNamespace
-
 import numpy as np
-import pytest
 import torch
 
 from acquisition import Ping, Recording
 from noise.discrepancy.moments.sample import Sample
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.stack import Stack
-from noise.fitting.visit_effects import placement_scatter
 from noise.physical import PhysicalModel
 
 torch.set_num_threads(1)
@@ -63,11 +58,3 @@ def pair(rng, change=None, same=False, **design):
     changed = {name: {**TRUTH.get(name, {}), **(change or {}).get(name, {})} for name in {**TRUTH, **(change or {})}}
     other = recorded if same else simulated
     return Sample(record(model(changed), recorded, rng, pings), record(model(TRUTH), other, rng, pings))
-
-
-@pytest.fixture(scope="session")
-def lab():
-    """The maker of pairs, the rough law, and the parts that they are made of."""
-    rough = Stack.of(model(ROUGH)).put([("visits", "placement_m")], [0.003])
-    exact = Stack.of(model(TRUTH)).put([("visits", "placement_m")], [0.003 / placement_scatter(1.0)])
-    return SimpleNamespace(pair=pair, survey=survey, record=record, model=model, rough=rough, exact=exact, truth=TRUTH)
