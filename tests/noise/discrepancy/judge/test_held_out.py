@@ -63,3 +63,15 @@ def test_the_better_model_of_a_simulation_stands_for_it():
     for emulator, expected in ((law, law), (wrong, forest.model)):
         base = Baseline(law_of(), readings, forest.model, emulator, held_out, forest)
         assert Simulation.of(base).model is expected
+
+
+def test_how_little_is_known_of_a_model_does_not_matter_where_readings_speak():
+    loud = {"sensitivity": {"loss_db": 0.0}}
+    readings, elsewhere = batch_of(loud, seed=1), batch_of(loud, seed=2)
+    moved = {**loud, "zero_offset": {"offset_m": 0.03}}
+    recorded = batch_of(moved, seed=1)  # under the same conditions
+    unsure = Simulation(model_of(loud), readings, (0.0, 10.0))
+    assert unsure.is_beaten((recorded, crps_of_each(model_of(moved), recorded)))
+    assert not Simulation(model_of(loud), elsewhere, (0.0, 10.0)).is_beaten(
+        (recorded, crps_of_each(model_of(moved), recorded))
+    )

@@ -1,0 +1,46 @@
+"""A correction is offered where it beats the simulation, and nothing is offered where it is the simulation."""
+
+import numpy as np
+import pytest
+
+from noise.discrepancy.baseline.forest import grown
+from noise.discrepancy.judge.correction import Option, Options, offered
+from noise.discrepancy.judge.held_out import Simulation, crps_of_each
+from tests.noise.discrepancy.made import batch_of, law_of, model_of
+
+LOUD = {"sensitivity": {"loss_db": 0.0}}
+MOVED = {**LOUD, "zero_offset": {"offset_m": 0.03}}
+
+
+def option(model, *batches):
+    return Option(model, tuple((batch, crps_of_each(model, batch)) for batch in batches))
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """Recorded visits that nothing was fitted to, others, and a forest of these."""
+    unseen, seen = batch_of(MOVED, seed=1), batch_of(MOVED, seed=2)
+    forest = grown(seen, np.random.default_rng(0))
+    return unseen, seen, Option(forest.model, ((unseen, crps_of_each(forest.model, unseen)), (seen, forest.crps)))
+
+
+def test_the_law_that_made_the_readings_is_offered(parts):
+    unseen, seen, forest = parts
+    laws = (option(model_of(MOVED), unseen, seen), option(model_of(LOUD), unseen, seen))
+    assert Options(None, laws, forest).corrected(Simulation(model_of(LOUD))) is laws[0].model
+
+
+def test_nothing_beats_a_simulation_that_is_right(parts):
+    unseen, seen, forest = parts
+    laws = (option(model_of({**MOVED, "zero_offset": {"offset_m": 0.032}}), unseen, seen),)
+    assert Options(None, laws, forest).corrected(Simulation(model_of(MOVED))) is None
+
+
+def test_without_a_law_the_forest_is_offered(parts):
+    forest = parts[2]
+    assert Options(None, (), forest).corrected(Simulation(model_of(LOUD))) is forest.model
+
+
+def test_an_offered_law_has_the_coarser_register():
+    assert offered(law_of(), 0.01).resolution == 0.01
+    assert offered(law_of(), 0.0001).resolution == law_of().resolution
