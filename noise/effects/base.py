@@ -87,6 +87,7 @@ class EchoSample:
         time: s, (n,).
         range: reading, m, (n,).
         interval: time since the previous ping of the run, s, 0 for the first, (n,); None where it is unknown.
+        past: reading before each in the run, m, nan where there was no echo, (n,); None where it is unknown.
         grid_m: step on whose multiples all readings lie, m; 0 where it is unknown.
     """
 
@@ -94,6 +95,7 @@ class EchoSample:
     time: NDArray[np.float64]
     range: NDArray[np.float64]
     interval: NDArray[np.float64] | None = None
+    past: NDArray[np.float64] | None = None
     grid_m: float = 0.0
 
     @property
@@ -107,8 +109,8 @@ class EchoSample:
         return self._where(self.range < self.distance - target_tolerance(self.distance))
 
     def _where(self, rows: NDArray[np.bool_]) -> EchoSample:
-        interval = None if self.interval is None else self.interval[rows]
-        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, self.grid_m)
+        interval, past = (None if value is None else value[rows] for value in (self.interval, self.past))
+        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, past, self.grid_m)
 
 
 class Effect(ABC):

@@ -18,7 +18,6 @@ from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
 RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
-BURST_WAITS_M = (0.01, 0.1, 0.34, 0.86, 1.72)  # waits of about 0, 0.6, 2, 5 and 10 ms as range; chosen here
 FAR_BIN_M = 0.05  # within which far reflectors are one; the scatter of a reading
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
 
@@ -71,16 +70,14 @@ class PreviousPing(Effect):
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return second round trips within bursts of several waits, and the far reflector of most early readings."""
-        bursts = [{"presence": 0.9, "far_m": 12.0, "doubled": 1.0, "wait_m": wait} for wait in BURST_WAITS_M]
-        early = echoes.early
-        if early.interval is None or not (early.interval > 0.0).any():
-            return bursts
-        far = (early.range + ASSUMED_SPEED * early.interval / 2.0)[early.interval > 0.0]
-        place = np.rint(far / FAR_BIN_M)
-        most, count = np.unique(place, return_counts=True)
-        middle = float(np.median(far[place == most[int(np.argmax(count))]]))
-        return [*bursts, {"presence": 0.5, "far_m": middle, "doubled": 0.0, "wait_m": 0.0}]
+        """Return the second round trip within bursts and the far reflector that explain most early readings."""
+        early, waits = echoes.early, []
+        if early.past is not None and (wait := _most_frequent(2.0 * early.distance - early.range - early.past)) > 0.0:
+            waits.append({"presence": 0.5, "far_m": 12.0, "doubled": 1.0, "wait_m": wait})
+        if early.interval is not None and (early.interval > 0.0).any():
+            gap = np.where(early.interval > 0.0, ASSUMED_SPEED * early.interval / 2.0, np.nan)
+            waits.append({"presence": 0.5, "far_m": _most_frequent(early.range + gap), "doubled": 0.0, "wait_m": 0.0})
+        return waits
 
     def statement(self) -> str:
         """Return a sentence with the distance of the far reflector."""
@@ -88,6 +85,16 @@ class PreviousPing(Effect):
         source = "the target's second echo" if v["doubled"] > 0.5 else f"a reflector at {v['far_m']:.2f} m"
         read = f"is read as a near echo of the current ping, in {100 * v['presence']:.3g} % of pings"
         return f"A far echo of the previous ping, from {source}, {read}."
+
+
+def _most_frequent(length: Floats) -> float:
+    """Return the median of the lengths in the fullest bin, m; 0 where all are nan."""
+    length = length[np.isfinite(length)]
+    if not len(length):
+        return 0.0
+    place = np.rint(length / FAR_BIN_M)
+    most, count = np.unique(place, return_counts=True)
+    return float(np.median(length[place == most[int(np.argmax(count))]]))
 
 
 class Latency(Effect):

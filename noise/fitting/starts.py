@@ -139,7 +139,8 @@ def echoes_of(batch: Batch) -> EchoSample:
     echo = batch.reading.echo
     ping, interval = batch.ping, batch.ping.covariates.get(INTERVAL)
     known = None if interval is None else interval[echo]
-    return EchoSample(ping.distance[echo], ping.time[echo], batch.reading.range[echo], known, batch.grid_m)
+    past = np.where(batch.past.echo, batch.past.range, np.nan)[echo]
+    return EchoSample(ping.distance[echo], ping.time[echo], batch.reading.range[echo], known, past, batch.grid_m)
 
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:

@@ -8,7 +8,7 @@ gets wrong for both cancels. The p-value is Bonferroni's over all coefficients.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +17,14 @@ from scipy.stats import t as student
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.moments.bootstrap import NOTHING, Found
 from noise.discrepancy.moments.sample import Sample, positions
-from noise.discrepancy.moments.scores import BIAS, scores
+from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.effects.medium import TEMPERATURE
 from noise.fitting.stack import Key, Stack
 from noise.fitting.starts import target_echo
 
+RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 POWER, TWO_SIDED = 0.9, 0.95
 N_TESTS = 4  # of one hypothesis, for which the level is adjusted: this one, the orthogonal test and those of `few`
@@ -52,30 +53,49 @@ class _Line:
 
 
 def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
-    """Test whether the mean errors of visits differ, everywhere or along a condition.
+    """Test whether the mean errors of visits differ, everywhere or along a condition, or their shares of readings.
 
     Args:
         law_recorded: law of the recording.
         law_simulated: law that describes the simulation.
         sample: readings.
     """
-    error, recorded, place, first = _visit_errors(law_recorded, law_simulated, sample)
+    laws, parts = (law_recorded, law_simulated), sample.left_out(law_simulated)
+    scored = [scores(law, batch, part) for law, batch, part in zip(laws, sample.batches, parts, strict=False)]
+    error, recorded, place, first = _visit_means(scored, sample, BIAS)
     conditions = [None, *(value[first] for value in sample.conditions.values())]
     change = _of_temperature(law_simulated, sample)
     possible = [error] if change is None else [error - share * change[first] for share in SHARES]
     fits = [[line for x in conditions if (line := _line(each, recorded, place, x)) is not None] for each in possible]
     lines = max(fits, key=lambda each: min((line.p.min() for line in each), default=1.0))
-    if not lines:
+    rates = {aspect: line for aspect in RATES if (line := _of_rate(scored, sample, aspect)) is not None}
+    p = np.concatenate([line.p for line in (*lines, *rates.values())]) if lines or rates else np.ones(0)
+    if not len(p):
         return NOTHING
-    p = np.concatenate([line.p for line in lines])
-    value = float(min(1.0, p.min() * len(p)))
-    mean = lines[0]
-    half = float(mean.error[0] * student.ppf(TWO_SIDED, mean.freedom))
-    size = Interval(float(mean.value[0]), float(mean.value[0]) - half, float(mean.value[0]) + half, "m")
-    p_value = PValue(value, 0, len(p), 1)
-    least = student.ppf(1.0 - FALSE_ALARM / (2.0 * N_TESTS * len(p)), mean.freedom) + student.ppf(POWER, mean.freedom)
-    where = (Location(Aspect.BIAS, {}, size, p_value),) if value < FALSE_ALARM else ()
-    return Found(p_value, where, Visible(str(Aspect.BIAS), float(least * mean.error[0]), "m"))
+    p_value = PValue(float(min(1.0, p.min() * len(p))), 0, len(p), 1 + len(rates))
+    visible = None
+    if lines:
+        level = student.ppf(1.0 - FALSE_ALARM / (2.0 * N_TESTS * len(p)), lines[0].freedom)
+        least = level + student.ppf(POWER, lines[0].freedom)
+        visible = Visible(str(Aspect.BIAS), float(least * lines[0].error[0]), "m")
+    where = _located(lines, rates, p_value) if p_value.value < FALSE_ALARM else ()
+    return Found(p_value, where, visible)
+
+
+def _located(lines: Sequence[_Line], rates: Mapping[Aspect, _Line], p_value: PValue) -> tuple[Location, ...]:
+    """Return the mean difference of the aspect with the smallest p-value."""
+    least = {Aspect.BIAS: min((line.p.min() for line in lines), default=1.0)}
+    least |= {aspect: float(line.p.min()) for aspect, line in rates.items()}
+    aspect = min(least, key=lambda each: least[each])
+    mean = rates[aspect] if aspect in rates else lines[0]
+    value, half = float(mean.value[0]), float(mean.error[0] * student.ppf(TWO_SIDED, mean.freedom))
+    return (Location(aspect, {}, Interval(value, value - half, value + half, aspect.unit), p_value),)
+
+
+def _of_rate(scored: Sequence[Scores], sample: Sample, aspect: Aspect) -> _Line | None:
+    """Return the mean difference of a share of readings; None where it is the same in all visits or cannot be told."""
+    rate, recorded, place, _ = _visit_means(scored, sample, ASPECTS.index(aspect))
+    return _line(rate, recorded, place, None) if len(rate) and np.ptp(rate) > ROUNDING else None
 
 
 def compensation_is_unknown(law: Stack, sample: Sample) -> bool:
@@ -92,15 +112,13 @@ def _of_temperature(law: Stack, sample: Sample) -> Floats | None:
     return ends[1] - ends[0]
 
 
-def _visit_errors(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> tuple[Floats, Bits, Ints, Ints]:
-    """Return mean error, m, file, position and first row of each visit with an echo of the target.
+def _visit_means(scored: Sequence[Scores], sample: Sample, a: int) -> tuple[Floats, Bits, Ints, Ints]:
+    """Return the mean of an aspect, its file, position and first row for each visit that shows the aspect.
 
     Visits of one position may share its error, so that positions are the independent units.
     """
-    laws, parts = (law_recorded, law_simulated), sample.left_out(law_simulated)
-    scored = [scores(law, batch, part) for law, batch, part in zip(laws, sample.batches, parts, strict=False)]
-    valid = np.concatenate([each.valid[:, BIAS] for each in scored])
-    natural = np.concatenate([each.natural[:, BIAS] for each in scored])
+    valid = np.concatenate([each.valid[:, a] for each in scored])
+    natural = np.concatenate([each.natural[:, a] for each in scored])
     count = np.bincount(sample.visit, valid)
     mean = np.bincount(sample.visit, natural * valid) / np.maximum(count, 1.0)
     first = np.unique(sample.visit, return_index=True)[1]
