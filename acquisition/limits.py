@@ -219,10 +219,10 @@ def _check(name: str, value: Any, hint: Any) -> None:
         _check_tuple(name, value, get_args(hint))
     elif get_origin(hint) in (Union, types.UnionType):
         _check_union(name, value, get_args(hint))
-    elif isinstance(value, PurePath):
-        _check_path(name, value)
     elif hint is str:
         _expect(isinstance(value, str), name, "text", value)
+    elif isinstance(value, PurePath):
+        _check_path(name, value)
 
 
 def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:

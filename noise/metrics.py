@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -192,15 +191,16 @@ def reliability(predicted: Floats, true: NDArray[np.bool_], cluster: ArrayLike, 
     )
 
 
-def _clusters(cluster: ArrayLike, n: int) -> NDArray[Any]:
-    """Return the cluster of each of n pings; raise SettingError unless there is one for each."""
+def _clusters(cluster: ArrayLike, n: int) -> NDArray[np.int64]:
+    """Return the cluster of each of n pings as a number; raise SettingError unless there is one for each."""
     try:
         found = np.asarray(cluster)
-    except ValueError:  # rows of unequal lengths
-        found = np.array(None)
+        number = np.unique(found, return_inverse=True)[1]
+    except (ValueError, TypeError):  # rows of unequal lengths, or neither numbers nor names
+        found = number = np.array(None)
     if found.shape != (n,):
         raise SettingError(f"cluster: expected a number or name for each of {n} pings, got {shown(cluster)}")
-    return found
+    return number
 
 
 def _mean_or_nan(value: NDArray, cluster: NDArray, rows: NDArray[np.bool_]) -> ClusterMean:

@@ -43,7 +43,7 @@ GROUPS = {
     "other programs": {
         "bridge": ("bridges.bridge", "connect to OpenDLV, ROS and Webots: sonars, a car, an agent, files"),
         "serve": ("bridges.serve", "answer other programs' pings over TCP"),
-        "export": ("bridges.export", "write the nearest sonar that Webots or Gazebo can hold"),
+        "export": ("bridges.export", "write a unit of FMI 3.0, or the nearest sonar that Webots or Gazebo can hold"),
     },
     "evidence": {
         "prove": ("proof.run", "run blind trials of the diagnosis: sealed, scored, published"),

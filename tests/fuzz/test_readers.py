@@ -280,6 +280,14 @@ def test_bags_with_a_wrong_byte(bag, tmp_path_factory, place, bits):
     load(import_bag, path, (), GroundTruthSource(), {"distance_mm": 1500.0})
 
 
+@pytest.mark.parametrize("field", ["radiation_type", "frame_id", "min_range", "stamp", "float32 range"])
+def test_a_bag_defines_its_own_messages(bag, tmp_path, field):
+    old, path = field.encode(), tmp_path / bag.name
+    for new in (old[:-1] + b"X", b"float64 " + old[8:]):
+        path.write_bytes(bag.read_bytes().replace(old, new))
+        load(import_bag, path, (), GroundTruthSource(), {"distance_mm": 1500.0})
+
+
 def test_valid_files_are_used(kept):
     assert load(find_plan, str(kept / "plan.toml")) is not None
     assert load(load_model, kept / "model") is not None

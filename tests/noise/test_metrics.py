@@ -90,6 +90,12 @@ def test_one_cluster_gives_no_standard_error():
         ClusterMean.of([], [])
 
 
+@pytest.mark.parametrize("cluster", [[None, 1], [0, "a", 2], [[0], [1, 2]], [{}, {}]])
+def test_a_cluster_that_is_neither_number_nor_name_is_named(cluster):
+    with pytest.raises(SettingError, match="cluster: expected a number or name for each of 2 pings"):
+        ClusterMean.of([1.0, 2.0], cluster)
+
+
 def test_the_true_model_scores_best(rng):
     ping = Ping.of(distance=np.repeat(rng.uniform(0.3, 4, 60), 20))
     visit = np.repeat(np.arange(60), 20)

@@ -1,4 +1,4 @@
-"""The sonar nearest to a model that Webots or Gazebo can hold, and its error (docs/how-to/simulators.md)."""
+"""A sonar for other simulators: a unit of FMI, or the nearest that Webots or Gazebo hold, with its error."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from acquisition.io.files import write_text
 from acquisition.io.places import OutputFile
 from acquisition.limits import Limit, Seed
 from noise import load_model
+from sonar_gym.bridges.fmi.build import Count, build_unit
 from sonar_gym.bridges.simulators import gazebo, webots
 from sonar_gym.sensing.mounts import CONE_DEG
 
@@ -22,8 +23,8 @@ EXPORTS = {"webots": webots.export, "gazebo": gazebo.export}
 class Args:
     """Settings of `sonar-gym export`."""
 
-    simulator: Annotated[Literal["webots", "gazebo"], tyro.conf.Positional]
-    """webots: a DistanceSensor with a lookup table. gazebo: an SDF sensor with Gaussian noise."""
+    simulator: Annotated[Literal["webots", "gazebo", "fmi"], tyro.conf.Positional]
+    """webots: a DistanceSensor with a lookup table. gazebo: an SDF sensor with Gaussian noise. fmi: a unit, 3.0."""
     model: Annotated[Path, tyro.conf.Positional]
     """Sonar: a name (srf08-mlp, ...) or the folder of a saved model."""
     out: OutputFile
@@ -34,10 +35,16 @@ class Args:
     """Full opening angle of the beam, deg."""
     seed: Seed = 0
     """Seed of the model's readings to which the sonar is fitted."""
+    sensors: Count = 1
+    """Number of sonars of the unit of FMI."""
 
 
 def main(args: Args) -> None:
-    """Write the sensor and print what it leaves."""
+    """Write the sonar; of the nearest of a simulator, print what it leaves."""
+    if args.simulator == "fmi":
+        build_unit(load_model(args.model), args.out, args.sensors, args.max_range)
+        print(f"{args.out}: unit of FMI 3.0, {args.sensors} sonars with {args.model}")
+        return
     text, nearest = EXPORTS[args.simulator](load_model(args.model), args.max_range, args.aperture_deg, args.seed)
     write_text(args.out, text)
     print(

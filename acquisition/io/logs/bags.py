@@ -240,7 +240,7 @@ class _Bag:
         self._reader.close()
 
     def _read(self, work: Callable[[], Any]) -> Any:
-        """Run an operation on the file; for a corrupt one the library raises almost any exception."""
+        """Run an operation on the file. A corrupt one raises almost any exception; its messages may lack any field."""
         try:
             return work()
         except RecordingError:
@@ -274,8 +274,8 @@ class _Bag:
         return ", ".join(f"{name} ({kind})" for name, kind in self._topics().items()) or "no topics"
 
     def _is_infrared(self, topic: str) -> bool:
-        first = self._read(lambda: next(self._messages(topic), None))
-        return first is not None and first[1].radiation_type == INFRARED
+        kinds = (message.radiation_type for _, message in self._messages(topic))
+        return self._read(lambda: next(kinds, None) == INFRARED)
 
     def _messages(self, topic: str, progress: Progress | None = None) -> Iterator[tuple[float, Any]]:
         """Yield time stamp, s, and message; an empty stamp in the header is replaced by the time of receipt."""
@@ -326,7 +326,7 @@ class _Bag:
 
 def _range_fields(message: Any) -> tuple[str, float, float, float, float]:
     span = float(message.min_range), float(message.max_range)
-    return message.header.frame_id, float(message.range), *span, float(message.field_of_view)
+    return str(message.header.frame_id), float(message.range), *span, float(message.field_of_view)
 
 
 def _distance_mm(message: Any, kind: str, point: tuple[float, float, float] | None) -> float:

@@ -83,10 +83,15 @@ def ping_of(body: bytes) -> Ping:
     if len(set(covariates)) != len(covariates) or "" in covariates:
         raise SettingError(f"PING: covariates {names!r}: expected different names separated by commas")
     rows = np.frombuffer(body, DOUBLE, offset=start).reshape(n, len(CONDITIONS) + len(covariates)).astype(np.float64)
-    return _checked(rows, covariates)
+    return checked_pings(rows, covariates)
 
 
-def _checked(rows: Floats, covariates: list[str]) -> Ping:
+def checked_pings(rows: Floats, covariates: list[str]) -> Ping:
+    """Return the pings of rows with the columns `CONDITIONS` and covariates.
+
+    Raises:
+        SettingError: a value is outside its limits.
+    """
     distance, bearing, incidence, reflectance, time, sensor = np.ascontiguousarray(rows[:, : len(CONDITIONS)].T)
     distance = np.where(distance == np.inf, EMPTY_M, distance)
     limits = {
