@@ -101,7 +101,7 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         pose = np.stack([c * dx + s * dy, c * dy - s * dx, turn], axis=-1).reshape(-1, 3).astype(np.float64)
         lengths, cost = desired[..., LENGTH].ravel(), np.empty(turn.size)
         for length in np.unique(lengths):
-            cost[lengths == length] = self._costs(pose[lengths == length], float(length))
+            cost[lengths == length] = self._costs(pose[lengths == length], round(float(length), 6))
         return (cost / (cost + FAR_M)).reshape(turn.shape)
 
     def _costs(self, poses: Floats, length: float) -> Floats:
