@@ -12,7 +12,7 @@ from sonar_gym import SonarExtractor, SonarVecEnv
 UNSEEN = 1_000_000  # seed of the first street of the test; those of training follow from the seed of PPO
 
 
-def main(steps: int = 2_500_000, seed: int = 0, sonar: str = "ideal", streets: int = 200) -> float:
+def main(steps: int = 1_500_000, seed: int = 0, sonar: str = "ideal", streets: int = 200) -> float:
     torch.set_num_threads(1)  # a small network is slower with more
     begin = time.perf_counter()
     envs = VecMonitor(SonarVecEnv(64, sonar=sonar))

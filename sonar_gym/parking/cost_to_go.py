@@ -59,9 +59,9 @@ class Space(NamedTuple):
     car: CarSettings
 
     @classmethod
-    def of(cls, streets: StreetSettings, car: CarSettings, gap: float = math.inf) -> Space:
+    def of(cls, streets: StreetSettings, car: CarSettings, gap: float | None = None) -> Space:
         """Return the shortest space of such streets, or one of `gap` m; ways into it lead into longer ones, too."""
-        return cls(min(streets.gap[0], gap), streets.line, streets.depth, streets.far_side, car)
+        return cls(streets.gap[0] if gap is None else gap, streets.line, streets.depth, streets.far_side, car)
 
     @property
     def spare(self) -> float:
@@ -87,6 +87,22 @@ class Grid(NamedTuple):
     cells: tuple[int, int, int]
     low: Floats
     step: Floats
+
+
+def tabulated(gap: float, shortest: float, car: CarSettings) -> float:
+    """Return the length of the space whose table a gap has, so that there are few tables, m.
+
+    It is up to 5 cm shorter than the gap, but not shorter than any that is drawn: a table of the shortest would end the
+    ways into a longer gap before a box where there is none, and cars wait there.
+
+    Args:
+        gap: length of the gap, m.
+        shortest: length of the shortest gap that is drawn, m; a gap that is made shorter has steps of 1 cm.
+        car: the car, which is not longer.
+    """
+    gap += 1e-6
+    least = shortest if gap > shortest else max(math.floor(100.0 * gap) / 100.0, car.length)
+    return max(math.floor(20.0 * gap) / 20.0, least)
 
 
 def grid_of(space: Space) -> Grid:

@@ -75,7 +75,7 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     The sum of `info["reward_terms"]`, with the weights of `RewardWeights`. The task's own reward is `time` (-0.05 per
     step), `parked` (+10, once) and `crashed` (once, -3 and -5 per metre of cost to go from the place of the crash).
     `shaping` is potential-based (Ng, Harada and Russell 1999): 5 per metre of decrease of the cost to go, the
-    length of the shortest way of such a car into the shortest space that is drawn. The potential is zero where an
+    length of the shortest way of such a car into a space as long or up to 5 cm shorter. The potential is zero where an
     episode ends, so the sum over an episode depends on its start alone and the best policy is that of the task's own
     reward. `reward={"potential": 0.0}` turns it off.
 

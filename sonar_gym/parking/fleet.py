@@ -6,7 +6,6 @@ depend on the number of worlds.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +21,7 @@ from acquisition.arrays import Floats, Ints, Singles
 from acquisition.limits import Limit, check_value, near, shown
 from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
-from sonar_gym.parking.cost_to_go import PARKED_ANGLE, PARKED_OVERHANG, CostTables, Space
+from sonar_gym.parking.cost_to_go import PARKED_ANGLE, PARKED_OVERHANG, CostTables, Space, tabulated
 from sonar_gym.parking.obstacles import obstacles_of
 from sonar_gym.parking.prior import street_credence
 from sonar_gym.parking.randomization import LEVEL_NAMES, Randomization
@@ -358,9 +357,7 @@ class Fleet:
 
     def _table_of(self, street: Street) -> int:
         """Return the number of the table of cost to go of a street, made if it is new."""
-        gap, shortest = street.gap[1] - street.gap[0], street.settings.gap[0]
-        # a gap that the options make shorter has the table of one shorter by up to 1 cm, so that there are few tables
-        length = shortest if gap > shortest - 1e-6 else max(math.floor(100.0 * gap) / 100.0, self.car_settings.length)
+        length = tabulated(street.gap[1] - street.gap[0], street.settings.gap[0], self.car_settings)
         number = self._costs.number(Space.of(street.settings, self.car_settings, length))
         self.constants = self.constants._replace(grids=self._costs.grids, costs=self._costs.values)
         return number

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from acquisition.arrays import Floats, Singles
 from acquisition.limits import as_numbers
-from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go
+from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go, tabulated
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
 from sonar_gym.parking.street import Goal, rear_room
 
-GOAL = 5  # length of a goal
+GOAL, LENGTH = 6, 4  # numbers of a goal, and which of them is the length of the space
 CRASHED = -35.0  # about the discounted sum of the rewards of a car that waits at the start, at a discount of 0.98
+LONGEST = 100.0  # m; limit of the length of a space
 FAR_M = 1.0  # m; cost to go at which the reward is -1/2
 
 
@@ -34,8 +35,8 @@ class SonarParkingGoalEnv(SonarParkingEnv):
     | Key | Shape | Meaning |
     |---|---|---|
     | `observation` | (4 n + 7,) | observation of `SonarParkingEnv`, flattened in the order of its keys |
-    | `achieved_goal` | (5,) | pose by odometry: x and y, m, cosine and sine of the heading; 1 if crashed |
-    | `desired_goal` | (5,) | pose of the car in the gap in the same frame; 0 |
+    | `achieved_goal` | (6,) | x and y, m, cosine and sine of the heading, by odometry; space, m; 1 if crashed |
+    | `desired_goal` | (6,) | pose of the car in the gap in the same frame; length of the space, m; 0 |
 
     ## Rewards
 
@@ -53,15 +54,12 @@ class SonarParkingGoalEnv(SonarParkingEnv):
             raise SettingError("SonarParkingGoal-v0 takes no reward: its reward is the cost to go to the goal")
         super().__init__(**settings)
         self._own_space = self.observation_space
-        limit = np.array([*ODOMETRY_SPAN, 1.0, 1.0, 1.0], dtype=np.float32)
+        limit = np.array([*ODOMETRY_SPAN, 1.0, 1.0, LONGEST, 1.0], dtype=np.float32)
         goal = spaces.Box(-limit, limit)
         self.observation_space = spaces.Dict(
             {"observation": flatten_space(self._own_space), "achieved_goal": goal, "desired_goal": goal}
         )
         self._desired: Singles = np.zeros(GOAL, dtype=np.float32)
-        space = Space.of(self.fleet.street_settings, self.fleet.car_settings)
-        self._table = cost_table(space)
-        self._stand = space.car.rear_overhang + rear_room(space.length, space.car), -space.line - 0.5 * space.depth
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -82,8 +80,8 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         """Return the reward of one goal achieved, or of several.
 
         Args:
-            achieved_goal: goals achieved, (5,) or (k, 5).
-            desired_goal: goals to achieve, (5,) or (k, 5).
+            achieved_goal: goals achieved, (6,) or (k, 6).
+            desired_goal: goals to achieve, (6,) or (k, 6).
             info: not used.
 
         Returns:
@@ -100,21 +98,31 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         c, s = desired[..., 2], desired[..., 3]
         dx, dy = achieved[..., 0] - desired[..., 0], achieved[..., 1] - desired[..., 1]
         turn = np.arctan2(c * achieved[..., 3] - s * achieved[..., 2], c * achieved[..., 2] + s * achieved[..., 3])
-        pose = np.stack([self._stand[0] + c * dx + s * dy, self._stand[1] + c * dy - s * dx, turn], axis=-1)
-        grid, values = self._table
-        cost = costs_to_go(pose.reshape(-1, 3).astype(np.float64), grid, values).reshape(turn.shape)
-        return cost / (cost + FAR_M)
+        pose = np.stack([c * dx + s * dy, c * dy - s * dx, turn], axis=-1).reshape(-1, 3).astype(np.float64)
+        lengths, cost = desired[..., LENGTH].ravel(), np.empty(turn.size)
+        for length in np.unique(lengths):
+            cost[lengths == length] = self._costs(pose[lengths == length], round(float(length), 6))
+        return (cost / (cost + FAR_M)).reshape(turn.shape)
+
+    def _costs(self, poses: Floats, length: float) -> Floats:
+        """Return the costs to go of poses relative to the goal in a space, m, (k,)."""
+        car = self.fleet.car_settings
+        space = Space.of(self.fleet.street_settings, car, length)
+        stand = car.rear_overhang + rear_room(length, car), -space.line - 0.5 * space.depth, 0.0
+        return costs_to_go(poses + stand, *cost_table(space))
 
     def _goal(self) -> Singles:
-        """Return the pose at the end of the reference path in the frame of the start, and no crash, (5,)."""
+        """Return the pose at the end of the reference path in the frame of the start, its space, and no crash, (6,)."""
         street = self.street
         goal, (x, y, heading) = Goal.of(street, self.fleet.car_settings), street.start
         c, s = np.cos(heading), np.sin(heading)
         ahead: Floats = np.array([goal.x - x, goal.y - y])
-        return np.array([ahead @ (c, s), ahead @ (-s, c), c, -s, 0.0], dtype=np.float32)
+        length = tabulated(street.gap[1] - street.gap[0], street.settings.gap[0], self.fleet.car_settings)
+        return np.array([ahead @ (c, s), ahead @ (-s, c), c, -s, length, 0.0], dtype=np.float32)
 
     def _with_goal(self, observation: dict[str, Any], crashed: bool) -> dict[str, Any]:
         cosine, sine, x, y = observation["ego"][2:6]
-        achieved = np.array([x * ODOMETRY_SPAN[0], y * ODOMETRY_SPAN[1], cosine, sine, crashed], dtype=np.float32)
+        pose = x * ODOMETRY_SPAN[0], y * ODOMETRY_SPAN[1], cosine, sine
+        achieved = np.array([*pose, self._desired[LENGTH], crashed], dtype=np.float32)
         flat = flatten(self._own_space, observation)
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": self._desired.copy()}

@@ -29,10 +29,11 @@ from sonar_gym.agent import DESCRIPTION, WEIGHTS, agent_names, load_policy
 from sonar_gym.parking.fleet import Observation
 from sonar_gym.sb3 import SonarVecEnv
 from training.agents.evaluate import SCRIPTED, DriverPool, pool_of
-from training.agents.zoo.settings import ALGORITHMS
+from training.agents.zoo.settings import ALGORITHMS, CLASSES
 from training.common.checksum import sha256_of_files
 
 PICKLED = ":serialized:"  # key under which Stable-Baselines3 stores pickled data; it is never read here
+SHOWN = {str(one): one for one in CLASSES.values()}  # classes that a model may name
 
 
 class ModelPool:
@@ -85,8 +86,11 @@ def load_zip(path: Path, algorithm: str) -> BaseAlgorithm:
             weights = torch.load(io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged file fails in many ways
         raise ModelError(f"{path}: is no model of Stable-Baselines3 ({type(error).__name__}: {error})") from None
-    if PICKLED in keywords:
-        raise ModelError(f"{path}: its policy_kwargs are pickled, which is not read: score it as module:callable")
+    if PICKLED in keywords:  # the text of each value stands beside the pickled data
+        given = {name: SHOWN.get(str(value), value) for name, value in keywords.items() if not name.startswith(":")}
+        if any(isinstance(value, str) for value in given.values()):
+            raise ModelError(f"{path}: its policy_kwargs are pickled, which is not read: score it as module:callable")
+        keywords = given
     alias = next(name for name in kind.policy_aliases if name.startswith("MultiInput"))
     memory = {"buffer_size": 1} if issubclass(kind, OffPolicyAlgorithm) else {}
     model: BaseAlgorithm = kind(alias, SonarVecEnv(1, threads=1), policy_kwargs=keywords, device="cpu", **memory)

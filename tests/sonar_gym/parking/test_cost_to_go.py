@@ -15,6 +15,7 @@ from sonar_gym.parking.cost_to_go import (
     Space,
     cost_to_go,
     stands_in,
+    tabulated,
 )
 from sonar_gym.parking.street import ARC_MARGIN, LEVELS, StreetSettings
 from sonar_gym.parking.vehicle import CarSettings
@@ -76,6 +77,18 @@ def test_the_less_room_the_longer_the_way():
     costs = [costs_of(space_of(level))(-1.0, 0.0, 0.0) for level in ("easy", "normal", "hard", "manoeuvre")]
     assert costs == sorted(costs)
     assert costs[3] > costs[2] + 3 * CHANGE_M  # several moves
+
+
+@given(st.floats(0.45, 1.5), st.floats(0.45, 1.5))
+def test_a_gap_has_the_table_of_one_that_is_hardly_shorter(gap, shortest):
+    length = tabulated(gap, shortest, CAR)
+    assert gap - 0.05 <= length <= gap + 1e-5
+    assert length >= min(shortest, gap - 0.01)
+
+
+def test_the_gaps_of_a_level_have_few_tables():
+    low, high = LEVELS["normal"].gap
+    assert len({tabulated(gap, low, CAR) for gap in np.linspace(low, high, 1000)}) == 7
 
 
 def test_a_space_that_no_car_fits_in_has_no_cost():

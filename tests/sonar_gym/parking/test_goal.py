@@ -11,7 +11,7 @@ from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
 from acquisition import SettingError
 from sonar_gym import SonarParkingEnv, SonarParkingGoalEnv
-from sonar_gym.parking.goal import CRASHED
+from sonar_gym.parking.goal import CRASHED, LENGTH
 from sonar_gym.parking.street import Goal
 from training.agents.zoo.settings import tuned
 
@@ -29,7 +29,7 @@ def test_a_car_at_the_end_of_the_reference_path_has_reached_its_goal():
         start, goal = env.street.start, Goal.of(env.street, env.car.settings)
         drive = np.array([goal.x - start[0], goal.y - start[1]])
         c, s = np.cos(start[2]), np.sin(start[2])
-        reached = np.array([drive @ (c, s), drive @ (-s, c), c, -s, 0.0])
+        reached = np.array([drive @ (c, s), drive @ (-s, c), c, -s, first["desired_goal"][LENGTH], 0.0])
         assert first["desired_goal"] == pytest.approx(reached, abs=1e-6)
         assert env.compute_reward(reached, first["desired_goal"], {}) == pytest.approx(0.0, abs=1e-6)
 
@@ -88,16 +88,17 @@ def test_a_crash_costs_about_as_much_as_to_wait_at_the_start(seed):
 @given(st.floats(-3.0, 3.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
 def test_the_reward_depends_on_the_pose_relative_to_the_goal_alone(x, y, turn):
     env = SonarParkingGoalEnv()
-    achieved, desired = np.array([0.3, 0.2, 1.0, 0.0, 0.0]), np.array([1.0, -0.3, 1.0, 0.0, 0.0])
+    achieved, desired = np.array([0.3, 0.2, 1.0, 0.0, 0.9, 0.0]), np.array([1.0, -0.3, 1.0, 0.0, 0.9, 0.0])
     c, s = np.cos(turn), np.sin(turn)
-    moved = [np.array([x + c * g[0] - s * g[1], y + s * g[0] + c * g[1], c, s, 0.0]) for g in (achieved, desired)]
+    moved = [np.array([x + c * g[0] - s * g[1], y + s * g[0] + c * g[1], c, s, 0.9, 0.0]) for g in (achieved, desired)]
     assert env.compute_reward(*moved, {}) == pytest.approx(env.compute_reward(achieved, desired, {}), abs=1e-6)
 
 
 def test_rewards_of_many_goals_are_those_of_each_and_a_crash_reaches_none():
     env, rng = SonarParkingGoalEnv(), np.random.default_rng(0)
-    goals = rng.uniform(-1.0, 1.0, (20, 5))
-    goals[:, 4] = goals[:, 4] > 0.0
+    goals = rng.uniform(-1.0, 1.0, (20, 6))
+    goals[:, LENGTH] = np.tile([0.85, 1.0], 10)
+    goals[:, -1] = goals[:, -1] > 0.0
     many = env.compute_reward(goals, goals, {})
     assert np.array_equal(many, [env.compute_reward(goal, goal, {}) for goal in goals])
-    assert np.array_equal(many, np.where(goals[:, 4] > 0.0, CRASHED, 0.0))
+    assert np.array_equal(many, np.where(goals[:, -1] > 0.0, CRASHED, 0.0))

@@ -12,7 +12,7 @@ from acquisition import EchoStatus, ModelError, Ping
 from acquisition.errors import SampleOnlyError
 from noise import IdealModel, load_model
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.sb3 import SonarVecEnv
+from sonar_gym.sb3 import SonarExtractor, SonarVecEnv
 from training.agents.drivers import ModelPool, load_zip, pool_by_name
 from training.agents.evaluate import ScriptedPool
 from training.agents.leaderboard import tracks
@@ -78,9 +78,11 @@ def test_one_sonar_of_each_car_is_displaced():
 # ---- drivers ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_model_in_a_file_drives_as_it_did_before(tmp_path):
+@pytest.mark.parametrize("kwargs", [{}, {"features_extractor_class": SonarExtractor, "net_arch": [32]}])
+def test_a_model_in_a_file_drives_as_it_did_before(tmp_path, kwargs):
     envs = VecMonitor(SonarVecEnv(4, threads=1))
-    model = PPO("MultiInputPolicy", envs, n_steps=16, batch_size=64, seed=1, device="cpu").learn(64)
+    settings = {"n_steps": 16, "batch_size": 64, "seed": 1, "policy_kwargs": kwargs}
+    model = PPO("MultiInputPolicy", envs, device="cpu", **settings).learn(64)
     model.save(tmp_path / "model.zip")
     observation = envs.reset()
     pool = pool_by_name(str(tmp_path / "model.zip"), "ppo")(4)
