@@ -61,15 +61,15 @@ def stop():
     [
         ("ppo", "SonarParkingManoeuvre-v0", {"n_steps": 16, "batch_size": 256}),
         ("ppo_lstm", "SonarParking-v0", {"n_steps": 8, "batch_size": 256, "n_epochs": 1}),
-        ("sac", "SonarParkingGoal-v0", {"learning_starts": 400, "batch_size": 16, "buffer_size": 4000}),
-        ("tqc", "SonarParkingGoal-v0", {"learning_starts": 400, "batch_size": 16, "buffer_size": 4000}),
+        ("sac", "SonarParkingGoal-v0", {"learning_starts": 1600, "batch_size": 16, "buffer_size": 4000}),
+        ("tqc", "SonarParkingGoal-v0", {"learning_starts": 1600, "batch_size": 16, "buffer_size": 4000}),
     ],
 )
 @one_thread()
 def test_an_interrupted_training_ends_with_the_same_model(tmp_path, algorithm, env_id, faster):
     settings = tuned(algorithm, env_id)
     settings = replace(settings, n_timesteps=8000, keywords={**settings.keywords, **faster})
-    steps = 3000 if algorithm.startswith("ppo") else 800
+    steps = 3000 if algorithm.startswith("ppo") else 2000  # hindsight needs an episode that has ended
     whole = Training(Args(algorithm, tmp_path / "whole", env=env_id, steps=steps, seed=3), settings)
     whole.run()
     assert whole.leg >= 2
