@@ -274,6 +274,10 @@ class FalseAlarm(Effect):
         return f"{text}{when}."
 
 
+def _steps_of(echoes: EchoSample) -> list[dict[str, float]]:
+    return [{"step_m": echoes.grid_m}] if 0.0 < echoes.grid_m <= MAX_STEP_M else []
+
+
 class Quantisation(Effect):
     """The reading is rounded to whole steps, such as centimetres. The step has no derivative: fits try the starts."""
 
@@ -290,7 +294,7 @@ class Quantisation(Effect):
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return the step on whose multiples all readings lie."""
-        return [{"step_m": echoes.grid_m}] if 0.0 < echoes.grid_m <= MAX_STEP_M else []
+        return _steps_of(echoes)
 
     def statement(self) -> str:
         """Return a sentence with the step."""
@@ -316,7 +320,7 @@ class Truncation(Effect):
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return the step on whose multiples all readings lie."""
-        return [{"step_m": echoes.grid_m}] if 0.0 < echoes.grid_m <= MAX_STEP_M else []
+        return _steps_of(echoes)
 
     def statement(self) -> str:
         """Return a sentence with the step and the mean error."""

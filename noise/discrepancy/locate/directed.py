@@ -92,7 +92,7 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
         pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([_log_prob(each, [{}], batch)[0] for each, batch, _ in pairs])
+    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])
     names, ratios = [], []
     for name in CATALOGUE:
         # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
@@ -100,7 +100,7 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
         if CATALOGUE[name].by_clock or name == JITTER or not _shown(name, pairs[0][1]):
             continue
         every = changes(law, name)
-        nats = np.concatenate([_log_prob(each, every, batch) for each, batch, _ in pairs], axis=1)
+        nats = np.concatenate([log_prob_after(each, every, batch) for each, batch, _ in pairs], axis=1)
         for ratio in np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[:, back]:
             if np.ptp(ratio) > 1e-6:
                 names.append(name)
@@ -136,7 +136,7 @@ def changes(law: Stack, name: str) -> list[dict[Key, float]]:
     return out
 
 
-def _log_prob(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+def log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
     """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
 
     def probability(model: PhysicalModel, visits: VisitEffects) -> Tensor:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.location import TWO_SIDED, region_of
 from noise.discrepancy.locate.orthogonal import INDICATORS, MIN_CLUSTERS
 from noise.discrepancy.moments.bootstrap import NOTHING, Found, exceeded, signs_of, studentised
 from noise.discrepancy.moments.moments import bin_sums
@@ -36,7 +37,6 @@ MIN_PLACES = 5  # positions of each file for an F test
 MIN_PER_PLACE = 3  # blocks of a position, on average
 MAX_BLOCKS = 200  # of a file; more do not improve the variance estimates
 CORRELATED = 1.64  # standard errors of a correlation at the 5 % level, one-sided
-TWO_SIDED = 1.645  # standard errors on either side of a 90 % interval
 
 
 def register_test(recorded: Batch) -> Found:
@@ -250,13 +250,6 @@ def _located(
     natural = Scores(scored.natural, scored.valid, scored.natural, scored.level_db, scored.sigma, scored.probability)
     psi = _of_column(natural, sample, column, place, block, a)[0][:, k]
     value, error = float(psi.sum()), float(np.sqrt(np.sum(psi**2)))
-    regressor = column.regressors[k]
-    region = {
-        name: (max(low, column.span[name][0]), min(high, column.span[name][1]))
-        for name, low, high in regressor.region
-        if name in column.span
-    }
-    if regressor.phase_of_s > 0:
-        region = {"period_s": (regressor.phase_of_s, regressor.phase_of_s)}
+    region = region_of(column.regressors[k], [column])
     size = Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, ASPECTS[a].unit)
     return Location(ASPECTS[a], region, size, p_value)

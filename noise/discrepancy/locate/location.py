@@ -8,6 +8,7 @@ they remain significant after the first is projected out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from acquisition.arrays import Bits, Floats
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.moments.bootstrap import studentised
 from noise.discrepancy.moments.moments import Group, bin_sums, moments, one_weight
-from noise.discrepancy.moments.regressors import Regressor
+from noise.discrepancy.moments.regressors import Column, Regressor
 from noise.discrepancy.moments.scores import ASPECTS
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Range
 from noise.discrepancy.thresholds import BIAS_TOLERANCE_M, FALSE_ALARM
@@ -47,7 +48,7 @@ def locate(tested: Tested) -> tuple[Location, ...]:
         for j, a in enumerate(group.aspects):
             for found in _steps(tested, group, j):
                 size = size_of(tested, group, j, found.regressor)
-                region = _region(tested, found.regressor)
+                region = region_of(tested.regressors[found.regressor], tested.columns)
                 trifle = ASPECTS[a] is Aspect.BIAS and abs(size.value) < BIAS_TOLERANCE_M
                 certain = found.p_value.at_end and not trifle
                 order = -ORDER.get(ASPECTS[a], 0) if certain else -max(ORDER.values()) - 1
@@ -126,10 +127,9 @@ def size_of(tested: Tested, group: Group, j: int, k: int) -> Interval:
     return Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, unit)
 
 
-def _region(tested: Tested, k: int) -> dict[str, Range]:
-    """Return the region of a regressor, open sides closed at the recording's extremes."""
-    regressor = tested.regressors[k]
-    span = {name: both for column in tested.columns for name, both in column.span.items()}
+def region_of(regressor: Regressor, columns: Sequence[Column]) -> dict[str, Range]:
+    """Return the region of a regressor of some columns, open sides closed at the recording's extremes."""
+    span = {name: both for column in columns for name, both in column.span.items()}
     if regressor.phase_of_s > 0:
         return {"period_s": (regressor.phase_of_s, regressor.phase_of_s)}
     out = {}
