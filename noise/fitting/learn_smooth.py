@@ -90,6 +90,7 @@ def learn_smooth(
     inputs: Sequence[Sequence[str]],
     score: Score,
     rng: np.random.Generator,
+    heads: Sequence[str] = HEADS,
 ) -> Learned:
     """Learn a smooth correction of a law.
 
@@ -102,19 +103,20 @@ def learn_smooth(
         inputs: alternative sets of inputs; see `noise.fitting.smooth.column`.
         score: log probability of each reading.
         rng: chooses centres and folds.
+        heads: aspects that may be corrected.
     """
     problem, folds = Problem(stack.without_term(kind.name), kind, batch, score), _folds(batch, rng)
     bases = [basis_of(problem, names, rng) for names in inputs]
-    crossed = [cross_fitted(problem, basis, folds) for basis in bases]
+    crossed = [cross_fitted(problem, basis, folds, heads) for basis in bases]
     best = int(np.argmax([each.gain.sum() for each in crossed]))
     basis, chosen = bases[best], crossed[best]
     if not chosen.strengths:
         return Learned(problem.stack, np.zeros(batch.n_visits))
-    heads = tuple(chosen.strengths)
-    start = Coefficients(heads, np.mean(list(chosen.folds.values()), axis=1).T)
+    kept = tuple(chosen.strengths)
+    start = Coefficients(kept, np.mean(list(chosen.folds.values()), axis=1).T)
     found = maximised(problem, basis, chosen.strengths, start, ITERATIONS)
-    term = basis.with_weights(dict(zip(heads, found.value.T, strict=True)))
-    terms = [basis.with_weights({head: chosen.folds[head][k] for head in heads}) for k in range(FOLDS)]
+    term = basis.with_weights(dict(zip(kept, found.value.T, strict=True)))
+    terms = [basis.with_weights({head: chosen.folds[head][k] for head in kept}) for k in range(FOLDS)]
     part = np.full(int(batch.condition.max()) + 1, -1)
     part[batch.condition] = folds
     return Learned(problem.stack.with_term(term), chosen.gain, LeftOut(tuple(terms), part))
@@ -141,7 +143,7 @@ class CrossFitted:
     folds: dict[str, Floats]
 
 
-def cross_fitted(problem: Problem, basis: Basis, folds: Ints) -> CrossFitted:
+def cross_fitted(problem: Problem, basis: Basis, folds: Ints, heads: Sequence[str] = HEADS) -> CrossFitted:
     """Return the strength of each aspect that predicts unseen conditions best, by coordinate ascent.
 
     An aspect joins if its gain exceeds one standard error, since few positions decide on detection at the threshold.
@@ -153,7 +155,7 @@ def cross_fitted(problem: Problem, basis: Basis, folds: Ints) -> CrossFitted:
     eta: dict[str, Floats] = {}
     kept: dict[str, Floats] = {}
     strengths: Strengths = {}
-    for head in HEADS:
+    for head in heads:
         zero = np.zeros((FOLDS, ascent.functions.shape[1]))
         tried = [(size, value) for size, value in zip(STRENGTHS, ascent.step(eta, head, zero, STRENGTHS), strict=True)]
         scored = [ascent.nats({**eta, head: ascent.left_out(value)}) for _, value in tried]

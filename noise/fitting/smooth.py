@@ -34,6 +34,7 @@ LEVEL_STEP = 0.5  # distance of the centres on that scale
 
 KEPT = 4  # samples of pings whose correction is kept: those of a comparison of two files
 MEMORY = ("past_error", "past_echo")
+MIRRORED = "mirrored_incidence"  # with the sign of the incidence beside that of the angle: a mirror image reads alike
 
 
 def column(name: str, conditions: Conditions, typical: Tensor | None = None) -> Tensor:
@@ -54,6 +55,8 @@ def column(name: str, conditions: Conditions, typical: Tensor | None = None) -> 
         return torch.log(torch.clamp(c.distance, min=0.02))
     if name in ("angle", "incidence"):
         return getattr(c, name).abs()
+    if name == MIRRORED:
+        return torch.where(c.angle == 0.0, c.incidence.abs(), c.incidence * torch.sign(c.angle))
     if name == "past_error":
         error = (c.past_range - c.distance) / (NEAR * c.distance + NEAR_M)
         return torch.where(c.past_status == EchoStatus.ECHO, torch.clamp(error, -1.0, 1.0), 0.0)

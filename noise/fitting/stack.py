@@ -154,6 +154,12 @@ class Stack:
                 total = total - 0.5 * (torch.log(ratio) / FAMILIAR_SD) ** 2
         return total
 
+    def log_size_prior(self, base: Stack, names: Iterable[str]) -> float:
+        """Return the log prior of the sizes of effects relative to a base: Cauchy, with the `typical` size as scale."""
+        parameters = [(name, p) for name in names for p in self.known[name].parameters if p.typical > 0]
+        ratios = [(self.get((name, p.name)) - base.get((name, p.name))) / p.typical for name, p in parameters]
+        return -float(np.sum(np.log1p(np.square(ratios))))
+
     def is_the_target(self, name: str, batch: Batch) -> bool:
         """Return whether the fixed reading of an effect is that of the target in every ping: one that never moved."""
         fixed = self.known[name].fixed_range

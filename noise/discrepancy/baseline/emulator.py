@@ -19,8 +19,8 @@ from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import highest, maximise
 from noise.fitting.learn_smooth import Learned, learn_smooth
-from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
-from noise.fitting.smooth import MEMORY, Empirical, Smooth
+from noise.fitting.likelihood import log_likelihood, log_likelihoods
+from noise.fitting.smooth import DETECTION, HEADS, MEMORY, MIRRORED, SHIFT, Empirical, Smooth
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, PLACEMENT, SHARED, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import extra_modes, nuisance_starts, starting_points
@@ -47,17 +47,20 @@ HEARING: dict[Key, tuple[float, float]] = {
     ("reflectance_loss", "strength"): (0.0, 1.5),
 }
 N_DESIGN = 32  # a power of two; evaluated at once
-# centre of the prior: units and placements differ by 3 to 6 dB; without it, a threshold that separates the few
-# positions that are heard from those that are missed seems exact
-LEVELS: dict[Key, float] = {LEVEL_SD: 3.0}
+# centres of priors: units and placements differ by 3 to 6 dB, and targets are placed within 1 to 5 mm. Without them, a
+# threshold that separates the few positions that are heard from those that are missed seems exact, and a wide scatter
+# of a few positions explains any error of their mean
+FAMILIAR: dict[Key, float] = {LEVEL_SD: 3.0, PLACEMENT: 0.003}
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1200, 600, 2000  # readings of each step, which bound the time
+BASINS, SHORT = 4, 20  # starts of each kind that are followed, and steps after which the best goes on
 DESIGN = 2  # starting points of a quasi-random design for each candidate effect
 CANDIDATES, ROUNDS = 3, 4  # effects that are fitted in a round, and rounds
-MIN_GAIN_NATS = 3.0  # on unseen visits: odds of 20 to 1
-MIN_T = 2.0  # the same gain in standard errors over visits
+MIN_GAIN_NATS = 3.0  # of a fit: odds of 20 to 1
+LEVEL = 0.05  # probability that an effect of the catalogue joins by chance
+LIKELIEST = 2  # starts of the effect that joins
 ITERATIONS = 40
-NARROWED = 0.7  # ratio of scatters of placements below which a correction has explained some
 CONDITION_INPUTS = ("log_distance", "angle", "incidence", "reflectance")
+TURNED_INPUTS = ("log_distance", "angle", MIRRORED, "reflectance")
 INTERVAL = "interval_s"  # logged with every recording; it describes the past, not the condition
 
 
@@ -75,20 +78,18 @@ def emulate(readings: Batch, rng: np.random.Generator) -> Stack:
 def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stack:
     """Return a law with its smooth correction by condition, and the nuisance parameters fitted beside it.
 
-    What the physics misses at a position looks like scatter of placements. Where the correction explains it, the
-    scatter becomes smaller, and the correction is learned again with that. Of all these laws the one is returned that
-    predicts conditions best which its correction was not fitted to.
+    What the physics misses at a position looks like scatter of placements. A correction of detection and range alone
+    may explain that, and leaves less scatter. One of all aspects is learned with the scatter as it is: the spread and
+    the tails would otherwise describe what the range lacks. Of these laws and that without a correction the one is
+    returned that predicts conditions best which its correction was not fitted to.
     """
     batch = learner_pings(readings)
     few = batch.thin(PHYSICS_PINGS)
-    first = _corrected(stack, batch, rng)
-    if first.left_out is None:
-        return stack
-    laws = [stack, maximise(first, SHARED, few, ITERATIONS, MIN_GAIN_NATS).stack]
-    fitted = maximise(first, NUISANCES, few, ITERATIONS, MIN_GAIN_NATS).stack
-    if fitted.get(PLACEMENT) <= NARROWED * stack.get(PLACEMENT):
-        again = _corrected(stack.at({key: fitted.get(key) for key in NUISANCES}), batch, rng)
-        laws.append(maximise(again, NUISANCES, few, ITERATIONS, MIN_GAIN_NATS).stack)
+    laws = [stack]
+    for heads, free in (((DETECTION, SHIFT), NUISANCES), (HEADS, SHARED)):
+        first = _corrected(stack, batch, heads, rng)
+        if first.left_out is not None:
+            laws.append(maximise(first, free, few, ITERATIONS, MIN_GAIN_NATS).stack)
     return max(laws, key=lambda law: crossed_log_likelihood(law, batch))
 
 
@@ -99,8 +100,9 @@ def crossed_log_likelihood(law: Stack, batch: Batch) -> float:
     return float(sum(log_likelihood(each, rows).sum() for each, rows in parts))
 
 
-def _corrected(stack: Stack, batch: Batch, rng: np.random.Generator) -> Stack:
-    learned = learn_smooth(stack, batch, Smooth, [(*CONDITION_INPUTS, *_logged(batch))], single_log_prob, rng)
+def _corrected(stack: Stack, batch: Batch, heads: Sequence[str], rng: np.random.Generator) -> Stack:
+    inputs = [(*names, *_logged(batch)) for names in condition_inputs(batch)]
+    learned = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng, heads)
     return replace(learned.stack, left_out=learned.left_out)
 
 
@@ -131,21 +133,34 @@ def learner_pings(batch: Batch) -> Batch:
     return batch.thin(SMOOTH_PINGS)
 
 
+def condition_inputs(batch: Batch) -> list[tuple[str, ...]]:
+    """Return the sets of conditions that a correction may depend on: two where sonar and target are both turned."""
+    both = bool(np.any((batch.ping.angle != 0.0) & (batch.ping.incidence != 0.0)))
+    return [CONDITION_INPUTS, TURNED_INPUTS] if both else [CONDITION_INPUTS]
+
+
 def _logged(batch: Batch) -> list[str]:
     return [name for name in batch.ping.covariates if name != INTERVAL]
 
 
 def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
     """Return the law with what every sonar has: the best fit from several starts."""
-    sonar = replace(Stack.of(PhysicalModel((), batch.resolution)), familiar=LEVELS)
+    sonar = replace(Stack.of(PhysicalModel((), batch.resolution)), familiar=FAMILIAR)
     bare = [stack.at(START) for stack in nuisance_starts(sonar, batch)]
     few = batch.thin(SCREEN_PINGS)
-    starts = [likeliest(_designed([stack], rng), few) for stack in bare]
+    groups = [[stack] for stack in bare]
     # from a law in which the target is never missed no small step leads to a reflector that answers wherever it is
-    other = [bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)]
-    starts += [likeliest(_designed(other, rng), few)] if other else []
-    fits = [maximise(stack, (*_free(stack), *NUISANCES), batch, ITERATIONS, 0.5) for stack in starts]
-    return highest(fits).stack
+    groups.append([bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)])
+    near = [_nearest(_designed(group, rng), few) for group in groups if group]
+    fits = [maximise(stack, (*_free(stack), *NUISANCES), batch, ITERATIONS, 0.5) for stack in near]
+    return max(fits, key=lambda fit: fit.nats + fit.stack.log_size_prior(bare[0], [name for name, _ in START])).stack
+
+
+def _nearest(stacks: Sequence[Stack], few: Batch) -> Stack:
+    """Return the best of the likeliest stacks after a few steps: the likelihood of a start says little of its basin."""
+    likeliest = np.argsort(-log_likelihoods(stacks, few), kind="stable")[:BASINS]
+    starts = [stacks[k] for k in likeliest]
+    return highest(maximise(each, (*_free(each), *NUISANCES), few, SHORT, MIN_GAIN_NATS) for each in starts).stack
 
 
 def _designed(stacks: Sequence[Stack], rng: np.random.Generator) -> list[Stack]:
@@ -170,12 +185,12 @@ class Candidate:
 
     Attributes:
         name: effect id.
-        stack: the law with it.
-        gain: nats.
+        stacks: the law with it, from the likeliest starts, best first.
+        gain: of the best, nats.
     """
 
     name: str
-    stack: Stack
+    stacks: tuple[Stack, ...]
     gain: float
 
 
@@ -190,7 +205,8 @@ def with_catalogue(stack: Stack, readings: Batch, rng: np.random.Generator) -> S
         if not passed:
             break
         best = max(passed, key=lambda each: each[1])[0]
-        stack = maximise(best.stack, (*_free(best.stack), *NUISANCES), batch, ITERATIONS, 0.5).stack
+        free = (*_free(best.stacks[0]), *NUISANCES)
+        stack = highest(maximise(start, free, batch, ITERATIONS, 0.5) for start in best.stacks).stack
         failed = {c.name for c in ranked[:CANDIDATES]} - {c.name for c, _ in passed}
         names = [c.name for c in ranked if c.name not in failed | {best.name}]
     return stack
@@ -214,8 +230,9 @@ def screened(stack: Stack, names: Sequence[str], batch: Batch, rng: np.random.Ge
     for name in names:
         starts = starting_points(stack, name, batch, rng, DESIGN)
         nats = log_likelihoods(starts, batch)
-        out.append(Candidate(name, starts[int(np.argmax(nats))], float(nats.max()) - now))
-    good = (each for each in out if each.gain > 0.0 and not each.stack.is_the_target(each.name, batch))
+        best = np.argsort(-nats, kind="stable")[:LIKELIEST]
+        out.append(Candidate(name, tuple(starts[k] for k in best), float(nats.max()) - now))
+    good = (each for each in out if each.gain > 0.0 and not each.stacks[0].is_the_target(each.name, batch))
     return sorted(good, key=lambda each: -each.gain)
 
 
@@ -236,10 +253,11 @@ class Halves:
     def gain(self, candidate: Candidate) -> float | None:
         """Return the gain of an effect on unseen visits, nats; None where it is not clearly positive."""
         keys = [(candidate.name, p.name) for p in CATALOGUE[candidate.name].parameters]
-        with_it = _crossed(candidate.stack, (*keys, *SPREAD), self.parts)
+        with_it = _crossed(candidate.stacks[0], (*keys, *SPREAD), self.parts)
         gain = np.concatenate(with_it) - np.concatenate(self.nats)
-        total, error = float(gain.sum()), float(np.sqrt(len(gain)) * gain.std())
-        return total if total > max(MIN_GAIN_NATS, MIN_T * error) else None
+        # the exponential of a gain on unseen visits is an e-value; no single visit decides
+        good = gain.sum() - gain.max() > np.log(len(CATALOGUE) / LEVEL)
+        return float(gain.sum()) if good else None
 
 
 def _crossed(stack: Stack, free: Sequence[Key], parts: tuple[Batch, Batch]) -> tuple[Floats, Floats]:

@@ -14,11 +14,11 @@ from acquisition import Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
 from noise.effects import Conditions
 from noise.fitting.batch import Batch
-from noise.fitting.smooth import MEMORY, column
+from noise.fitting.smooth import MEMORY, MIRRORED, column
 
 INTERVAL = "interval_s"  # logged with every recording; it describes the past, not the condition
 ORDER, SIGNED_ANGLE, SIGNED_INCIDENCE = "order", "signed_angle", "signed_incidence"
-CONDITIONS = ("log_distance", "angle", "incidence", "reflectance", SIGNED_ANGLE, SIGNED_INCIDENCE)
+CONDITIONS = ("log_distance", "angle", "incidence", MIRRORED, "reflectance", SIGNED_ANGLE, SIGNED_INCIDENCE)
 OWN = (*CONDITIONS, ORDER, *MEMORY, "time")  # inputs that every ping has
 N_FOLDS, N_DEALS = 5, 6  # each deal of the visits to folds gives one tree without each fold
 MIN_LEAF = 4  # pings in a leaf; the average over trees smooths further

@@ -15,7 +15,6 @@ from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.stability import Stability
 from noise.discrepancy.name.alternatives import Place, place_of
-from noise.discrepancy.name.candidates import log_prior
 from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
@@ -183,7 +182,7 @@ def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PVal
         share=divided.causes[name].value,
         rest=divided.rest.value,
         lead=place.lead,
-        prior=float(np.mean([log_prior(stack, search.common, [name]) for stack in found.stacks])),
+        prior=float(np.mean([stack.log_size_prior(search.common, [name]) for stack in found.stacks])),
         p_before=before.value,
         p_after=selected.after.p_value.value,
         p_stable=stable.p_value.value,

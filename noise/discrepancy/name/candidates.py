@@ -88,17 +88,6 @@ def narrowed(stack: Stack, batch: Batch) -> Stack:
     return nuisance_start(stack, batch).put([(JITTER, "sigma_m")], [robust_scatter(batch)])
 
 
-def log_prior(stack: Stack, base: Stack, names: Sequence[str]) -> float:
-    """Return the log prior of the sizes of effects relative to a base: Cauchy, with the `typical` size as scale."""
-    total = 0.0
-    for name in names:
-        for p in stack.known[name].parameters:
-            if p.typical > 0:
-                difference = stack.get((name, p.name)) - base.get((name, p.name))
-                total -= float(np.log1p((difference / p.typical) ** 2))
-    return total
-
-
 def explains_nothing(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
     """Return whether an effect needs a bound, or is no other than the target."""
     return at_bound(stack, base, name, batch) or stack.is_the_target(name, batch)

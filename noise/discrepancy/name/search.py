@@ -22,7 +22,6 @@ from noise.discrepancy.name.candidates import (
     candidate_names,
     explains_nothing,
     keys_of,
-    log_prior,
     starts_of,
     with_sampled_bounds,
 )
@@ -159,7 +158,7 @@ class Search:
         """
         pairs = zip(reversed(stacks), self.parts, strict=True)
         nats = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs])
-        prior = float(np.mean([log_prior(stack, self.common, effects) for stack in stacks]))
+        prior = float(np.mean([stack.log_size_prior(self.common, effects) for stack in stacks]))
         if len(self.parts) == 1:
             prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
         return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
@@ -269,7 +268,9 @@ class Search:
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
             if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
-        best_names = sorted(fits, key=lambda name: -fits[name].nats - log_prior(fits[name].stack, self.common, [name]))
+        best_names = sorted(
+            fits, key=lambda name: -fits[name].nats - fits[name].stack.log_size_prior(self.common, [name])
+        )
         near = self._near(best_names, fits)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
 
