@@ -12,9 +12,9 @@ from . import physical as physical
 from . import rig as rig
 from . import statistics as statistics
 from . import store as store
-from .composed import ComposedModel, compose
 from .credence import ConditionPrior, CredenceTable
 from .discrepancy import diagnose
+from .discrepancy.compose import ComposedModel, compose
 from .discrepancy.result import Diagnosis
 from .effects import CATALOGUE
 from .faults import Faulty

@@ -10,13 +10,11 @@ the learned law as they do with a direct path.
 
 from __future__ import annotations
 
-import os
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +25,6 @@ from torch import Tensor
 from acquisition import ModelError, Ping, Reading, SettingError, previous
 from acquisition.arguments import checked
 from acquisition.arrays import Floats, Ints
-from acquisition.limits import shown
 from acquisition.ping import TEMPERATURE
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.state import number
@@ -35,10 +32,6 @@ from noise.faults import HasWeights
 from noise.law import EchoLaw
 from noise.model import SonarModel, StatefulModel, follow, listener
 from noise.physical import END, PhysicalLaw, PhysicalModel
-from noise.store import load_model
-
-if TYPE_CHECKING:
-    from noise.discrepancy.result import Diagnosis
 
 WEIGHTS = ("probability", "presence", "per_metre")  # parameters that say how often an effect acts
 N_NODES = 15  # equally probable points that stand for added normal scatter
@@ -201,40 +194,23 @@ class ComposedModel:
         return f"ComposedModel({type(self.model).__name__}, {[effect.name for effect in self.after.effects]})"
 
 
-def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) -> ComposedModel:
-    """Return a model with the causes that a diagnosis found, for training; causes that cannot be added are warned of.
+def with_differences(model: SonarModel, before: Values, causes: Values) -> tuple[ComposedModel, dict[str, str]]:
+    """Return a model with the causes of a difference, and why some could not be added, by effect.
 
     Args:
-        model: model whose laws have probabilities, its name or its folder.
-        diagnosis: diagnosis whose causes are added, as differences between its simulation and its recording.
-
-    Raises:
-        SettingError: the law of the model can only be sampled.
+        model: model whose laws have probabilities.
+        before: parameters of the effects of the simulation, by effect.
+        causes: parameters of the recording in the effects in which it differs, by effect.
     """
-    base = load_model(model) if isinstance(model, str | os.PathLike) else model
-    if not all(hasattr(diagnosis, name) for name in ("emulator", "causes_only", "verdict")):
-        raise SettingError(f"compose.diagnosis: expected a Diagnosis, got {shown(diagnosis)}")
-    known, found = (_values(each) for each in (diagnosis.emulator, diagnosis.causes_only))
-    before = {name: values for name, values in known.items() if not _adds(name)}
-    after, left_out = dict(before), dict[str, str]()
-    causes = [cause for cause in diagnosis.verdict.causes if cause.believed]
-    for cause in causes:
-        name, own = cause.effect, known.get(cause.effect, {})
-        stated = {key: each.value for key, each in cause.parameters.items()}
-        values = {**own, **stated, **found.get(name, {})}  # stated values of an offset are differences
+    common = {name: values for name, values in before.items() if not _adds(name)}
+    after, left_out = dict(common), dict[str, str]()
+    for name, values in causes.items():
+        own = before.get(name, {})
         if reason := _obstacle(name, own, values):
             left_out[name] = reason
         else:
             after[name] = _known(name, _added(own, values) if _adds(name) else values)
-    if left_out or not causes:
-        reasons = "; ".join(f"{name} ({reason})" for name, reason in left_out.items()) or "the diagnosis names no cause"
-        warnings.warn(f"compose: not added to the model: {reasons}", stacklevel=2)
-    return ComposedModel(base, _built(before), _built(after))
-
-
-def _values(model: SonarModel | None) -> dict[str, dict[str, float]]:
-    effects: tuple[Effect, ...] = getattr(model, "effects", ())
-    return {effect.name: effect.values for effect in effects if effect.name in CATALOGUE}
+    return ComposedModel(model, _built(common), _built(after)), left_out
 
 
 def _built(values: Values) -> list[Effect]:

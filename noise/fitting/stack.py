@@ -187,6 +187,11 @@ class Stack:
         return EmpiricalModel([*model.effects, placement], self.resolution, self.max_range)
 
     @property
+    def effects(self) -> Values:
+        """Parameters of the effects of the catalogue, without nuisance parameters of visits."""
+        return {name: values for name, values in self.values.items() if name in CATALOGUE}
+
+    @property
     def model(self) -> PhysicalModel:
         """The model without nuisance parameters of visits."""
         return self.build()[0]

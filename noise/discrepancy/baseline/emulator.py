@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import highest, maximise
+from noise.fitting.fit import Scales, highest, maximise
 from noise.fitting.learn_smooth import Learned, learn_smooth
 from noise.fitting.likelihood import log_likelihood, log_likelihoods
 from noise.fitting.smooth import DETECTION, HEADS, MEMORY, MIRRORED, SHIFT, Empirical, Smooth
@@ -159,8 +159,9 @@ def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
 def _nearest(stacks: Sequence[Stack], few: Batch) -> Stack:
     """Return the best of the likeliest stacks after a few steps: the likelihood of a start says little of its basin."""
     likeliest = np.argsort(-log_likelihoods(stacks, few), kind="stable")[:BASINS]
-    starts = [stacks[k] for k in likeliest]
-    return highest(maximise(each, (*_free(each), *NUISANCES), few, SHORT, MIN_GAIN_NATS) for each in starts).stack
+    starts, scales = [stacks[k] for k in likeliest], Scales()
+    fits = (maximise(each, (*_free(each), *NUISANCES), few, SHORT, MIN_GAIN_NATS, scales) for each in starts)
+    return highest(fits).stack
 
 
 def _designed(stacks: Sequence[Stack], rng: np.random.Generator) -> list[Stack]:

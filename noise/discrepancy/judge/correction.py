@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.arrays import Floats
+from noise.composed import with_differences
 from noise.discrepancy.baseline.emulator import learner_pings
-from noise.discrepancy.baseline.forest import Grown
+from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.hypothesis import Hypothesis
@@ -63,13 +64,22 @@ class Options:
     forest: Option
 
     @classmethod
-    def of(cls, judged: Judged, search: Search, forest: Grown, step_m: float) -> Options:
-        """Return the options of a judged hypothesis; `step_m` is the step of the recording's register."""
+    def of(cls, judged: Judged, search: Search, forest: Grown, before: Simulation, step_m: float) -> Options:
+        """Return the options of a judged hypothesis.
+
+        Args:
+            judged: the hypothesis.
+            search: readings and candidates.
+            forest: of the recording.
+            before: the user's simulation.
+            step_m: step of the recording's register.
+        """
         unseen, laws = search.folds.unseen, []
         causes_only = offered(judged.final.single.stack, step_m) if judged.believed else None
         if causes_only is not None:
             folds = _by_fold(search, judged.found, step_m) if len(search.parts) > 1 else ()
             laws.append(_scored(causes_only, unseen, folds))
+            laws.extend(_on_simulation(judged, search, before.model, step_m))
         learned = judged.learned
         if learned is not None and learned.left_out is not None:
             parts = _by_part(search, learned, step_m) if len(search.parts) > 1 else ()
@@ -102,6 +112,26 @@ def _by_fold(search: Search, found: Hypothesis, step_m: float) -> tuple[tuple[Ba
     """Return the readings of each fold, and the causes fitted to the other."""
     parts = search.folds.divided(learner_pings(search.joined))
     return tuple((part, offered(stack, step_m)) for part, stack in zip(parts, reversed(found.stacks), strict=True))
+
+
+def _on_simulation(judged: Judged, search: Search, model: SonarModel, step_m: float) -> list[Option]:
+    """Return the causes acting on what stands for the simulation; empty where that is the law they were found beside.
+
+    What that law gets wrong of the simulation does not enter such a model.
+    """
+    if not isinstance(model, AnalogueForest):
+        return []
+    base = replace(model, resolution=max(model.resolution, step_m))
+    stacks = (judged.final.single.stack, *reversed(judged.found.stacks))
+    pairs = [
+        with_differences(base, search.common.effects, {name: stack.effects[name] for name in judged.believed})
+        for stack in stacks
+    ]
+    if any(left_out for _, left_out in pairs):
+        return []
+    whole, *folds = (composed for composed, _ in pairs)
+    parts = search.folds.divided(learner_pings(search.joined)) if len(search.parts) > 1 else ()
+    return [_scored(whole, search.folds.unseen, tuple(zip(parts, folds, strict=False)))]
 
 
 def _by_part(search: Search, learned: Learned, step_m: float) -> tuple[tuple[Batch, SonarModel], ...]:

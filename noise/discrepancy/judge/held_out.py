@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats
 from noise.discrepancy.baseline.forest import floored_log_prob
@@ -12,11 +13,12 @@ from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.moments.sample import positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.hypothesis import standard_error
-from noise.discrepancy.result import HeldOut, Interval, Score
+from noise.discrepancy.result import LEVEL, HeldOut, Interval, Score
 from noise.fitting.batch import Batch
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, SonarModel
 
+BEYOND = 0.5 + LEVEL / 2.0  # probability of no gain by chance
 MIN_MEMBERS = 4  # readings under one condition that stand for the simulation there
 
 
@@ -92,7 +94,8 @@ class Simulation:
         own = [self._scored(batch) for batch, _ in scored]
         gain = np.concatenate([b.visit_sums(before[0] - crps) for before, (b, crps) in zip(own, scored, strict=True)])
         n_estimated = sum(int(before[1].sum()) for before in own)
-        return bool(gain.sum() > Z * np.hypot(standard_error(gain), n_estimated * self.excess[1]))
+        limit = student.ppf(BEYOND, max(len(gain) - 1, 1))
+        return bool(gain.sum() > limit * np.hypot(standard_error(gain), n_estimated * self.excess[1]))
 
 
 def ends(batch: Batch) -> Floats:
