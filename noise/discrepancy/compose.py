@@ -25,7 +25,7 @@ def compose(model: SonarModel | str | os.PathLike[str], diagnosis: Diagnosis) ->
         SettingError: the law of the model can only be sampled.
     """
     base = load_model(model) if isinstance(model, str | os.PathLike) else model
-    if not isinstance(diagnosis, Diagnosis):
+    if not all(hasattr(diagnosis, name) for name in ("emulator", "causes_only", "verdict")):
         raise SettingError(f"compose.diagnosis: expected a Diagnosis, got {shown(diagnosis)}")
     known, found = (_values(each) for each in (diagnosis.emulator, diagnosis.causes_only))
     causes = {cause.effect: cause.parameters for cause in diagnosis.verdict.causes if cause.believed}

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.moments.bootstrap import NOTHING, Found
 from noise.discrepancy.moments.sample import Sample, positions
-from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores
+from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores_of_both
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.effects.medium import TEMPERATURE
@@ -60,8 +60,7 @@ def trend_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Fou
         law_simulated: law that describes the simulation.
         sample: readings.
     """
-    laws, parts = (law_recorded, law_simulated), sample.left_out(law_simulated)
-    scored = [scores(law, batch, part) for law, batch, part in zip(laws, sample.batches, parts, strict=False)]
+    scored = scores_of_both(law_recorded, law_simulated, sample)
     error, recorded, place, first = _visit_means(scored, sample, BIAS)
     conditions = [None, *(value[first] for value in sample.conditions.values())]
     change = _of_temperature(law_simulated, sample)
@@ -92,7 +91,7 @@ def _located(lines: Sequence[_Line], rates: Mapping[Aspect, _Line], p_value: PVa
     return (Location(aspect, {}, Interval(value, value - half, value + half, aspect.unit), p_value),)
 
 
-def _of_rate(scored: Sequence[Scores], sample: Sample, aspect: Aspect) -> _Line | None:
+def _of_rate(scored: Scores, sample: Sample, aspect: Aspect) -> _Line | None:
     """Return the mean difference of a share of readings; None where it is the same in all visits or cannot be told."""
     rate, recorded, place, _ = _visit_means(scored, sample, ASPECTS.index(aspect))
     return _line(rate, recorded, place, None) if len(rate) and np.ptp(rate) > ROUNDING else None
@@ -112,13 +111,12 @@ def _of_temperature(law: Stack, sample: Sample) -> Floats | None:
     return ends[1] - ends[0]
 
 
-def _visit_means(scored: Sequence[Scores], sample: Sample, a: int) -> tuple[Floats, Bits, Ints, Ints]:
+def _visit_means(scored: Scores, sample: Sample, a: int) -> tuple[Floats, Bits, Ints, Ints]:
     """Return the mean of an aspect, its file, position and first row for each visit that shows the aspect.
 
     Visits of one position may share its error, so that positions are the independent units.
     """
-    valid = np.concatenate([each.valid[:, a] for each in scored])
-    natural = np.concatenate([each.natural[:, a] for each in scored])
+    valid, natural = scored.valid[:, a], scored.natural[:, a]
     count = np.bincount(sample.visit, valid)
     mean = np.bincount(sample.visit, natural * valid) / np.maximum(count, 1.0)
     first = np.unique(sample.visit, return_index=True)[1]

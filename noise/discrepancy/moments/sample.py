@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,10 +32,12 @@ class Sample:
     Attributes:
         recorded: readings of the recording.
         simulated: readings of the simulation; None where the law of the simulation is known exactly.
+        scored: scores that several tests share; see `scores_of_both`.
     """
 
     recorded: Batch
     simulated: Batch | None
+    scored: list[Any] = field(default_factory=list)
 
     @classmethod
     def comparable(cls, recorded: Batch, simulated: Batch | None) -> Sample:

@@ -92,7 +92,19 @@ def scores(stack: Stack, batch: Batch, part: Ints | None = None) -> Scores:
 
 
 def scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
-    """Return the scores of both files, in units of the spread under the law of the simulation."""
+    """Return the scores of both files, in units of the spread under the law of the simulation.
+
+    Several tests of two laws need them; those of the last pair of laws are kept with the sample.
+    """
+    for known, both in sample.scored:
+        if known[0] is law_recorded and known[1] is law_simulated:
+            return both
+    both = _scores_of_both(law_recorded, law_simulated, sample)
+    sample.scored[:] = [((law_recorded, law_simulated), both)]
+    return both
+
+
+def _scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
     parts = sample.left_out(law_simulated)
     own = scores(law_recorded, sample.recorded, parts[0])
     common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded, parts[0])
