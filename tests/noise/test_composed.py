@@ -10,10 +10,12 @@ import noise
 import sonar_gym  # noqa: F401  (registers the environment)
 from acquisition import Ping, Reading, SettingError
 from noise import GaussianModel, compose, load_model, save_model, simulate
-from noise.composed import ComposedModel
+from noise.composed import ComposedModel, with_differences
+from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
 from noise.rig import RigModel
+from tests.noise.discrepancy.made import batch_of
 
 pytestmark = pytest.mark.filterwarnings("error")
 LEARNED = load_model("srf08-mlp")
@@ -187,3 +189,19 @@ def test_a_saved_model_has_the_same_law_and_drives(tmp_path, name):
 
 def test_the_name_in_the_package_remains_the_function():
     assert noise.compose is compose
+
+
+def test_a_cause_acts_on_the_readings_of_a_simulation():
+    loud = {"sensitivity": {"loss_db": 0.0}}
+    forest = AnalogueForest.of(batch_of(loud), np.random.default_rng(0))
+    moved, left_out = with_differences(forest, {}, {"zero_offset": {"offset_m": 0.03}})
+    assert not left_out
+    new = batch_of(loud, seed=1).ping
+    change = moved.law(new).quantile(0.5) - forest.law(new).quantile(0.5)
+    np.testing.assert_allclose(change, 0.03, atol=1.5e-3)
+
+
+def test_what_cannot_be_taken_out_of_a_law_is_named():
+    before = {"false_alarm": {"per_metre": 0.1}}
+    _, left_out = with_differences(LEARNED, before, {"false_alarm": {"per_metre": 0.01}})
+    assert set(left_out) == {"false_alarm"}

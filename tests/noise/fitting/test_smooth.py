@@ -16,7 +16,7 @@ from noise.fitting.empirical import EmpiricalModel, PlacementScatter
 from noise.fitting.fit import maximise
 from noise.fitting.learn_smooth import learn_smooth
 from noise.fitting.likelihood import log_likelihood
-from noise.fitting.smooth import HEADS, SHIFT, Inputs, Smooth, column, term_of
+from noise.fitting.smooth import HEADS, MIRRORED, SHIFT, Inputs, Smooth, column, term_of
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import Stack
 from noise.fitting.starts import nuisance_start
@@ -109,6 +109,12 @@ def test_a_damaged_term_is_a_clear_error(damage):
 def test_a_missing_column_is_a_clear_error():
     with pytest.raises(ModelError, match="needs the column 'humidity_pct'"):
         column("humidity_pct", Conditions.of(ping()))
+
+
+def test_a_mirror_image_of_a_scene_is_the_same_condition():
+    angle, incidence = np.array([0.3, -0.3, 0.3, -0.3, 0.0, 0.0]), np.array([0.1, -0.1, -0.1, 0.1, 0.1, -0.1])
+    value = column(MIRRORED, Conditions.of(Ping.of(1.0, angle, incidence))).numpy()
+    np.testing.assert_allclose(value, [0.1, 0.1, -0.1, -0.1, 0.1, 0.1])
 
 
 def test_the_mean_stands_for_a_covariate_that_was_not_logged():

@@ -12,7 +12,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.likelihood import log_likelihood
 from noise.fitting.smooth import Empirical
-from noise.fitting.stack import NUISANCES, Stack
+from noise.fitting.stack import NUISANCES, PLACEMENT, Stack
 from noise.fitting.starts import nuisance_start
 from noise.metrics import crps_with_silence
 from noise.physical import PhysicalModel
@@ -161,3 +161,27 @@ def test_who_is_heard_is_learned_from_a_few_dozen_positions():
     new = recording_of(deaf, seed=8)
     right = np.where(new.reading.echo, found.law(new.ping).echo, 1.0 - found.law(new.ping).echo)
     assert right.mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", [21, 41])
+def test_the_threshold_is_found_from_starts_in_other_basins(seed):
+    """A likelier start may lead to a sonar that loses readings by chance instead of beyond its range."""
+    found = baseline_of(IdealModel(), recording(SONAR, seed + 1), recording(SONAR, seed), np.random.default_rng(0))
+    new = Batch.of(recording(SONAR, seed + 2))
+    true, emulated = (crps_with_silence(m.law(new.ping), new.reading).mean() for m in (SONAR, found.emulator))
+    assert emulated < 1.1 * true
+
+
+def test_an_error_that_follows_from_the_condition_is_no_scatter_of_placements():
+    """A sonar that hears the nearer edge of a panel errs by which way both are turned, relative to each other."""
+    rng = np.random.default_rng(3)
+    grid = np.meshgrid(np.linspace(0.5, 2.0, 6), np.deg2rad([-30, -15, 15, 30]), np.deg2rad([-20, -10, 10, 20]))
+    distance, angle, incidence = (np.repeat(each.ravel(), 6) for each in grid)
+    error = 0.15 * np.sign(angle) * incidence * np.abs(angle) / np.deg2rad(30)
+    ping = Ping.of(distance, angle, incidence, time=np.arange(len(distance)) * 0.1)
+    reading = Reading.of(np.round(distance + error + rng.normal(0.0, 0.002, len(distance)), 3))
+    batch = Batch.of(Recording.of(ping, reading))
+    physics = base_physics(batch, rng)
+    law = with_smooth(physics, batch, rng)
+    assert physics.get(PLACEMENT) > 0.01
+    assert law.get(PLACEMENT) < 0.005
