@@ -133,7 +133,8 @@ def test_features_of_a_goal_depend_on_its_pose_relative_to_the_car_alone(x, y, t
     extractor, n = sonar_gym.GoalExtractor(space), 8
     c, s = np.cos(turn), np.sin(turn)
     poses = np.array([[0.3, 0.2, 1.0, 0.0], [1.0, -0.3, 0.8, 0.6]])  # of car and goal
-    moved = [(x + c * p[0] - s * p[1], y + s * p[0] + c * p[1], c * p[2] - s * p[3], s * p[2] + c * p[3]) for p in poses]
+    turned = [(c * p[0] - s * p[1], s * p[0] + c * p[1], c * p[2] - s * p[3], s * p[2] + c * p[3]) for p in poses]
+    moved = np.array(turned) + np.array([x, y, 0.0, 0.0])
     own = torch.rand(1, 4 * n + 7)
 
     def features(car, goal):

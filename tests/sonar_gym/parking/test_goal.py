@@ -81,8 +81,8 @@ def test_a_reward_raises_an_error():
 def test_a_crash_costs_two_more_than_to_wait_at_its_place_for_ever(x, y, turn):
     assert {tuned(name, "SonarParkingGoal-v0").keywords["gamma"] for name in ("sac", "tqc")} == {DISCOUNT}
     desired = np.array([0.0, 0.0, 1.0, 0.0, 0.9, 0.0])
-    waits = np.array([x, y, np.cos(turn), np.sin(turn), 0.9, 0.0])
-    wait, crash = (ENV.compute_reward(waits + [0, 0, 0, 0, 0, end], desired, {}) for end in (0, 1))
+    place = x, y, np.cos(turn), np.sin(turn), 0.9
+    wait, crash = (ENV.compute_reward(np.array([*place, end]), desired, {}) for end in (0.0, 1.0))
     assume(wait < 0.0)
     assert crash == pytest.approx(wait / (1.0 - DISCOUNT) - 2.0)
 
