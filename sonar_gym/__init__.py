@@ -44,7 +44,7 @@ for _id, (_difficulty, _threshold) in ENVIRONMENTS.items():
         reward_threshold=_threshold,
         kwargs={} if _difficulty == "normal" else {"difficulty": _difficulty},
     )
-_register(GOAL_ENV_ID, entry_point="sonar_gym.parking.goal:SonarParkingGoalEnv", reward_threshold=-100.0)
+_register(GOAL_ENV_ID, entry_point="sonar_gym.parking.goal:SonarParkingGoalEnv", reward_threshold=-45.0)
 
 
 def __dir__() -> list[str]:
