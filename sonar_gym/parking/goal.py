@@ -54,8 +54,8 @@ class SonarParkingGoalEnv(SonarParkingEnv):
     `compute_reward`, with the weights of `RewardWeights`: 0 at the goal; elsewhere -0.05 and -0.25 per metre of cost to
     go (`cost_to_go`) of the pose achieved into a space around the pose desired; -3 and -5 per metre for a collision or
     for leaving the street, without regard to `info`. At a discount of 0.95 that is 2 more than to wait there for ever:
-    if a crash cost as much everywhere, cars would rather wait beside the gap than try. The straight distance would not
-    do: beside the gap it is small, but a car cannot move sideways. `info["reward_terms"]` holds the terms of
+    beside the gap, a crash that cost as much everywhere would cost much more than to wait. The straight distance would
+    not do: beside the gap it is small, but a car cannot move sideways. `info["reward_terms"]` holds the terms of
     `SonarParkingEnv`, which are not used.
 
     Args:
