@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Singles
-from acquisition.limits import as_numbers
+from acquisition.limits import Count, as_numbers, check_value
 from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go, tabulated
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
 from sonar_gym.parking.street import Goal, rear_room
@@ -58,14 +58,22 @@ class SonarParkingGoalEnv(SonarParkingEnv):
     not do: beside the gap it is small, but a car cannot move sideways. `info["reward_terms"]` holds the terms of
     `SonarParkingEnv`, which are not used.
 
+    ## Time
+
+    An action is held for 0.4 s, so that it has an effect: within 0.1 s servo and motor hardly follow, and random
+    actions cancel out. An episode is truncated after 100 actions.
+
     Args:
+        hold: number of steps of 0.1 s for which an action is held.
         settings: keyword arguments of `SonarParkingEnv` except `reward`.
     """
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, hold: Count = 4, **settings: Any) -> None:
+        check_value("hold", hold, Count)
         if "reward" in settings:
             raise SettingError("SonarParkingGoal-v0 takes no reward: its reward is the cost to go to the goal")
         super().__init__(**settings)
+        self.hold = hold
         self._own_space = self.observation_space
         limit = np.array([*ODOMETRY_SPAN, 1.0, 1.0, LONGEST, 1.0], dtype=np.float32)
         goal = spaces.Box(-limit, limit)
@@ -83,8 +91,11 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         return self._with_goal(observation, False), info
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Drive for 0.1 s with the given steering and speed commands."""
-        observation, _, terminated, truncated, info = super().step(action)
+        """Hold the given steering and speed commands for `hold` steps of 0.1 s, or until the episode ends."""
+        for _ in range(self.hold):
+            observation, _, terminated, truncated, info = super().step(action)
+            if terminated:
+                break
         shown = self._with_goal(observation, info["collision"] or info["left_street"])
         reward = float(self.compute_reward(shown["achieved_goal"], shown["desired_goal"], info))
         return shown, reward, terminated, truncated, info

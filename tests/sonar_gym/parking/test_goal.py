@@ -62,13 +62,27 @@ def test_the_observation_is_that_of_the_parking_environment():
     assert np.array_equal(np.concatenate([first[name] for name in sorted(first)]), second["observation"])
 
 
+def test_an_action_is_held_for_four_steps_or_until_the_episode_ends():
+    once, held = SonarParkingGoalEnv(hold=1), SonarParkingGoalEnv()
+    once.reset(seed=3), held.reset(seed=3)
+    over, action = False, np.array([-0.3, 1.0])
+    while not over:
+        for _ in range(4):
+            single = once.step(action)
+            if single[2]:
+                break
+        observation, reward, over, _, _ = held.step(action)
+        assert all(np.array_equal(observation[name], single[0][name]) for name in observation)
+        assert (reward, over) == single[1:3]
+
+
 def test_hindsight_replay_trains_on_it():
     env = gymnasium.make("SonarParkingGoal-v0")
     model = SAC(
-        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=450, batch_size=16, device="cpu"
+        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=150, batch_size=16, device="cpu"
     )
-    model.learn(460)
-    assert model.num_timesteps >= 460
+    model.learn(160)
+    assert model.num_timesteps >= 160
 
 
 def test_a_reward_raises_an_error():
