@@ -32,7 +32,7 @@ __all__ += ["ENVIRONMENTS", "ENV_ID", "GOAL_ENV_ID"]
 
 def _register(env_id: str, **spec: Any) -> None:
     if env_id not in gymnasium.registry:
-        gymnasium.register(id=env_id, max_episode_steps=MAX_EPISODE_STEPS, **spec)
+        gymnasium.register(id=env_id, **{"max_episode_steps": MAX_EPISODE_STEPS, **spec})
 
 
 check_names("noise")
@@ -44,7 +44,12 @@ for _id, (_difficulty, _threshold) in ENVIRONMENTS.items():
         reward_threshold=_threshold,
         kwargs={} if _difficulty == "normal" else {"difficulty": _difficulty},
     )
-_register(GOAL_ENV_ID, entry_point="sonar_gym.parking.goal:SonarParkingGoalEnv", reward_threshold=-100.0)
+_register(
+    GOAL_ENV_ID,
+    entry_point="sonar_gym.parking.goal:SonarParkingGoalEnv",
+    max_episode_steps=MAX_EPISODE_STEPS // 4,  # it holds each action for four steps
+    reward_threshold=-10.0,
+)
 
 
 def __dir__() -> list[str]:

@@ -5,6 +5,7 @@ from .curriculum import Curriculum as Curriculum
 from .parking.environment import SonarParkingEnv as SonarParkingEnv
 from .parking.goal import SonarParkingGoalEnv as SonarParkingGoalEnv
 from .parking.vector import SonarParkingVectorEnv as SonarParkingVectorEnv
+from .sb3 import GoalExtractor as GoalExtractor
 from .sb3 import SonarExtractor as SonarExtractor
 from .sb3 import SonarVecEnv as SonarVecEnv
 from .wrappers.observation import SonarObservation as SonarObservation

@@ -18,6 +18,7 @@ from acquisition import SettingError
 from acquisition.limits import SEEDS, check_value
 from sonar_gym.checks import check_options
 from sonar_gym.parking.fleet import MAX_RANGE
+from sonar_gym.parking.goal import LENGTH, relative_pose
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
@@ -53,6 +54,36 @@ class SonarExtractor(BaseFeaturesExtractor):
         near = [2.0 * metres / (metres + NEAR_M) - 1.0, (1.0 - metres / NEAR_M).clamp(min=0.0)]
         others = [observations[name] for name in ("credence", "echo", "age")]
         return torch.cat([*near, *others, observations["ego"] * self.ego_scale], dim=1)
+
+
+class GoalExtractor(BaseFeaturesExtractor):
+    """Features of an observation of `SonarParkingGoalEnv`, for `policy_kwargs` of Stable-Baselines3.
+
+    To see the goal, networks would have to subtract positions of some metres to a centimetre, and to turn the result.
+    The features are those of `SonarExtractor` and the pose relative to the goal: a position p along and across as
+    p / (|p| + 0.3 m) and as p / 0.3 m between -1 and 1, cosine and three times the sine of the heading, and the length
+    of the space.
+
+    Args:
+        observation_space: of the environment.
+    """
+
+    def __init__(self, observation_space: spaces.Dict) -> None:
+        n = (spaces.utils.flatdim(observation_space["observation"]) - len(EGO_SCALE)) // 4
+        self.sizes = {"age": n, "credence": n, "echo": n, "ego": len(EGO_SCALE), "ranges": n}  # in order
+        own = spaces.Dict({name: spaces.Box(-np.inf, np.inf, (size,)) for name, size in self.sizes.items()})
+        super().__init__(observation_space, 7 + 5 * n + len(EGO_SCALE))
+        self.own = SonarExtractor(own)
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the features, (n, features_dim)."""
+        parts = torch.split(observations["observation"], list(self.sizes.values()), dim=1)
+        desired = observations["desired_goal"]
+        along, across, cosine, sine = relative_pose(observations["achieved_goal"], desired)
+        far = [one / (one.abs() + NEAR_M) for one in (along, across)]
+        near = [(one / NEAR_M).clamp(-1.0, 1.0) for one in (along, across)]
+        goal = torch.stack([*far, *near, cosine, EGO_SCALE[3] * sine, desired[:, LENGTH]], dim=1)
+        return torch.cat([goal, self.own(dict(zip(self.sizes, parts, strict=True)))], dim=1)
 
 
 class SonarVecEnv(VecEnv):

@@ -11,15 +11,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.arrays import Floats, Singles
-from acquisition.limits import as_numbers
+from acquisition.limits import Count, as_numbers, check_value
 from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go, tabulated
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
 from sonar_gym.parking.street import Goal, rear_room
 
 GOAL, LENGTH = 6, 4  # numbers of a goal, and which of them is the length of the space
-CRASHED = -35.0  # about the discounted sum of the rewards of a car that waits at the start, at a discount of 0.98
+DISCOUNT = 0.95  # at which waiting costs as much per metre as a crash
 LONGEST = 100.0  # m; limit of the length of a space
-FAR_M = 1.0  # m; cost to go at which the reward is -1/2
+THERE_M = 0.01  # m; cost to go of a car at its goal
+
+
+def relative_pose(achieved: Any, desired: Any) -> tuple[Any, Any, Any, Any]:
+    """Return the pose of a goal achieved in the frame of that desired, of arrays or tensors (..., 6), each (...).
+
+    Returns:
+        x and y, m, cosine and sine of the heading.
+    """
+    c, s, cosine, sine = desired[..., 2], desired[..., 3], achieved[..., 2], achieved[..., 3]
+    dx, dy = achieved[..., 0] - desired[..., 0], achieved[..., 1] - desired[..., 1]
+    return c * dx + s * dy, c * dy - s * dx, c * cosine + s * sine, c * sine - s * cosine
 
 
 class SonarParkingGoalEnv(SonarParkingEnv):
@@ -40,19 +51,29 @@ class SonarParkingGoalEnv(SonarParkingEnv):
 
     ## Rewards
 
-    `compute_reward`: minus c / (c + 1 m), where c is the cost to go (`cost_to_go`) of the pose achieved into a space
-    around the pose desired; and -35 for a collision or for leaving the street, without regard to `info`. The straight
-    distance would not do: beside the gap it is small, but a car cannot move sideways. `info["reward_terms"]` holds the
-    terms of `SonarParkingEnv`, which are not used.
+    `compute_reward`, with the weights of `RewardWeights`: 0 at the goal; elsewhere -0.05 and -0.25 per metre of cost to
+    go (`cost_to_go`) of the pose achieved into a space around the pose desired; -3 and -5 per metre for a collision or
+    for leaving the street, without regard to `info`. At a discount of 0.95 that is 2 more than to wait there for ever:
+    beside the gap, a crash that cost as much everywhere would cost much more than to wait. The straight distance would
+    not do: beside the gap it is small, but a car cannot move sideways. `info["reward_terms"]` holds the terms of
+    `SonarParkingEnv`, which are not used.
+
+    ## Time
+
+    An action is held for 0.4 s, so that it has an effect: within 0.1 s servo and motor hardly follow, and random
+    actions cancel out. An episode is truncated after 100 actions.
 
     Args:
+        hold: number of steps of 0.1 s for which an action is held.
         settings: keyword arguments of `SonarParkingEnv` except `reward`.
     """
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, hold: Count = 4, **settings: Any) -> None:
+        check_value("hold", hold, Count)
         if "reward" in settings:
             raise SettingError("SonarParkingGoal-v0 takes no reward: its reward is the cost to go to the goal")
         super().__init__(**settings)
+        self.hold = hold
         self._own_space = self.observation_space
         limit = np.array([*ODOMETRY_SPAN, 1.0, 1.0, LONGEST, 1.0], dtype=np.float32)
         goal = spaces.Box(-limit, limit)
@@ -70,8 +91,11 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         return self._with_goal(observation, False), info
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Drive for 0.1 s with the given steering and speed commands."""
-        observation, _, terminated, truncated, info = super().step(action)
+        """Hold the given steering and speed commands for `hold` steps of 0.1 s, or until the episode ends."""
+        for _ in range(self.hold):
+            observation, _, terminated, truncated, info = super().step(action)
+            if terminated:
+                break
         shown = self._with_goal(observation, info["collision"] or info["left_street"])
         reward = float(self.compute_reward(shown["achieved_goal"], shown["desired_goal"], info))
         return shown, reward, terminated, truncated, info
@@ -91,18 +115,18 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         if any(goal.shape != goals[0].shape or goal.shape[-1:] != (GOAL,) for goal in goals):
             shapes = " and ".join(str(goal.shape) for goal in goals)
             raise SettingError(f"achieved_goal and desired_goal: expected equal shapes (..., {GOAL}), got {shapes}")
-        return np.where(goals[0][..., -1] > 0.5, CRASHED, -self._closeness(*goals))
+        cost, weights = self._cost(*goals), self.fleet.reward_weights
+        waits = np.where(cost > THERE_M, weights.time + (1.0 - DISCOUNT) * weights.crash_distance * cost, 0.0)
+        return np.where(goals[0][..., -1] > 0.5, weights.crashed + weights.crash_distance * cost, waits)
 
-    def _closeness(self, achieved: Floats, desired: Floats) -> Floats:
-        """Return c / (c + `FAR_M`), 0 at the goal and 1 far away, () or (k,)."""
-        c, s = desired[..., 2], desired[..., 3]
-        dx, dy = achieved[..., 0] - desired[..., 0], achieved[..., 1] - desired[..., 1]
-        turn = np.arctan2(c * achieved[..., 3] - s * achieved[..., 2], c * achieved[..., 2] + s * achieved[..., 3])
-        pose = np.stack([c * dx + s * dy, c * dy - s * dx, turn], axis=-1).reshape(-1, 3).astype(np.float64)
-        lengths, cost = desired[..., LENGTH].ravel(), np.empty(turn.size)
+    def _cost(self, achieved: Floats, desired: Floats) -> Floats:
+        """Return the costs to go of goals achieved, m, () or (k,)."""
+        along, across, cosine, sine = relative_pose(achieved, desired)
+        pose = np.stack([along, across, np.arctan2(sine, cosine)], axis=-1).reshape(-1, 3).astype(np.float64)
+        lengths, cost = desired[..., LENGTH].ravel(), np.empty(along.size)
         for length in np.unique(lengths):
             cost[lengths == length] = self._costs(pose[lengths == length], round(float(length), 6))
-        return (cost / (cost + FAR_M)).reshape(turn.shape)
+        return cost.reshape(along.shape)
 
     def _costs(self, poses: Floats, length: float) -> Floats:
         """Return the costs to go of poses relative to the goal in a space, m, (k,)."""

@@ -6,6 +6,8 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor
@@ -122,3 +124,26 @@ def test_the_extractor_makes_a_policy_of_ppo(sonar_layout):
     envs = SonarVecEnv(2, sonar_layout=sonar_layout)
     model = PPO("MultiInputPolicy", envs, n_steps=8, batch_size=16, policy_kwargs=features, device="cpu")
     assert model.learn(16).num_timesteps == 16
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-3.0, 3.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
+def test_features_of_a_goal_depend_on_its_pose_relative_to_the_car_alone(x, y, turn):
+    space = sonar_gym.SonarParkingGoalEnv().observation_space
+    extractor, n = sonar_gym.GoalExtractor(space), 8
+    c, s = np.cos(turn), np.sin(turn)
+    poses = np.array([[0.3, 0.2, 1.0, 0.0], [1.0, -0.3, 0.8, 0.6]])  # of car and goal
+    turned = [(c * p[0] - s * p[1], s * p[0] + c * p[1], c * p[2] - s * p[3], s * p[2] + c * p[3]) for p in poses]
+    moved = np.array(turned) + np.array([x, y, 0.0, 0.0])
+    own = torch.rand(1, 4 * n + 7)
+
+    def features(car, goal):
+        goals = [torch.tensor([[*pose, 0.9, 0.0]], dtype=torch.float32) for pose in (car, goal)]
+        return extractor({"observation": own, "achieved_goal": goals[0], "desired_goal": goals[1]})
+
+    assert features(*moved) == pytest.approx(features(*poses), abs=1e-4)
+    parts = {"age": own[:, :n], "credence": own[:, n : 2 * n], "echo": own[:, 2 * n : 3 * n]}
+    parts |= {"ego": own[:, 3 * n : 3 * n + 7], "ranges": own[:, 3 * n + 7 :]}
+    alone = sonar_gym.SonarExtractor(sonar_gym.SonarParkingEnv().observation_space)
+    assert torch.equal(features(*poses)[:, 7:], alone(parts))
+    assert features(*poses).shape == (1, extractor.features_dim)

@@ -14,10 +14,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from acquisition import SettingError
 from sonar_gym.curriculum import Curriculum
-from sonar_gym.sb3 import SonarExtractor
+from sonar_gym.sb3 import GoalExtractor, SonarExtractor
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "ppo_lstm": RecurrentPPO, "sac": SAC, "tqc": TQC}
-CLASSES = {"HerReplayBuffer": HerReplayBuffer, "SonarExtractor": SonarExtractor}  # that a file names
+CLASSES = {one.__name__: one for one in (HerReplayBuffer, SonarExtractor, GoalExtractor)}  # that a file names
 CALLBACKS: dict[str, type[BaseCallback]] = {"sonar_gym.curriculum.Curriculum": Curriculum}
 
 
