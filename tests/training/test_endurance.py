@@ -18,7 +18,7 @@ from training.recordings.record import SOURCES, Args
 
 ROOT = Path(__file__).parents[2]
 KILLS = {"record": 40, "import": 40, "train-noise": 35, "train-agent": 35, "zoo": 25, "prove": 25}
-HOURS, INTERVAL_S, ENVS = 8, 0.25, 64
+HOURS, INTERVAL_S, ENVS = 8, 0.25, 16
 MAX_GROWTH_KIB = 30 * 1024
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]
 
