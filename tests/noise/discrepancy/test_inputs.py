@@ -70,6 +70,9 @@ def test_units_that_look_wrong_are_warned_of():
     assert sum("may be in metres" in text for text in warnings_of(both)) == 2
     assert any("0.1 times distance_mm" in text for text in warnings_of(recording(scale=0.1)))
     assert warnings_of(recording(scale=1.12)) == ()
+    for tiny in ("distance_mm", "reading_mm"):
+        (text,) = warnings_of(Recording(recording().table.assign(**{tiny: 1e-320}), "recorded"))
+        assert f"no value of {tiny} exceeds 20 mm" in text
 
 
 def test_times_that_look_wrong_are_warned_of():
