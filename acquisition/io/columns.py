@@ -26,7 +26,7 @@ LIMITS = {
     "reflectance": (0.0, 1.0),
     "reading_mm": (0.0, 1000.0 * MAX_RANGE),
 }
-MAX_COVARIATE = 1e100  # larger numbers are text: their squares overflow
+MAX_COVARIATE = 1e15  # larger numbers are text: sums of their squares overflow in single precision
 
 
 @dataclass(frozen=True)
