@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import numbers
 import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -50,6 +49,7 @@ class Limit(GroupedMetadata):
 
     def holds(self, value: float) -> bool:
         """Return whether a value is finite, as a float too, and within the limits."""
+        value = value.item() if isinstance(value, np.generic) else value  # comparisons of short floats overflow
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
         return above and below and abs(value) <= sys.float_info.max
@@ -101,6 +101,8 @@ Share = Annotated[float, Limit(0.0, 1.0)]
 Rate = Annotated[float, Limit(0.0, 1.0, open_low=True)]
 Metres = Annotated[float, Limit(0.0, 1000.0, "m")]
 PositiveMetres = Annotated[float, Limit(0.0, 1000.0, "m", open_low=True)]
+WHOLE = int | np.integer
+REAL = WHOLE | float | np.floating  # not a fraction: compiled code knows none
 ANY_NUMBER, SEEDS = Limit(), Limit(0, 2**63 - 1)
 
 
@@ -152,11 +154,10 @@ def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool =
     Raises:
         SettingError: not a finite number within the limits; the message gives name, limits, unit and value.
     """
-    kind: type = numbers.Integral if whole else numbers.Real
-    if isinstance(value, kind) and not isinstance(value, bool | np.bool_) and limit.holds(value):  # type: ignore[arg-type]
+    is_number = isinstance(value, WHOLE if whole else REAL) and not isinstance(value, bool)
+    if is_number and limit.holds(value):
         return
     noun = "a whole number" if whole else "a number"
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
     unit = f" {limit.unit}" if limit.unit and is_number else ""
     raise SettingError(f"{name}: expected {limit.phrase(noun)}, got {shown(value)}{unit}")
 

@@ -23,6 +23,7 @@ from acquisition.limits import as_numbers, as_whole, shown
 
 TEMPERATURE = "temperature_c"  # covariate: a thermometer at the sensor, degC
 CELSIUS = 273.15  # K; 0 degC
+MAX_RANGE = 1700.0  # m, of a reading: any 16-bit count, also in inches, since transmission errors can set every bit
 
 
 class EchoStatus(IntEnum):
@@ -184,7 +185,7 @@ class Reading:
         return cls(value, code.astype(np.uint8), more)
 
     def __post_init__(self) -> None:
-        """Raise SettingError where range and status contradict each other or a range is not finite."""
+        """Raise SettingError where range and status contradict each other or a range is impossible."""
         for name in ("range", "status", "echoes"):
             if not isinstance(getattr(self, name), np.ndarray):
                 given = shown(getattr(self, name))
@@ -194,8 +195,10 @@ class Reading:
         if self.range.shape != self.status.shape:
             raise SettingError(f"Reading.status has shape {self.status.shape}, expected {self.range.shape}")
         # comparisons with NaN are false, so NaN fails `range >= 0`
-        if not (((self.range > 0) == self.echo) & (self.range >= 0) & (self.range < np.inf)).all():
-            raise SettingError("Reading.range must be > 0 m where there is an echo and 0 elsewhere")
+        if not (((self.range > 0) == self.echo) & (self.range >= 0) & (self.range <= MAX_RANGE)).all():
+            raise SettingError(
+                f"Reading.range must be > 0 m and at most {MAX_RANGE:.0f} m where there is an echo and 0 elsewhere"
+            )
 
     def __len__(self) -> int:
         """Return the number of readings."""

@@ -15,7 +15,9 @@ from training.cli import GROUPS
 
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 COMMANDS = "<!-- commands -->"
-SEARCH_SCRIPT = "https://unpkg.com/iframe-worker/shim"  # that the theme would load
+SEARCH = 'data-md-component="search" role="dialog"'
+SEARCH_SCRIPT = "https://unpkg.com/iframe-worker/shim"  # for searching without a server, that the theme would load
+SCRIPT = "javascripts/iframe-worker.js"  # in its place
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -63,11 +65,17 @@ def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files
 
 
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
-    """Load the script for searching without a server from the site itself, and name the dialog of the search."""
-    output = output.replace(
-        'data-md-component="search" role="dialog"', 'data-md-component="search" role="dialog" aria-label="Search"'
-    )
-    return output.replace(SEARCH_SCRIPT, get_relative_url("javascripts/iframe-worker.js", page.url))
+    """Let a page load nothing from elsewhere, and name the dialog of its search."""
+    return _alone(output, get_relative_url(SCRIPT, page.url))
+
+
+def on_post_template(output: str, template_name: str, config: MkDocsConfig) -> str:
+    """Do the same with the page for what is not found."""
+    return _alone(output, f"/{SCRIPT}")
+
+
+def _alone(output: str, script: str) -> str:
+    return output.replace(f"{SEARCH}>", f'{SEARCH} aria-label="Search">').replace(SEARCH_SCRIPT, script)
 
 
 def _mathml(tag: str, latex: str) -> str:

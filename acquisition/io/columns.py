@@ -11,7 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from acquisition.errors import RecordingError
-from acquisition.io.tables import parse_numbers, parse_table
+from acquisition.io.tables import check_twins, parse_numbers, parse_table
+from acquisition.ping import MAX_RANGE
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
 TEXT = ("session", "sensor")
@@ -23,9 +24,9 @@ LIMITS = {
     "angle_deg": (-180.0, 180.0),
     "incidence_deg": (-180.0, 180.0),
     "reflectance": (0.0, 1.0),
-    "reading_mm": (0.0, 1_700_000.0),  # any 16-bit count, also in inches: transmission errors can set every bit
+    "reading_mm": (0.0, 1000.0 * MAX_RANGE),
 }
-MAX_COVARIATE = 1e100  # larger numbers are text: their squares overflow
+MAX_COVARIATE = 1e15  # larger numbers are text: sums of their squares overflow in single precision
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ def _empty(column: pd.Series) -> NDArray[np.bool_]:
 
 
 def check_header(name: str, columns: Sequence[str]) -> None:
-    """Raise RecordingError unless a header has the required columns."""
+    """Raise RecordingError unless a header has the required columns, and each column once."""
+    check_twins(name, columns)
     missing = [column for column in REQUIRED if column not in columns]
     if missing:
         raise RecordingError(

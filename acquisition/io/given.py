@@ -28,7 +28,7 @@ def as_recording(given: RecordingLike, name: str = "recording") -> Recording:
     if isinstance(given, Recording):
         return given
     if isinstance(given, pd.DataFrame):
-        text = given.reset_index(drop=True).astype(object)
+        text = given.reset_index(drop=True).set_axis(list(map(str, given.columns)), axis=1).astype(object)
         return Recording.from_text(text.where(given.notna().to_numpy(), "").astype(str), name)
     if isinstance(given, str | os.PathLike):
         return Recording.load(given)

@@ -10,7 +10,7 @@ import re
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -231,10 +231,16 @@ def _header(text: str, name: str, dialect: Dialect) -> list[str]:
     return [column.strip() or f"Unnamed: {k}" for k, column in enumerate(header)]
 
 
-def _check_header(columns: list[str], name: str, number_twins: bool) -> None:
+def check_twins(name: str, columns: Sequence[str]) -> None:
+    """Raise RecordingError where two columns of a table have one name."""
     twin = next((column for column, count in Counter(columns).items() if count > 1), None)
-    if twin is not None and not number_twins:
+    if twin is not None:
         raise RecordingError(f"{name}, line 1: column {twin!r} is given twice; rename or remove one")
+
+
+def _check_header(columns: list[str], name: str, number_twins: bool) -> None:
+    if not number_twins:
+        check_twins(name, columns)
     mark = next((mark for mark in (";", "\t", "|") if len(columns) == 1 and mark in columns[0]), None)
     if mark is not None:
         shown = "tab" if mark == "\t" else mark

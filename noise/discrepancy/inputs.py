@@ -18,6 +18,7 @@ from noise.store import load_model
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 Progress = Callable[[str, float], None]
 MIN_RANGE_MM = 20.0  # least range of an HC-SR04 by its data sheet; no ultrasonic ranger here measures less
+MIN_DISTANCE = 1e-9  # m; shorter distances have no ratio
 MAX_RATIO_ERROR = 0.15  # relative deviation of reading / distance from a power of ten; more than any scale error
 MIN_CONDITIONS = 5  # as many as `name.folds` deals at a time
 MIN_OVERLAP = 0.5  # share of recorded pings within the simulated conditions, below which a warning is due
@@ -92,10 +93,11 @@ def _units(recording: Recording) -> Iterator[str]:
             f"{recording.name}: no value of {name} exceeds {MIN_RANGE_MM:.0f} mm, so the column may be in metres; "
             "multiply it by 1000."
         )
-    echo = recording.reading.echo & (recording.ping.distance > 0)
-    if len(small) == 2 or not echo.any():
+    reading, distance = recording.reading.range, recording.ping.distance
+    long = (reading > MIN_DISTANCE) & (distance > MIN_DISTANCE)
+    if len(small) == 2 or not long.any():
         return
-    ratio = float(np.median(recording.reading.range[echo] / recording.ping.distance[echo]))
+    ratio = float(np.median(reading[long] / distance[long]))
     power = round(np.log10(ratio))
     if power and abs(ratio / 10.0**power - 1.0) < MAX_RATIO_ERROR:
         yield (

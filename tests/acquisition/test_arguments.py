@@ -1,6 +1,8 @@
 """Arguments of public functions are checked against their annotations."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -72,6 +74,14 @@ def test_what_does_not_fit_is_named(given, message):
     by_place = {"ping": PING, "path": "a", "gain": 0, "names": None, **default, **given}
     with pytest.raises(SettingError, match=message):
         listen(*by_place.values())
+
+
+@pytest.mark.parametrize("number", [Fraction(1, 3), Decimal("0.5"), np.True_, 1j])
+def test_a_number_that_compiled_code_does_not_know_is_rejected(number):
+    with pytest.raises(SettingError, match="x: expected a finite number, got"):
+        check_value("x", number, float)
+    for known in (1, 0.5, np.float32(0.5), np.uint8(3)):
+        check_value("x", known, float)
 
 
 @pytest.mark.parametrize("hint", [int | None, bool, Literal["a"], tuple[float, ...]])

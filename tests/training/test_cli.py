@@ -67,6 +67,25 @@ def test_a_name_like_no_other_lists_the_commands():
     assert "'qqq' is not a command; commands: demo, record" in sonar_gym("qqq").stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("prove --out x --trials 1.5", "prove: --trials: expected a whole number, got '1.5'."),
+        ("record --out x --temperature-c warm", "record: --temperature-c: expected a number, got 'warm'."),
+        ("record --out x --pings x", "record: --pings: expected a whole number, got 'x'."),
+        ("import a --out b --truth-point 1 x 3", "--truth-point: expected three numbers, got '1', 'x', '3'."),
+        ("sweep --seeds 1 x", "sweep: --seeds: not all of its values are of its type: '1', 'x'."),
+        ("zoo ppo --out x --ste 3", "zoo: Unrecognized options: --ste, 3; did you mean --steps?"),
+        ("plot x", "--out PATH Output folder of the figures, PNG. (required)."),
+    ],
+)
+def test_what_the_parser_rejects_is_said_in_plain_words(words, reason, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+    assert reason in capsys.readouterr().err
+
+
 def test_a_fault_of_the_program_is_one_line_and_a_crash_file(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("training.pages.effects.main", lambda args: [][0])
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

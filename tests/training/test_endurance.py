@@ -17,8 +17,8 @@ from sonar_gym import SonarParkingVectorEnv
 from training.recordings.record import SOURCES, Args
 
 ROOT = Path(__file__).parents[2]
-KILLS = {"record": 40, "import": 40, "train-noise": 35, "train-agent": 35, "zoo": 35, "prove": 15}
-HOURS, INTERVAL_S, ENVS = 8, 0.25, 64
+KILLS = {"record": 40, "import": 40, "train-noise": 35, "train-agent": 35, "zoo": 25, "prove": 25}
+HOURS, INTERVAL_S, ENVS = 8, 0.25, 16
 MAX_GROWTH_KIB = 30 * 1024
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]
 

@@ -25,7 +25,17 @@ from acquisition import SonarError
 USAGE_ERROR, CRASHED, INTERRUPTED = 2, 1, 130
 QUOTED = re.compile(r"'[^']{61,}'")
 MAX_LINE, MAX_PATH, MAX_WORD = 300, 160, 60  # characters of a message, and of a path or another word in it
-BORDER = "│╭╮╰╯─|+- \t"  # of the box around an error of the parser, also in plain ASCII
+BORDER, RULE = "│╭╮╰╯|+ \t", "─-"  # of the box around an error of the parser, also in plain ASCII
+PLAIN = {  # what the parser says of a value, and what a user can read
+    r"invalid literal for int\(\) with base 10: (.*)": r"expected a whole number, got \1",
+    r"could not convert string to float: (.*)": r"expected a number, got \1",
+    r"no type matching (?:\{None\}\|)?(.*) could be instantiated from \[(.*)\]": r"expected \1, got \2",
+    r"Could not find valid parse for arguments: \[(.*)\]": r"not all of its values are of its type: \1",
+    r"expected INT,": "expected a whole number,",
+    r"expected FLOAT,": "expected a number,",
+    r"expected {FLOAT FLOAT FLOAT},": "expected three numbers,",
+    r"(?<=Unrecognized options:)$": " ''",
+}
 GAP = "..."  # in place of words that are left out
 PACKAGES = ("sonar-gym", "numpy", "pandas", "torch", "gymnasium", "numba", "scipy")  # whose versions explain a crash
 EXTRAS = {"serial": "record", "smbus2": "record"}  # package -> extra, of packages that a core install lacks
@@ -173,10 +183,12 @@ def parsing(command: str) -> Iterator[None]:
 
 
 def _unboxed(text: str) -> str:
-    """Return the first paragraph inside a box, and the option nearest to an unknown one."""
-    rows = [line.strip(BORDER) for line in text.splitlines()][1:]
-    first = list(itertools.takewhile(bool, itertools.dropwhile(lambda row: not row, rows)))
+    """Return the first paragraph inside a box in plain words, and the option nearest to an unknown one."""
+    inside = (line.strip(BORDER) for line in text.splitlines()[1:])
+    rows = [row if row.strip(RULE) else "" for row in inside]
+    reason = " ".join(itertools.takewhile(bool, itertools.dropwhile(lambda row: not row, rows)))
+    reason = reason.removeprefix("Error parsing Args: ").removeprefix("Error parsing ").rstrip(".")
+    for words, plain in PLAIN.items():
+        reason = re.sub(words, plain, reason)
     hint = next((row for before, row in itertools.pairwise(rows) if before.startswith("Perhaps you meant")), "")
-    return " ".join(first).removeprefix("Error parsing Args: ").rstrip(".") + (
-        f"; did you mean {hint.split()[0]}?" if hint else ""
-    )
+    return reason + (f"; did you mean {hint.split()[0]}?" if hint else "")

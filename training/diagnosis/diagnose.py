@@ -67,19 +67,22 @@ def simulator_of(given: Path) -> Simulator | None:
         The function; None if a file is given.
 
     Raises:
-        SettingError: the module or function does not exist.
+        SettingError: the module cannot be imported, the function does not exist, or it is no address.
     """
     server = address_of(str(given))
     if server is not None:
         return simulator_at(*server)
-    module, _, function = str(given).partition(":")
-    if given.exists() or not function.isidentifier():
+    module, colon, function = str(given).partition(":")
+    if given.exists() or not colon:
         return None
+    if not all(name.isidentifier() for name in (*module.split("."), function)):
+        raise SettingError(f"--simulated {given}: no such file; give FILE.csv, module:function or tcp://HOST:PORT")
     sys.path.insert(0, "")
     try:
         found = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        raise SettingError(f"--simulated {given}: {error}; give FILE.csv or module:function") from None
+    except (Exception, SystemExit) as error:  # of the user's module
+        reason = f"{type(error).__name__}: {error}"
+        raise SettingError(f"--simulated {given}: {reason}; give FILE.csv or module:function") from None
     finally:
         sys.path.remove("")
     if not callable(found):

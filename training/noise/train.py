@@ -19,6 +19,7 @@ from acquisition import Ping, Reading, Recording, SettingError
 from acquisition.io.places import Output
 from acquisition.limits import Count, Limit, PositiveMetres, Rate, Seed, Share
 from noise import load_model
+from noise.discrepancy.inputs import warnings_of
 from noise.fitting.threads import one_thread
 from noise.fitting.visits import visits_of
 from noise.learned.inputs import Inputs
@@ -272,9 +273,11 @@ def command(args: Args) -> str:
 
 
 def main(args: Args) -> None:
-    """Train, print the scores, write the model and its card."""
+    """Print doubts about the data, train, print the scores, write the model and its card."""
     check_model_folder(args.out)
     recording, console = Recording.load(args.recording), Console()
+    for warning in warnings_of(recording):
+        print(f"warning: {warning}")
     with bars() as progress:
         task = progress.add_task("training", total=args.epochs)
         trained = train(

@@ -16,6 +16,7 @@ from acquisition.io.files import lock, read_limited, sync_folder
 from training.common.checksum import canonical, sha256
 
 MAX_LEDGER = 256 * 1024 * 1024  # bytes, decompressed; the last line of a longer one is cut short
+BEGIN = b'{"'  # of every line
 FIRST = "0" * 64  # stands for the hash of the line before the first
 Line = dict[str, Any]
 
@@ -58,8 +59,10 @@ class Chain:
                 raise ProofError(f"{path}: another process writes this ledger; wait for it or give another --out")
             sync_folder(path.parent)
             data = path.read_bytes()
-            whole = data[: data.rfind(b"\n") + 1]
+            whole, rest = data[: data.rfind(b"\n") + 1], data[data.rfind(b"\n") + 1 :]
             lines = parse(whole, str(path))
+            if not rest.startswith(BEGIN[: len(rest)]):
+                raise ProofError(f"{path}: is no ledger that `sonar-gym prove` wrote; give another --out")
             os.ftruncate(handle, len(whole))
         except BaseException:
             os.close(handle)

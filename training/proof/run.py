@@ -109,12 +109,12 @@ def opened(args: Args) -> Chain:
     settings = {"trials": args.trials, "pings": args.pings, "left_out": args.left_out}
     if not chain.lines:
         chain.append((DECK, deck_of(**settings)))
-    announce(args.announce, f"deck {chain.lines[0]['hash']} {args.trials} trials")
-    for name, value in {**settings, **hashes()}.items():
-        if chain.lines[0][name] != value:
+    for name, value in {"event": DECK, **settings, **hashes()}.items():
+        before = chain.lines[0].get(name)
+        if before != value:
             chain.close()
-            before = chain.lines[0][name]
             raise ProofError(f"{chain.path}: begun with {name} {before}, now {value}; give another --out")
+    announce(args.announce, f"deck {chain.lines[0]['hash']} {args.trials} trials")
     return chain
 
 

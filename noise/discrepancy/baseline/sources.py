@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition import ModelError, Ping, Reading, Recording
 from acquisition.arrays import Floats
+from acquisition.ping import MAX_RANGE
 from noise.discrepancy.baseline.emulator import emulate
 from noise.discrepancy.baseline.forest import Grown, grown
 from noise.fitting.batch import Batch
@@ -101,7 +102,7 @@ def _reading(answer: object, n: int) -> Reading:
     """Return ranges as readings.
 
     Raises:
-        ModelError: they are not n finite ranges of at least 0 m.
+        ModelError: they are not n ranges from 0 to `MAX_RANGE`.
     """
     expected = f"the simulator must return a Reading, or {n} ranges in m, one for each ping and 0 for no echo"
     try:
@@ -110,9 +111,9 @@ def _reading(answer: object, n: int) -> Reading:
         raise ModelError(f"{expected}; it returned a {type(answer).__name__}") from None
     if ranges.shape != (n,):
         raise ModelError(f"{expected}; it returned a {type(answer).__name__} of shape {ranges.shape}")
-    if not np.isfinite(ranges).all() or (ranges < 0).any():
-        wrong = ranges[~(np.isfinite(ranges) & (ranges >= 0))][0]
-        raise ModelError(f"{expected}; it returned a range of {wrong:g} m")
+    wrong = ranges[~((ranges >= 0) & (ranges <= MAX_RANGE))]
+    if len(wrong):
+        raise ModelError(f"{expected}; it returned a range of {wrong[0]:g} m")
     return Reading.of(ranges)
 
 

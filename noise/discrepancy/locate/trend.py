@@ -127,6 +127,8 @@ def _visit_means(scored: Scores, sample: Sample, a: int) -> tuple[Floats, Bits, 
 
 def _line(error: Floats, recorded: Bits, place: Ints, x: Floats | None) -> _Line | None:
     """Return the difference between the files, with a slope along x if given; None where positions are too few."""
+    if not len(error):
+        return None
     columns = [error] if x is None else [error, (x - x.mean()) / max(float(x.std()), 1e-12)]
     files = [rows for rows in (recorded, ~recorded) if rows.any()]
     shared = np.intersect1d(place[files[0]], place[files[-1]])

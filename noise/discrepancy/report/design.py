@@ -168,8 +168,8 @@ def candidates_of(batch: Batch, facing: bool = False) -> Ping:
         facing: whether only targets straight ahead are considered.
     """
     seen = batch.ping
-    distance = np.geomspace(seen.distance.min() / STRETCH, seen.distance.max() * STRETCH, N_DISTANCES)
-    distance = np.maximum([float(f"{d:.2g}") for d in distance], batch.resolution)
+    near, far = np.maximum([seen.distance.min() / STRETCH, seen.distance.max() * STRETCH], batch.resolution)
+    distance = np.maximum([float(f"{d:.2g}") for d in np.geomspace(near, far, N_DISTANCES)], batch.resolution)
     most = [max(STRETCH * float(np.abs(each).max()), TURN) for each in (seen.angle, seen.incidence)]
     steps = (-1.0, -0.5, 0.5, 1.0)
     turns = [(0.0, 0.0)]

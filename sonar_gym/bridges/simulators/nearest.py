@@ -101,12 +101,15 @@ def fit_normal(value: Floats, offset: Floats | float = 0.0) -> tuple[float, floa
         offset: added to the mean for each reading, m, (n,).
     """
 
+    def sigma_of(x: Floats) -> float:
+        return max(float(np.exp(x[1])), MIN_SIGMA)
+
     def cost(x: Floats) -> float:
-        return float(normal_crps(x[0] + offset, float(np.exp(x[1])), value).mean())
+        return float(normal_crps(x[0] + offset, sigma_of(x), value).mean())
 
     start: Floats = np.array([np.median(value - offset), np.log(max(float(np.std(value - offset)), MIN_SIGMA))])
     found = minimize(cost, list(start), method="Nelder-Mead")
-    return float(found.x[0]), max(float(np.exp(found.x[1])), MIN_SIGMA)
+    return float(found.x[0]), sigma_of(found.x)
 
 
 @checked

@@ -41,6 +41,12 @@ def test_other_columns_are_retained_and_complete_numbers_are_covariates(tmp_path
     assert list(again.table.columns) == list(recording.table.columns)
 
 
+def test_numbers_whose_squares_are_beyond_single_precision_are_text(tmp_path):
+    recording = Recording.load(write(tmp_path / "r.csv", f"{HEADER},serial,stamp\n1000,0,1003,1e99,1e15\n"))
+    assert recording.covariates == ("stamp",)
+    assert recording.table["serial"].tolist() == ["1e99"]
+
+
 @pytest.mark.parametrize(
     ("row", "message"),
     [

@@ -31,6 +31,11 @@ def test_empty_cells_of_a_table_are_pings_without_an_answer():
 def test_a_wrong_input_is_named():
     with pytest.raises(RecordingError, match="angle_deg is missing"):
         as_recording(pd.DataFrame({"distance_mm": [1.0], "reading_mm": [1.0]}))
+    twins = recording().table.iloc[:, [*range(8), 0]]
+    with pytest.raises(RecordingError, match="'time_s' is given twice"):
+        as_recording(twins)
+    with pytest.raises(RecordingError, match=r"distance_mm is missing.*found 0, 1"):
+        as_recording(recording().table.set_axis(range(8), axis=1))
     with pytest.raises(SettingError, match="is a list, expected a Recording"):
         as_recording([1, 2, 3])
     with pytest.raises(SettingError, match="is a int, expected a name"):
@@ -65,6 +70,9 @@ def test_units_that_look_wrong_are_warned_of():
     assert sum("may be in metres" in text for text in warnings_of(both)) == 2
     assert any("0.1 times distance_mm" in text for text in warnings_of(recording(scale=0.1)))
     assert warnings_of(recording(scale=1.12)) == ()
+    for tiny in ("distance_mm", "reading_mm"):
+        (text,) = warnings_of(Recording(recording().table.assign(**{tiny: 1e-320}), "recorded"))
+        assert f"no value of {tiny} exceeds 20 mm" in text
 
 
 def test_times_that_look_wrong_are_warned_of():

@@ -122,6 +122,12 @@ def test_the_fit_finds_the_normal_law_that_was_drawn_from():
     assert (mean, sigma) == (pytest.approx(1.5, abs=0.003), pytest.approx(0.1, abs=0.003))
 
 
+def test_readings_without_noise_have_a_normal_law_too():
+    mean, sigma = fit_normal(np.full(50, 1.5))
+    assert mean == pytest.approx(1.5, abs=1e-3)
+    assert 0.0 < sigma < 1e-3
+
+
 def test_what_a_simulator_can_hold_it_holds_without_an_error():
     model = GaussianModel(0.02, 0.0)
     assert nearest_gaussian(model, 3.0).left_mm == pytest.approx(0.0, abs=0.5)

@@ -122,6 +122,7 @@ def test_a_function_of_the_user_is_a_simulator(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert simulator_of(Path("mine:sonar"))(Ping.of(distance=[1.0]), np.random.default_rng(0)).shape == (1,)
     assert simulator_of(Path("mine.csv")) is None
-    for wrong in ("mine:nothing", "nowhere:sonar"):
+    (tmp_path / "faulty.py").write_text("def sonar(:\n")
+    for wrong in ("mine:nothing", "nowhere:sonar", "faulty:sonar", ":sonar", "a:b:c", "tcp://localhost", "tcp://x:y"):
         with pytest.raises(SettingError, match="module:function"):
             simulator_of(Path(wrong))

@@ -176,6 +176,14 @@ def test_the_command_writes_a_model_that_loads(tmp_path, capsys):
     assert str(tmp_path) not in card
 
 
+def test_readings_in_metres_are_doubted(tmp_path, capsys):
+    table = recording(pings=3).table
+    path = Recording(table.assign(reading_mm=table.reading_mm / 1000)).save(tmp_path / "rec.csv")
+    main(["train-noise", str(path), "--out", str(tmp_path / "net"), "--epochs", "1", "--hidden", "2"])
+    assert "warning: " in (output := capsys.readouterr().out)
+    assert "reading_mm exceeds 20 mm, so the column may be in metres" in output
+
+
 def test_too_few_conditions_are_an_error_of_one_line(tmp_path, capsys):
     path = recording(pings=3, distances=1).save(tmp_path / "rec.csv")
     with pytest.raises(SystemExit) as stop:

@@ -55,6 +55,16 @@ def test_no_random_mutation_of_a_ledger_is_accepted(finished):
     assert not [each for each in changed if accepted(each)]
 
 
+@pytest.mark.parametrize("rest", [b"notes", b"[", b"\x1f\x8b"])
+def test_what_is_no_beginning_of_a_line_is_not_cut_off(finished, tmp_path, rest):
+    path = tmp_path / "ledger.jsonl"
+    for data in (rest, finished[1] + rest):
+        path.write_bytes(data)
+        with pytest.raises(ProofError, match="is no ledger"):
+            Chain.open(path)
+        assert path.read_bytes() == data
+
+
 @pytest.mark.parametrize("text", ['{"event": "a"}', "[]", "1", "null", "", "{", '{"event":"deck"}', "\xff", "[" * 5000])
 def test_what_is_no_line_is_refused(text):
     with pytest.raises(ProofError, match="line 1"):

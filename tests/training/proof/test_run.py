@@ -3,17 +3,18 @@
 import json
 import os
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.training.proof.conftest import args_of, run_stub, stub_diagnose
-from training.common.checksum import sha256
+from training.common.checksum import canonical, sha256
 from training.diagnosis.generators.ensemble import FAMILIES
 from training.diagnosis.judging.tasks import Task, case_of
 from training.proof import work
-from training.proof.chain import ProofError, load, parse
+from training.proof.chain import FIRST, ProofError, linked, load, parse
 from training.proof.deck import planned
 from training.proof.ledger import answers_of, lost_of
 from training.proof.run import LEDGER, Args, given, main, opened
@@ -84,8 +85,16 @@ def test_a_closed_ledger_is_not_continued(finished, tmp_path):
 def test_other_settings_need_another_folder(finished, tmp_path):
     _, data, _ = finished
     (tmp_path / LEDGER).write_bytes(data)
+    announced = tmp_path / "announced.txt"
     with pytest.raises(ProofError, match="trials 8, now 9"):
-        opened(args_of(tmp_path, 9))
+        opened(replace(args_of(tmp_path, 9), announce=announced))
+    assert not announced.exists()
+
+
+def test_a_chain_that_does_not_begin_with_a_deck_is_not_continued(tmp_path):
+    (tmp_path / LEDGER).write_text(canonical(linked("sealed", {"trial": 0}, FIRST)) + "\n")
+    with pytest.raises(ProofError, match="event sealed, now deck"):
+        opened(args_of(tmp_path))
 
 
 def test_an_error_of_the_diagnosis_counts_and_the_run_goes_on(tmp_path):

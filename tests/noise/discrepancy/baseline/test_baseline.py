@@ -100,6 +100,7 @@ def test_a_simulator_is_asked_under_the_pings_of_the_recording():
         (lambda ping: ping.distance[:-1], "of shape"),
         (lambda ping: -ping.distance, "a range of -"),
         (lambda ping: np.full(len(ping), np.nan), "a range of nan m"),
+        (lambda ping: np.full(len(ping), 1e300), r"a range of 1e\+300 m"),
         (lambda ping: {"range": ping.distance}, "returned a dict"),
         (lambda ping: Reading.of(ping.distance[:-1]), "return one each"),
     ],

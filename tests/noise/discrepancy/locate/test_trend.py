@@ -56,6 +56,11 @@ def test_a_known_law_needs_no_simulated_readings(law):
     assert trend_test(law, law, Sample(marks(4), None)).p_value.value > 0.01
 
 
+def test_readings_without_any_error_in_reach_have_no_trend(law):
+    far = Batch.of(Recording.of(Ping.of(distance=np.repeat(MARKS, 30)), Reading.of(np.full(300, 1e-9))))
+    assert trend_test(law, law, Sample(far, None)).p_value.value > 0.01
+
+
 def test_what_the_law_lacks_at_positions_of_one_file_alone_is_no_difference(law):
     bent = [marks(seed, scale=0.03 * at.mean(), marks=at) for seed, at in ((5, MARKS), (6, MARKS + 0.2))]
     assert p_value(law, *bent) > 0.01

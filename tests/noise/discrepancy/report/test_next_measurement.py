@@ -63,6 +63,11 @@ def test_an_offset_is_told_from_a_scale_at_two_distances_as_far_apart_as_allowed
     assert found.do.startswith("place the target at 0.4 m and 2.7 m; ")
 
 
+def test_a_target_that_touches_the_sensor_is_no_distance_to_measure_at():
+    batch = Batch.of(Recording.of(Ping.of([0.0, 1.0]), Reading.of([0.01, 1.0])))
+    assert batch.resolution <= candidates_of(batch).distance.min() < 1.0 < candidates_of(batch).distance.max()
+
+
 def test_air_is_told_from_a_clock_by_a_thermometer():
     (found,) = asked_once("air and clock")
     assert "thermometer beside the sensor" in found.do
