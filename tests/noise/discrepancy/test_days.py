@@ -18,6 +18,7 @@ def on_a_day(recording, temperature_c, seed):
 
 
 @pytest.mark.parametrize("faults", [FAULTS, {}])
+@pytest.mark.slow
 def test_faults_are_named_on_a_day_of_another_temperature(faults):
     """The positions differ too, so that nothing is measured twice."""
     simulated = on_a_day(recording_of({}, seed=1, visits=60, pings=8), 18.0, 1)

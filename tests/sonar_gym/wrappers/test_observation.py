@@ -13,6 +13,7 @@ from acquisition import SettingError
 from noise import CATALOGUE, GaussianModel, IdealModel, PhysicalModel, save_model
 from sonar_gym import SonarObservation
 from sonar_gym.parking.environment import MAX_RANGE
+from tests.sonar_gym.rounded import Rounded
 
 pytest.importorskip("highway_env")
 
@@ -102,17 +103,6 @@ def test_a_whole_box_of_ranges():
 
 
 TIMED = {"period_s": 0.2, "phase_s": 0.05, "latency_s": 0.03}
-
-
-class Rounded(gymnasium.Wrapper):
-    """highway-env's rewards for one goal and for several may differ in their last bit, which the checker forbids."""
-
-    def compute_reward(self, *goals):
-        return np.round(self.unwrapped.compute_reward(*goals), 9)
-
-    def step(self, action):
-        observation, reward, *rest = self.env.step(action)
-        return observation, float(np.round(reward, 9)), *rest
 
 
 FORMS = {

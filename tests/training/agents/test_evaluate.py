@@ -99,6 +99,7 @@ def test_the_card_s_command_has_all_settings():
     assert line == "sonar-gym train-agent --out run --sonars ideal 'a b' --no-faults --num-envs 8 --steps 768"
 
 
+@pytest.mark.slow
 def test_the_shipped_agent_parks_with_a_sonar_that_it_was_not_trained_with():
     """The rig is independent of the laws of training."""
     sonar = mismatched("rig", "srf08-mlp")

@@ -31,6 +31,7 @@ def p_values(lab, n, **design):
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_p_values_are_uniform_although_the_law_is_rough(lab):
     p = np.concatenate([p_values(lab, 15, **{"visits": 30, **design}) for design in DESIGNS.values()])
     assert kstest(p, "uniform").pvalue > 0.01
@@ -65,6 +66,7 @@ def test_planted_differences_are_located(lab, effect):
         assert not found.region
 
 
+@pytest.mark.slow
 def test_clutter_is_located_behind_its_range(lab):
     sample = lab.pair(np.random.default_rng(6), {"fixed_clutter": {"presence": 0.4, "range_m": 2.2}}, visits=240)
     tested = orthogonal_test(lab.rough, lab.rough, sample, np.random.default_rng(0))

@@ -50,6 +50,7 @@ def test_a_recording_of_single_pings_is_not_left_out():
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_nothing_is_left_where_the_law_has_all_spikes(lab, seed):
     rng = np.random.default_rng(seed)
     truth = [{**lab.truth, "spike": {"probability": share, "span_m": 11.0}} for share in (0.1, 0.01)]
