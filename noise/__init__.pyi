@@ -12,9 +12,10 @@ from . import physical as physical
 from . import rig as rig
 from . import statistics as statistics
 from . import store as store
+from .composed import ComposedModel
 from .credence import ConditionPrior, CredenceTable
 from .discrepancy import diagnose
-from .discrepancy.compose import ComposedModel, compose
+from .discrepancy.compose import compose
 from .discrepancy.result import Diagnosis
 from .effects import CATALOGUE
 from .faults import Faulty
