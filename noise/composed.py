@@ -10,7 +10,7 @@ the learned law as they do with a direct path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -194,23 +194,27 @@ class ComposedModel:
         return f"ComposedModel({type(self.model).__name__}, {[effect.name for effect in self.after.effects]})"
 
 
-def with_differences(model: SonarModel, before: Values, causes: Values) -> tuple[ComposedModel, dict[str, str]]:
+def with_differences(
+    model: SonarModel, before: Values, causes: Values, common: Sequence[Effect] = (), added: Sequence[Effect] = ()
+) -> tuple[ComposedModel, dict[str, str]]:
     """Return a model with the causes of a difference, and why some could not be added, by effect.
 
     Args:
         model: model whose laws have probabilities.
         before: parameters of the effects of the simulation, by effect.
         causes: parameters of the recording in the effects in which it differs, by effect.
+        common: further effects that both have.
+        added: further effects that the recording alone has.
     """
-    common = {name: values for name, values in before.items() if not _adds(name)}
-    after, left_out = dict(common), dict[str, str]()
+    shared = {name: values for name, values in before.items() if not _adds(name)}
+    after, left_out = dict(shared), dict[str, str]()
     for name, values in causes.items():
         own = before.get(name, {})
         if reason := _obstacle(name, own, values):
             left_out[name] = reason
         else:
             after[name] = _known(name, _added(own, values) if _adds(name) else values)
-    return ComposedModel(model, _built(common), _built(after)), left_out
+    return ComposedModel(model, [*_built(shared), *common], [*_built(after), *common, *added]), left_out
 
 
 def _built(values: Values) -> list[Effect]:

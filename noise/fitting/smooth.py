@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -162,6 +162,13 @@ class Smooth(Effect):
         self.tails_m, self.placement_m = tails_m, placement_m
         self.remembers = any(name in MEMORY for name in inputs.names)
         self._recent: list[tuple[tuple[Tensor, ...], Tensor]] = []
+
+    def without_tails(self) -> Self:
+        """Return the correction of the direct echo alone, without early and late readings."""
+        alpha, beta = ({k: v for k, v in each.items() if k not in (EARLY, LATE)} for each in (self.alpha, self.beta))
+        return type(self)(
+            self.inputs, self.centres, alpha, self.level_centres, beta, self.tails_m, self.placement_m
+        )
 
     def apply(self, state: State) -> State:
         """Correct the direct echo."""

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.composed import with_differences
+from noise.composed import ComposedModel, with_differences
+from noise.replay import Replay
 from noise.discrepancy.baseline.emulator import learner_pings
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each
@@ -141,3 +142,17 @@ def _by_part(search: Search, learned: Learned, step_m: float) -> tuple[tuple[Bat
     part = learned.left_out.of(few)
     terms = enumerate(learned.left_out.terms)
     return tuple((few.select(part == k), offered(learned.stack.with_term(term), step_m)) for k, term in terms)
+
+
+def applied(judged: Judged, search: Search, emulator: SonarModel, step_m: float) -> ComposedModel | None:
+    """PROTOTYPE"""
+    learned = judged.learned
+    term = learned is not None and learned.left_out is not None
+    stack = learned.stack if term else judged.final.single.stack
+    if not judged.believed and not term:
+        return None
+    common = [e.without_tails() for e in search.common.terms]
+    added = [t for t in stack.terms if t.name == "empirical"]
+    base = Replay(emulator, max(search.common.resolution, step_m))
+    composed, left_out = with_differences(base, search.common.effects, {name: stack.effects[name] for name in judged.believed}, common, added)
+    return composed
