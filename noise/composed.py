@@ -29,6 +29,7 @@ from acquisition.ping import TEMPERATURE
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.state import number
 from noise.faults import HasWeights
+from noise.fitting.empirical import EmpiricalModel
 from noise.law import EchoLaw
 from noise.model import SonarModel, StatefulModel, follow, listener
 from noise.physical import END, PhysicalLaw, PhysicalModel
@@ -108,7 +109,7 @@ class ComposedModel:
                 f"compose: a {type(model).__name__} can only be sampled; choose a model with probabilities, srf08-mlp"
             )
         self.model = model
-        self.before, self.after = (PhysicalModel(stack, model.resolution, END) for stack in (before, after))
+        self.before, self.after = (EmpiricalModel(stack, model.resolution, END) for stack in (before, after))
 
     @property
     def resolution(self) -> float:
@@ -165,7 +166,7 @@ class ComposedModel:
         inner: Any = self.model
         if not hasattr(inner, "to_dict"):
             raise ModelError(f"ComposedModel: a {type(inner).__name__} cannot be saved; it has no to_dict()")
-        stacks = {"before": self.before.to_dict()["effects"], "after": self.after.to_dict()["effects"]}
+        stacks = {"before": self.before.to_dict(), "after": self.after.to_dict()}
         return {"kind": "composed", "model": inner.to_dict(), **stacks}
 
     @checked
@@ -185,8 +186,8 @@ class ComposedModel:
             ModelError: an effect is unknown or a value is invalid.
         """
         try:
-            before, after = (_built(data[key]) for key in ("before", "after"))
-            return cls(load_kind(folder, data["model"]), before, after)
+            before, after = (EmpiricalModel.from_dict(data[key]) for key in ("before", "after"))
+            return cls(load_kind(folder, data["model"]), before.effects, after.effects)
         except (KeyError, TypeError, AttributeError, SettingError) as error:
             raise ModelError(f"{folder / 'model.json'}: does not describe effects on a model ({error})") from None
 

@@ -1,30 +1,35 @@
 """The readings of a simulator as a model, so that the differences of a diagnosis act on them and not on a law of them.
 
-The simulator's reading of each ping is logged beside its condition, in the columns `SIMULATED`. Where the simulator
-heard an echo, the law is certain of its step of the register. Where it heard none, an echo that the differences make
-audible has the range that another law expects.
+The simulator's reading of each ping stands beside its condition, in the columns `SIMULATED`. Where the simulator heard
+an echo, the law is certain of its step of the register. Where it heard none, an echo that the differences make audible
+has the range that another law expects.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acquisition import EchoStatus, Ping, Reading
+from acquisition import EchoStatus, Ping, Reading, Recording
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from acquisition.io.recording import MM
 from acquisition.ping import check_pairs
 from noise.law import EchoLaw
-from noise.model import SonarModel
+from noise.model import SonarModel, simulate
 
 SIMULATED = ("simulated_range_m", "simulated_status")
-RARE = 1e-9  # probability that stands for that of an echo where the simulator heard none; only its ranges matter
+RARE = 1e-9  # stands for the probability of an echo where the simulator heard none; only its ranges matter
 
 
+@checked
 def with_simulated(ping: Ping, simulated: Reading) -> Ping:
-    """Return pings that carry the readings of a simulator, (n,), in the columns `SIMULATED`."""
+    """Return pings with the readings of a simulator, (n,), in the columns `SIMULATED`."""
     check_pairs("simulated", ping, simulated)
     values = (simulated.range, simulated.status.astype(np.float64))
     return replace(ping, covariates={**ping.covariates, **dict(zip(SIMULATED, values, strict=True))})
@@ -35,19 +40,21 @@ class ReplayLaw(EchoLaw):
 
     Attributes:
         given: readings, (n,).
+        given_step: of the given readings, m: an exact range lies anywhere within one.
         other: law of the ranges where no echo was given.
     """
 
     uniform_per_ping = True
 
-    def __init__(self, given: Reading, other: EchoLaw) -> None:
-        super().__init__(other.distance, other.resolution, other.max_range)
-        self.given, self.other = given, other
-        self._scale = np.where(other.echo > 0.0, RARE / np.maximum(other.echo, 1e-300), 0.0)
+    def __init__(self, given: Reading, given_step: float, other: EchoLaw, resolution: float) -> None:
+        super().__init__(other.distance, resolution, other.max_range)
+        self.given, self.given_step, self.other = given, given_step, other
+        echo = other.echo
+        self._rare = np.divide(RARE, echo, out=np.zeros_like(echo), where=echo > 0.0)
 
     def _arrival(self, z: Floats) -> Floats:
-        within = np.clip((z - self.given.range) / self.resolution + 0.5, 0.0, 1.0)
-        return np.where(self.given.echo, within, self._scale * self.other.arrival(z))
+        within = np.clip((z - self.given.range) / self.given_step + 0.5, 0.0, 1.0)
+        return np.where(self.given.echo, within, self._rare * self.other.arrival(z))
 
     @property
     def no_answer(self) -> Floats:
@@ -57,14 +64,16 @@ class ReplayLaw(EchoLaw):
 
 @dataclass(frozen=True)
 class Replay:
-    """A simulator whose reading of each ping is logged beside the condition.
+    """A simulator whose reading of each ping stands beside the condition; without one, another model.
 
     Args:
-        other: model of the range of an echo where the simulator heard none.
-        resolution: step of its register, m.
+        other: model of the simulator, for pings without its reading and for ranges where it heard no echo.
+        step: of the simulator's register, m.
+        resolution: step of the register that is modelled, m.
     """
 
     other: SonarModel
+    step: float
     resolution: float
 
     @property
@@ -74,15 +83,35 @@ class Replay:
 
     @checked
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
-        """Return the law of n pings; that of the other model where the simulator's readings are not given."""
-        law = self.other.law(ping, past)
+        """Return the law of n pings; that of the other model where no reading of the simulator is given."""
+        other = self.other.law(ping, past)
         if not set(SIMULATED) <= ping.covariates.keys():
-            return law
+            return other
         range_, status = (ping.covariates[name] for name in SIMULATED)
-        law.resolution = self.resolution
-        return ReplayLaw(Reading.of(range_, status.astype(np.uint8)), law)
+        return ReplayLaw(Reading.of(range_, status.astype(np.uint8)), self.step, other, self.resolution)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain data."""
         other: Any = self.other
-        return {"kind": "replay", "other": other.to_dict(), "resolution": self.resolution}
+        return {"kind": "replay", "other": other.to_dict(), "step": self.step, "resolution": self.resolution}
+
+    @classmethod
+    @checked
+    def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, Any], SonarModel]) -> Replay:
+        """Load a saved model; `load_kind` loads the other model."""
+        return cls(load_kind(folder, data["other"]), float(data["step"]), float(data["resolution"]))
+
+
+@checked
+def corrected_readings(model: SonarModel, simulated: Recording, rng: np.random.Generator) -> Recording:
+    """Return a simulator's recording with differences applied to its readings; further echoes are left out.
+
+    Args:
+        model: the differences, as `Diagnosis.difference` or its folder has them.
+        simulated: the simulator's readings.
+        rng: random generator.
+    """
+    reading = simulate(model, with_simulated(simulated.ping, simulated.reading), rng)
+    echoes = [name for name in simulated.table.columns if re.fullmatch(r"echo_\d+_mm", name)]
+    value = np.where(reading.answered, reading.range / MM, np.nan)
+    return replace(simulated, table=simulated.table.drop(columns=echoes).assign(reading_mm=value.round(6)))

@@ -216,16 +216,26 @@ class Composed(Kind):
 
     kind: Literal["composed"]
     model: Model
-    before: dict[str, Parameters]
-    after: dict[str, Parameters]
+    before: Empirical
+    after: Empirical
+
+
+class Replay(Kind):
+    """See `noise.replay.Replay`."""
+
+    kind: Literal["replay"]
+    other: Model
+    step: Resolution
+    resolution: Resolution
 
 
 Model = Annotated[
-    Ideal | Gaussian | Beam | Physical | Empirical | Forest | Table | Mlp | Lstm | Faulty | Composed,
+    Ideal | Gaussian | Beam | Physical | Empirical | Forest | Table | Mlp | Lstm | Faulty | Composed | Replay,
     Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()
 Composed.model_rebuild()
+Replay.model_rebuild()
 
 
 class Credence(Schema):

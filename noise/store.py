@@ -40,6 +40,7 @@ KINDS = {
     "gaussian": ("noise.model", "GaussianModel"),
     "faulty": ("noise.faults", "Faulty"),
     "composed": ("noise.composed", "ComposedModel"),
+    "replay": ("noise.replay", "Replay"),
     "lstm": ("noise.learned.recurrent", "LstmModel"),
 }
 
@@ -87,7 +88,7 @@ def _of_kind(folder: Path, data: Any) -> SonarModel:
         raise ModelError(f"{folder / 'model.json'}: the model is of kind {kind!r}, expected {', '.join(KINDS)}")
     module, attribute = KINDS[kind]
     cls = getattr(importlib.import_module(module), attribute)
-    if kind in ("faulty", "composed"):
+    if kind in ("faulty", "composed", "replay"):
         return cls.load(folder, data, _of_kind)
     return cls.load(folder, data) if hasattr(cls, "load") else cls.from_dict(data)
 

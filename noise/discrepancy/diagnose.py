@@ -19,6 +19,7 @@ from noise.discrepancy.baseline.forest import Grown, grown
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.correction import Options
+from noise.discrepancy.judge.difference import difference
 from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import judge
 from noise.discrepancy.judge.shares import Rest
@@ -240,7 +241,12 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
-    return replace(diagnosis, evidence=judged.evidence, likely={p.effect: p.likely for p in judged.places})
+    return replace(
+        diagnosis,
+        difference=difference(judged, search, options, data.baseline.emulator, recorded.resolution),
+        evidence=judged.evidence,
+        likely={p.effect: p.likely for p in judged.places},
+    )
 
 
 def against(data: Data, search: Search, law: Stack) -> Tested:

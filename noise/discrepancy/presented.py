@@ -12,11 +12,16 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from acquisition import Recording, SettingError
 from acquisition.arguments import checked
 from acquisition.brief import shortened
 from acquisition.extras import FigureLike, load_extra
 from acquisition.io.files import check_path, write_text
+from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import Seed
+from noise.replay import corrected_readings
 from noise.store import save_model
 
 REPORT = "noise.discrepancy.report."
@@ -28,6 +33,7 @@ class Presented:
 
     verdict: Any
     corrected: Any
+    difference: Any
 
     def __repr__(self) -> str:
         return shortened(str(load_extra(REPORT + "words", "noise").one_line(self)))
@@ -65,15 +71,36 @@ class Presented:
         )
 
     @checked
+    def correct(self, simulated: RecordingLike, seed: Seed = 0) -> Recording:
+        """Return the readings of the simulator with what differs applied to them, at any conditions.
+
+        Args:
+            simulated: readings of the simulator: a `Recording`, a table with its columns, or the path of a CSV file.
+            seed: of the draws.
+
+        Raises:
+            SettingError: nothing was found that can be applied.
+        """
+        if self.difference is None:
+            raise SettingError(
+                f"Diagnosis.correct: the verdict is {self.verdict.verdict}, and nothing was found that can be applied "
+                "to the simulator's readings"
+            )
+        return corrected_readings(self.difference, as_recording(simulated, "simulation"), np.random.default_rng(seed))
+
+    @checked
     def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write verdict.json and, if a correction is offered, the model in corrected/; return the folder."""
+        """Write verdict.json, and the models where there are any; return the folder.
+
+        The corrected model is in corrected/, what acts on the simulator's own readings in difference/.
+        """
         folder = Path(folder)
         check_path(folder, "folder")
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "verdict.json", json.dumps(self.verdict.to_dict(), indent=1, allow_nan=False) + "\n")
-        corrected = folder / "corrected"
-        if self.corrected is not None:
-            save_model(self.corrected, corrected)
-        elif (corrected / "model.json").is_file():  # of an earlier diagnosis, which must not be taken for this one's
-            shutil.rmtree(corrected)
+        for name, model in (("corrected", self.corrected), ("difference", self.difference)):
+            if model is not None:
+                save_model(model, folder / name)
+            elif (folder / name / "model.json").is_file():  # of an earlier diagnosis, not to be taken for this one's
+                shutil.rmtree(folder / name)
         return folder

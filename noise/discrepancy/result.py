@@ -301,6 +301,8 @@ class Diagnosis(Presented):
         causes_only: the corrected model without the empirical term; None where no cause is believed.
         recording: name of the recording.
         unanswered: number of pings without an answer, which were left out.
+        difference: causes and empirical term acting on the simulator's own readings, for `correct`; None where none is
+            believed or they do not predict the recording better than the simulation.
         evidence: what the decision model knew of each selected effect, believed or not.
         likely: selected effect -> effect in its place -> probability.
     """
@@ -315,6 +317,7 @@ class Diagnosis(Presented):
     causes_only: SonarModel | None
     recording: str
     unanswered: int
+    difference: SonarModel | None = None
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
     likely: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 

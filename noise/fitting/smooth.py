@@ -166,9 +166,7 @@ class Smooth(Effect):
     def without_tails(self) -> Self:
         """Return the correction of the direct echo alone, without early and late readings."""
         alpha, beta = ({k: v for k, v in each.items() if k not in (EARLY, LATE)} for each in (self.alpha, self.beta))
-        return type(self)(
-            self.inputs, self.centres, alpha, self.level_centres, beta, self.tails_m, self.placement_m
-        )
+        return type(self)(self.inputs, self.centres, alpha, self.level_centres, beta, self.tails_m, self.placement_m)
 
     def apply(self, state: State) -> State:
         """Correct the direct echo."""

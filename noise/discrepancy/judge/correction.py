@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.arrays import Floats
-from noise.composed import ComposedModel, with_differences
-from noise.replay import Replay
+from noise.composed import with_differences
 from noise.discrepancy.baseline.emulator import learner_pings
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each
@@ -55,14 +54,21 @@ class Options:
     """Models that may be offered.
 
     Attributes:
-        causes_only: the model with the believed causes alone; None where none is believed.
-        laws: the same with its scores, and with an empirical term where there is one.
+        with_causes: the law with the believed causes alone; None where none is believed.
+        with_term: the same with an empirical term; None where there is none.
+        on_simulation: the causes on what stands for the simulation; None where that is the emulator.
         forest: a forest of the recording.
     """
 
-    causes_only: SonarModel | None
-    laws: tuple[Option, ...]
+    with_causes: Option | None
+    with_term: Option | None
+    on_simulation: Option | None
     forest: Option
+
+    @property
+    def causes_only(self) -> SonarModel | None:
+        """The model with the believed causes alone; None where none is believed."""
+        return None if self.with_causes is None else self.with_causes.model
 
     @classmethod
     def of(cls, judged: Judged, search: Search, forest: Grown, before: Simulation, step_m: float) -> Options:
@@ -75,25 +81,25 @@ class Options:
             before: the user's simulation.
             step_m: step of the recording's register.
         """
-        unseen, laws = search.folds.unseen, []
-        causes_only = offered(judged.final.single.stack, step_m) if judged.believed else None
-        if causes_only is not None:
+        unseen, with_causes, with_term, on_simulation = search.folds.unseen, None, None, None
+        if judged.believed:
             folds = _by_fold(search, judged.found, step_m) if len(search.parts) > 1 else ()
-            laws.append(_scored(causes_only, unseen, folds))
-            laws.extend(_on_simulation(judged, search, before.model, step_m))
+            with_causes = _scored(offered(judged.final.single.stack, step_m), unseen, folds)
+            on_simulation = _on_simulation(judged, search, before.model, step_m)
         learned = judged.learned
         if learned is not None and learned.left_out is not None:
             parts = _by_part(search, learned, step_m) if len(search.parts) > 1 else ()
-            laws.append(_scored(offered(learned.stack, step_m), unseen, parts))
+            with_term = _scored(offered(learned.stack, step_m), unseen, parts)
         own = Option(forest.model, ((unseen, crps_of_each(forest.model, unseen)), (forest.batch, forest.crps)))
-        return cls(causes_only, tuple(laws), own)
+        return cls(with_causes, with_term, on_simulation, own)
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.
 
         Laws with causes hold under other conditions too, and a forest of readings under their own alone.
         """
-        best = min(self.laws, key=lambda option: option.crps, default=self.forest)
+        laws = [each for each in (self.with_causes, self.on_simulation, self.with_term) if each is not None]
+        best = min(laws, key=lambda option: option.crps, default=self.forest)
         if best is not self.forest and self.forest.is_better_than(best):
             best = self.forest
         return next((each.model for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
@@ -115,13 +121,13 @@ def _by_fold(search: Search, found: Hypothesis, step_m: float) -> tuple[tuple[Ba
     return tuple((part, offered(stack, step_m)) for part, stack in zip(parts, reversed(found.stacks), strict=True))
 
 
-def _on_simulation(judged: Judged, search: Search, model: SonarModel, step_m: float) -> list[Option]:
-    """Return the causes acting on what stands for the simulation; empty where that is the law they were found beside.
+def _on_simulation(judged: Judged, search: Search, model: SonarModel, step_m: float) -> Option | None:
+    """Return the causes acting on what stands for the simulation; None where that is the law they were found beside.
 
     What that law gets wrong of the simulation does not enter such a model.
     """
     if not isinstance(model, AnalogueForest):
-        return []
+        return None
     base = replace(model, resolution=max(model.resolution, step_m))
     stacks = (judged.final.single.stack, *reversed(judged.found.stacks))
     pairs = [
@@ -129,10 +135,10 @@ def _on_simulation(judged: Judged, search: Search, model: SonarModel, step_m: fl
         for stack in stacks
     ]
     if any(left_out for _, left_out in pairs):
-        return []
+        return None
     whole, *folds = (composed for composed, _ in pairs)
     parts = search.folds.divided(learner_pings(search.joined)) if len(search.parts) > 1 else ()
-    return [_scored(whole, search.folds.unseen, tuple(zip(parts, folds, strict=False)))]
+    return _scored(whole, search.folds.unseen, tuple(zip(parts, folds, strict=False)))
 
 
 def _by_part(search: Search, learned: Learned, step_m: float) -> tuple[tuple[Batch, SonarModel], ...]:
@@ -142,17 +148,3 @@ def _by_part(search: Search, learned: Learned, step_m: float) -> tuple[tuple[Bat
     part = learned.left_out.of(few)
     terms = enumerate(learned.left_out.terms)
     return tuple((few.select(part == k), offered(learned.stack.with_term(term), step_m)) for k, term in terms)
-
-
-def applied(judged: Judged, search: Search, emulator: SonarModel, step_m: float) -> ComposedModel | None:
-    """PROTOTYPE"""
-    learned = judged.learned
-    term = learned is not None and learned.left_out is not None
-    stack = learned.stack if term else judged.final.single.stack
-    if not judged.believed and not term:
-        return None
-    common = [e.without_tails() for e in search.common.terms]
-    added = [t for t in stack.terms if t.name == "empirical"]
-    base = Replay(emulator, max(search.common.resolution, step_m))
-    composed, left_out = with_differences(base, search.common.effects, {name: stack.effects[name] for name in judged.believed}, common, added)
-    return composed

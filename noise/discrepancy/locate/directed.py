@@ -18,7 +18,7 @@ from acquisition.arrays import Floats, Ints, Singles
 from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
 from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, studentised
 from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
-from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.sample import Sample, dependence
 from noise.discrepancy.moments.scores import ping_law, scores
 from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
@@ -60,12 +60,20 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
     names, ratios = directions(law, pairs)
     if not names:
         return nothing
-    psi = _sums(law, both, cluster, ratios, rng)
-    z, _, scaled = studentised(psi, (psi != 0).sum(axis=0) >= MIN_CLUSTERS)
-    if not scaled.shape[1]:
+    chains = sample.chains
+    psi = _sums(law, both, cluster, ratios, chains.n, rng)
+    every = dependence(both, ratios, np.ones(ratios.shape, dtype=bool), cluster, chains)
+    z, greatest = [], []
+    for length in np.unique(every):
+        part = psi[:, every == length]
+        own, _, scaled = studentised(part, (part != 0).sum(axis=0) >= MIN_CLUSTERS, chains, int(length))
+        if scaled.shape[1]:
+            z.append(own)
+            greatest.append(np.abs(signs @ scaled).max(axis=1))
+    if not z:
         return nothing
-    greatest = np.abs(signs[:, : len(psi)] @ scaled).max(axis=1)
-    return Greatest(p_of_greatest(z, greatest, len(names)), greatest)
+    most = np.max(greatest, axis=0)
+    return Greatest(p_of_greatest(np.concatenate(z), most, len(names)), most)
 
 
 def _thinned(law: Stack, sample: Sample, rng: np.random.Generator) -> tuple[Sample, Ints]:
@@ -146,7 +154,7 @@ def log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) 
     return np.log(np.maximum(at_each(law, list(every[0]), values, probability), np.exp(LOWEST_LOG)))
 
 
-def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, rng: np.random.Generator) -> Floats:
+def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, n: int, rng: np.random.Generator) -> Floats:
     """Return the sums over clusters of (D - m) (U - g), (clusters, directions)."""
     level = np.concatenate([scores(law, batch).level_db for batch in sample.batches])
     level = np.clip(level, -20.0, 20.0)
@@ -164,5 +172,4 @@ def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, rng: np.ran
     sums = np.add.reduceat(ratios, first, axis=0)
     g = CrossFit(basis.features, count, folds, near=True).predict(sums)
     part = contrast[:, None] * (sums - count[:, None] * g)
-    n = int(cluster.max()) + 1
     return np.stack([np.bincount(cluster[first], column, n) for column in part.T], axis=1)

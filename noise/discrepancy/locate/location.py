@@ -71,7 +71,7 @@ def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
     residual = group.residual[:, j]
     while len(found) < MAX_PER_ASPECT and allowed.any():
         psi = moments(group, tested.columns, tested.units, tested.cluster, residual[:, None])[:, :, 0]
-        z = studentised(psi, allowed)[0]
+        z = studentised(psi, allowed, tested.chains, int(tested.length[group.aspects[j]]))[0]
         if np.isnan(z).all():
             break
         p_value = tested.p_of(float(np.nanmax(np.abs(z))))
@@ -91,7 +91,8 @@ def _most_probable(tested: Tested, group: Group, j: int, psi: Floats, allowed: B
     slope = psi.sum(axis=0) / np.where(exposure.sum(axis=0) == 0, 1.0, exposure.sum(axis=0))
     centred = psi - slope * exposure
     least = ROUNDING * np.abs(psi).sum(axis=0)  # all clusters may agree to rounding
-    norm = np.maximum(np.sqrt((centred**2).sum(axis=0)), np.maximum(least, 1e-150))
+    sums = tested.chains.sums(centred, int(tested.length[group.aspects[j]]))
+    norm = np.maximum(np.sqrt((sums**2).sum(axis=0)), np.maximum(least, 1e-150))
     z = psi.sum(axis=0) / norm
     edges = np.array([_complexity(tested.regressors[i]) for i in index])
     chosen = int(np.argmax(z**2 - edges * np.log(len(psi))))
@@ -122,7 +123,8 @@ def size_of(tested: Tested, group: Group, j: int, k: int) -> Interval:
     psi = np.bincount(tested.cluster, weight * group.natural[:, j], n)
     total = exposure.sum()
     value = float(psi.sum() / total) if total != 0 else float("nan")
-    error = float(np.sqrt(((psi - value * exposure) ** 2).sum()) / abs(total)) if total != 0 else float("nan")
+    left = tested.chains.sums((psi - value * exposure)[:, None], int(tested.length[group.aspects[j]]))
+    error = float(np.sqrt((left**2).sum()) / abs(total)) if total != 0 else float("nan")
     unit = ASPECTS[group.aspects[j]].unit
     return Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, unit)
 

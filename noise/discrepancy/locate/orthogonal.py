@@ -8,8 +8,9 @@ where g, the error of the law that both files share, is a nuisance. With m(x) = 
 regressor phi is sum_i w_i (s_i - g(x_i)), where w = phi (D - m) - E[phi (D - m) | x] if both files have phi, and
 w = phi D - E[phi D | x] if only the recording has it. It is Neyman-orthogonal: errors of g and of m enter as a product
 (Chernozhukov et al. 2018, double/debiased machine learning). Statistics are divided by the root of the sum of squares
-over clusters, and the maximum over regressors and aspects is compared with its distribution under random signs of
-clusters (wild cluster bootstrap; Cameron, Gelbach and Miller 2008).
+over clusters, or over sums of neighbours that depend on each other (see `chains`), and the maximum over regressors and
+aspects is compared with its distribution under random signs of clusters (wild cluster bootstrap; Cameron, Gelbach and
+Miller 2008; of dependent clusters, Shao 2010).
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from noise.discrepancy.moments.bootstrap import exceeded, p_of_greatest, signs_of, studentised
+from noise.discrepancy.moments.chains import Chains
 from noise.discrepancy.moments.moments import Group, bin_sums, moments
 from noise.discrepancy.moments.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.regressors import Column, Form, Regressor, columns_of
-from noise.discrepancy.moments.sample import MIN_OVERLAP, Sample
+from noise.discrepancy.moments.sample import MIN_OVERLAP, Sample, dependence
 from noise.discrepancy.moments.scores import ASPECTS, Scores, scores_of_both
 from noise.discrepancy.result import Aspect, PValue
 from noise.effects.state import DETECTION_WIDTH_DB
@@ -51,7 +53,8 @@ class Tested:
         overlap: share of the recording's pings with m(x) in `OVERLAP`.
         greatest: |z| of the most extreme statistic in each draw of the bootstrap, (draws,).
         scale: root of the sum of squares over clusters that each statistic is divided by, (A, K).
-        groups, columns, units, cluster: intermediate results for `locate` and `could_have_seen`.
+        length: number of neighbouring clusters that are not independent, (A,).
+        groups, columns, units, cluster, chains: intermediate results for `locate` and `could_have_seen`.
     """
 
     p_value: PValue
@@ -61,10 +64,12 @@ class Tested:
     overlap: float
     greatest: Floats
     scale: Floats
+    length: Ints
     groups: tuple[Group, ...]
     columns: tuple[Column, ...]
     units: Ints
     cluster: Ints
+    chains: Chains
 
     def p_of(self, z: float) -> PValue:
         """Return the p-value of a statistic, adjusted for the choice of regressor and aspect."""
@@ -239,7 +244,8 @@ def _expected_weights(
 
 
 def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, only: Only | None) -> Tested:
-    columns, cluster = tuple(frame.columns), frame.sample.cluster
+    columns, cluster, chains = tuple(frame.columns), frame.sample.cluster, frame.sample.chains
+    length = dependence(frame.sample, frame.scored.value, frame.scored.valid, cluster, chains)
     regressors = tuple(r for column in columns for r in column.regressors)
     z, scale = np.full((2, len(ASPECTS), len(regressors)), np.nan)
     greatest = np.zeros((len(ASPECTS), len(signs)))
@@ -251,10 +257,10 @@ def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, 
             allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
             allowed &= comparable
             allowed &= _clusters_with(columns, cluster, group.unexpected[:, j]) >= MIN_CLUSTERS
-            z[a], scale[a], scaled = studentised(psi[:, :, j], allowed)
+            z[a], scale[a], scaled = studentised(psi[:, :, j], allowed, chains, int(length[a]))
             if scaled.shape[1]:
                 greatest[a] = np.abs(signs @ scaled).max(axis=1)
-    return _result(z, scale, greatest, groups, frame, overlap)
+    return _result(z, scale, length, greatest, groups, frame, overlap)
 
 
 def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> Floats:
@@ -270,7 +276,9 @@ def _clusters_with(columns: tuple[Column, ...], cluster: Ints, event: Bits) -> F
     return np.concatenate(counts)
 
 
-def _result(z: Floats, scale: Floats, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float) -> Tested:
+def _result(
+    z: Floats, scale: Floats, length: Ints, greatest: Floats, groups: list[Group], frame: _Frame, overlap: float
+) -> Tested:
     regressors = tuple(r for column in frame.columns for r in column.regressors)
     most = greatest.max(axis=0)
     best = None
@@ -280,5 +288,5 @@ def _result(z: Floats, scale: Floats, greatest: Floats, groups: list[Group], fra
     count = int(np.isfinite(z).any(axis=1).sum())
     p_value = replace(p_of_greatest(z, most, len(regressors)), n_aspects=count)
     groups_, columns = tuple(groups), tuple(frame.columns)
-    units, cluster = frame.units, frame.sample.cluster
-    return Tested(p_value, z, best, regressors, overlap, most, scale, groups_, columns, units, cluster)
+    units, cluster, chains = frame.units, frame.sample.cluster, frame.sample.chains
+    return Tested(p_value, z, best, regressors, overlap, most, scale, length, groups_, columns, units, cluster, chains)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints, Singles
+from noise.discrepancy.moments.chains import Chains
 from noise.discrepancy.result import Location, PValue, Visible
 
 DRAWS = 2000
@@ -50,16 +51,26 @@ def signs_of(cluster: Ints, rng: np.random.Generator, draws: int = DRAWS) -> Sin
     return (2.0 * rng.integers(0, 2, (draws, int(cluster.max()) + 1)) - 1.0).astype(np.float32)
 
 
-def studentised(psi: Floats, allowed: Bits) -> tuple[Floats, Floats, Floats]:
-    """Return z and scale of each regressor, z nan where too few clusters contribute, and scaled sums of the others."""
-    square = psi**2
+def studentised(
+    psi: Floats, allowed: Bits, chains: Chains | None = None, length: int = 1
+) -> tuple[Floats, Floats, Floats]:
+    """Return z and scale of each regressor, z nan where too few clusters contribute, and scaled sums of the others.
+
+    Args:
+        psi: sums over clusters, (clusters, regressors).
+        allowed: which regressors are tested, (regressors,).
+        chains: of dependent clusters.
+        length: number of neighbours in a chain that are not independent.
+    """
+    sums = psi if chains is None else chains.sums(psi, length)
+    square = sums**2
     total = square.sum(axis=0)
-    effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300)
+    effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300) / length
     enough = allowed & (effective >= MIN_EFFECTIVE) & (total > ROUNDING * len(psi))
-    scaled = psi[:, enough] / np.sqrt(total[enough])
+    root = np.sqrt(total[enough])
     z = np.full(psi.shape[1], np.nan)
-    z[enough] = scaled.sum(axis=0)
-    return z, np.sqrt(total), scaled.astype(np.float32)
+    z[enough] = psi[:, enough].sum(axis=0) / root
+    return z, np.sqrt(total), (sums[:, enough] / root).astype(np.float32)
 
 
 def p_of_greatest(z: Floats, greatest: Floats, n_regressors: int) -> PValue:

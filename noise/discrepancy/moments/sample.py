@@ -11,6 +11,7 @@ import pandas as pd
 from scipy.stats import f_oneway, ks_2samp
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.moments.chains import Chains
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.statistics import winsorised
@@ -95,6 +96,15 @@ class Sample:
         simulation, so that an error of the nuisance functions at that condition cancels within the cluster. Where
         targets stay in place from visit to visit, all visits of a position are one cluster.
         """
+        return self._clusters[0]
+
+    @cached_property
+    def chains(self) -> Chains:
+        """Clusters of one position, or pieces of one continuous log, in time."""
+        return self._clusters[1]
+
+    @cached_property
+    def _clusters(self) -> tuple[Ints, Chains]:
         keys = []
         for k, batch in enumerate(self.batches):
             at = positions(batch)
@@ -102,13 +112,17 @@ class Sample:
             nth = table.groupby(list(table.columns)).cumcount().to_numpy()
             if stays_in_place(batch):
                 nth = np.zeros_like(nth)
-            elif is_continuous(batch):  # neighbours in time, of this file alone
-                at, nth = np.full_like(at, float(k)), np.arange(batch.n_visits) // independent_length(batch)
+            elif is_continuous(batch):  # of this file alone
+                at, nth = np.full_like(at, float(k)), np.arange(batch.n_visits)
             keys.append(np.c_[at, nth, batch.ping.time[batch.starts]])
         every = pd.DataFrame(np.concatenate(keys))
         by_visit = every.groupby([0, 1, 2, 3, 4], sort=False).ngroup().to_numpy().astype(np.int64)
         merged = _merged(by_visit, every[5].to_numpy())
-        return np.concatenate([part[b.visit] for part, b in zip(self._split(merged), self.batches, strict=True)])
+        first = np.unique(merged, return_index=True)[1]
+        chain = every.groupby([0, 1, 2, 3], sort=False).ngroup().to_numpy().astype(np.int64)
+        parts = zip(self._split(merged), self.batches, strict=True)
+        chains = Chains.of(chain[first], every[5].to_numpy()[first])
+        return np.concatenate([part[b.visit] for part, b in parts]), chains
 
     def _split(self, by_visit: Ints) -> list[Ints]:
         return np.split(by_visit, np.cumsum([batch.n_visits for batch in self.batches])[:-1])
@@ -148,7 +162,7 @@ def _overlaps(own: Floats, other: Floats) -> Bits:
 
 def is_continuous(batch: Batch) -> bool:
     """Return whether visits are pieces of a log in which conditions never repeat, as of a moving robot."""
-    return bool(np.array_equal(batch.condition, batch.visit))
+    return bool(np.array_equal(np.unique(batch.condition, return_inverse=True)[1].ravel(), batch.visit))
 
 
 def positions(batch: Batch) -> Floats:
@@ -177,29 +191,6 @@ def stays_in_place(batch: Batch) -> bool:
     return bool(f_oneway(*(mean[place == k] for k in range(len(repeats)))).pvalue < 0.05)
 
 
-def independent_length(batch: Batch) -> int:
-    """Return the number of neighbouring pieces of a log whose errors are independent of the next as many.
-
-    An error of the pose lasts longer than a piece. The number doubles until the mean errors of neighbours are not
-    correlated at the 5 % level, after a cubic in distance is subtracted, or too few clusters would remain.
-    """
-    echo = batch.is_target(batch.error)
-    if echo.sum() < MIN_CLUSTERS:
-        return 1
-    distance, error = batch.ping.distance[echo], winsorised(batch.error[echo])
-    left = np.zeros(len(batch))
-    degree = min(3, len(np.unique(distance)) - 1)
-    left[echo] = error - np.polyval(np.polyfit(distance - distance.mean(), error, degree), distance - distance.mean())
-    length = 1
-    while batch.n_visits // (2 * length) >= MIN_CLUSTERS:
-        group = batch.visit // length
-        mean = np.bincount(group, left) / np.maximum(np.bincount(group, echo), 1.0)
-        if np.corrcoef(mean[:-1], mean[1:])[0, 1] < 1.64 / np.sqrt(len(mean) - 1):
-            break
-        length *= 2
-    return length
-
-
 def condition_columns(batch: Batch) -> dict[str, Floats]:
     """Return the logged conditions of a batch by name, SI units and rad, (n,) each."""
     ping = batch.ping
@@ -213,3 +204,41 @@ def _merged(cluster: Ints, time: Floats) -> Ints:
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first, kind="stable")] = np.arange(len(first))
     return rank[cluster] * min(MAX_CLUSTERS, len(first)) // len(first)
+
+
+def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chains: Chains) -> Ints:
+    """Return over how many neighbouring clusters the sums of each score are not independent, (k,).
+
+    Two recordings of one sonar depend on their past alike, and what the recording alone keeps for some time is a
+    difference. It is none in logs of a moving robot, whose pose has an error of its own in each: these depend as the
+    more dependent file does.
+
+    Args:
+        sample: readings.
+        scores: of each ping under the law of its file, (n, k).
+        valid: which pings have one, (n, k).
+        cluster: of each ping, (n,).
+        chains: of all clusters.
+    """
+    if sample.simulated is None:
+        return np.ones(scores.shape[1], dtype=np.int64)
+    files = [~sample.is_recorded, sample.is_recorded][: 2 if all(map(is_continuous, sample.batches)) else 1]
+    found = [_bandwidths(sample, scores[file], valid[file], cluster[file], file, chains) for file in files]
+    return np.max(found, axis=0)
+
+
+def _bandwidths(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, file: Bits, chains: Chains) -> Ints:
+    """Return the bandwidth of each score of one file, less a cubic of the conditions, (k,)."""
+    size = np.maximum(np.bincount(cluster, minlength=chains.n), 1)
+    x = [np.ones(chains.n)]
+    for value in sample.conditions.values():
+        z = np.bincount(cluster, ((value - value.mean()) / value.std())[file], chains.n) / size
+        x += [z, z**2, z**3]
+    basis, out = np.stack(x, axis=1), []
+    for value, known in zip(scores.T, valid.T, strict=True):
+        count = np.bincount(cluster, known, chains.n)
+        mean, heard = np.bincount(cluster, value * known, chains.n) / np.maximum(count, 1.0), count > 0
+        if heard.any():
+            mean[heard] -= basis[heard] @ np.linalg.lstsq(basis[heard], mean[heard], rcond=None)[0]
+        out.append(chains.bandwidth(mean, heard))
+    return np.array(out)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from acquisition import Recording
-from acquisition.arrays import Bits, Floats
+from acquisition import EchoStatus, Reading, Recording
+from acquisition.arrays import Bits, Floats, Ints
 from noise import discrepancy
 from noise.discrepancy.judge.held_out import fair_crps
 from noise.discrepancy.result import Diagnosis, Location
@@ -19,6 +19,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.visits import visits_of
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, IdealModel, SonarModel
+from noise.replay import with_simulated
 from training.common.commit import commit
 from training.diagnosis.judging.tasks import Case, Task, case_of
 
@@ -80,8 +81,9 @@ def _inside(batch: Batch, region: Mapping[str, tuple[float, float]]) -> Bits | N
 def scores(found: Diagnosis, fresh: tuple[Recording, ...]) -> Record:
     """Return CRPS with silence counted, m, on a fresh recording.
 
-    The user's simulation and the oracle, a second recording, are their own readings in the same visits. Where no model
-    is offered, its score is that of the simulation.
+    The user's simulation and the oracle, a second recording, are their own readings in the same visits; "own" is the
+    simulation's own readings with what differs applied to them. Where no model is offered, its score is that of the
+    simulation.
 
     Args:
         found: the diagnosis.
@@ -92,31 +94,55 @@ def scores(found: Diagnosis, fresh: tuple[Recording, ...]) -> Record:
     each = {"before": ensemble_crps(recording, simulated), "again": ensemble_crps(recording, again)}
     models = {"corrected": found.corrected, "causes_only": found.causes_only}
     each |= {name: each["before"] if model is None else _crps(model, batch) for name, model in models.items()}
+    each["own"] = each["before"] if found.difference is None else ensemble_crps(recording, simulated, found.difference)
     gap = ClusterMean.of(each["before"] - each["again"], batch.visit).error
-    change = ClusterMean.of(each["corrected"] - each["before"], batch.visit).error
+    changes = {
+        f"{name}_error": ClusterMean.of(each[name] - each["before"], batch.visit).error for name in ("corrected", "own")
+    }
     means = {name: float(value.mean()) for name, value in each.items()}
-    return {**means, "gap_error": gap, "change_error": change, "offered": found.corrected is not None}
+    return {**means, **changes, "gap_error": gap, "offered": found.corrected is not None}
 
 
 def _crps(model: SonarModel, batch: Batch) -> Floats:
     return crps_with_silence(model.law(batch.ping, batch.past), batch.reading, MAX_RANGE)
 
 
-def ensemble_crps(recording: Recording, other: Recording) -> Floats:
+def ensemble_crps(recording: Recording, other: Recording, model: SonarModel | None = None) -> Floats:
     """Return the CRPS of answered pings, m, in the order of a `Batch`; the ensemble is the same visit of another file.
 
     Readings of the ensemble are moved to the distance of the ping.
+
+    Args:
+        recording: what is predicted.
+        other: readings of the ensemble.
+        model: changes each reading of the ensemble, at the ping's condition and past.
     """
+    batch, pairs = Batch.of(recording), list(_ensembles(recording, other))
+    row = np.concatenate([np.repeat(rows, len(members)) for rows, members in pairs])
+    member = np.concatenate([np.tile(members, len(rows)) for rows, members in pairs])
+    moved = other.reading.range[member] + batch.ping.distance[row] - other.ping.distance[member]
+    status = other.reading.status[member]
+    drawn = Reading.of(np.where(status == EchoStatus.ECHO, np.maximum(moved, other.resolution), 0.0), status)
+    if model is not None:
+        law = model.law(with_simulated(batch.ping[row], drawn), batch.past[row])
+        drawn = law.sample(np.random.default_rng(0))
+    end, out = _ends(batch.reading), np.empty(len(batch))
+    ensembles = np.split(_ends(drawn), np.cumsum([len(rows) * len(members) for rows, members in pairs])[:-1])
+    for (rows, members), values in zip(pairs, ensembles, strict=True):
+        out[rows] = fair_crps(end[rows], values.reshape(len(rows), len(members)))
+    return out
+
+
+def _ensembles(recording: Recording, other: Recording) -> Iterator[tuple[Ints, Ints]]:
+    """Yield the rows of each visit in a `Batch`, and the answered pings of that visit in another file."""
     visit = visits_of(recording)[1]
-    order = np.lexsort((np.arange(len(visit)), visit))
-    order = order[recording.reading.answered[order]]
-    distance, reading, answered = recording.ping.distance, recording.reading, np.flatnonzero(other.reading.answered)
-    error = np.where(other.reading.echo, other.reading.range - other.ping.distance, np.inf)
-    out = np.empty(len(visit))
-    for rows in np.split(order, np.flatnonzero(np.diff(visit[order])) + 1):
-        same = answered[visit[answered] == visit[rows[0]]]
-        members = error[same if len(same) > 1 else answered][:MAX_MEMBERS]
-        drawn = np.where(np.isfinite(members), distance[rows, None] + members, MAX_RANGE)
-        y = np.where(reading.echo[rows], reading.range[rows], MAX_RANGE)
-        out[rows] = fair_crps(y, drawn)
-    return out[order]
+    answered = np.flatnonzero(other.reading.answered)
+    named = np.unique(visit[recording.reading.answered])
+    for name, rows in zip(named, Batch.of(recording).visit_rows, strict=True):
+        same = answered[visit[answered] == name]
+        yield rows, (same if len(same) > 1 else answered)[:MAX_MEMBERS]
+
+
+def _ends(reading: Reading) -> Floats:
+    """Return ranges, m, with the end of the register for no echo."""
+    return np.where(reading.echo, reading.range, MAX_RANGE)

@@ -129,7 +129,7 @@ def gap_unseen(record: Record) -> float | None:
     return float((before - after) / gap) if gap > 0 else None
 
 
-def made_worse(record: Record) -> bool:
-    """Return whether the corrected model is worse than the simulation on fresh readings, beyond two errors."""
+def made_worse(record: Record, model: str = "corrected") -> bool:
+    """Return whether a model is worse than the simulation on fresh readings, beyond two standard errors."""
     scores = record["scores"]
-    return bool(scores["corrected"] - scores["before"] > 2.0 * scores["change_error"])
+    return bool(scores[model] - scores["before"] > 2.0 * scores[f"{model}_error"])

@@ -1,0 +1,54 @@
+"""What differs, as a model that acts on the simulator's own readings.
+
+A law that stands for a simulation is wrong by some millimetres under conditions that it was not fitted to, and so is a
+law of the recording with the same base. In their difference these errors cancel: where the simulator can be asked, its
+own readings with the causes applied to them are closer to the recording than any law.
+"""
+
+from __future__ import annotations
+
+from noise.composed import ComposedModel, with_differences
+from noise.discrepancy.judge.correction import Options
+from noise.discrepancy.judge.held_out import Simulation
+from noise.discrepancy.judge.judged import Judged
+from noise.discrepancy.name.search import Search
+from noise.fitting.smooth import Empirical
+from noise.fitting.stack import Stack
+from noise.model import SonarModel
+from noise.replay import Replay
+
+
+def difference(
+    judged: Judged, search: Search, options: Options, emulator: SonarModel, step_m: float
+) -> ComposedModel | None:
+    """Return the believed causes, with the empirical term where it predicts better, acting on given readings.
+
+    Args:
+        judged: the hypothesis.
+        search: readings and candidates.
+        options: models that may be offered, with their scores on visits that they have not seen.
+        emulator: law that describes the simulation.
+        step_m: step of the recording's register.
+
+    Returns:
+        The model; None where no law with causes predicts the recording better than the emulator beyond chance.
+    """
+    laws = [(options.with_causes, judged.final.single.stack)]
+    laws += [(options.with_term, judged.learned.stack)] if judged.learned is not None else []
+    simulated = Simulation(emulator)
+    better = [(law.crps, stack) for law, stack in laws if law is not None and simulated.is_beaten(*law.scored)]
+    if not better:
+        return None
+    stack = min(better, key=lambda pair: pair[0])[1]
+    register = search.common.resolution
+    return _acting_on(Replay(emulator, register, max(register, step_m)), search.common, stack, judged.believed)
+
+
+def _acting_on(model: SonarModel, common: Stack, recorded: Stack, believed: tuple[str, ...]) -> ComposedModel | None:
+    """Return the differences between two stacks, acting on another model; None where none can."""
+    # the readings of the simulator have its early and late echoes already
+    shared = [term.without_tails() for term in common.terms]
+    terms = [term for term in recorded.terms if isinstance(term, Empirical)]
+    causes = {name: recorded.effects[name] for name in believed}
+    composed, left_out = with_differences(model, common.effects, causes, shared, terms)
+    return composed if terms or len(left_out) < len(causes) else None
