@@ -166,7 +166,8 @@ class ComposedModel:
         inner: Any = self.model
         if not hasattr(inner, "to_dict"):
             raise ModelError(f"ComposedModel: a {type(inner).__name__} cannot be saved; it has no to_dict()")
-        stacks = {"before": self.before.to_dict(), "after": self.after.to_dict()}
+        both = {"before": self.before.to_dict(), "after": self.after.to_dict()}
+        stacks = {name: {key: data[key] for key in ("effects", "terms")} for name, data in both.items()}
         return {"kind": "composed", "model": inner.to_dict(), **stacks}
 
     @checked
@@ -186,7 +187,8 @@ class ComposedModel:
             ModelError: an effect is unknown or a value is invalid.
         """
         try:
-            before, after = (EmpiricalModel.from_dict(data[key]) for key in ("before", "after"))
+            register = {"resolution": 0.001, "max_range": END}  # those of the model are used
+            before, after = (EmpiricalModel.from_dict({**register, **data[key]}) for key in ("before", "after"))
             return cls(load_kind(folder, data["model"]), before.effects, after.effects)
         except (KeyError, TypeError, AttributeError, SettingError) as error:
             raise ModelError(f"{folder / 'model.json'}: does not describe effects on a model ({error})") from None

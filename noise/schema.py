@@ -139,12 +139,17 @@ class Physical(Registered):
     effects: dict[str, Parameters]
 
 
-class Empirical(Registered):
+class Effects(Schema):
+    """Effects of the catalogue and smooth terms."""
+
+    effects: dict[str, Parameters]
+    terms: list[Term]
+
+
+class Empirical(Registered, Effects):
     """See `noise.fitting.empirical.EmpiricalModel`."""
 
     kind: Literal["empirical"]
-    effects: dict[str, Parameters]
-    terms: list[Term]
 
 
 class Trees(Schema):
@@ -216,8 +221,8 @@ class Composed(Kind):
 
     kind: Literal["composed"]
     model: Model
-    before: Empirical
-    after: Empirical
+    before: Effects
+    after: Effects
 
 
 class Replay(Kind):

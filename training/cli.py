@@ -31,6 +31,7 @@ GROUPS = {
             "diagnosis.diagnose",
             "find where a simulation and a recording differ, and why; correct the model",
         ),
+        "correct": ("recordings.correct", "apply what a diagnosis found to the readings of the simulator"),
         "train-noise": ("noise.train", "train a noise model on a recording"),
         "train-agent": ("agents.train", "train a parking agent with the sonar models you choose"),
         "evaluate-agent": ("agents.evaluate", "measure how often agents park in the same streets"),

@@ -28,13 +28,20 @@ def stub_diagnose(files, without=()):
 
 def stub_score(answer, model):
     assert model == b"model"
-    scores = dict.fromkeys(("before", "again", "corrected", "causes_only", "process", "beam"), 0.01)
+    scores = dict.fromkeys(("before", "again", "corrected", "causes_only", "own", "process", "beam"), 0.01)
     return {
         "intervals": {},
         "overlap": [],
         "evidence": {},
         "likely": {},
-        "scores": {**scores, "before": 0.03, "gap_error": 0.001, "change_error": 0.001, "offered": True},
+        "scores": {
+            **scores,
+            "before": 0.03,
+            "gap_error": 0.001,
+            "corrected_error": 0.001,
+            "own_error": 0.001,
+            "offered": True,
+        },
         "baselines": {"classifier_p": 0.5, "mmd_p": 0.5, "independent": ""},
     }
 

@@ -19,9 +19,9 @@ NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to s
 recording by so many nats. In brackets: the number of values, and the 95 % interval (Wilson for shares, bootstrap for
 medians and percentiles). A gap is that
 between the simulation's own readings and a second recording in the same visits, in CRPS with silence counted, where it
-exceeds two standard errors; on unseen visits a forest of the recording stands for the second. Times are those of this
-run, beside other work. Not measured: the width of intervals relative to an oracle, and whether the next measurement
-settles."""
+exceeds two standard errors; on unseen visits a forest of the recording stands for the second. "Corrected readings" are
+the simulation's own with what differs applied (`Diagnosis.correct`). Times are those of this run, beside other work.
+Not measured: the width of intervals relative to an oracle, and whether the next measurement settles."""
 
 
 @dataclass(frozen=True)

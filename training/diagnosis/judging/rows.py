@@ -172,18 +172,19 @@ def _corrections(records: Records) -> Iterator[Row]:
     named = of_kind(records, SINGLE, PAIR)
     unseen = [gap_unseen(record) for record in named if is_strong(record)]
     yield from _gaps("unseen visits, strong", unseen, 0.95, 0.7)
-    fresh = [gap_closed(record) for record in named]
-    yield from _gaps("fresh recording, known causes", fresh, 0.9, 0.7)
-    below = (gap < 0 for gap in fresh if gap is not None)
-    yield share("fresh recording, known causes: gap closed below 0", at_most(0.0), below)
     causes_only = [gap_closed(record, "causes_only") for record in named]
     yield statistic("fresh recording, causes without empirical term: median gap", FREE, causes_only, np.median)
-    other = [gap_closed(record) for record in of_kind(records, UNMODELLED)]
-    yield statistic("fresh recording, unmodelled: median gap closed", at_least(0.6), other, np.median)
-    simulator = [gap_closed(record) for record in of_kind(records, SIMULATOR)]
-    yield statistic("fresh recording, other simulator: median gap closed", at_least(0.9), simulator, np.median)
-    worse = (made_worse(record) for record in records if record["scores"] is not None)
-    yield share("fresh recording: correction worse than the simulation", at_most(0.0), worse)
+    other, simulator = of_kind(records, UNMODELLED), of_kind(records, SIMULATOR)
+    for of, model in (("corrected model", "corrected"), ("corrected readings", "own")):
+        fresh = [gap_closed(record, model) for record in named]
+        yield from _gaps(f"fresh recording, {of}, known causes", fresh, 0.9, 0.7)
+        below = (gap < 0 for gap in fresh if gap is not None)
+        yield share(f"fresh recording, {of}, known causes: gap closed below 0", at_most(0.0), below)
+        unknown, others = ([gap_closed(record, model) for record in some] for some in (other, simulator))
+        yield statistic(f"fresh recording, {of}, unmodelled: median gap closed", at_least(0.6), unknown, np.median)
+        yield statistic(f"fresh recording, {of}, other simulator: median gap closed", at_least(0.9), others, np.median)
+        worse = (made_worse(record, model) for record in records if record["scores"] is not None)
+        yield share(f"fresh recording, {of}: worse than the simulation", at_most(0.0), worse)
 
 
 def _gaps(name: str, values: list[float | None], median: float, tenth: float) -> Iterator[Row]:

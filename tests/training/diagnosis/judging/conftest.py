@@ -38,7 +38,7 @@ def record():
         held_out = {"before": {"crps_mm": 12.0}, "after": {"crps_mm": 3.0}, "repeatability_mm": 2.0}
         verdict = {"verdict": "explained" if named else "none", "p_value": p_value, "causes": named}
         verdict |= {"where": [{"aspect": "bias"}] if named else [], "held_out": held_out}
-        scores = {"before": 0.012, "again": 0.002, "corrected": 0.003, "causes_only": 0.004}
+        scores = {"before": 0.012, "again": 0.002, "corrected": 0.003, "causes_only": 0.004, "own": 0.003}
         return {
             "family": family,
             "kind": kind,
@@ -57,7 +57,7 @@ def record():
             "overlap": [1.0] if named else [],
             "evidence": {each["effect"]: EVIDENCE for each in named},
             "likely": {each["effect"]: {each["effect"]: 1.0} for each in named},
-            "scores": scores | {"gap_error": 0.001, "change_error": 0.001, "offered": True},
+            "scores": scores | {"gap_error": 0.001, "corrected_error": 0.001, "own_error": 0.001, "offered": True},
         } | changed
 
     return make

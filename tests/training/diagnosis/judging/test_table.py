@@ -38,7 +38,7 @@ def test_a_right_answer_meets_every_target_that_it_is_part_of(record):
     assert figures["single, 15 nats apart in CRPS: true cause most probable"].n == 10
     assert figures["strong single, acts everywhere: IoU"].value == 1.0
     assert figures["90 % intervals cover"].value == 1.0
-    assert figures["fresh recording, known causes: median gap closed"].value == pytest.approx(0.9)
+    assert figures["fresh recording, corrected model, known causes: median gap closed"].value == pytest.approx(0.9)
     assert figures["unseen visits, strong: median gap closed"].value == pytest.approx(0.9)
     assert figures["stated probabilities: calibration error"].value == pytest.approx(0.1)
 
