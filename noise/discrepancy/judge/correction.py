@@ -17,7 +17,7 @@ from acquisition.arrays import Floats
 from noise.composed import with_differences
 from noise.discrepancy.baseline.emulator import learner_pings
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
-from noise.discrepancy.judge.held_out import Simulation, crps_of_each
+from noise.discrepancy.judge.held_out import Simulation, crps_of_each, log_score
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
@@ -34,10 +34,12 @@ class Option:
     Attributes:
         model: the model.
         scored: visits that it has not seen, and its CRPS there, m, (n,).
+        nats: its log score there, nats, (n,) each; empty where it is no law with causes.
     """
 
     model: SonarModel
     scored: tuple[tuple[Batch, Floats], ...]
+    nats: tuple[Floats, ...] = ()
 
     @property
     def crps(self) -> float:
@@ -112,7 +114,8 @@ def offered(stack: Stack, step_m: float) -> SonarModel:
 
 def _scored(model: SonarModel, unseen: Batch, crossed: tuple[tuple[Batch, SonarModel], ...]) -> Option:
     pairs = ((unseen, model), *crossed)
-    return Option(model, tuple((batch, crps_of_each(each, batch)) for batch, each in pairs))
+    scored = tuple((batch, crps_of_each(each, batch)) for batch, each in pairs)
+    return Option(model, scored, tuple(log_score(each, batch) for batch, each in pairs))
 
 
 def _by_fold(search: Search, found: Hypothesis, step_m: float) -> tuple[tuple[Batch, SonarModel], ...]:

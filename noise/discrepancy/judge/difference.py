@@ -7,9 +7,11 @@ own readings with the causes applied to them are closer to the recording than an
 
 from __future__ import annotations
 
+import numpy as np
+
 from noise.composed import ComposedModel, with_differences
-from noise.discrepancy.judge.correction import Options
-from noise.discrepancy.judge.held_out import Simulation
+from noise.discrepancy.judge.correction import Option, Options
+from noise.discrepancy.judge.held_out import beyond_chance, crps_of_each, log_score
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.smooth import Empirical
@@ -31,17 +33,26 @@ def difference(
         step_m: step of the recording's register.
 
     Returns:
-        The model; None where no law with causes predicts the recording better than the emulator beyond chance.
+        The model; None where no law with causes predicts the recording better than the emulator: in the mean CRPS, and
+        beyond chance in the log score, which is the more sensitive of the two where echoes are lost.
     """
     laws = [(options.with_causes, judged.final.single.stack)]
     laws += [(options.with_term, judged.learned.stack)] if judged.learned is not None else []
-    simulated = Simulation(emulator)
-    better = [(law.crps, stack) for law, stack in laws if law is not None and simulated.is_beaten(*law.scored)]
+    better = [(law.crps, stack) for law, stack in laws if law is not None and gains(law, emulator)]
     if not better:
         return None
     stack = min(better, key=lambda pair: pair[0])[1]
     register = search.common.resolution
     return _acting_on(Replay(emulator, register, max(register, step_m)), search.common, stack, judged.believed)
+
+
+def gains(law: Option, emulator: SonarModel) -> bool:
+    """Return whether a law predicts visits that it has not seen better than the emulator."""
+    batches = [batch for batch, _ in law.scored]
+    before = np.concatenate([crps_of_each(emulator, batch) for batch in batches])
+    nats = [own - log_score(emulator, batch) for own, batch in zip(law.nats, batches, strict=True)]
+    gain = np.concatenate([batch.visit_sums(each) for batch, each in zip(batches, nats, strict=True)])
+    return law.crps < float(before.mean()) and beyond_chance(gain)
 
 
 def _acting_on(model: SonarModel, common: Stack, recorded: Stack, believed: tuple[str, ...]) -> ComposedModel | None:

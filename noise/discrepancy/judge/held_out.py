@@ -94,8 +94,18 @@ class Simulation:
         own = [self._scored(batch) for batch, _ in scored]
         gain = np.concatenate([b.visit_sums(before[0] - crps) for before, (b, crps) in zip(own, scored, strict=True)])
         n_estimated = sum(int(before[1].sum()) for before in own)
-        limit = student.ppf(BEYOND, max(len(gain) - 1, 1))
-        return bool(gain.sum() > limit * np.hypot(standard_error(gain), n_estimated * self.excess[1]))
+        return beyond_chance(gain, n_estimated * self.excess[1])
+
+
+def beyond_chance(gain: Floats, error: float = 0.0) -> bool:
+    """Return whether the sum of the gains of visits, (n,), is more than chance, by Student's t.
+
+    Args:
+        gain: of each visit.
+        error: further standard error of the sum.
+    """
+    limit = student.ppf(BEYOND, max(len(gain) - 1, 1))
+    return bool(gain.sum() > limit * np.hypot(standard_error(gain), error))
 
 
 def ends(batch: Batch) -> Floats:

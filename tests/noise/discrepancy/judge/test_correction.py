@@ -27,18 +27,18 @@ def parts():
 def test_the_law_that_made_the_readings_is_offered(parts):
     unseen, seen, forest = parts
     laws = (option(model_of(MOVED), unseen, seen), option(model_of(LOUD), unseen, seen))
-    assert Options(None, laws, forest).corrected(Simulation(model_of(LOUD))) is laws[0].model
+    assert Options(*laws, None, forest).corrected(Simulation(model_of(LOUD))) is laws[0].model
 
 
 def test_nothing_beats_a_simulation_that_is_right(parts):
     unseen, seen, forest = parts
-    laws = (option(model_of({**MOVED, "zero_offset": {"offset_m": 0.032}}), unseen, seen),)
-    assert Options(None, laws, forest).corrected(Simulation(model_of(MOVED))) is None
+    law = option(model_of({**MOVED, "zero_offset": {"offset_m": 0.032}}), unseen, seen)
+    assert Options(law, None, None, forest).corrected(Simulation(model_of(MOVED))) is None
 
 
 def test_without_a_law_the_forest_is_offered(parts):
     forest = parts[2]
-    assert Options(None, (), forest).corrected(Simulation(model_of(LOUD))) is forest.model
+    assert Options(None, None, None, forest).corrected(Simulation(model_of(LOUD))) is forest.model
 
 
 def test_an_offered_law_has_the_coarser_register():
