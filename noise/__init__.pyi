@@ -25,6 +25,7 @@ from .learned.recurrent import LstmModel
 from .learned.thesis import load_thesis_network
 from .model import GaussianModel, IdealModel, SonarModel, follow, listener, simulate
 from .physical import PhysicalModel
+from .replay import with_simulated
 from .store import load_model, model_names, save_model
 
 __version__: str
@@ -52,4 +53,5 @@ __all__ = [
     "model_names",
     "save_model",
     "simulate",
+    "with_simulated",
 ]

@@ -283,9 +283,9 @@ def _probability(law: EchoLaw, before: State, after: State) -> Floats:
     p = np.clip(law.echo / np.maximum(1.0 - law.no_answer, 1e-12), 0.0, 1.0)
     old, new = (_mean(state, state.direct.detection(state.width_db)).expand(n).numpy() for state in (before, after))
     missed, misses = (_mean(state, state.direct.missing(state.width_db)).expand(n).numpy() for state in (before, after))
-    loss = np.divide(new, old, out=np.ones(n), where=old > 0)
-    gain = np.divide(misses, missed, out=np.ones(n), where=missed > 0)
-    return np.where(new <= old, p * np.minimum(loss, 1.0), 1.0 - (1.0 - p) * np.minimum(gain, 1.0))
+    loss = np.divide(np.minimum(new, old), old, out=np.ones(n), where=old > 0)
+    gain = np.divide(np.minimum(misses, missed), missed, out=np.ones(n), where=missed > 0)
+    return np.where(new <= old, p * loss, 1.0 - (1.0 - p) * gain)
 
 
 def _mean(state: State, value: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ import noise
 
 NAMES = """CATALOGUE ComposedModel ConditionPrior CredenceTable EchoLaw Faulty GaussianModel IdealModel LstmModel
 MlpModel PhysicalModel SonarModel compose diagnose follow listener load_model load_thesis_network model_names save_model
-simulate"""
+simulate with_simulated"""
 MODULES = "law model store credence physical metrics faults effects learned fitting discrepancy"
 
 

@@ -184,7 +184,9 @@ def normal_scores(low: Floats, high: Floats) -> Floats:
     """Return E[h(Phi^-1(U)) | low < U <= high] - E[h], for the winsorised h of bias, spread and skew, (3, n)."""
     below, above = ndtri(low), ndtri(high)
     width = high - low
-    at = np.clip(np.where(np.isfinite(below + above), (below + above) / 2.0, np.where(low > 0.5, below, above)), -9, 9)
+    finite = np.isfinite(below) & np.isfinite(above)
+    middle = 0.5 * (np.where(finite, below, 0.0) + np.where(finite, above, 0.0))
+    at = np.clip(np.where(finite, middle, np.where(low > 0.5, below, above)), -9, 9)
     narrow = width < 1e-7  # the difference of integrals has lost its digits
     mean = (_integrals(above) - _integrals(below)) / np.where(narrow, 1.0, width)
     return np.where(narrow, _hermite(np.clip(at, -LIMIT, LIMIT)), mean) - _integrals(np.array([np.inf]))
