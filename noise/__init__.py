@@ -5,8 +5,8 @@ Names are imported on first use (`__init__.pyi` lists them), so that torch is lo
 law: the law of a ping, `EchoLaw`. model: protocols, simulation, ideal and Gaussian models. physical: effects on an
 ideal sonar. beam: the beam model of Thrun et al. faults: faults on any model. composed: a learned law with the causes
 of a diagnosis. replay: a simulator's own readings as a model. rig: the waveform rig as a model. table: normal readings
-by a table over distance. store: load and save. metrics: scores. credence: credence given a reading. statistics: robust estimates.
-effects: the catalogue of effects. learned: networks. fitting: maximum likelihood. discrepancy: diagnosis.
+by a table over distance. store: load and save. metrics: scores. credence: credence given a reading. statistics: robust
+estimates. effects: the catalogue of effects. learned: networks. fitting: maximum likelihood. discrepancy: diagnosis.
 """
 
 import lazy_loader as lazy

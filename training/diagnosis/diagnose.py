@@ -29,7 +29,8 @@ class Args:
     recorded: Annotated[Path, tyro.conf.Positional]
     """Recording of the real sonar (CSV, one row per ping)."""
     out: Annotated[Path, Output("folder", "verdict.json")]
-    """Output folder: verdict.json, report.html and, if a correction is offered, the corrected model in corrected/."""
+    """Output folder: verdict.json, report.html and, where a correction is offered, the corrected model in corrected/;
+    what acts on the simulator's own readings is in difference/ (`sonar-gym correct`)."""
     model: str = "ideal"
     """Model of the simulation: a name (ideal, gaussian, ...) or the folder of a saved model."""
     simulated: Path | None = None

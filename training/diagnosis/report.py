@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,8 @@ def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
         corrected: folder of the corrected model, for the instructions.
         seed: seed of randomised PIT values.
     """
-    return re.sub(r"\n\s*\n+", "\n", fill("report.html", diagnosis, seed, corrected=corrected))
+    folder = shlex.quote(str(Path(corrected).parent))
+    return re.sub(r"\n\s*\n+", "\n", fill("report.html", diagnosis, seed, corrected=corrected, folder=folder))
 
 
 def fill(template: str, diagnosis: Diagnosis, seed: int = 0, **variables: Any) -> str:
@@ -71,6 +73,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "silent": silent,
         "found": answers,
         "offered": diagnosis.corrected is not None,
+        "acts": diagnosis.difference is not None,
         "bar": Markup(markup.share_bar(verdict) + markup.legend(verdict)) if answers else "",
         "causes": [] if silent else [cause_facts(cause) for cause in verdict.causes],
         "where": [located(found) for found in verdict.where],
