@@ -79,15 +79,17 @@ def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stac
     """Return a law with its smooth correction by condition, and the nuisance parameters fitted beside it.
 
     What the physics misses at a position looks like scatter of placements. A correction of detection and range alone
-    may explain that, and leaves less scatter. One of all aspects is learned with the scatter as it is: the spread and
-    the tails would otherwise describe what the range lacks. Of these laws and that without a correction the one is
+    may explain that, and leaves less scatter; it is learned with no more scatter of the level than is familiar, since
+    under a wide one nothing is gained by knowing who is heard. One of all aspects is learned with the scatter as it is:
+    the spread and the tails would otherwise describe what the range lacks. Of these laws and that without a correction the one is
     returned that predicts conditions best which its correction was not fitted to.
     """
     batch = learner_pings(readings)
     few = batch.thin(PHYSICS_PINGS)
     laws = [stack]
-    for heads, free in (((DETECTION, SHIFT), NUISANCES), (HEADS, SHARED)):
-        first = _corrected(stack, batch, heads, rng)
+    familiar = stack.at({LEVEL_SD: min(stack.get(LEVEL_SD), FAMILIAR[LEVEL_SD])})
+    for start, heads, free in ((familiar, (DETECTION, SHIFT), NUISANCES), (stack, HEADS, SHARED)):
+        first = _corrected(start, batch, heads, rng)
         if first.left_out is not None:
             laws.append(maximise(first, free, few, ITERATIONS, MIN_GAIN_NATS).stack)
     return max(laws, key=lambda law: crossed_log_likelihood(law, batch))
