@@ -81,8 +81,8 @@ def with_smooth(stack: Stack, readings: Batch, rng: np.random.Generator) -> Stac
     What the physics misses at a position looks like scatter of placements. A correction of detection and range alone
     may explain that, and leaves less scatter; it is learned with no more scatter of the level than is familiar, since
     under a wide one nothing is gained by knowing who is heard. One of all aspects is learned with the scatter as it is:
-    the spread and the tails would otherwise describe what the range lacks. Of these laws and that without a correction the one is
-    returned that predicts conditions best which its correction was not fitted to.
+    the spread and the tails would otherwise describe what the range lacks. Of these laws and that without a correction
+    the one is returned that predicts conditions best which its correction was not fitted to.
     """
     batch = learner_pings(readings)
     few = batch.thin(PHYSICS_PINGS)
