@@ -161,8 +161,13 @@ def _overlaps(own: Floats, other: Floats) -> Bits:
 
 
 def is_continuous(batch: Batch) -> bool:
-    """Return whether visits are pieces of a log in which conditions never repeat, as of a moving robot."""
+    """Return whether visits are pieces of a log: of a moving robot, or of a target that stays in place."""
     return bool(np.array_equal(np.unique(batch.condition, return_inverse=True)[1].ravel(), batch.visit))
+
+
+def moves(batch: Batch) -> bool:
+    """Return whether a continuous log is that of a moving robot, and not of a target that stays in place."""
+    return is_continuous(batch) and not bool(batch.stationary.all())
 
 
 def positions(batch: Batch) -> Floats:
@@ -222,7 +227,7 @@ def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chain
     """
     if sample.simulated is None:
         return np.ones(scores.shape[1], dtype=np.int64)
-    files = [~sample.is_recorded, sample.is_recorded][: 2 if all(map(is_continuous, sample.batches)) else 1]
+    files = [~sample.is_recorded, sample.is_recorded][: 2 if all(map(moves, sample.batches)) else 1]
     found = [_bandwidths(sample, scores[file], valid[file], cluster[file], file, chains) for file in files]
     return np.max(found, axis=0)
 
