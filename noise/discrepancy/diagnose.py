@@ -241,9 +241,11 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
+    acting, left_out = difference(judged, search, options, data.baseline.emulator, recorded.resolution)
     return replace(
         diagnosis,
-        difference=difference(judged, search, options, data.baseline.emulator, recorded.resolution),
+        difference=acting,
+        left_out=left_out,
         evidence=judged.evidence,
         likely={p.effect: p.likely for p in judged.places},
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ class Presented:
     verdict: Any
     corrected: Any
     difference: Any
+    left_out: Any
 
     def __repr__(self) -> str:
         return shortened(str(load_extra(REPORT + "words", "noise").one_line(self)))
@@ -72,7 +74,7 @@ class Presented:
 
     @checked
     def correct(self, simulated: RecordingLike, seed: Seed = 0) -> Recording:
-        """Return the readings of the simulator with what differs applied to them, at any conditions.
+        """Return the readings of the simulator with what differs applied to them; what cannot be is warned of.
 
         Args:
             simulated: readings of the simulator: a `Recording`, a table with its columns, or the path of a CSV file.
@@ -86,6 +88,9 @@ class Presented:
                 f"Diagnosis.correct: the verdict is {self.verdict.verdict}, and nothing was found that can be applied "
                 "to the simulator's readings"
             )
+        if self.left_out:
+            reasons = "; ".join(f"{name} ({reason})" for name, reason in self.left_out.items())
+            warnings.warn(f"correct: not applied: {reasons}", stacklevel=2)
         return corrected_readings(self.difference, as_recording(simulated, "simulation"), np.random.default_rng(seed))
 
     @checked

@@ -303,6 +303,7 @@ class Diagnosis(Presented):
         unanswered: number of pings without an answer, which were left out.
         difference: causes and empirical term acting on the simulator's own readings, for `correct`; None where none is
             believed or they do not predict the recording better than the simulation.
+        left_out: believed cause that cannot act so -> why.
         evidence: what the decision model knew of each selected effect, believed or not.
         likely: selected effect -> effect in its place -> probability.
     """
@@ -318,6 +319,7 @@ class Diagnosis(Presented):
     recording: str
     unanswered: int
     difference: SonarModel | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
     likely: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 

@@ -74,6 +74,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "found": answers,
         "offered": diagnosis.corrected is not None,
         "acts": diagnosis.difference is not None,
+        "left_out": [(words.name(name), reason) for name, reason in diagnosis.left_out.items()],
         "bar": Markup(markup.share_bar(verdict) + markup.legend(verdict)) if answers else "",
         "causes": [] if silent else [cause_facts(cause) for cause in verdict.causes],
         "where": [located(found) for found in verdict.where],

@@ -22,7 +22,7 @@ from noise.replay import Replay
 
 def difference(
     judged: Judged, search: Search, options: Options, emulator: SonarModel, step_m: float
-) -> ComposedModel | None:
+) -> tuple[ComposedModel | None, dict[str, str]]:
     """Return the believed causes, with the empirical term where it predicts better, acting on given readings.
 
     Args:
@@ -33,14 +33,15 @@ def difference(
         step_m: step of the recording's register.
 
     Returns:
-        The model; None where no law with causes predicts the recording better than the emulator: in the mean CRPS, and
-        beyond chance in the log score, which is the more sensitive of the two where echoes are lost.
+        The model, and why some causes cannot act so, by effect. The model is None where no law with causes predicts the
+        recording better than the emulator: in the mean CRPS, and beyond chance in the log score, which is the more
+        sensitive of the two where echoes are lost.
     """
     laws = [(options.with_causes, judged.final.single.stack)]
     laws += [(options.with_term, judged.learned.stack)] if judged.learned is not None else []
     better = [(law.crps, stack) for law, stack in laws if law is not None and gains(law, emulator)]
     if not better:
-        return None
+        return None, {}
     stack = min(better, key=lambda pair: pair[0])[1]
     register = search.common.resolution
     return _acting_on(Replay(emulator, register, max(register, step_m)), search.common, stack, judged.believed)
@@ -55,11 +56,13 @@ def gains(law: Option, emulator: SonarModel) -> bool:
     return law.crps < float(before.mean()) and beyond_chance(gain)
 
 
-def _acting_on(model: SonarModel, common: Stack, recorded: Stack, believed: tuple[str, ...]) -> ComposedModel | None:
-    """Return the differences between two stacks, acting on another model; None where none can."""
+def _acting_on(
+    model: SonarModel, common: Stack, recorded: Stack, believed: tuple[str, ...]
+) -> tuple[ComposedModel | None, dict[str, str]]:
+    """Return the differences between two stacks, acting on another model, None where none can; and what cannot."""
     # the readings of the simulator have its early and late echoes already
     shared = [term.without_tails() for term in common.terms]
     terms = [term for term in recorded.terms if isinstance(term, Empirical)]
     causes = {name: recorded.effects[name] for name in believed}
     composed, left_out = with_differences(model, common.effects, causes, shared, terms)
-    return composed if terms or len(left_out) < len(causes) else None
+    return composed if terms or len(left_out) < len(causes) else None, left_out
