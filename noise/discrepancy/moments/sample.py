@@ -100,14 +100,17 @@ class Sample:
 
     @cached_property
     def chains(self) -> Chains:
-        """Clusters of one position, or pieces of one continuous log, in time."""
+        """Pieces of one continuous log, in time, or of what it holds of one position; other clusters by themselves."""
         return self._clusters[1]
 
     @cached_property
     def _clusters(self) -> tuple[Ints, Chains]:
-        keys = []
+        keys, chains = [], []
         for k, batch in enumerate(self.batches):
             at = positions(batch)
+            chain = np.arange(batch.n_visits) if not is_continuous(batch) else np.zeros(batch.n_visits)
+            place = np.zeros_like(at) if moves(batch) else at
+            chains.append(np.c_[np.full(batch.n_visits, k), chain, place])
             table = pd.DataFrame(at)
             nth = table.groupby(list(table.columns)).cumcount().to_numpy()
             if stays_in_place(batch):
@@ -119,10 +122,10 @@ class Sample:
         by_visit = every.groupby([0, 1, 2, 3, 4], sort=False).ngroup().to_numpy().astype(np.int64)
         merged = _merged(by_visit, every[5].to_numpy())
         first = np.unique(merged, return_index=True)[1]
-        chain = every.groupby([0, 1, 2, 3], sort=False).ngroup().to_numpy().astype(np.int64)
+        label = np.unique(np.concatenate(chains), axis=0, return_inverse=True)[1].ravel()
         parts = zip(self._split(merged), self.batches, strict=True)
-        chains = Chains.of(chain[first], every[5].to_numpy()[first])
-        return np.concatenate([part[b.visit] for part, b in parts]), chains
+        cluster = np.concatenate([part[b.visit] for part, b in parts])
+        return cluster, Chains.of(label[first], every[5].to_numpy()[first])
 
     def _split(self, by_visit: Ints) -> list[Ints]:
         return np.split(by_visit, np.cumsum([batch.n_visits for batch in self.batches])[:-1])
