@@ -47,7 +47,7 @@ def test_sonars_of_the_layout_example_alternate(capsys):
 
 
 def test_every_example_is_tested():
-    tested = {*READING_LINES, "own_materials.py", "record_gif.py", "train_highway.py", "ppo.py", "behaviour_cloning.py"}
+    tested = {*READING_LINES, "own_materials.py", "record_gif.py", "train_highway.py", "ppo.py", "offline.py"}
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested
 
 
