@@ -3,7 +3,7 @@
     offline.py clone FOLDER/sonar-parking/parking-ideal-v0
     offline.py iql FOLDER/sonar-parking/*
 
-"clone" is behaviour cloning; "iql" is implicit Q-learning (Kostrikov, Nair and Levine 2022), which clones each action
+"clone" is behaviour cloning; "iql" is implicit Q-learning (Kostrikov, Nair, Levine 2022), which clones each action
 with the weight exp(3 * advantage). The agent is saved in runs/offline; `sonar-gym evaluate-agent` and `sonar-gym
 leaderboard` score it.
 """
@@ -91,7 +91,9 @@ class Critic:
         return torch.exp(SHARPNESS * advantage.detach()).clamp(max=MAX_WEIGHT)
 
 
-def main(method: str, *places: str, agent: str = "runs/offline", steps: int = 20_000, streets: int = 200, seed: int = 0):
+def main(
+    method: str, *places: str, agent: str = "runs/offline", steps: int = 20_000, streets: int = 200, seed: int = 0
+) -> Rate:
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     settings = MemorySettings()
