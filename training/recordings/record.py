@@ -12,6 +12,7 @@ import numpy as np
 
 from acquisition import DeviceError, EchoStatus, Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
+from acquisition.bench.laboratory.setup import RANGE_STEP_MM
 from acquisition.drivers import DRIVERS, Srf08
 from acquisition.drivers.devantech import Devantech
 from acquisition.errors import SettingError
@@ -252,5 +253,5 @@ def _columns(args: Args, sonar: Any) -> dict[str, float | Callable[[], float]]:
         "humidity_pct": args.humidity_pct,
     }
     if hasattr(sonar, "range_register"):
-        columns |= {"gain": lambda: float(sonar.gain), "range_mm": lambda: 43.0 * (sonar.range_register + 1)}
+        columns |= {"gain": lambda: float(sonar.gain), "range_mm": lambda: RANGE_STEP_MM * (sonar.range_register + 1)}
     return columns
