@@ -320,3 +320,9 @@ def test_the_shipped_network_reads_longer_ranges_in_cold_air():
         np.average(middle[:-1, 0], weights=np.diff(law.arrival(middle + np.zeros(2)), axis=0)[:, k]) for k in (0, 1)
     ]
     assert 0.010 < mean[0] - mean[1] < 0.034
+
+
+def test_the_ends_of_a_range_are_no_extrapolation():
+    """Reflectances drawn from 0 to 1 hold neither."""
+    law = load_model("srf08-mlp").law(Ping.of(1.0, reflectance=[0.0, 1.0]))
+    assert not law.extrapolates.any()
