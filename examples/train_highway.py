@@ -1,56 +1,114 @@
-"""Train SAC with hindsight experience replay on the parking lot of highway-env with realistic sonars."""
+"""Train DQN to follow the traffic of highway-env without a sonar, with an ideal and with a realistic one.
 
-import sys
+One lane at a scale of 1:10 and a car ahead, whose speed differs from episode to episode; one sonar on the nose. Without
+it, a car can only drive as slowly as the slowest traffic. Prints return, speed and collisions in unseen traffic, and
+draws the returns during training.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import gymnasium
-import highway_env  # noqa: F401 - registers parking-v0
+import highway_env  # noqa: F401 - registers highway-fast-v0
 import numpy as np
 import torch
-from stable_baselines3 import SAC, HerReplayBuffer
-from stable_baselines3.common.base_class import BaseAlgorithm
+from gymnasium.wrappers import FilterObservation, FrameStackObservation
+from matplotlib.figure import Figure
+from stable_baselines3 import DQN
+from stable_baselines3.common.monitor import Monitor
 
 from sonar_gym import SonarObservation
 
-SECONDS = 15  # length of an episode; five decisions per second
-EPISODES = 20  # evaluation episodes before and after training
+ARMS = {"no sonar": None, "ideal sonar": "ideal", "srf08-mlp": "srf08-mlp"}
+SLOWEST, FASTEST = 10.0, 25.0  # m/s, of the traffic
+ROAD = {
+    "lanes_count": 1,
+    "vehicles_count": 1,
+    "action": {"type": "DiscreteMetaAction", "lateral": False, "target_speeds": [10, 15, 20, 25]},
+    "reward_speed_range": [SLOWEST, FASTEST],
+}
+UNSEEN = 1_000_000  # seed of the first traffic of the test
+SMOOTHED = 30  # episodes, of a mean of a curve
 
 
-def make(seed: int) -> gymnasium.Env:
-    """Return the parking lot, with the readings of eight sonars and their credence in addition to its observation."""
-    env = SonarObservation(gymnasium.make("parking-v0", config={"duration": SECONDS}), "gaussian")
-    env.reset(seed=seed)
-    return env
+class Traffic(gymnasium.Wrapper):
+    """Traffic of another speed in each episode; all cars start with the lowest speed."""
+
+    def reset(self, **settings: Any) -> tuple[Any, dict[str, Any]]:
+        """Draw the speed."""
+        out, base = self.env.reset(**settings), self.unwrapped
+        base.vehicle.speed, base.vehicle.target_speed = SLOWEST, SLOWEST
+        for one in base.road.vehicles[1:]:
+            one.speed = one.target_speed = base.np_random.uniform(SLOWEST, FASTEST)
+        return out
 
 
-def score(model: BaseAlgorithm, env: gymnasium.Env) -> np.ndarray:
-    """Return the mean reward per decision on each of the evaluation lots; 0 is parked."""
-    means = []
-    for seed in range(1000, 1000 + EPISODES):
-        observation, _ = env.reset(seed=seed)
-        rewards, over = [], False
-        while not over:
-            observation, reward, terminated, truncated, _ = env.step(model.predict(observation, deterministic=True)[0])
-            rewards.append(float(reward))
-            over = terminated or truncated
-        means.append(np.mean(rewards))
-    return np.array(means)
+class Result(NamedTuple):
+    """Steps and return of each episode of training; return, mean speed and collision of each of the test."""
+
+    steps: np.ndarray
+    returns: np.ndarray
+    tested: np.ndarray
 
 
-def main(steps: int = 6000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    torch.set_num_threads(1)
-    env = make(seed)
-    settings = {"learning_rate": 1e-3, "gamma": 0.95, "learning_starts": 500, "policy_kwargs": {"net_arch": [256, 256]}}
-    # hindsight experience replay changes the goals only; the readings of the sonars are unchanged
-    model = SAC("MultiInputPolicy", env, seed=seed, device="cpu", replay_buffer_class=HerReplayBuffer, **settings)
-    before = score(model, env)
-    model.learn(steps, progress_bar=sys.stderr.isatty())
-    after = score(model, env)
-    won = after - before
-    error = won.std(ddof=1) / np.sqrt(len(won))
-    print(f"reward per decision on {EPISODES} unseen lots: {before.mean():.3f} before, {after.mean():.3f} after")
-    print(f"gain {won.mean():.3f} +- {error:.3f} (standard error, paired) in {steps} decisions")
+def make(sonar: str | None) -> Monitor:
+    """Return the road; a car observes its speed and, with a sonar, the readings, at the last two decisions."""
+    nose = [{"name": "nose", "x": 2.5, "y": 0.0, "heading_deg": 0.0}]
+    road = Traffic(gymnasium.make("highway-fast-v0", config=ROAD))
+    env = SonarObservation(road, sonar or "ideal", sonar_layout=nose, metres_per_unit=0.1)
+    shown = ["base"] if sonar is None else ["base", "ranges", "echo", "credence"]
+    return Monitor(FrameStackObservation(FilterObservation(env, shown), 2))
+
+
+def drive(model: DQN, env: Monitor, seed: int) -> tuple[float, float, bool]:
+    """Return sum of rewards, mean speed in m/s, and whether the car collided, of one episode."""
+    observation, _ = env.reset(seed=seed)
+    score, speeds, over, info = 0.0, [], False, {}
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(model.predict(observation, deterministic=True)[0])
+        score, over = score + float(reward), terminated or truncated
+        speeds.append(info["speed"])
+    return score, float(np.mean(speeds)), bool(info["crashed"])
+
+
+def train(sonar: str | None, steps: int, episodes: int, seed: int) -> Result:
+    """Train one agent, and test it."""
+    env = make(sonar)
+    settings = {"learning_rate": 5e-4, "gamma": 0.9, "learning_starts": 200, "exploration_fraction": 0.5}
+    model = DQN("MultiInputPolicy", env, seed=seed, device="cpu", target_update_interval=100, **settings)
+    model.learn(steps)
+    ends, returns = np.cumsum(env.get_episode_lengths()), np.array(env.get_episode_rewards())
+    tested = [drive(model, env, UNSEEN + k) for k in range(episodes)]
     env.close()
-    return before, after
+    return Result(ends, returns, np.array(tested))
+
+
+def draw(results: dict[str, list[Result]], path: str) -> None:
+    """Draw the mean return of the last episodes during training, of each agent."""
+    figure = Figure(figsize=(6.0, 3.6), layout="constrained")
+    axes = figure.add_subplot(xlabel="decisions", ylabel=f"return, mean of {SMOOTHED} episodes")
+    for k, (arm, each) in enumerate(results.items()):
+        for one in each:
+            n = min(SMOOTHED, len(one.returns))
+            means = np.convolve(one.returns, np.full(n, 1.0 / n), mode="valid")
+            axes.plot(one.steps[n - 1 :], means, color=f"C{k}", label=arm if one is each[0] else None)
+    axes.legend()
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+
+
+def main(
+    steps: int = 6000, seeds: int = 3, episodes: int = 30, figure: str = "runs/highway.png"
+) -> dict[str, list[Result]]:
+    torch.set_num_threads(1)
+    results: dict[str, list[Result]] = {}
+    for arm, sonar in ARMS.items():
+        results[arm] = [train(sonar, steps, episodes, seed) for seed in range(seeds)]
+        score, speed, crashed = np.array([one.tested.mean(axis=0) for one in results[arm]]).T
+        each = ", ".join(f"{one:.1f}" for one in score)
+        print(f"{arm}: return {each}; {speed.mean():.1f} m/s; collided in {crashed.mean():.0%}", flush=True)
+    draw(results, figure)
+    return results
 
 
 if __name__ == "__main__":

@@ -48,6 +48,7 @@ class RigModel:
     """A simulated unit in a simulated laboratory.
 
     Pings do not interfere, since the sonars of a simulator share one batch; the air temperature drifts with time.
+    Covariates `temperature_c`, `humidity_pct`, `gain` and `range_mm` of a ping are used.
 
     Attributes:
         rig: unit and laboratory; by default the nominal unit at full gain with exactly placed reflectors.

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.arguments import checked
+from acquisition.arrays import Ints
 from acquisition.bench.disturbances import disturbances
 from acquisition.bench.firmware import ECHOES, smoothed, to_codes
 from acquisition.bench.laboratory.air import Drift, Floats
 from acquisition.bench.laboratory.interference import Ambient
-from acquisition.bench.laboratory.setup import Setup
+from acquisition.bench.laboratory.setup import RANGE_STEP_MM, Setup, check_register
 from acquisition.bench.laboratory.unit import DEG, Unit
 from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
 from acquisition.bench.registers import Registers, TrueEchoes
@@ -61,7 +62,7 @@ class Rig:
 
         Args:
             ping: the conditions; consecutive pings of one condition in one run are one visit, with one placement of the
-                reflector. Covariates `temperature_c` and `humidity_pct` override the setup's.
+                reflector. Covariates `temperature_c`, `humidity_pct`, `gain` and `range_mm` override the setup's.
             rng: source of all randomness.
             drift: drift of the air; None draws one.
             progress: called with the number of pings done and the total.
@@ -76,8 +77,9 @@ class Rig:
     ) -> Registers:
         """Fire pings whose runs are contiguous."""
         down, lost = draw_resets(self.setup.bus, ping, rng)
-        drawn = self._draw(ping, self.draw_drift(rng) if drift is None else drift, lost, rng)
-        time, true_echoes = self._echo_times(drawn, lost, rng, progress, truth)
+        setting, setups = self._settings(ping, lost)
+        drawn = self._draw(ping, self.draw_drift(rng) if drift is None else drift, setting, rng)
+        time, true_echoes = self._echo_times(drawn, setting, setups, rng, progress, truth)
         time = time + (self.unit.cold_s * np.exp(-ping.time / self.unit.warm_up_tau_s))[:, None]
         code = to_codes(time, self.unit, self.setup.output)
         if self.unit.averaging > 1 or self.unit.deadband > 0.0:
@@ -88,14 +90,37 @@ class Rig:
         fault = np.where(down & (fault == Link.OK), np.uint8(Link.RESET), fault)
         return Registers(code, answered, drawn.temperature_c, fault, drawn.humidity_pct, true_echoes)
 
-    def _draw(self, ping: Ping, drift: Drift, lost: NDArray[np.bool_], rng: np.random.Generator) -> DrawnPings:
-        """Draw all random quantities of n pings; `lost` marks those whose registers a reset has changed."""
+    def _settings(self, ping: Ping, lost: NDArray[np.bool_]) -> tuple[Ints, list[Setup]]:
+        """Return the number of each ping's register setting, (n,), and the laboratory with each setting.
+
+        Args:
+            ping: the conditions, (n,).
+            lost: whether a reset has changed the registers, (n,).
+        """
+        reset, logged = self.setup.after_reset(), self._registers(ping)
+        gain = np.where(lost, reset.gain, logged["gain"])
+        code = np.where(lost, reset.range_register, np.rint(logged["range_mm"] / RANGE_STEP_MM) - 1.0)
+        distinct, setting = np.unique(np.column_stack([gain, code]), axis=0, return_inverse=True)
+        for own in distinct:
+            check_register("Ping.gain", own[0], 31)
+            check_register("register of Ping.range_mm", own[1], 255)
+        setups = [replace(self.setup, gain=int(own[0]), range_register=int(own[1])) for own in distinct]
+        return setting.reshape(-1), setups
+
+    def _registers(self, ping: Ping) -> dict[str, Floats]:
+        """Return gain and range gate of each ping, (n,) each: as given, or those of the setup."""
+        own = {"gain": float(self.setup.gain), "range_mm": RANGE_STEP_MM * (self.setup.range_register + 1)}
+        given = {name: ping.covariates.get(name, np.full(len(ping), value)) for name, value in own.items()}
+        return {name: np.where(np.isnan(given[name]), value, given[name]) for name, value in own.items()}
+
+    def _draw(self, ping: Ping, drift: Drift, setting: Ints, rng: np.random.Generator) -> DrawnPings:
+        """Draw all random quantities of n pings; `setting` is the number of each ping's register setting."""
         setup, deviation = self.setup, drift(ping.time)
         temperature = ping.covariates.get(TEMPERATURE, setup.temperature_c) + setup.drift_c * deviation
         humidity = ping.covariates.get("humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * deviation
         humidity = np.clip(humidity, 0.0, 100.0)
         noise_rms = self.unit.noise * _noise_factor(setup.ambient, ping, rng)
-        visits = Visits.of(ping, temperature, humidity, lost)
+        visits = Visits.of(ping, temperature, humidity, setting)
         placed = self.place(ping[visits.first], rng, visits.visit[visits.first])
         fluctuation = draw_flutter(ping, visits, setup.flutter_tau_s, rng)
         return DrawnPings(ping, temperature, humidity, noise_rms, visits, placed, fluctuation)
@@ -103,21 +128,22 @@ class Rig:
     def _echo_times(
         self,
         drawn: DrawnPings,
-        lost: NDArray[np.bool_],
+        setting: Ints,
+        setups: list[Setup],
         rng: np.random.Generator,
         progress: Progress | None,
         truth: bool,
     ) -> tuple[Floats, TrueEchoes | None]:
         """Return the echo times of all pings, s, (n, 17), and the true echoes if requested."""
         order, times, true_echoes = [np.empty(0, dtype=np.int64)], [np.empty((0, ECHOES))], []
-        for which, setup in ((~lost, self.setup), (lost, self.setup.after_reset())):
-            for rows, segments in drawn.visits.batches(which):
+        for number, setup in enumerate(setups):
+            for rows, segments in drawn.visits.batches(setting == number):
                 batch = Reception(self.unit, setup, drawn, rows, segments)
                 batch_times, batch_truth = batch.receive(disturbances(batch, rng), rng, truth)
                 order, times = [*order, rows], [*times, batch_times]
                 true_echoes += [] if batch_truth is None else [batch_truth]
                 if progress is not None:
-                    progress(sum(map(len, order)), len(lost))
+                    progress(sum(map(len, order)), len(setting))
         original = np.argsort(np.concatenate(order))
         return np.concatenate(times)[original], TrueEchoes.joined(true_echoes)[original] if true_echoes else None
 
@@ -132,8 +158,7 @@ class Rig:
         return {
             TEMPERATURE: registers.temperature_c.round(1),
             "humidity_pct": ping.covariates.get("humidity_pct", np.full(n, self.setup.humidity_pct)),
-            "gain": np.full(n, float(self.setup.gain)),
-            "range_mm": np.full(n, 43.0 * (self.setup.range_register + 1)),
+            **self._registers(ping),
         }
 
     def place(self, ping: Ping, rng: np.random.Generator, visit: NDArray[np.int64] | None = None) -> Ping:

@@ -35,8 +35,8 @@ class Visits:
     humidity_pct: Floats
 
     @classmethod
-    def of(cls, ping: Ping, temperature_c: Floats, humidity_pct: Floats, reset: NDArray[np.bool_]) -> Visits:
-        """Group pings whose runs are contiguous."""
+    def of(cls, ping: Ping, temperature_c: Floats, humidity_pct: Floats, setting: Ints) -> Visits:
+        """Group pings whose runs are contiguous; `setting` is the number of their register setting, (n,)."""
         given = ping.covariates.get("humidity_pct", np.zeros(len(ping)))
         table = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run, given])
         start = np.ones(len(ping), dtype=np.bool_)
@@ -44,8 +44,8 @@ class Visits:
         visit = np.cumsum(start) - 1
         mean_c = _mean(temperature_c, visit)[visit]
         step = np.rint((temperature_c - mean_c) / SEGMENT_C)
-        code = np.stack([step - step.min(initial=0.0), reset]).astype(np.int64)
-        codes = code[0] * 2 + code[1]
+        code = (step - step.min(initial=0.0)).astype(np.int64)
+        codes = code * (setting.max(initial=0) + 1) + setting
         _, first, segment = np.unique(
             visit * (codes.max(initial=0) + 1) + codes, return_index=True, return_inverse=True
         )

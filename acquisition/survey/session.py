@@ -81,6 +81,7 @@ class Session:
         sensor: name of the sensor in the recording.
         operator: who sets up the conditions.
         settings: of the hardware, numbers and text; a session can only be resumed with the same settings.
+        watch: called with each condition and what was measured, once that is on disk.
     """
 
     plan: SurveyPlan
@@ -91,6 +92,7 @@ class Session:
     sensor: str = "0"
     operator: Operator = field(default_factory=NoOperator)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    watch: Callable[[Condition, VisitData], None] = lambda condition, measured: None
 
     def __post_init__(self) -> None:
         """Raise SettingError for an invalid number of echoes."""
@@ -229,6 +231,7 @@ class SurveyRun:
             return answer
         self.journal.append(self._rows(measured))
         self.last = self.todo.popleft()
+        self.session.watch(self.session.plan.condition(self.last), measured)
         self._report()
         return self._check_silence(measured.reading)
 

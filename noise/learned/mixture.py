@@ -24,6 +24,7 @@ FLOOR = 1e-5  # smallest probability of each outcome
 _NO_ECHO, _ECHO, _NO_ANSWER = (int(EchoStatus[name]) for name in ("NO_ECHO", "ECHO", "NO_ANSWER"))
 UNIT_M = 0.01  # m; scale of the network's outputs for locations and widths
 HALF_UNIFORM_EXCESS = 0.25  # excess at which half of the law is replaced by the uniform component and no echo
+END_EXCESS = 1e-3  # excess that is none: conditions drawn from a range do not contain its ends
 WIDENING = 10.0  # relative growth of the widths per unit of excess
 
 
@@ -58,7 +59,7 @@ class MixtureLaw(EchoLaw):
     @property
     def extrapolates(self) -> NDArray[np.bool_]:
         """Whether each condition, or a covariate, lies outside those of the training data, (n,) bool."""
-        return (self.excess > 0) | self.outside
+        return (self.excess > END_EXCESS) | self.outside
 
     @property
     def no_answer(self) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 
 from acquisition import DeviceError, EchoStatus, Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
+from acquisition.bench.laboratory.setup import RANGE_STEP_MM
 from acquisition.drivers import DRIVERS, Srf08
 from acquisition.drivers.devantech import Devantech
 from acquisition.errors import SettingError
@@ -24,6 +25,7 @@ from acquisition.survey.session import NoOperator, Operator, Session
 from acquisition.survey.sources import DriverSource, PingSource, RigSource, Thermometer, register_writer
 from acquisition.twins.devantech import BadWire, Srf08Twin
 from training.common.progress import TERMINAL, bars
+from training.recordings.live import visit_line
 from training.recordings.operator import TerminalOperator
 
 MAX_UNANSWERED = 0.05  # share of pings without an answer above which a warning is printed
@@ -45,6 +47,8 @@ class Args:
     """quick (3,600 pings), turned, thesis (133,100 pings), crosstalk, loose, vertical, gain-sweep, or FILE.toml."""
     order: Order | None = None
     """random: separates drift from distance. walk: few moves by hand. grid: in order. Default: as in the plan."""
+    live: bool = False
+    """Draw the readings of each condition as soon as it is measured."""
     resume: bool = False
     """Resume an interrupted recording; plan, seed and settings must be unchanged."""
     seed: Seed | None = None
@@ -101,9 +105,10 @@ def main(args: Args) -> None:
         operator: Operator = (
             NoOperator() if source.simulated or args.operator == "none" else TerminalOperator(TERMINAL, bar)
         )
-        session = Session(
-            plan, source, args.out, args.resume, args.echoes, args.sensor, operator, session_settings(args)
-        )
+        settings: dict[str, Any] = {"settings": session_settings(args)}
+        if args.live:
+            settings["watch"] = lambda condition, measured: TERMINAL.out(visit_line(condition, measured))
+        session = Session(plan, source, args.out, args.resume, args.echoes, args.sensor, operator, **settings)
         task = bar.add_task(args.out.name, total=len(plan) * plan.pings, visible=False)
         measure(session, lambda done, total: bar.update(task, completed=done, total=total, visible=True))
     print(summary(args.out, plan))
@@ -252,5 +257,5 @@ def _columns(args: Args, sonar: Any) -> dict[str, float | Callable[[], float]]:
         "humidity_pct": args.humidity_pct,
     }
     if hasattr(sonar, "range_register"):
-        columns |= {"gain": lambda: float(sonar.gain), "range_mm": lambda: 43.0 * (sonar.range_register + 1)}
+        columns |= {"gain": lambda: float(sonar.gain), "range_mm": lambda: RANGE_STEP_MM * (sonar.range_register + 1)}
     return columns

@@ -111,6 +111,7 @@ class Bus:
                 raise SettingError(f"Bus.{name} must lie from 0 to 1, got {value:g}: give a probability per ping")
 
 
+RANGE_STEP_MM = 43.0  # mm; step of the range register
 RANDOM_SETTINGS = ("drift_c", "scintillation_db", "jitter_m", "placement_m", "placement_deg", "tilt_deg")
 
 

@@ -15,6 +15,9 @@ STATIC = Setup.static(room=Room())
 HALL = replace(STATIC, reflector=Wall(), gain=31, output="us", room=Room(None, None, None), range_register=255)
 
 
+REGISTERS = {"gain": 14.0, "range_mm": 43.0 * 71}
+
+
 def pings(distance, n, **conditions):
     return Ping.of(distance=np.repeat(distance, n), time=np.arange(n * np.size(distance)) * 2.4, **conditions)
 
@@ -296,6 +299,30 @@ def test_laboratories_are_drawn_by_number_except_fixed_settings():
     assert Setup.draw(3) != Setup.draw(4)
     assert Setup.draw(3, gain=20, temperature_c=30.0).temperature_c == 30.0
     assert all(17.0 <= Setup.draw(k).temperature_c <= 24.0 for k in range(20))
+
+
+def test_gain_and_range_of_a_ping_are_those_of_the_registers():
+    ping = pings([0.8, 2.9, 5.0], 20, reflectance=0.9)
+    given = replace(ping, covariates={name: np.full(60, value) for name, value in REGISTERS.items()})
+    unit, loud = Unit.draw(2), replace(STATIC, gain=31)
+    expected = fire(unit, replace(STATIC, gain=14, range_register=70), ping)
+    np.testing.assert_array_equal(fire(unit, loud, given).code, expected.code)
+    assert np.any(fire(unit, loud, ping).code != expected.code)
+    unknown = replace(given, covariates={name: np.full(60, np.nan) for name in REGISTERS})
+    np.testing.assert_array_equal(fire(unit, loud, unknown).code, fire(unit, loud, ping).code)
+
+
+def test_a_recording_states_the_registers_of_each_ping():
+    gain = np.repeat([0.0, 31.0], 20)
+    recording = Rig(Unit.nominal(), STATIC).record(pings(4.0, 40, gain=gain), np.random.default_rng(0))
+    assert recording.table["gain"].tolist() == gain.tolist()
+    assert recording.reading.echo.tolist() == (gain > 0.0).tolist()
+
+
+@pytest.mark.parametrize(("name", "value"), [("gain", 32), ("gain", 1.5), ("gain", -1), ("range_mm", 43 * 257)])
+def test_registers_that_cannot_be_are_errors(name, value):
+    with pytest.raises(SettingError, match=f"Ping.{name} must be a whole number from 0 to"):
+        fire(Unit.nominal(), STATIC, pings(1.0, 2, **{name: value}))
 
 
 @pytest.mark.slow

@@ -93,7 +93,8 @@ def test_outside_the_learned_range_the_law_widens_continuously():
     distance = np.array([3.5, 3.5001, 4.0, 6.0, 12.0])
     law = model.law(Ping.of(distance=distance, angle=0.1, incidence=0.3, reflectance=0.5))
     np.testing.assert_allclose(law.excess, (distance - 3.5) / 3.4)
-    np.testing.assert_array_equal(law.extrapolates, [False, True, True, True, True])
+    beyond_a_thousandth = [False, False, True, True, True]
+    np.testing.assert_array_equal(law.extrapolates, beyond_a_thousandth)
     assert np.all(np.diff(law.scale, axis=1) > 0)
     uniform = law.share[-2:].sum(axis=0)
     assert np.all(np.diff(uniform) > 0)
@@ -320,3 +321,9 @@ def test_the_shipped_network_reads_longer_ranges_in_cold_air():
         np.average(middle[:-1, 0], weights=np.diff(law.arrival(middle + np.zeros(2)), axis=0)[:, k]) for k in (0, 1)
     ]
     assert 0.010 < mean[0] - mean[1] < 0.034
+
+
+def test_the_ends_of_a_range_are_no_extrapolation():
+    """Reflectances drawn from 0 to 1 hold neither."""
+    law = load_model("srf08-mlp").law(Ping.of(1.0, reflectance=[0.0, 1.0]))
+    assert not law.extrapolates.any()

@@ -6,8 +6,10 @@ from pathlib import Path
 import minari
 import numpy as np
 import pytest
+import torch
 
 from sonar_gym.agent import load_policy
+from sonar_gym.control.memory import ObservationMemory
 from training.agents.evaluate import evaluate, pool_of
 from training.cli import main
 
@@ -27,6 +29,10 @@ def folder(tmp_path_factory):
 def dataset(folder, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
     return minari.load_dataset(NAME)
+
+
+def episodes_of(folder):
+    return minari.MinariDataset(folder / NAME / "data").iterate_episodes()
 
 
 def test_minari_finds_the_dataset(dataset):
@@ -57,9 +63,35 @@ def test_a_dataset_is_not_written_over(folder, capsys):
     assert f"{NAME} exists" in capsys.readouterr().err
 
 
-def test_a_clone_of_the_driver_is_an_agent(folder, tmp_path, capsys):
-    example = runpy.run_path(str(ROOT / "examples" / "behaviour_cloning.py"))
-    share = example["main"](str(folder / NAME), str(tmp_path / "clone"), passes=2, streets=2)
-    outcomes = evaluate(pool_of(load_policy(tmp_path / "clone")), {"threads": 1}, [1_000_000, 1_000_001])
-    assert outcomes.success.mean() == share
-    assert f"parked in {share:.1%} of 2 unseen streets" in capsys.readouterr().out
+@pytest.fixture(scope="module")
+def offline():
+    return runpy.run_path(str(ROOT / "examples" / "offline.py"))
+
+
+@pytest.mark.parametrize("method", ["clone", "iql"])
+def test_an_agent_learns_from_datasets_alone(offline, method, folder, tmp_path, capsys):
+    settings = {"agent": str(tmp_path / method), "steps": 5, "streets": 2}
+    rate = offline["main"](method, str(folder / NAME), str(folder / NAME), **settings)
+    outcomes = evaluate(pool_of(load_policy(tmp_path / method)), {"threads": 1}, [1_000_000, 1_000_001])
+    assert outcomes.successes == rate
+    assert f"parked in {rate} of 2 unseen streets" in capsys.readouterr().out
+
+
+def test_implicit_q_learning_weights_actions_by_their_advantage(offline):
+    """The 0.8-expectile of rewards of 1 and -1, equally frequent, is 0.6: weights exp(3 * 0.4), exp(-3 * 1.6)."""
+    torch.manual_seed(0)
+    critic, action = offline["Critic"](1, 1), torch.tensor([[1.0], [-1.0]]).repeat(64, 1)
+    state, ended = torch.ones(128, 1), torch.ones(128)
+    some = offline["Decisions"](state, action, action[:, 0], state, ended)
+    weights = [critic.weights(some) for _ in range(1500)][-1]
+    assert critic.value(state)[0].item() == pytest.approx(0.6, abs=0.01)
+    assert weights[:2].numpy() == pytest.approx(np.exp([3 * 0.4, -3 * 1.6]), rel=0.05)
+
+
+def test_a_decision_is_followed_by_the_next_observation(offline, folder):
+    memory = ObservationMemory(1)
+    data = offline["read"]([str(folder / NAME)], memory)
+    assert data.final.sum() == 3  # all parked
+    assert data.reward.sum().item() == pytest.approx(sum(e.rewards.sum() for e in episodes_of(folder)), rel=1e-5)
+    inside = torch.nonzero(data.final[:-1] == 0).squeeze(1)
+    assert torch.equal(data.after[inside], data.shown[inside + 1])

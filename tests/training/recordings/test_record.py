@@ -1,18 +1,22 @@
 """`sonar-gym record` from end to end."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from acquisition import DeviceError, NoAnswerError, Recording
+from acquisition import DeviceError, NoAnswerError, Ping, Reading, Recording
 from acquisition.drivers import Echoes
 from acquisition.survey.plan import SurveyPlan
+from acquisition.survey.planfile import find_plan
 from acquisition.survey.session import Session
-from acquisition.survey.sources import DriverSource
+from acquisition.survey.sources import DriverSource, VisitData
 from training.cli import main
 from training.common.progress import TERMINAL
 from training.recordings import record
+from training.recordings.live import visit_line
 from training.recordings.record import measure
 
 FEW = ["--pings", "2", "--interval-s", "1"]
@@ -152,3 +156,24 @@ def test_the_loose_plan_makes_a_valid_recording(tmp_path, capsys):
     lost = ~recording.reading.answered
     assert not lost[loose == 0.0].any()
     assert lost[loose == 0.3].mean() == pytest.approx(0.18, abs=0.08)  # 0.6 of 0.3 are unanswered
+
+
+def test_live_lines_show_what_was_read(tmp_path, capsys):
+    path = tmp_path / "r.csv"
+    main(["record", "--out", str(path), "--live", *FEW])
+    lines = capsys.readouterr().err.splitlines()
+    recording = Recording.load(path)
+    echo, error = recording.reading.echo, recording.reading.range - recording.ping.distance
+    right = echo & (np.abs(error) <= 0.1 * recording.ping.distance)
+    counts = np.array([[int(text) for text in re.findall(r"(?:right|wrong|no echo) (\d+)", line)] for line in lines])
+    per_visit = np.stack([right, echo & ~right, ~echo], axis=1).reshape(-1, 2, 3).sum(axis=1)
+    assert np.array_equal(counts, per_visit)
+
+
+def test_a_live_line_is_a_histogram_about_the_true_distance():
+    condition = replace(find_plan("quick").condition(0), distance_mm=1000.0)
+    measured = VisitData(Ping.of(np.full(5, 1.0)), Reading.of([1.0, 1.0, 0.905, 1.3, 0.0]))
+    line = visit_line(condition, measured)
+    picture = line.split("|")[1]
+    assert (picture[15], picture[0], set(picture[1:15] + picture[16:])) == ("█", "▄", {" "})
+    assert line.endswith("+0 mm; right 3, wrong 1, no echo 1 of 5")
