@@ -195,7 +195,15 @@ def unreadable(folder):
     (folder / "link").symlink_to("nowhere")
     (folder / "loop").symlink_to("loop")
     os.mkfifo(folder / "pipe")
-    return [*sorted(folder.iterdir()), folder / "missing", folder / ("n" * 300), folder / "empty" / "below", "", "\x00", "\udcff"]
+    return [
+        *sorted(folder.iterdir()),
+        folder / "missing",
+        folder / ("n" * 300),
+        folder / "empty" / "below",
+        "",
+        "\x00",
+        "\udcff",
+    ]
 
 
 @pytest.mark.parametrize(("name", "field", "hint"), INPUTS, ids=ids(INPUTS))
