@@ -80,4 +80,4 @@ def _joined(first: Ping, second: Ping) -> Ping:
         for name in first.covariates
         if name in second.covariates
     }
-    return Ping.of(**both, **logged)
+    return replace(Ping.of(**both), covariates=logged)
