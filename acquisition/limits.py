@@ -222,6 +222,7 @@ def _check(name: str, value: Any, hint: Any) -> None:
         _check_union(name, value, get_args(hint))
     elif hint is str:
         _expect(isinstance(value, str), name, "text", value)
+        _check_unicode(name, value)
     elif isinstance(value, PurePath):
         _check_path(name, value)
 
@@ -246,6 +247,12 @@ def _check_union(name: str, value: Any, members: tuple[Any, ...]) -> None:
 
 def _check_path(name: str, path: PurePath) -> None:
     _expect("\0" not in str(path), name, "a path without null characters", str(path))
+    _check_unicode(name, str(path))
+
+
+def _check_unicode(name: str, text: str) -> None:
+    """Check that text can be written: bytes of a name that are not UTF-8 are half characters in Python."""
+    _expect(not any("\ud800" <= letter <= "\udfff" for letter in text), name, "valid UTF-8 (rename the file)", text)
 
 
 def check_choice(name: str, value: Any, known: Sequence[Any]) -> None:

@@ -17,6 +17,7 @@ from acquisition.errors import SettingError, SonarError
 from acquisition.limits import shown
 
 MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
+TEXT: dict[str, Any] = {"encoding": "utf-8", "errors": "backslashreplace", "newline": ""}  # a name may not be UTF-8
 
 
 def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = False) -> Path:
@@ -31,7 +32,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
-        with os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+        with os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -54,13 +55,27 @@ def validated(content: bytes | dict[str, Any], schema: Any, place: str, error: t
     except ValidationError as failed:
         raise error(f"{place}: {_reason(failed)}; it is damaged or of another version") from None
     found: dict[str, Any] = adapter.dump_python(fits, exclude_unset=True)
+    endless = _not_finite(found)
+    if endless is not None:
+        raise error(f"{place}: {_shortened(endless)}: not a finite number; it is damaged or of another version")
     return found
+
+
+def _not_finite(data: Any, *names: str) -> list[str] | None:
+    """Return the names that lead to a NaN or infinity in plain data: a schema does not look into free fields."""
+    if isinstance(data, float):
+        return None if math.isfinite(data) else list(names)
+    parts = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list | tuple) else ()
+    return next(filter(None, (_not_finite(part, *names, str(name)) for name, part in parts)), None)
+
+
+def _shortened(names: list[str]) -> str:
+    return ".".join(names if len(names) <= MAX_DEPTH else ["...", *names[-MAX_DEPTH:]])
 
 
 def _reason(failed: ValidationError) -> str:
     first = failed.errors(include_url=False)[0]
-    names = [str(name) for name in first["loc"]]
-    where = ".".join(names if len(names) <= MAX_DEPTH else ["...", *names[-MAX_DEPTH:]])
+    where = _shortened([str(name) for name in first["loc"]])
     text = first["msg"][0].lower() + first["msg"][1:]
     if first["type"] == "json_invalid":
         return f"not JSON: {text.removeprefix('invalid JSON: ')}"

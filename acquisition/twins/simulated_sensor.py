@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench import Rig
+from acquisition.bench.laboratory.interference import ECHO_OVERLAP_S
 from acquisition.bench.laboratory.setup import Output
 from acquisition.ping import Ping
 
@@ -60,9 +61,15 @@ class SimulatedSensor:
         """Simulate a ping, including echoes of the previous one, and return the 17 echo registers."""
         setup = replace(self.rig.setup, gain=gain, range_register=range_register, output=output, **PLACED)
         ping = replace(self._placed, time=np.array([self.clock()]))
-        pings = ping if self._previous is None else _joined(self._previous, ping)
+        pings = _joined(self._previous, ping) if self._previous is not None and self._recalls(self._previous) else ping
         self._previous = ping
         return Rig(self.rig.unit, setup).ping(pings, self.rng, self._drift).code[-1]
+
+    def _recalls(self, previous: Ping) -> bool:
+        """Return whether the previous ping matters to one fired now: its sound is still heard, or the unit smooths."""
+        unit = self.rig.unit
+        heard = self.clock() - previous.time[0] < ECHO_OVERLAP_S
+        return bool(heard or unit.averaging > 1 or unit.deadband > 0.0)
 
 
 def _joined(first: Ping, second: Ping) -> Ping:
@@ -73,4 +80,4 @@ def _joined(first: Ping, second: Ping) -> Ping:
         for name in first.covariates
         if name in second.covariates
     }
-    return Ping.of(**both, **logged)
+    return replace(Ping.of(**both), covariates=logged)

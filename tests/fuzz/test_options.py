@@ -166,7 +166,7 @@ def test_a_place_that_cannot_be_written_is_named(valid, tmp_path, name, field, h
     folder = mark.kind == "folder"
     (tmp_path / "file").write_text("kept")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    bad = [tmp_path / "file" / "x", tmp_path / "link", "/proc/nowhere/x", tmp_path / ("n" * 300), "\x00"]
+    bad = [tmp_path / "file" / "x", tmp_path / "link", "/proc/nowhere/x", tmp_path / ("n" * 300), "\x00", "\udcff"]
     bad += [tmp_path / "file", valid / "model" / "x"] if folder else [tmp_path, "/dev/full", "/dev/null"]
     bad += [valid / "model"] if folder and mark.result != "model.json" else []
     for place in bad:
@@ -195,7 +195,15 @@ def unreadable(folder):
     (folder / "link").symlink_to("nowhere")
     (folder / "loop").symlink_to("loop")
     os.mkfifo(folder / "pipe")
-    return [*sorted(folder.iterdir()), folder / "missing", folder / ("n" * 300), folder / "empty" / "below", "", "\x00"]
+    return [
+        *sorted(folder.iterdir()),
+        folder / "missing",
+        folder / ("n" * 300),
+        folder / "empty" / "below",
+        "",
+        "\x00",
+        "\udcff",
+    ]
 
 
 @pytest.mark.parametrize(("name", "field", "hint"), INPUTS, ids=ids(INPUTS))

@@ -1,5 +1,6 @@
 """The console command as a process: output and exit code."""
 
+import os
 import subprocess
 import sys
 
@@ -114,6 +115,15 @@ def test_a_missing_file_is_one_line_and_exit_code_2(tmp_path):
     assert done.stderr.count("\n") == 1
     assert "no.csv: no such file" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_name_that_the_terminal_cannot_show_is_spelled_out(tmp_path):
+    out = tmp_path / "ü.csv"
+    words = [sys.executable, "-m", "training.cli", "record", "--pings", "1", "--out", str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0, done.stderr
+    assert r"\xfc.csv" in done.stdout
+    assert out.is_file()
 
 
 def test_a_real_log_is_imported(real_recordings, tmp_path):

@@ -163,7 +163,7 @@ def write(args: Args, name: str, episodes: list[EpisodeBuffer], about: dict[str,
     place.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=args.out) as fresh, warnings.catch_warnings():
         before = os.environ.get(PLACE)
-        os.environ[PLACE] = fresh
+        os.environ[PLACE] = os.path.abspath(fresh)  # Minari joins a relative one to itself
         try:
             warnings.simplefilter("ignore")  # it asks for an author
             minari.create_dataset_from_buffers(name, episodes, data_format="hdf5", **about)

@@ -62,6 +62,8 @@ def door(argv: Sequence[str], debug: bool = False) -> Iterator[None]:
         argv: command line, for the crash file.
         debug: show the traceback instead.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what a terminal cannot show
     try:
         yield
     except (KeyboardInterrupt, BrokenPipeError) as error:
@@ -93,7 +95,7 @@ def reason_of(error: BaseException) -> str | None:
     if isinstance(error, BrokenExecutor):
         return "a worker process was ended by the system, perhaps for its memory: use fewer workers, and run it again"
     if isinstance(error, OSError) and error.errno is not None:
-        place = error.filename if error.filename is not None else "a file"
+        place = error.filename if error.filename is not None else "the output or a file"
         place = os.fsdecode(place) if isinstance(place, bytes | os.PathLike) else str(place)
         return f"{place}: {error.strerror}: {ADVICE.get(error.errno, 'check the disk and the path')}"
     return None

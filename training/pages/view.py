@@ -125,7 +125,7 @@ def _item(path: Path, folder: Path, base: Path, describe: Describe) -> Item:
 
 
 def _link(path: Path, base: Path) -> str:
-    return quote(os.path.relpath(path, base))
+    return quote(os.fsencode(os.path.relpath(path, base)))
 
 
 def _beside(folder: Path, base: Path) -> list[tuple[str, str]]:

@@ -182,7 +182,9 @@ def candidates_of(batch: Batch, facing: bool = False) -> Ping:
     logged = {name: float(np.median(value)) for name, value in seen.covariates.items()}
     logged[INTERVAL] = logged.get(INTERVAL, 0.0) or DEFAULT_INTERVAL_S
     angles = np.deg2rad(np.rint(np.rad2deg(rows[:, 1:3])))
-    return Ping.of(rows[:, 0], angles[:, 0], angles[:, 1], rows[:, 3], 0.0, **logged)
+    ping = Ping.of(rows[:, 0], angles[:, 0], angles[:, 1], rows[:, 3], 0.0)
+    # a column of the user's may have the name of an argument
+    return replace(ping, covariates={name: np.full(len(ping), value) for name, value in logged.items()})
 
 
 def best_design(rivals: Sequence[Rival], tables: Sequence[Candidates], rng: np.random.Generator, rounds: int) -> Design:

@@ -10,6 +10,7 @@ from acquisition import DeviceError, GarbledError, NoAnswerError, Ping, SettingE
 from acquisition.bench import Rig, Room, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf02, Srf08, Srf10, fire_all
 from acquisition.twins.devantech import COUNT_US, OUTPUTS, BadWire, Srf02Twin, Srf08Twin, Srf10Twin
+from acquisition.twins.simulated_sensor import PLACED, SimulatedSensor
 
 QUIET = Setup(placement_m=0.0, placement_deg=0.0, tilt_deg=0.0, drift_c=0.0, post=None)
 
@@ -247,6 +248,20 @@ def test_the_twin_receives_echoes_of_the_previous_ping():
     assert again[0] == pytest.approx(8.0 - 0.5 * 343.36 * interval, abs=0.15)
     twin.clock.sleep(2.0)
     assert sonar.ping().ranges == ()
+
+
+def test_a_late_ping_of_the_twin_is_that_of_the_rig_alone():
+    twin = SimulatedSensor(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+    placed = Ping.of(distance=1.0, reflectance=0.9)
+    twin.place(placed)
+    for gap in (0.1, 0.2):
+        twin.fire("us")
+        twin.clock.sleep(gap)
+        twin.rng = np.random.default_rng(1)
+        alone = Rig(Unit.nominal(), replace(QUIET, gain=31, output="us", range_register=255, **PLACED))
+        drift = alone.draw_drift(np.random.default_rng(2))  # without effect in this laboratory
+        code = alone.ping(replace(placed, time=np.array([twin.clock()])), np.random.default_rng(1), drift).code[-1]
+        assert np.array_equal(twin.fire("us"), code) == (gap > 0.15)
 
 
 def test_a_wrong_address_is_an_error_with_the_addresses_found():

@@ -70,6 +70,9 @@ def damaged(folder, kind):
         text.write_text(json.dumps({**description, "memory": {"lags": 3}}))
     elif kind == "unknown field":
         text.write_text(json.dumps({**description, "memory": {"depth": 3}}))
+    elif kind == "endless record":
+        about = {"history": [{"success": 1.0}, {"success": np.inf}]}
+        text.write_text(json.dumps({**description, "about": about}))
     elif kind == "no weights":
         tensors.unlink()
     elif kind == "cut weights":
@@ -88,6 +91,7 @@ KINDS = {
     "other version": "format: input should be 1, got 99",
     "other memory": "memory.behind: field required",
     "unknown field": "memory",
+    "endless record": "about.history.1.success: not a finite number",
     "no weights": "is missing",
     "cut weights": "damaged or of another model",
     "not finite": "not finite",

@@ -21,7 +21,9 @@ NAME = "sonar-parking/scripted-gaussian-v0"
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("data")
     words = ["--drivers", "scripted", "--sonars", "gaussian", "--odometry", "wheels", "--episodes", "3", "--seed", "5"]
-    main(["dataset", "--out", str(out), *words])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(out.parent)
+        main(["dataset", "--out", out.name, *words])  # a relative folder, as a user gives it
     return out
 
 

@@ -1,7 +1,9 @@
 """The page of a folder of results."""
 
+import os
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +47,17 @@ def test_a_result_that_cannot_be_read_says_why(results, capsys):
     (results / "mysonar" / "model.json").write_text('{"kind": "gaussian"')
     main(["view", str(results), "--out", str(results / "page.html")])
     assert "cannot be read" in (results / "page.html").read_text()
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="names of files are UTF-8 there")
+def test_names_that_are_not_utf_8_are_spelled_and_linked(results):
+    shutil.copy(results / "rec & <b>.csv", results / os.fsdecode(b"\xff.csv"))
+    (results / os.fsdecode(b"\xff.png")).write_bytes(b"")
+    main(["view", str(results)])
+    page = (results / "index.html").read_text()
+    assert r">\udcff.csv<" in page
+    assert "rename the file" in page
+    assert 'src="%FF.png"' in page
 
 
 def test_an_empty_folder_says_so(tmp_path):

@@ -68,6 +68,16 @@ def test_a_target_that_touches_the_sensor_is_no_distance_to_measure_at():
     assert batch.resolution <= candidates_of(batch).distance.min() < 1.0 < candidates_of(batch).distance.max()
 
 
+def test_columns_may_have_the_names_of_conditions():
+    plain = Recording.of(Ping.of([0.5, 1.0]), Reading.of([0.5, 1.0]))
+    named = Recording(plain.table.assign(distance=7.0, time=8.0, run=9.0))
+    own, other = (candidates_of(Batch.of(recording)) for recording in (plain, named))
+    assert np.array_equal(own.distance, other.distance)
+    assert {name: set(values) for name, values in other.covariates.items() if name not in own.covariates} == {
+        "distance": {7.0}, "time": {8.0}, "run": {9.0},
+    }  # fmt: skip
+
+
 def test_air_is_told_from_a_clock_by_a_thermometer():
     (found,) = asked_once("air and clock")
     assert "thermometer beside the sensor" in found.do
