@@ -256,6 +256,7 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """Return the content of verdict.json."""
         rest = self.unexplained
+        share = (rest.share.value, rest.share.low, rest.share.high)
         return {
             "schema": SCHEMA,
             "verdict": str(self.verdict),
@@ -266,9 +267,7 @@ class Verdict:
             "where": [_location(each) for each in self.where],
             "causes": [_cause(each) for each in self.causes],
             "unexplained": {
-                "share": _plain(rest.share.value),
-                "low": _plain(rest.share.low),
-                "high": _plain(rest.share.high),
+                **dict(zip(("share", "low", "high"), map(_plain, share), strict=True)),
                 "p_value": _plain(rest.p_value.value),
                 "where": [_location(each) for each in rest.where],
                 "description": rest.description,
@@ -301,8 +300,8 @@ class Diagnosis(Presented):
         causes_only: the corrected model without the empirical term; None where no cause is believed.
         recording: name of the recording.
         unanswered: number of pings without an answer, which were left out.
-        difference: causes and empirical term acting on the simulator's own readings, for `correct`; None where none is
-            believed or they do not predict the recording better than the simulation.
+        difference: causes and empirical term acting on the simulator's own readings, for `correct`; None where there are
+            none that predict the recording better than the simulation.
         left_out: believed cause that cannot act so -> why.
         evidence: what the decision model knew of each selected effect, believed or not.
         likely: selected effect -> effect in its place -> probability.
@@ -343,9 +342,7 @@ def _location(found: Location) -> dict[str, Any]:
             name: [_plain(factor * low), _plain(factor * high)] for (name, factor), (low, high) in named.items()
         },
         "size": size["value"],
-        "unit": size["unit"],
-        "low": size["low"],
-        "high": size["high"],
+        **{name: size[name] for name in ("unit", "low", "high")},
         "p_value": _plain(found.p_value.value),
     }
 
@@ -389,8 +386,7 @@ def _held_out(held: HeldOut) -> dict[str, Any]:
         "emulator": _score(held.emulator),
         "after": _score(held.after),
         "repeatability_mm": _plain(MM * held.repeatability_m),
-        "gain_per_ping_low": _plain(held.gain_per_ping.low),
-        "gain_per_ping_high": _plain(held.gain_per_ping.high),
+        **{f"gain_per_ping_{end}": _plain(getattr(held.gain_per_ping, end)) for end in ("low", "high")},
     }
 
 
@@ -400,5 +396,5 @@ def _measurement(each: Measurement) -> dict[str, Any]:
         {name: _plain(factor * value[k]) for (name, factor), value in columns.items()}
         for k in range(max((len(value) for value in columns.values()), default=0))
     ]
-    named = {"do": each.do, "separates": list(each.separates), "pings": each.pings}
-    return {**named, "conditions": rows, "also": dict(each.also)}
+    named = {"do": each.do, "separates": list(each.separates), "pings": each.pings, "conditions": rows}
+    return {**named, "also": dict(each.also)}
