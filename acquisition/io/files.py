@@ -18,6 +18,18 @@ from acquisition.limits import shown
 
 MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
 TEXT: dict[str, Any] = {"encoding": "utf-8", "errors": "backslashreplace", "newline": ""}  # a name may not be UTF-8
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name the file or folder in an error of its disk: a write that fails names none."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno in DISK_ERRORS:
+            error.filename = str(path)
+        raise
 
 
 def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = False) -> Path:
@@ -32,7 +44,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
-        with os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
+        with _named(path), os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
@@ -127,9 +139,10 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
         fresh, old = Path(beside) / "fresh", Path(beside) / "old"
         fresh.mkdir()
-        yield fresh
-        for file in fresh.rglob("*"):
-            _sync(file)
+        with _named(folder):
+            yield fresh
+            for file in fresh.rglob("*"):
+                _sync(file)
         if folder.exists() and not _exchange(fresh, folder):
             os.replace(folder, old)
         if not folder.exists():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from acquisition import ModelError, SettingError
 from acquisition.arrays import Floats
@@ -26,7 +26,8 @@ def write_tensors(folder: Path, tensors: Mapping[str, np.ndarray], card: str) ->
     """Write weights in single precision, and the card if there is one, into a folder."""
     if not folder.is_dir():
         raise ModelError(f"{folder}: is not a folder; make it before weights are written into it")
-    save_file({name: np.ascontiguousarray(value, dtype=np.float32) for name, value in tensors.items()}, _file(folder))
+    data = save({name: np.ascontiguousarray(value, dtype=np.float32) for name, value in tensors.items()})
+    _file(folder).write_bytes(data)
     _file(folder).chmod(0o644)
     if card:
         (folder / CARD_FILE).write_text(card, encoding="utf-8")

@@ -1,6 +1,7 @@
 """Loading and saving of models, and error messages for missing or damaged ones."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from acquisition import ModelError, Ping, UnknownModelError
 from noise import Faulty, GaussianModel, IdealModel, load_model, model_names, save_model
 from noise.effects import CATALOGUE
 from noise.faults import Calibration, Short
+from noise.learned.tensors import write_tensors
 from noise.physical import PhysicalModel
 
 PHYSICAL = {"format": 1, "kind": "physical", "resolution": 0.01, "max_range": 3.0}
@@ -117,3 +119,16 @@ def test_a_folder_with_other_contents_is_never_replaced(tmp_path):
     assert (tmp_path / "recording.csv").is_file()
     with pytest.raises(ModelError, match="is a file, expected a folder"):
         save_model(PhysicalModel(), tmp_path / "recording.csv")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of file sizes")
+def test_weights_that_do_not_fit_on_the_disk_are_an_error_of_the_disk(tmp_path):
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OSError, match="large"):
+            write_tensors(tmp_path, {"w": np.zeros(1000)}, "")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)

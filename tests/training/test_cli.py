@@ -1,6 +1,7 @@
 """The console command as a process: output and exit code."""
 
 import os
+import sqlite3
 import subprocess
 import sys
 
@@ -8,7 +9,7 @@ import pytest
 
 import acquisition
 from training.cli import COMMANDS, GROUPS, SHELLS, main
-from training.common.door import MAX_LINE, one_line
+from training.common.door import MAX_LINE, one_line, reason_of
 
 
 def sonar_gym(*args):
@@ -115,6 +116,15 @@ def test_a_missing_file_is_one_line_and_exit_code_2(tmp_path):
     assert done.stderr.count("\n") == 1
     assert "no.csv: no such file" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_full_disk_below_a_database_is_foreseen():
+    database = sqlite3.connect(":memory:")
+    database.execute("PRAGMA max_page_count = 1")
+    with pytest.raises(sqlite3.OperationalError) as failed:
+        database.execute("CREATE TABLE t (x)")
+    database.close()
+    assert "free disk space" in reason_of(failed.value)
 
 
 def test_a_name_that_the_terminal_cannot_show_is_spelled_out(tmp_path):

@@ -13,6 +13,7 @@ import itertools
 import os
 import platform
 import re
+import sqlite3
 import sys
 import tempfile
 import traceback
@@ -94,6 +95,8 @@ def reason_of(error: BaseException) -> str | None:
         return f"not enough memory ({error}): use a shorter recording, smaller settings or fewer workers"
     if isinstance(error, BrokenExecutor):
         return "a worker process was ended by the system, perhaps for its memory: use fewer workers, and run it again"
+    if isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+        return f"the output: {os.strerror(errno.ENOSPC)}: {ADVICE[errno.ENOSPC]}"
     if isinstance(error, OSError) and error.errno is not None:
         place = error.filename if error.filename is not None else "the output or a file"
         place = os.fsdecode(place) if isinstance(place, bytes | os.PathLike) else str(place)

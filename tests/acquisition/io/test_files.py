@@ -1,5 +1,6 @@
 """Folders that are replaced as a whole."""
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -8,7 +9,7 @@ import time
 import pytest
 
 from acquisition.io import files
-from acquisition.io.files import whole_folder
+from acquisition.io.files import whole_folder, write_atomic
 
 NAMES = ("a", "b", "c")
 
@@ -58,3 +59,16 @@ def test_a_folder_is_replaced_or_remains(tmp_path, monkeypatch, can_exchange):
         (fresh / "a").write_text(3)
     assert content(folder) == {"2"}
     assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_full_disk_is_named(tmp_path):
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space") as failed:
+        write_atomic(tmp_path / "a.txt", full)
+    assert failed.value.filename == str(tmp_path / "a.txt")
+    with pytest.raises(OSError, match="No space") as failed, whole_folder(tmp_path / "b"):
+        full(None)
+    assert failed.value.filename == str(tmp_path / "b")
+    assert list(tmp_path.iterdir()) == []
