@@ -88,6 +88,12 @@ def test_what_the_parser_rejects_is_said_in_plain_words(words, reason, capsys):
     assert reason in capsys.readouterr().err
 
 
+def test_a_value_with_a_foreign_line_end_does_not_cut_the_message(capsys):
+    with pytest.raises(SystemExit):
+        main(["record", "--out", "r.csv", "--driver", "no\x85x"])
+    assert "--driver" in capsys.readouterr().err
+
+
 def test_a_fault_of_the_program_is_one_line_and_a_crash_file(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("training.pages.effects.main", lambda args: [][0])
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

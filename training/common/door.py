@@ -189,7 +189,7 @@ def parsing(command: str) -> Iterator[None]:
 
 def _unboxed(text: str) -> str:
     """Return the first paragraph inside a box in plain words, and the option nearest to an unknown one."""
-    inside = (line.strip(BORDER) for line in text.splitlines()[1:])
+    inside = (line.strip(BORDER) for line in text.split("\n")[1:])  # a value may hold other line ends
     rows = [row if row.strip(RULE) else "" for row in inside]
     reason = " ".join(itertools.takewhile(bool, itertools.dropwhile(lambda row: not row, rows)))
     reason = reason.removeprefix("Error parsing Args: ").removeprefix("Error parsing ").rstrip(".")
