@@ -1,8 +1,8 @@
 """What differs, as a model that acts on the simulator's own readings.
 
 A law that stands for a simulation is wrong by some millimetres under conditions that it was not fitted to, and so is a
-law of the recording with the same base. In their difference these errors cancel: where the simulator can be asked, its
-own readings with the causes applied to them are closer to the recording than any law.
+law of the recording with the same base. In their difference these errors cancel, so that the simulator's own readings
+with the causes applied to them may be closer to the recording than any law, where the simulator can be asked.
 """
 
 from __future__ import annotations
