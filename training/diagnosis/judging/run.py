@@ -9,9 +9,13 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from acquisition import RecordingError
+from acquisition.limits import shown
 from training.common.progress import bar
 from training.diagnosis.judging.record import Record, record_of
+from training.diagnosis.judging.schema import check_line
 from training.diagnosis.judging.tasks import Task
 
 RECORDS = "records.jsonl"
@@ -65,10 +69,21 @@ def read(out: Path) -> list[Record]:
     if len(whole) < len(text):
         with path.open("ab") as file:
             file.truncate(len(whole))
-    try:
-        found: Iterable[Record] = map(json.loads, whole.splitlines())
-        return list({record["id"]: record for record in found}.values())
-    except (KeyError, TypeError, ValueError) as error:
-        raise RecordingError(
-            f"{path}: a line is no record of a trial ({error}); remove it, or give another --out"
-        ) from None
+    found = {}
+    for number, line in enumerate(whole.splitlines(), 1):
+        try:
+            check_line(line)
+        except ValueError as error:
+            raise RecordingError(f"{path}: line {number}: {_reason(error)}; remove it, or give another --out") from None
+        record = json.loads(line)
+        found[record["id"]] = record
+    return list(found.values())
+
+
+def _reason(error: ValueError) -> str:
+    """Return in a few words why a line is no record."""
+    if not isinstance(error, ValidationError):
+        return f"no record of a trial ({error})"
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"]))
+    return f"no record of a trial by this version ({place}: {shown(first['msg'])})"

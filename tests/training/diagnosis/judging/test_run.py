@@ -1,12 +1,13 @@
 """Runs are reproducible and go on where they stopped; halves of real recordings hold the planted change."""
 
+import copy
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from acquisition import Recording
+from acquisition import Recording, RecordingError
 from noise.discrepancy.result import Aspect, Interval, Location, PValue
 from noise.fitting.batch import Batch
 from training.diagnosis.judging import real
@@ -15,8 +16,14 @@ from training.diagnosis.judging.run import RECORDS, append, read, run
 from training.diagnosis.judging.tasks import case_of, trials
 
 
+def ended(id_, value):
+    """Return the record of a diagnosis that ended in an error."""
+    head = {"family": "beam", "kind": "same", "number": 0, "seed": 0, "pings": 60, "commit": "0", "n": 60}
+    return {**head, "id": id_, "causes": [], "fault": "", "error": "stub", "value": value}
+
+
 def stub(task):
-    return {"id": task.id, "value": task.rng().random()}
+    return ended(task.id, task.rng().random())
 
 
 def test_an_interrupted_run_goes_on_and_gives_what_an_uninterrupted_one_gives(tmp_path):
@@ -34,8 +41,32 @@ def test_an_interrupted_run_goes_on_and_gives_what_an_uninterrupted_one_gives(tm
 
 def test_the_last_record_of_a_task_counts(tmp_path):
     for value in (1, 2):
-        append(tmp_path / RECORDS, {"id": "a", "value": value})
-    assert read(tmp_path) == [{"id": "a", "value": 2}]
+        append(tmp_path / RECORDS, ended("a", value))
+    assert read(tmp_path) == [ended("a", 2)]
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("scores",), {"before": 0.1}),
+        (("verdict", "p_value"), [1]),
+        (("causes",), 0.5),
+        (("evidence", "zero_offset"), {}),
+        (("id",), None),
+    ],
+)
+def test_a_damaged_record_or_one_of_another_version_is_named(tmp_path, record, place, value):
+    good = record()
+    append(tmp_path / RECORDS, good)
+    assert read(tmp_path) == [good]
+    bad = copy.deepcopy(good)
+    inner = bad
+    for name in place[:-1]:
+        inner = inner[name]
+    inner[place[-1]] = value
+    append(tmp_path / RECORDS, bad)
+    with pytest.raises(RecordingError, match=rf"line 2: no record of a trial by this version \({place[0]}"):
+        read(tmp_path)
 
 
 def test_a_task_fixes_its_data():
