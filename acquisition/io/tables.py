@@ -194,6 +194,11 @@ def _parsed(data: bytes, name: str, dialect: Dialect, number_twins: bool, **opti
     except (pd.errors.ParserError, ValueError) as error:
         reason = " ".join(str(error).replace("Error tokenizing data. C error:", "").split())
         raise RecordingError(f"{name}: not a table of separated values: {reason}") from None
+    if len(table.columns) != len(columns):  # a name that holds a line end, or a quotation mark without its pair
+        raise RecordingError(
+            f"{name}, line 1: has {len(columns)} names of columns where the table has {len(table.columns)}; remove "
+            "quotation marks and line ends from the names"
+        )
     table.columns = pd.Index(_numbered(columns))
     return table
 

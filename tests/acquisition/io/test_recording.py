@@ -24,6 +24,11 @@ def test_zero_is_no_echo_and_empty_is_no_answer(tmp_path):
     assert recording.reading.range.tolist() == pytest.approx([1.003, 0.0, 0.0])
 
 
+def test_a_name_of_a_column_that_holds_a_line_end_is_named(tmp_path):
+    with pytest.raises(RecordingError, match=r"line 1: has 2 names of columns where the table has 4; remove"):
+        Recording.load(write(tmp_path / "r.csv", 'distance_mm,"no\nte",angle_deg,reading_mm\n1000,a,0,1003\n'))
+
+
 def test_units_become_si(tmp_path):
     ping = Recording.load(write(tmp_path / "r.csv", f"{HEADER},incidence_deg\n1500,30,1503,10\n")).ping
     assert ping.distance[0] == pytest.approx(1.5)
