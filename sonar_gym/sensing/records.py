@@ -15,11 +15,13 @@ import numpy as np
 from acquisition.arrays import Bits, Bytes, Floats, Ints, Singles
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing.detection import OWN_ECHO
-from sonar_gym.sensing.paths import DISTANCE, MAX_PATHS, N_PATH, OBSTACLE, SHIFT, SOURCE
+from sonar_gym.sensing.paths import DISTANCE, MAX_PATHS, N_PATH, OBSTACLE, SHIFT, SOURCE, Y
 
-# Columns of a record: those of the path that answered, or of the path detected most often, then the reading
-SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT, SECOND, BY_CROSSTALK = range(N_PATH, N_PATH + 7)
-N_RECORD = N_PATH + 7
+# Columns of a record: conditions, obstacle, face and point of the path that answered, or of the path detected most
+# often, then the reading
+N_FACED = Y + 1
+SENT, RANGE, STATUS, GIVEN_CONDITION, FAULT, SECOND, BY_CROSSTALK = range(N_FACED, N_FACED + 7)
+N_RECORD = N_FACED + 7
 SAME_TIME_S = 1e-9  # s; times closer than this are equal
 MAX_AGE_S = 1.0  # upper limit of the age in an observation
 REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at the earliest (`Unit.rearm` of the rig)
@@ -249,7 +251,7 @@ def first_echoes(
                 second = min(second, echoes[i])
         source = fired.paths[answered, SOURCE]
         # the truth about a sonar is its own path, also if it reads another's burst
-        record[:N_PATH] = fired.paths[last if source > 0.0 else answered]
+        record[:N_FACED] = fired.paths[last if source > 0.0 else answered, :N_FACED]
         record[BY_CROSSTALK], record[SENT] = source, fired.sent[n]
         record[SECOND] = 0.0 if math.isinf(second) else second
         record[RANGE] = 0.0 if math.isinf(nearest) else nearest
