@@ -44,7 +44,7 @@ def outcomes(model: str, driver: str) -> Floats:
     for _ in range(steps):
         echo, credence = observation["echo"] == 1, observation["credence"].astype(np.float64)
         where = sonar[echo], np.minimum((BINS * credence[echo]).astype(np.int64), BINS - 1)
-        ping = shown.shown[echo]
+        ping = shown.of_shown(slice(None))[echo]
         near = np.abs(ping[:, RANGE] - ping[:, DISTANCE]) <= CREDENCE_TOLERANCE * ping[:, DISTANCE]
         for sums, weight in zip(total, (1.0, credence[echo], near & (ping[:, OBSTACLE] >= 0.0)), strict=True):
             np.add.at(sums, where, weight)

@@ -81,7 +81,7 @@ class WorldView:
     @property
     def hits(self) -> Hits:
         """Points that the readings shown come from, or that the sonars face."""
-        ping = self.pings.shown[self.row].T.copy()
+        ping = self.pings.of_shown(self.row).T.copy()
         obstacle = ping[paths.OBSTACLE].astype(np.int64)
         point = ping[[paths.X, paths.Y]].T.copy()
         distance, bearing, incidence, reflectance = ping[: paths.OBSTACLE]
@@ -90,7 +90,7 @@ class WorldView:
     @property
     def readings(self) -> SonarReadings:
         """The readings shown."""
-        ping = self.pings.shown[self.row].T
+        ping = self.pings.of_shown(self.row).T
         reading = Reading(ping[records.RANGE].copy(), ping[records.STATUS].astype(np.uint8))
         return SonarReadings(reading, self.pings.credence[self.row].astype(np.float64))
 

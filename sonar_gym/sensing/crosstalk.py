@@ -166,13 +166,19 @@ def takes(r: Receivers, b: int, distance: float, often: float) -> bool:
 
 @compiled
 def insert(r: Receivers, b: int, row: Floats, often: float) -> None:
-    """Insert a path of another burst before the last own one, in place of the weakest if there are too many."""
-    best, paths, weakest, held = r.best[b], r.paths[b], 0, 0
+    """Insert a path of another burst before the last own one, in place of the weakest if there are too many.
+
+    Of all sonars together, a car has at most `MAX_OWN_PATHS` paths per sonar; see `sonar.assign_places`.
+    """
+    best, paths, weakest, every = r.best[b], r.paths[b], 0, 0
     for k in range(best.shape[0]):
-        held += int(best[k] > 0.0)
         weakest = k if best[k] < best[weakest] else weakest
-    if best[weakest] == 0.0:  # the own path that is detected most often stays last
-        count = r.own[b] + held
+    for s in range(r.fired.shape[0]):
+        every += r.counts[s] if r.fired[s] else 0
+    if best[weakest] == 0.0:
+        if every >= MAX_OWN_PATHS * r.fired.shape[0]:
+            return
+        count = r.counts[b]  # the own path that is detected most often stays last
         paths[count] = paths[count - 1]
         paths[count - 1] = row
         r.counts[b] += 1

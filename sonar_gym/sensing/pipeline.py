@@ -70,8 +70,7 @@ class Sensing:
         The distance and the other conditions are those of the face that answered, or else of the face that is detected
         most often; `second` is the range of the second echo, m, 0 without one.
         """
-        shown = self.pings.shown[which]
-        ping = np.moveaxis(shown, -1, 0).copy()
+        ping = np.moveaxis(self.pings.of_shown(which), -1, 0).copy()
         out = {
             "distance": ping[columns.DISTANCE],
             "bearing": ping[columns.BEARING],

@@ -39,9 +39,9 @@ class PingArrays(NamedTuple):
         n_paths: number of these paths, (r, s).
         sent: time of these pings, s, (r, s).
         fired: whether a sonar has pinged since the last observation, (r, s).
-        in_flight: records of the last pings, (n, s, d, N_RECORD).
-        slot: place of the next record in `in_flight`, (n, s).
-        shown: records whose readings arrived last, (n, s, N_RECORD).
+        records: records of the last pings, (n, s, d, N_RECORD).
+        slot: place of the next record in `records`, (n, s).
+        shown: place there of the record whose reading arrived last, (n, s).
         ranges, credence, echo, age: observation of the sonars, (n, s).
         cause: cause of each reading, (n, s).
     """
@@ -50,9 +50,9 @@ class PingArrays(NamedTuple):
     n_paths: Ints
     sent: Floats
     fired: Bits
-    in_flight: Floats
+    records: Floats
     slot: Bytes
-    shown: Floats
+    shown: Bytes
     ranges: Singles
     credence: Singles
     echo: Singles
@@ -66,7 +66,7 @@ class PingArrays(NamedTuple):
         Args:
             n: number of cars.
             s: number of sonars on each.
-            depth: greatest number of readings in flight, and one.
+            depth: greatest number of readings in flight, and one that is shown.
             rows: greatest number of cars in an update.
         """
         observed: dict[str, Any] = {
@@ -74,9 +74,9 @@ class PingArrays(NamedTuple):
         }
         return cls(
             **cls.scratch(rows, s),
-            in_flight=np.zeros((n, s, depth, N_RECORD)),
+            records=np.zeros((n, s, depth, N_RECORD)),
             slot=np.zeros((n, s), np.uint8),
-            shown=np.zeros((n, s, N_RECORD)),
+            shown=np.zeros((n, s), np.uint8),
             cause=np.zeros((n, s), np.uint8),
             **observed,
         )
@@ -94,6 +94,11 @@ class PingArrays(NamedTuple):
     def for_thread(self) -> PingArrays:
         """Return the same arrays for another thread, with what pings face apart."""
         return self._replace(**self.scratch(*self.n_paths.shape))
+
+    def of_shown(self, which: int | slice | Ints) -> Floats:
+        """Return the records of the readings shown: of one car, (s, N_RECORD), or of several, (r, s, N_RECORD)."""
+        place = self.shown[which].astype(np.int64)[..., None, None]
+        return np.take_along_axis(self.records[which], place, axis=-2)[..., 0, :]
 
 
 class FiredPings(NamedTuple):
@@ -262,12 +267,12 @@ def first_echoes(
 
 
 @compiled
-def store(car: Ints, sonar: Ints, records: Floats, p: PingArrays) -> None:
-    """Store new records as in flight, in place of the oldest ones: of the sonars (car, sonar), (m, N_RECORD)."""
-    depth = p.in_flight.shape[2]
+def store(car: Ints, sonar: Ints, new: Floats, p: PingArrays) -> None:
+    """Store new records in place of the oldest ones: of the sonars (car, sonar), (m, N_RECORD)."""
+    depth = p.records.shape[2]
     for k in range(car.shape[0]):
         i, s = car[k], sonar[k]
-        p.in_flight[i, s, p.slot[i, s]] = records[k]
+        p.records[i, s, p.slot[i, s]] = new[k]
         p.slot[i, s] = (p.slot[i, s] + 1) % depth
 
 
@@ -277,8 +282,7 @@ def clear(rows: Ints, p: PingArrays) -> None:
     for k in range(rows.shape[0]):
         i = rows[k]
         p.fired[k], p.sent[k] = True, 0.0
-        p.in_flight[i, :, :, SENT] = np.inf
-        p.shown[i, :, SENT] = -np.inf
+        p.records[i, :, :, SENT] = np.inf
 
 
 @compiled
@@ -333,18 +337,17 @@ def update_observation(
         max_range: maximum range, m.
         p: arrays of all cars.
     """
-    in_flight, shown, ranges, credence, echo, age, cause = (
-        p.in_flight, p.shown, p.ranges, p.credence, p.echo, p.age, p.cause,
-    )  # fmt: skip
+    ranges, credence, echo, age, cause = p.ranges, p.credence, p.echo, p.age, p.cause
     for k in range(rows.shape[0]):
         i = rows[k]
         for s in range(latency.shape[0]):
-            for place in range(in_flight.shape[2]):
-                sent = in_flight[i, s, place, SENT]
+            latest = -np.inf
+            for place in range(p.records.shape[2]):
+                sent = p.records[i, s, place, SENT]
                 arrived = now[k] == 0.0 or sent + latency[s] <= now[k] + SAME_TIME_S
-                if arrived and shown[i, s, SENT] < sent < np.inf:
-                    shown[i, s] = in_flight[i, s, place]
-            ping = shown[i, s]
+                if arrived and latest < sent < np.inf:
+                    latest, p.shown[i, s] = sent, place
+            ping = p.records[i, s, p.shown[i, s]]
             reading, status = ping[RANGE], ping[STATUS]
             ranges[i, s], credence[i, s], echo[i, s] = 1.0, 0.0, -1.0 if status == _NO_ANSWER else 0.0
             if status == _ECHO:

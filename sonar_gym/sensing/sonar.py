@@ -23,15 +23,18 @@ from sonar_gym.sensing import records
 from sonar_gym.sensing.laws.choose import path_law
 from sonar_gym.sensing.laws.drawn import PathPings, PathSource
 from sonar_gym.sensing.laws.numbers import Streams, mixed
-from sonar_gym.sensing.paths import MAX_PATHS
+from sonar_gym.sensing.paths import MAX_OWN_PATHS
 from sonar_gym.sensing.persistence import PersistentStream, latents
 from sonar_gym.sensing.records import FiredPings
 
 SonarChoice = str | os.PathLike[str] | SonarModel
 Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])
-SLOTS = MAX_PATHS  # faces that a model with a state of its own remembers for each sonar, as many as a ping can have
-NO_FACE = -2  # of an unused place in that memory; an empty cone has face -1
+# Faces that a model with a state of its own remembers per sonar. The sonars of a car share its places, since few of them
+# face many: 32 places for eight forget as little as six a sonar (0.6 and 0.3 % of paths; four a sonar forget 10 %)
+PLACES = MAX_OWN_PATHS
+NOTHING_HELD = -1  # by a place; otherwise sonar times `SONAR_STRIDE`, and face + 1
+SONAR_STRIDE = 1 << 20
 NOTHING, NO_FAULTS = np.zeros(0), np.zeros(0, np.int64)
 BINS = 100  # bins of range in tables of credence; the broad prior has two distances per bin, so that none is empty
 BEARINGS_DEG = (0.0, 7.5, 15.0, 22.5, 27.5)  # deg; inside a cone of 55 deg
@@ -96,27 +99,34 @@ def new_episodes(copies: Ints, keys: Ints, counters: Ints) -> Ints:
 
 
 @compiled
-def assign_slots(sensors: Ints, faces: Ints, slot_faces: NDArray[Any], slot_used: NDArray[Any]) -> tuple[Ints, Bits]:
+def assign_places(
+    cars: Ints, sonars: Ints, faces: Ints, held: NDArray[Any], used: NDArray[Any]
+) -> tuple[Ints, Bits]:  # fmt: skip
     """Return the place in memory of each path, and whether its face is new there, both (m,).
 
+    A face that is new takes the place of its car that was used longest ago. In one call a car has at most as many paths
+    as places, so that each path has its own.
+
     Args:
-        sensors: sonar of each path, those of one ping in sequence, (m,).
-        faces: face of each path, (m,).
-        slot_faces: face at each place of each sonar, (n, k); a new face gets the place used longest ago.
-        slot_used: number of the last use of each place, (n, k); updated.
+        cars: number of the car of each path, (m,).
+        sonars: number of its sonar on the car, (m,).
+        faces: its face, (m,).
+        held: what each place of each car holds, see `NOTHING_HELD`, (n, k); updated.
+        used: number of the last use of each place, (n, k); updated.
     """
-    slots, new = np.empty(len(sensors), np.int64), np.zeros(len(sensors), np.bool_)
-    for i in range(len(sensors)):
-        sensor, place = sensors[i], -1
-        for k in range(slot_faces.shape[1]):
-            if slot_faces[sensor, k] == faces[i]:
-                place = k
+    places, new = np.empty(len(cars), np.int64), np.zeros(len(cars), np.bool_)
+    for i in range(len(cars)):
+        own, last_use = held[cars[i]], used[cars[i]]
+        key, place, oldest, latest = sonars[i] * SONAR_STRIDE + faces[i] + 1, -1, 0, last_use[0]
+        for k in range(own.shape[0]):
+            place = k if own[k] == key else place
+            oldest = k if last_use[k] < last_use[oldest] else oldest
+            latest = max(latest, last_use[k])
         if place < 0:
-            place, new[i] = int(np.argmin(slot_used[sensor])), True
-            slot_faces[sensor, place] = faces[i]
-        slot_used[sensor, place] = slot_used[sensor].max() + 1
-        slots[i] = sensor * slot_faces.shape[1] + place
-    return slots, new
+            place, new[i], own[oldest] = oldest, True, key
+        last_use[place] = latest + 1
+        places[i] = cars[i] * own.shape[0] + place
+    return places, new
 
 
 class Sonar:
@@ -157,15 +167,15 @@ class Sonar:
             tables = np.tile(broad_table(shared, max_range).values, (count, 1))
         self.edges, self.tables = bin_edges(max_range), tables
         self.rngs = Streams(copies, tag)
-        self._slots = SLOTS if isinstance(self.model, StatefulModel) else 1
-        self.law = path_law(self.model, copies * count * self._slots, max_range)
+        self._by_face = isinstance(self.model, StatefulModel)
+        self._places = count * (PLACES if self._by_face else 1)  # of each copy
+        self.law = path_law(self.model, copies * self._places, max_range)
         self.batched, self.has_credence = self.law.batched, self.law.has_probabilities
         self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
         self.persistence = persistence_of(shared) if persists else None
         self._episodes = np.zeros(copies, dtype=np.int64)  # numbers from which the persisting errors are derived
-        faces = copies * count if self._slots > 1 else 0
-        self._slot_faces = np.full((faces, self._slots), NO_FACE, dtype=np.int32)
-        self._slot_used = np.zeros((faces, self._slots), dtype=np.uint32)
+        places = copies if self._by_face else 0, self._places
+        self._held, self._used = np.full(places, NOTHING_HELD, np.int32), np.zeros(places, np.uint32)
         self.clear_memory()
 
     def seed(self, seed: int, copy: int = 0) -> None:
@@ -176,11 +186,9 @@ class Sonar:
         """Clear the previous readings of all copies, or of some, at the start of an episode; errors are drawn anew."""
         which = np.arange(self.copies) if copies is None else np.asarray(copies)
         self._episodes[which] = new_episodes(which, self.rngs.keys, self.rngs.counters)
-        places = self.count * self._slots
-        self.law.clear((which[:, None] * places + np.arange(places)).ravel())
-        if self._slots > 1:
-            sonars = (which[:, None] * self.count + np.arange(self.count)).ravel()
-            self._slot_faces[sonars], self._slot_used[sonars] = NO_FACE, 0
+        self.law.clear((which[:, None] * self._places + np.arange(self._places)).ravel())
+        if self._by_face:
+            self._held[which], self._used[which] = NOTHING_HELD, 0
 
     def draw(self, copies: Ints, fired: FiredPings) -> Floats:
         """Draw the readings of pings, and return their records, (n, records.N_RECORD); see `records.first_echoes`.
@@ -191,7 +199,7 @@ class Sonar:
         """
         index = fired.car * self.count + fired.sonar
         sonars = index[fired.owner]
-        places = sonars if self._slots == 1 else self._memory_places(sonars, fired.paths)
+        places = self._memory_places(fired) if self._by_face else sonars
         source = self._source(copies, fired, sonars)
         drawn = self.law.draw(PathPings(fired.conditions, fired.time, places), source)
         credence, fault = (NOTHING if drawn.credence is None else drawn.credence), drawn.fault
@@ -209,10 +217,10 @@ class Sonar:
         keys = self._episodes[sonars // self.count] + sonars % self.count
         return PersistentStream(stream, latents(fired.paths, keys, held.lasting, held.length_m), held)
 
-    def _memory_places(self, sonars: Ints, paths: Floats) -> Ints:
+    def _memory_places(self, fired: FiredPings) -> Ints:
         """Return the place in a stateful model's memory of each path, (m,); faces that are new get an empty one."""
-        faces = paths[:, columns.FACE].astype(np.int64)
-        places, new = assign_slots(sonars, faces, self._slot_faces, self._slot_used)
+        faces, owner = fired.paths[:, columns.FACE].astype(np.int64), fired.owner
+        places, new = assign_places(fired.car[owner], fired.sonar[owner], faces, self._held, self._used)
         if new.any():
             self.law.clear(places[new])
         return places

@@ -188,7 +188,7 @@ class SessionCar:
     # ---- out ---------------------------------------------------------------------------------------------------------
 
     def _publish(self, origin: float) -> None:
-        shown = self.env.fleet.sensing.pings.shown[0]
+        shown = self.env.fleet.sensing.pings.of_shown(0)
         sent, status, range_ = (shown[:, k] for k in (records.SENT, records.STATUS, records.RANGE))
         for i in np.flatnonzero((sent > self._published) & (status == EchoStatus.ECHO)):
             self.session.send(READING, {"distance": float(range_[i])}, int(i), origin + float(sent[i]))

@@ -139,7 +139,7 @@ class HeardWalls:
                 poses, which, p.sent[0], *faces, self.settings.max_range, self._table, p.paths[0], p.n_paths[0]
             )
         self._sensing.update(ROW, np.array([now]))
-        shown = p.shown[0, :, [records.RANGE, records.STATUS]]
+        shown = p.of_shown(0)[:, [records.RANGE, records.STATUS]].T
         heard = [i for i in np.flatnonzero(which) if shown[1, i] == EchoStatus.ECHO]
         found = [Echo(int(i), self._published(shown[0, i]), now) for i in heard]
         return [echo for echo in found if echo.distance > 0.0]  # a register of 0 means no echo
