@@ -19,6 +19,7 @@ from gymnasium import spaces
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints, Singles
 from acquisition.limits import Limit, check_value, near, shown
+from noise import SonarModel
 from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.cost_to_go import PARKED_ANGLE, PARKED_OVERHANG, CostTables, Space, tabulated
@@ -41,7 +42,7 @@ from sonar_gym.parking.street import (
 )
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.parking.world import WorldView
-from sonar_gym.sensing.detection import detection_table, has_beam
+from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
 from sonar_gym.sensing.mounts import Layout, heights, layout, mount_arrays, times_of
 from sonar_gym.sensing.odometry import Odometer, OdometryChoice
 from sonar_gym.sensing.odometry import odometry as odometry_settings
@@ -154,7 +155,7 @@ class Fleet:
         self.close()
         if self._threads > 1 and self.count > 1 and sonars.batched:
             self._pool = ThreadPoolExecutor(self._threads)
-        self.constants = self._constants(detection_table(model, max_range))
+        self.constants = self._constants(model)
 
     @property
     def sonar(self) -> Sonar:
@@ -186,8 +187,9 @@ class Fleet:
             new[:, : old.shape[1]] = old
         self.worlds = self.worlds._replace(**wider)
 
-    def _constants(self, detection: Floats) -> StepConstants:
-        car = self.car_settings
+    def _constants(self, model: SonarModel) -> StepConstants:
+        car, detection = self.car_settings, detection_table(model, self.sonar.max_range)
+        crosstalk = self._crosstalk and has_beam(detection)
         return StepConstants(
             dynamics=car.dynamics,
             body=car.body,
@@ -200,7 +202,8 @@ class Fleet:
             scale=np.array([car.max_speed, car.max_steering, *ODOMETRY_SPAN, MAX_STEPS]),
             limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -BEHIND]),
             detection=detection,
-            crosstalk=self._crosstalk and has_beam(detection),
+            listening=listening_table(model) if crosstalk else detection,
+            crosstalk=crosstalk,
             dt=STEP_S,
             max_range=self.sonar.max_range,
         )

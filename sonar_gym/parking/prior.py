@@ -26,7 +26,7 @@ from sonar_gym.parking.stored import shipped, stored
 from sonar_gym.parking.street import StreetSettings
 from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths, records
-from sonar_gym.sensing.detection import detection_table, has_beam
+from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
 from sonar_gym.sensing.laws.general import GeneralLaw
 from sonar_gym.sensing.mounts import Mount, heights, mount_arrays
 from sonar_gym.sensing.records import PingArrays
@@ -219,16 +219,20 @@ class Ears:
     def _records(self, fleet: Any, time_s: float) -> Floats:
         """Return the records of pings of all sonars where the cars stand, at a time and their phases, (n, N_RECORD)."""
         detection, p = detection_table(self._model, self.task.max_range), self._pings
+        crosstalk = self.task.crosstalk and has_beam(detection)
         constants = fleet.constants._replace(
             half_angles=self._half,
             heights=self._heights,
             detection=detection,
-            crosstalk=self.task.crosstalk and has_beam(detection),
+            listening=listening_table(self._model) if crosstalk else detection,
+            crosstalk=crosstalk,
         )
         rows = np.arange(self.sample.streets)
         worlds = fleet.worlds._replace(mounts=np.repeat(self._local[None], len(rows), axis=0))
-        p.sent[:] = [time_s + mount.phase_s for mount in self.task.mounts]
-        step_kernel.measure(rows, worlds, constants, p)
+        phase, period = (np.array([getattr(m, name) for m in self.task.mounts]) for name in ("phase_s", "period_s"))
+        for cycle in (1.0, 0.0) if crosstalk and np.ptp(phase) > 0.0 else (0.0,):  # the previous bursts are heard, too
+            p.sent[:] = time_s + phase - cycle * period
+            step_kernel.measure(rows, worlds, constants, p)
         return self._sonar.draw(rows, records.gather(rows, EMPTY_M, p))
 
     def _add(self, heard: Floats) -> None:

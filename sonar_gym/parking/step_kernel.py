@@ -15,7 +15,7 @@ from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.limits import Limit, check_settings
 from sonar_gym.compiled import compiled
 from sonar_gym.parking.cost_to_go import cost_to_go
-from sonar_gym.sensing.crosstalk import add_crosstalk
+from sonar_gym.sensing.crosstalk import Surroundings, add_crosstalk
 from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll, shift
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 from sonar_gym.sensing.paths import cast_paths, meet_moving
@@ -138,6 +138,7 @@ class StepConstants(NamedTuple):
         scale: scales of `ego`: speed, steering angle, distance along, distance across, steps, (5,).
         limits: limits of `is_parked`: speed, m/s, angle, rad, overhang, m; x of the open end of the street, m.
         detection: see `detection.detection_table`.
+        listening: see `detection.listening_table`.
         crosstalk: whether sonars hear each other's bursts.
         dt: duration of a step, s.
         max_range: maximum range, m.
@@ -154,6 +155,7 @@ class StepConstants(NamedTuple):
     scale: Floats
     limits: Floats
     detection: Floats
+    listening: Floats
     crosstalk: bool
     dt: float
     max_range: float
@@ -193,13 +195,11 @@ def measure_ping(
 
 
 @compiled
-def hear_others(faces: Faces, k: int, sensors: Floats, r: StepConstants, p: PingArrays) -> None:
-    """Add the paths of other sonars' bursts to the pings of the k-th car of an update."""
+def hear_others(faces: Faces, k: int, i: int, sensors: Floats, r: StepConstants, p: PingArrays) -> None:
+    """Add the paths of other bursts to the pings of world i, the k-th of an update."""
     if r.crosstalk:
-        add_crosstalk(
-            sensors, p.fired[k], p.sent[k], faces.segments, faces.surface, faces.owner, r.max_range, r.detection,
-            p.paths[k], p.n_paths[k],
-        )  # fmt: skip
+        around = Surroundings(faces.segments, faces.surface, faces.owner, r.max_range, r.detection, r.listening)
+        add_crosstalk(sensors, p.fired[k], p.sent[k], p.before[i], around, p.paths[k], p.n_paths[k])
 
 
 @compiled
@@ -245,7 +245,7 @@ def measure(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None
         pose, faces = (w.car[i, 0], w.car[i, 1], w.car[i, 2]), faces_of(i, w)
         for s in range(r.half_angles.shape[0]):
             p.n_paths[k, s] = measure_ping(p.paths[k, s], s, pose, w.mounts[i], faces, r, sensors)
-        hear_others(faces, k, sensors, r, p)
+        hear_others(faces, k, i, sensors, r, p)
 
 
 @compiled
@@ -336,7 +336,7 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
             p.fired[k, s], p.sent[k, s] = delay[s] > 0.0, begin_s + delay[s]
         command = actions[k, 0] * r.dynamics[5], actions[k, 1] * r.dynamics[6]
         hit = drive(state, command, begin_s, delay, w.mounts[i], faces, r, p.paths[k], p.n_paths[k], sensors)
-        hear_others(faces, k, sensors, r, p)
+        hear_others(faces, k, i, sensors, r, p)
         finish(i, hit, start, w, r)
 
 

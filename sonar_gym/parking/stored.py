@@ -92,10 +92,12 @@ def fingerprint(model: Any) -> str:
 
 
 def shipped_key(model: Any, task: Any) -> str:
-    """Return the name of a shipped table; neither latencies nor the names of sonars change it."""
+    """Return the name of a shipped table; latencies, names and a period that all sonars share do not change it."""
     places = [(m.x, m.y, m.heading_deg, m.cone_deg, m.phase_s, m.height_m) for m in task.mounts]
     driver = _agent() if task.driver == "agent" else task.driver
-    parts = task.streets, task.car, places, task.max_range, driver, task.crosstalk
+    in_turn = len({m.phase_s for m in task.mounts}) > 1
+    periods = ([m.period_s for m in task.mounts],) if in_turn else ()  # the previous bursts are heard, too
+    parts = task.streets, task.car, places, task.max_range, driver, task.crosstalk, *periods
     return f"{fingerprint(model)}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
 
 

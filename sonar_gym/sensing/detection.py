@@ -20,6 +20,10 @@ from sonar_gym.compiled import compiled
 
 SHAPE = (24, 17, 18, 6)  # nodes of distance, bearing, incidence, root of reflectance
 SAMPLED_SHAPE = (12, 7, 9, 4)  # for a model that can only be sampled, which takes long
+# Farthest echo of another burst, m: the useful range of an SRF08 is 6 m (Devantech), and the surveys of the learned laws
+# end there; of a mirror 8 m away the rig receives one echo in ten, 9.5 m away none
+LISTENING_M = 6.5
+LISTENING_NODES = 52, 2  # of distance and incidence up to there; other bursts are given to a law at normal incidence
 MAX_BEARING = np.radians(60.0)
 MAX_INCIDENCE = np.radians(85.0)  # greatest in the survey of the learned laws
 NEAREST = 0.01  # nearest node relative to the farthest
@@ -40,9 +44,16 @@ def detection_table(model: SonarModel, far: float) -> Floats:
     return _detection_table(cast(Hashable, model), far)
 
 
+def listening_table(model: SonarModel) -> Floats:
+    """Return the probabilities of `detection_table` for distances up to `LISTENING_M`, coarse in incidence."""
+    return _detection_table(cast(Hashable, model), LISTENING_M, *LISTENING_NODES)
+
+
 @lru_cache(maxsize=16)
-def _detection_table(model: Any, far: float) -> Floats:
+def _detection_table(model: Any, far: float, distances: int = 0, incidences: int = 0) -> Floats:
     shape = SHAPE if listener(model).law(Ping.of(1.0)).has_probabilities else SAMPLED_SHAPE
+    if distances:
+        shape = distances * shape[0] // SHAPE[0], shape[1], incidences, shape[3]
     return _own_echo(model, nodes(far, shape)).reshape(shape)
 
 

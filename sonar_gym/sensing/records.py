@@ -28,7 +28,7 @@ REARM_M = 0.43  # m; an SRF08 detects a second echo 2.5 ms after the first at th
 # Causes of readings, by number; the faults of the model follow
 EMPTY, TARGET, EARLY, LATE, GHOST, MISSED, NO_ANSWER, CROSSTALK, FIRST_FAULT = range(9)
 CAUSES = ("empty", "target", "early", "late", "ghost", "missed", "no answer", "cross-talk")
-_ECHO, _NO_ANSWER = 1, 2  # as acquisition.EchoStatus
+_NO_ECHO, _ECHO, _NO_ANSWER = 0, 1, 2  # as acquisition.EchoStatus
 
 
 class PingArrays(NamedTuple):
@@ -42,6 +42,7 @@ class PingArrays(NamedTuple):
         records: records of the last pings, (n, s, d, N_RECORD).
         slot: place of the next record in `records`, (n, s).
         shown: place there of the record whose reading arrived last, (n, s).
+        before: pose and time of the last ping, see `crosstalk.add_crosstalk`, (n, s, 4).
         ranges, credence, echo, age: observation of the sonars, (n, s).
         cause: cause of each reading, (n, s).
     """
@@ -53,6 +54,7 @@ class PingArrays(NamedTuple):
     records: Floats
     slot: Bytes
     shown: Bytes
+    before: Floats
     ranges: Singles
     credence: Singles
     echo: Singles
@@ -77,6 +79,7 @@ class PingArrays(NamedTuple):
             records=np.zeros((n, s, depth, N_RECORD)),
             slot=np.zeros((n, s), np.uint8),
             shown=np.zeros((n, s), np.uint8),
+            before=np.full((n, s, 4), -np.inf),
             cause=np.zeros((n, s), np.uint8),
             **observed,
         )
@@ -260,7 +263,9 @@ def first_echoes(
         record[BY_CROSSTALK], record[SENT] = source, fired.sent[n]
         record[SECOND] = 0.0 if math.isinf(second) else second
         record[RANGE] = 0.0 if math.isinf(nearest) else nearest
-        record[STATUS] = status[last] if math.isinf(nearest) else _ECHO
+        record[STATUS] = _ECHO
+        if math.isinf(nearest):  # also if the echo comes from beyond the range
+            record[STATUS] = _NO_ANSWER if status[last] == _NO_ANSWER else _NO_ECHO
         record[GIVEN_CONDITION] = 1.0 - missed if fired.paths[last, OBSTACLE] >= 0.0 else 0.0
         record[FAULT] = fault[last] if fault.shape[0] > 0 else 0.0
     return out
@@ -282,7 +287,7 @@ def clear(rows: Ints, p: PingArrays) -> None:
     for k in range(rows.shape[0]):
         i = rows[k]
         p.fired[k], p.sent[k] = True, 0.0
-        p.records[i, :, :, SENT] = np.inf
+        p.records[i, :, :, SENT], p.before[i] = np.inf, -np.inf
 
 
 @compiled

@@ -20,6 +20,7 @@ from noise.model import StatefulModel
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing import paths as columns
 from sonar_gym.sensing import records
+from sonar_gym.sensing.detection import LISTENING_M
 from sonar_gym.sensing.laws.choose import path_law
 from sonar_gym.sensing.laws.drawn import PathPings, PathSource
 from sonar_gym.sensing.laws.numbers import Streams, mixed
@@ -30,8 +31,8 @@ from sonar_gym.sensing.records import FiredPings
 SonarChoice = str | os.PathLike[str] | SonarModel
 Copies = Sequence[int] | Ints
 STREAM_TAG = 0x50E4  # separates the sonars' random stream from that of the streets: SeedSequence([seed, tag])
-# Faces that a model with a state of its own remembers per sonar. The sonars of a car share its places, since few of them
-# face many: 32 places for eight forget as little as six a sonar (0.6 and 0.3 % of paths; four a sonar forget 10 %)
+# Faces that a model with a state of its own remembers per sonar. The sonars of a car share its places, since few of
+# them face many: 32 for eight forget 0.6 % of paths that they have met before, four for each alone 10 %
 PLACES = MAX_OWN_PATHS
 NOTHING_HELD = -1  # by a place; otherwise sonar times `SONAR_STRIDE`, and face + 1
 SONAR_STRIDE = 1 << 20
@@ -169,7 +170,8 @@ class Sonar:
         self.rngs = Streams(copies, tag)
         self._by_face = isinstance(self.model, StatefulModel)
         self._places = count * (PLACES if self._by_face else 1)  # of each copy
-        self.law = path_law(self.model, copies * self._places, max_range)
+        # bursts of others may come from farther than the readings, which `first_echoes` cuts
+        self.law = path_law(self.model, copies * self._places, max(max_range, LISTENING_M))
         self.batched, self.has_credence = self.law.batched, self.law.has_probabilities
         self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
         self.persistence = persistence_of(shared) if persists else None

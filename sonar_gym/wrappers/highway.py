@@ -15,8 +15,8 @@ from gymnasium import spaces
 from acquisition import SettingError
 from acquisition.arrays import Floats, Ints
 from noise import SonarModel
-from sonar_gym.sensing.crosstalk import add_crosstalk
-from sonar_gym.sensing.detection import detection_table, has_beam
+from sonar_gym.sensing.crosstalk import Surroundings, add_crosstalk
+from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
 from sonar_gym.sensing.mounts import Mount, in_world, layout, mount_arrays, times_of
 from sonar_gym.sensing.paths import MAX_PATHS, N_PATH, cast_paths
 from sonar_gym.sensing.records import PingArrays
@@ -87,6 +87,7 @@ class RoadSource:
         self.times: Times = times_of(self.mounts) if timed else settings.times
         self._detection = detection_table(model, self.max_range)
         self._crosstalk = settings.crosstalk and has_beam(self._detection)
+        self._listening = listening_table(model) if self._crosstalk else self._detection
         self._poses, self._half = mount_arrays(self.mounts)
         self._reflectance: dict[int, tuple[Any, float]] = {}  # by id; the reference keeps the id from being reused
         self._filter = RetainedObservation(base, space, settings.keep)
@@ -122,8 +123,8 @@ class RoadSource:
         """Add the paths of other sonars' bursts to pings that were sent, by the faces at the last observation."""
         if self._crosstalk:
             poses, faces = self._seen
-            p, limits = pings, (self.max_range, self._detection)
-            add_crosstalk(poses, p.fired[0], p.sent[0], *faces, *limits, p.paths[0], p.n_paths[0])
+            p, around = pings, Surroundings(*faces, self.max_range, self._detection, self._listening)
+            add_crosstalk(poses, p.fired[0], p.sent[0], p.before[0], around, p.paths[0], p.n_paths[0])
 
     def _reflectance_of(self, thing: Any, rng: np.random.Generator) -> float:
         """Return the reflectance of an object, drawn at its first use in the episode."""

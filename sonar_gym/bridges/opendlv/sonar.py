@@ -22,8 +22,8 @@ from sonar_gym.bridges.opendlv.session import Session
 from sonar_gym.bridges.opendlv.walls import ORIGIN, Pose
 from sonar_gym.bridges.opendlv.wire import Envelope
 from sonar_gym.sensing import records
-from sonar_gym.sensing.crosstalk import add_crosstalk
-from sonar_gym.sensing.detection import detection_table, has_beam
+from sonar_gym.sensing.crosstalk import Surroundings, add_crosstalk
+from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
 from sonar_gym.sensing.mounts import Mount, in_world, mount_arrays
 from sonar_gym.sensing.paths import cast_paths
 from sonar_gym.sensing.pipeline import Sensing
@@ -112,6 +112,7 @@ class HeardWalls:
         self._poses, self._half = mount_arrays(mounts)
         self._table = detection_table(resolved, settings.max_range)
         self._crosstalk = settings.crosstalk and has_beam(self._table)
+        self._listening = listening_table(resolved) if self._crosstalk else self._table
         self._sensing = Sensing(
             Sonar(resolved, count, settings.max_range, TAG), np.tile([period, 0.0, 0.0], (count, 1)), period
         )
@@ -135,9 +136,8 @@ class HeardWalls:
             )
         p.fired[0], p.sent[0, which] = which, now
         if self._crosstalk:
-            add_crosstalk(
-                poses, which, p.sent[0], *faces, self.settings.max_range, self._table, p.paths[0], p.n_paths[0]
-            )
+            around = Surroundings(*faces, self.settings.max_range, self._table, self._listening)
+            add_crosstalk(poses, which, p.sent[0], p.before[0], around, p.paths[0], p.n_paths[0])
         self._sensing.update(ROW, np.array([now]))
         shown = p.of_shown(0)[:, [records.RANGE, records.STATUS]].T
         heard = [i for i in np.flatnonzero(which) if shown[1, i] == EchoStatus.ECHO]

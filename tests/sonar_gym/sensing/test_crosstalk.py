@@ -1,15 +1,19 @@
 """Bursts of other sonars: geometry by hand, and what firing together does to the readings."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from acquisition import Ping
+from acquisition.bench import Neighbour, Rig, Unit
 from noise import GaussianModel, load_model
+from noise.rig import SIMULATED
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.sensing import crosstalk, paths
-from sonar_gym.sensing.detection import detection_table, has_beam
+from sonar_gym.sensing.detection import LISTENING_M, detection, detection_table, has_beam, listening_table
 from sonar_gym.sensing.records import CROSSTALK
 from sonar_gym.sensing.scene import Scene, WallSegment
 
@@ -17,15 +21,18 @@ TABLE = np.full((2, 2, 2, 2), 0.9)
 HALF = math.radians(27.5)
 
 
-def ping(poses, obstacles, sent=None, table=TABLE):
-    """Return the paths of each sonar, with those of the others' bursts."""
+def ping(poses, obstacles, sent=None, before=None):
+    """Return the paths of each sonar, with those of other bursts; `before` are poses and times of earlier ones."""
     scene, n = Scene(obstacles), len(poses)
     out, counts, poses = np.zeros((n, paths.MAX_PATHS, paths.N_PATH)), np.zeros(n, np.int64), np.array(poses)
     faces = scene.segments, scene.surface, scene.owner
     for s, (x, y, heading) in enumerate(poses):
-        counts[s] = paths.cast_paths(x, y, heading, HALF, *faces, MAX_RANGE, table, out[s])
+        counts[s] = paths.cast_paths(x, y, heading, HALF, *faces, MAX_RANGE, TABLE, out[s])
     sent = np.zeros(n) if sent is None else np.array(sent)
-    crosstalk.add_crosstalk(poses, np.ones(n, np.bool_), sent, *faces, MAX_RANGE, table, out, counts)
+    before = np.full((n, 4), crosstalk.NOT_SENT) if before is None else np.array(before)
+    around = crosstalk.Surroundings(*faces, MAX_RANGE, TABLE, TABLE)
+    crosstalk.add_crosstalk(poses, np.ones(n, np.bool_), sent, before, around, out, counts)
+    assert np.array_equal(before, np.column_stack([poses, sent]))
     return [out[s, : counts[s]] for s in range(n)]
 
 
@@ -49,6 +56,38 @@ def test_a_burst_sent_later_is_read_as_farther_and_one_too_late_not_at_all():
     crossed = ping(poses, [WALL], [0.004, 0.0])[1]
     assert crossed[0, paths.SHIFT] == pytest.approx(0.5 * 343.0 * 0.004)
     assert all(len(found) == 1 for found in ping(poses, [WALL], [0.02, 0.0]))
+
+
+def test_an_earlier_burst_is_heard_from_far_behind_the_range():
+    # 20 ms are 6.86 m of sound: a wall 4.5 m away, beyond the range of 3.01 m, appears at 4.5 m - 3.43 m
+    wall, pair = WallSegment(4.5, -9.0, 4.5, 9.0), [(0.0, -0.3, 0.0), (0.0, 0.3, 0.0)]
+    earlier = [(0.0, -0.3, 0.0, -0.02), (0.0, 0.3, 0.0, -0.1)]  # the other one has faded
+    first, second = ping(pair, [wall], before=earlier)
+    for found, apart in ((first, 0.0), (second, 0.6)):
+        crossed = found[found[:, paths.SOURCE] > 0.0]
+        assert crossed[:, paths.SOURCE].tolist() == [1.0]
+        assert crossed[0, paths.DISTANCE] == pytest.approx(math.hypot(4.5, 0.5 * apart))
+        assert crossed[0, paths.SHIFT] == pytest.approx(-0.5 * 343.0 * 0.02)
+    assert not any(np.any(found[:, paths.SOURCE] > 0.0) for found in ping(pair, [wall]))  # without earlier ones
+
+
+def test_an_earlier_burst_is_as_loud_as_in_the_rig():
+    """A wall 4.5 m ahead is beyond the range, but returns the burst that a neighbour sent 20 ms before the ping."""
+    law = listening_table(load_model("srf08-mlp"))
+    expected, reading = [], []
+    for distance in (4.0, 5.0, 6.0):
+        expected.append(detection(law, LISTENING_M, distance, 0.0, 0.0, 0.9))
+        found = [rig_reading(distance, unit) for unit in range(301, 317)]
+        reading.append(np.mean([abs(r - (distance - 3.43)) <= 0.01 * distance + 0.07 for r in found]))
+    assert expected == pytest.approx(reading, abs=0.2)
+
+
+def rig_reading(distance, unit):
+    """Return what a unit of the rig reads whose neighbour has pinged 20 ms before, m; 0 for nothing."""
+    neighbour = Neighbour(period_s=0.2, first_s=0.18, beside_m=0.05, path_m=0.05, strength_db=0.0)
+    setup = replace(SIMULATED, range_register=69, neighbour=neighbour)
+    ping = Ping.of([distance], reflectance=0.9, time=[0.2], run=[0])
+    return Rig(Unit.draw(unit), setup).ping(ping, np.random.default_rng(unit)).reading(setup).range[0]
 
 
 def test_what_either_cannot_see_is_not_heard():
