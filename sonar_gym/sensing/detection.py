@@ -20,8 +20,8 @@ from sonar_gym.compiled import compiled
 
 SHAPE = (24, 17, 18, 6)  # nodes of distance, bearing, incidence, root of reflectance
 SAMPLED_SHAPE = (12, 7, 9, 4)  # for a model that can only be sampled, which takes long
-# Farthest echo of another burst, m: the useful range of an SRF08 is 6 m (Devantech), and the surveys of the learned laws
-# end there; of a mirror 8 m away the rig receives one echo in ten, 9.5 m away none
+# Farthest echo of another burst, m: the useful range of an SRF08 is 6 m (Devantech), and the surveys of the learned
+# laws end there; of a mirror 8 m away the rig receives one echo in ten, 9.5 m away none
 LISTENING_M = 6.5
 LISTENING_NODES = 52, 2  # of distance and incidence up to there; other bursts are given to a law at normal incidence
 MAX_BEARING = np.radians(60.0)
