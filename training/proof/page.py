@@ -313,7 +313,8 @@ sonar-gym prove --out proof --workers 2                            # a deck of y
 
 `verify-proof` recomputes hashes, seals and the table, regenerates all recordings from the disclosed seeds bit by bit,
 and says what nobody can check afterwards. Verdicts repeat at the commit of the deck. `--ray` runs a deck on a cluster,
-and `--plan` only writes it, so that its hash can be published first. An interruption loses the trials at work: their keys are gone, they are counted as lost and never run again.
+and `--plan` only writes it, so that its hash can be published first. An interruption loses the trials at work: their
+keys are gone, they are counted as lost and never run again.
 
 Deck `{deck}`, closing line `{last}`.
 
