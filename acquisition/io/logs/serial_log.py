@@ -118,6 +118,6 @@ def _table(rows: Sequence[dict[str, str]]) -> pd.DataFrame:
     names = {name for row in rows for name in row}
     if len(names) > MAX_COLUMNS:
         raise RecordingError(f"its lines name {len(names)} numbers, expected at most {MAX_COLUMNS}; keep those needed")
-    usual = Counter(names for row in rows if (names := tuple(name for name in row if name != "time")))
+    usual = Counter(own for row in rows if (own := tuple(name for name in row if name != "time")))
     silent = dict.fromkeys(usual.most_common(1)[0][0] if usual else (), "0")
     return pd.DataFrame([row if set(row) - {"time"} else row | silent for row in rows], dtype=str).fillna("")
