@@ -69,6 +69,8 @@ judge: $(STAMP)  ## measure the diagnosis on labelled trials (hours; stop at any
 proof: $(STAMP)  ## 300 blind trials (hours; stop at any time, the same command goes on)
 	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --workers $(WORKERS) --announce $(ANNOUNCED) --pages docs/explanation
 	$(BIN)/sonar-gym verify-proof runs/proof/ledger.jsonl --workers $(WORKERS)
+	xz -9 --keep --stdout runs/proof/ledger.jsonl > $(dir $(ANNOUNCED))ledger.jsonl.xz
+	cp runs/proof/proof-families.md $(dir $(ANNOUNCED))
 
 firmware:  ## compile the Arduino sketch; needs apt install gcc-avr avr-libc arduino-core-avr
 	@command -v avr-g++ >/dev/null || { echo 'no avr-g++: apt install gcc-avr avr-libc arduino-core-avr'; exit 1; }

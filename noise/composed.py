@@ -157,7 +157,7 @@ class ComposedModel:
         if isinstance(self.model, StatefulModel):
             self.model.reset(sensors)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return model and effects as plain data.
 
         Raises:
@@ -179,17 +179,18 @@ class ComposedModel:
     @classmethod
     @checked
     def load(
-        cls, folder: FilePath, data: dict[str, Any], load_kind: Callable[[FilePath, Any], SonarModel]
+        cls, folder: FilePath, data: dict[str, object], load_kind: Callable[[FilePath, object], SonarModel]
     ) -> ComposedModel:
         """Load a saved model; `load_kind` loads the model without the differences.
 
         Raises:
             ModelError: an effect is unknown or a value is invalid.
         """
+        content: dict[str, Any] = data
         try:
             register = {"resolution": 0.001, "max_range": END}  # those of the model are used
-            before, after = (EmpiricalModel.from_dict({**register, **data[key]}) for key in ("before", "after"))
-            return cls(load_kind(folder, data["model"]), before.effects, after.effects)
+            before, after = (EmpiricalModel.from_dict({**register, **content[key]}) for key in ("before", "after"))
+            return cls(load_kind(folder, content["model"]), before.effects, after.effects)
         except (KeyError, TypeError, AttributeError, SettingError) as error:
             raise ModelError(f"{folder / 'model.json'}: does not describe effects on a model ({error})") from None
 

@@ -298,7 +298,7 @@ class Faulty:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         return self._with_faults(follow(self.model, ping, reading), ping)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return model and faults as plain data.
 
         Raises:
@@ -318,7 +318,7 @@ class Faulty:
 
     @classmethod
     @checked
-    def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, Any], SonarModel]) -> Faulty:
+    def load(cls, folder: Path, data: dict[str, object], load_kind: Callable[[Path, object], SonarModel]) -> Faulty:
         """Load a saved model with faults.
 
         Args:
@@ -329,11 +329,12 @@ class Faulty:
         Raises:
             ModelError: a fault is unknown or a value is invalid.
         """
-        path = folder / "model.json"
+        path, content = folder / "model.json", dict[str, Any](data)
         try:
             faults = [
-                FAULTS[given["fault"]](**{k: v for k, v in given.items() if k != "fault"}) for given in data["faults"]
+                FAULTS[given["fault"]](**{k: v for k, v in given.items() if k != "fault"})
+                for given in content["faults"]
             ]
-            return cls(load_kind(folder, data["model"]), faults)
+            return cls(load_kind(folder, content["model"]), faults)
         except (KeyError, TypeError, AttributeError) as error:
             raise ModelError(f"{path}: does not describe faults on a model ({error}); it may be damaged") from None

@@ -149,13 +149,13 @@ class IdealModel:
         miss = (ping.distance > self.max_range).astype(np.float64)
         return CertainLaw(ping, miss, self.resolution, self.max_range)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the model as plain data."""
         return plain_numbers("ideal", self)
 
     @classmethod
     @checked
-    def from_dict(cls, data: dict[str, Any]) -> IdealModel:
+    def from_dict(cls, data: dict[str, object]) -> IdealModel:
         """Build a model from the output of `to_dict`."""
         return from_numbers("ideal", cls, data)
 
@@ -190,13 +190,13 @@ class GaussianModel:
         miss = np.where(ping.distance > self.max_range, 1.0, self.miss)
         return NormalLaw(ping, ping.distance, sigma, miss, self.resolution, self.max_range)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the model as plain data."""
         return plain_numbers("gaussian", self)
 
     @classmethod
     @checked
-    def from_dict(cls, data: dict[str, Any]) -> GaussianModel:
+    def from_dict(cls, data: dict[str, object]) -> GaussianModel:
         """Build a model from the output of `to_dict`.
 
         Raises:

@@ -90,14 +90,14 @@ class Replay:
         range_, status = (ping.covariates[name] for name in SIMULATED)
         return ReplayLaw(Reading.of(range_, status.astype(np.uint8)), self.step, other, self.resolution)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the model as plain data."""
         other: Any = self.other
         return {"kind": "replay", "other": other.to_dict(), "step": self.step, "resolution": self.resolution}
 
     @classmethod
     @checked
-    def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, Any], SonarModel]) -> Replay:
+    def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, object], SonarModel]) -> Replay:
         """Load a saved model; `load_kind` loads the other model."""
         return cls(load_kind(folder, data["other"]), float(data["step"]), float(data["resolution"]))
 

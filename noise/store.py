@@ -102,7 +102,7 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 @checked
-def save_model(model: Any, folder: str | os.PathLike[str]) -> Path:
+def save_model(model: object, folder: str | os.PathLike[str]) -> Path:
     """Write a model's folder atomically, replacing an older model, and return the folder.
 
     Args:

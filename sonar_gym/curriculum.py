@@ -58,7 +58,7 @@ class Curriculum(BaseCallback):
     @checked
     def __init__(
         self,
-        begin: StreetSettings | Mapping[str, Any] | str = "easy",
+        begin: StreetSettings | Mapping[str, object] | str = "easy",
         end: StreetSettings | str = "hard",
         success: Rate = 0.8,
         step: Rate = 0.1,
@@ -71,21 +71,22 @@ class Curriculum(BaseCallback):
         self.success, self.step, self.share = success, step, 0.0
         self._ends: deque[bool] = deque(maxlen=episodes)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return what a checkpoint of the training must hold, as plain data."""
         return {"share": self.share, "ends": list(self._ends)}
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Continue from a state that `state_dict` returned.
 
         Raises:
             SettingError: it is no such state.
         """
         check_observation(state, {"share": (), "ends": None}, "state")
-        check_value("state['share']", state["share"], Share)
-        self.share = float(state["share"])
+        given: Mapping[str, Any] = state
+        check_value("state['share']", given["share"], Share)
+        self.share = float(given["share"])
         self._ends.clear()
-        self._ends.extend(bool(parked) for parked in state["ends"])
+        self._ends.extend(bool(parked) for parked in given["ends"])
 
     def _on_training_start(self) -> None:
         self._set_streets()

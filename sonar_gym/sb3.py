@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Unpack
 
 import gymnasium
 import numpy as np
@@ -19,6 +19,7 @@ from acquisition.limits import SEEDS, check_value
 from sonar_gym.checks import check_options
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.parking.goal import LENGTH, relative_pose
+from sonar_gym.parking.settings import FleetSettings
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 
 Observations = dict[str, NDArray[np.float32]]
@@ -99,7 +100,7 @@ class SonarVecEnv(VecEnv):
         settings: keyword arguments of `SonarParkingVectorEnv`, except `autoreset_mode`.
     """
 
-    def __init__(self, num_envs: int, infos: bool = False, **settings: Any) -> None:
+    def __init__(self, num_envs: int, infos: bool = False, **settings: Unpack[FleetSettings]) -> None:
         if "autoreset_mode" in settings:
             raise SettingError("SonarVecEnv takes no autoreset_mode: Stable-Baselines3 resets in the step that ends")
         self.envs = SonarParkingVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **settings)

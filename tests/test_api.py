@@ -17,6 +17,7 @@ import sonar_gym
 from acquisition import Ping, Reading, Recording
 from acquisition.bench import Rig, Setup, Unit
 from noise.faults import Short
+from sonar_gym.parking.settings import FleetSettings, ParkingSettings
 from sonar_gym.wrappers.settings import SonarSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "python" / "index.md"
@@ -72,6 +73,49 @@ def test_the_stable_names_are_those_of_the_page():
 def test_completion_finds_every_name(package):
     assert set(package.__all__) <= set(dir(package))
     assert package.__version__ == acquisition.__version__
+
+
+def overrides(cls, name):
+    """Return whether a method is one of Gymnasium or Stable-Baselines3, whose types it must have."""
+    bases = [base for base in cls.__mro__ if base.__module__.split(".")[0] in ("gymnasium", "stable_baselines3")]
+    return name != "__init__" and any(name in vars(base) for base in bases)
+
+
+def functions():
+    """Yield name and function of all that is public, except what has the types of another package."""
+    for package in PACKAGES:
+        for name in package.__all__:
+            thing = getattr(package, name)
+            if inspect.isfunction(thing):
+                yield f"{package.__name__}.{name}", thing
+            elif inspect.isclass(thing) and not issubclass(thing, BaseException | Enum):
+                properties = [(key, value.fget) for key, value in inspect.getmembers(thing) if type(value) is property]
+                methods = [(key, getattr(thing, key)) for key in ("__init__", *(key for key, _ in own(thing)))]
+                yield from (
+                    (f"{package.__name__}.{name}.{k}", f) for k, f in methods + properties if not overrides(thing, k)
+                )
+
+
+def test_no_public_type_is_any():
+    found = {
+        f"{name}: {argument}"
+        for name, function in functions()
+        for argument, hint in getattr(function, "__annotations__", {}).items()
+        if re.search(r"\bAny\b", str(hint))
+    }
+    assert found == set()
+
+
+@pytest.mark.parametrize(
+    ("settings", "cls", "others"),
+    [
+        (ParkingSettings, sonar_gym.SonarParkingEnv, {"reward", "return"}),
+        (FleetSettings, sonar_gym.SonarParkingVectorEnv, {"num_envs", "autoreset_mode", "return"}),
+    ],
+)
+def test_settings_that_are_handed_on_are_those_of_the_environment(settings, cls, others):
+    known = {name: hint.__forward_arg__ for name, hint in settings.__annotations__.items()}
+    assert known == {name: hint for name, hint in cls.__init__.__annotations__.items() if name not in others}
 
 
 @pytest.mark.parametrize("cls", [sonar_gym.SonarObservation, sonar_gym.SonarVectorObservation])

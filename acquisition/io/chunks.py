@@ -23,7 +23,7 @@ from acquisition.io.columns import CONDITION, REQUIRED, TEXT, RowFault, convert,
 from acquisition.io.files import write_atomic
 from acquisition.io.parquet import SUFFIX, is_parquet, read_batches, write_parquet
 from acquisition.io.recording import Recording, unfinished_path
-from acquisition.io.tables import read_blocks
+from acquisition.io.tables import read_beginning, read_blocks
 
 Columns = tuple[pd.DataFrame, list[RowFault], int]  # table, faults, line of the first row
 VISIT = (*TEXT, *CONDITION[1:])  # columns that are constant within a visit
@@ -51,7 +51,7 @@ def is_recording(path: Path) -> bool:
     """Return whether a file is Parquet, or CSV with the columns that a recording requires."""
     if is_parquet(path):
         return True
-    header = next(read_blocks(path, 2**12))[0].partition(b"\n")[0]
+    header = read_beginning(path).partition(b"\n")[0]
     return {column.encode() for column in REQUIRED} <= {name.strip(b' "\r') for name in header.split(b",")}
 
 

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from acquisition.arguments import checked
+from acquisition.arrays import Bits, Ints
 from acquisition.brief import shortened
 from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
@@ -129,7 +130,7 @@ class Recording:
 
     @classmethod
     @checked
-    def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: Any) -> Recording:
+    def of(cls, ping: Ping, reading: Reading, name: str = "recording", **columns: ArrayLike) -> Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         check_pairs("Recording.of.reading", ping, reading)
         for key, value in columns.items():
@@ -152,7 +153,8 @@ class Recording:
                 },
             }
         )
-        return cls(table.assign(**columns).round(6), name)
+        given: dict[str, Any] = columns  # pandas accepts fewer types of arrays than NumPy
+        return cls(table.assign(**given).round(6), name)
 
     def __repr__(self) -> str:
         return shortened(f"<Recording {self.name}: {', '.join(self._counts())}>")
@@ -192,7 +194,7 @@ class Recording:
         """Return whether the recording has a column."""
         return column in self.table.columns
 
-    def select(self, mask: NDArray[Any]) -> Recording:
+    def select(self, mask: Bits | Ints) -> Recording:
         """Return the recording of the rows at a mask or array of indices.
 
         Raises:

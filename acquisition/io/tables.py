@@ -9,6 +9,7 @@ import itertools
 import re
 import warnings
 import zlib
+from codecs import getincrementaldecoder
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ MAX_BYTES = 2**30  # of a table, decompressed
 GZIP, ZIP, XZ, UTF16 = b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", (b"\xff\xfe", b"\xfe\xff")
 FORMATS = ((ZIP, "a ZIP archive"), (XZ, "compressed by xz"), (b"SQLite format 3", "a database"), (b"\x89HDF", "HDF5"))
 HEADER_BYTES = 1_000_000
+MAX_ROW = MAX_COLUMNS * MAX_FIELD  # bytes
 BLOCK = 2**24  # bytes of a file that is read in parts
 
 
@@ -83,6 +85,12 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
+def read_beginning(path: Path) -> bytes:
+    """Return the first bytes of a file, which hold its header; see `read_bytes`."""
+    with _opened(path) as file:
+        return file.read(HEADER_BYTES)
+
+
 def read_blocks(path: Path, size: int = BLOCK) -> Iterator[tuple[bytes, int]]:
     """Yield a file in blocks of whole rows, each below the header, with the number of the line of its first row.
 
@@ -101,9 +109,9 @@ def read_blocks(path: Path, size: int = BLOCK) -> Iterator[tuple[bytes, int]]:
             if cut:
                 yield header + rest[:cut], line
                 line, rest = line + rest.count(b"\n", 0, cut), rest[cut:]
-            if len(rest) > MAX_BYTES:
+            if len(rest) > MAX_ROW:
                 raise RecordingError(
-                    f"{path}, line {line}: a row of more than {MAX_BYTES // 2**20} MiB; the file is damaged"
+                    f"{path}, line {line}: a row of more than {MAX_ROW // 10**6} MB; the file is damaged"
                 )
     if rest or line == 2:
         yield header + rest, line
@@ -175,7 +183,7 @@ def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins:
 
 
 def _parsed(data: bytes, name: str, dialect: Dialect, number_twins: bool, **options: Any) -> pd.DataFrame:
-    columns = _header(_decoded(data, name), name, dialect)
+    columns = _header(_checked_beginning(data, name), name, dialect)
     _check_header(columns, name, number_twins)
     try:
         with warnings.catch_warnings():
@@ -203,26 +211,30 @@ def _parsed(data: bytes, name: str, dialect: Dialect, number_twins: bool, **opti
     return table
 
 
-def _decoded(data: bytes, name: str) -> str:
-    """Return the text, or say what the bytes are instead."""
+def _checked_beginning(data: bytes, name: str) -> str:
+    """Return the first lines as text, or say what the bytes are instead; all of them are checked, part by part."""
     found = next((what for magic, what in FORMATS if data.startswith(magic)), None)
     if data.startswith(UTF16):
         found = "UTF-16 text"
     if found is not None:
         raise RecordingError(f"{name}: is {found}, expected a CSV file in UTF-8; export it as such")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{name}: not UTF-8 text (byte {error.start}); expected a CSV file") from None
-    if "\0" in text:
-        line = text[: text.index("\0")].count("\n") + 1
+    decoder, held = getincrementaldecoder("utf-8-sig")(), 0
+    for start in range(0, len(data), BLOCK):
+        try:
+            decoder.decode(data[start : start + BLOCK], start + BLOCK >= len(data))
+        except UnicodeDecodeError as error:
+            byte = start - held + error.start
+            raise RecordingError(f"{name}: not UTF-8 text (byte {byte}); expected a CSV file") from None
+        held = len(decoder.getstate()[0])
+    if b"\0" in data:
+        line = data.count(b"\n", 0, data.index(b"\0")) + 1
         raise RecordingError(f"{name}, line {line}: contains a null character; the file is damaged or no CSV file")
-    return text
+    return data[:HEADER_BYTES].decode("utf-8-sig", "ignore")
 
 
 def _header(text: str, name: str, dialect: Dialect) -> list[str]:
     """Return the names of the columns; an empty one becomes `Unnamed: k`, as in pandas."""
-    first = re.split(r"[\r\n]", text[:HEADER_BYTES].lstrip(), maxsplit=1)[0]
+    first = re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0]
     if not first:
         raise RecordingError(f"{name}, line 1: the file is empty, expected a header with the names of the columns")
     if first.count(dialect.delimiter) >= MAX_COLUMNS:

@@ -72,7 +72,7 @@ class MlpModel:
         inputs: Inputs,
         head: Head,
         layers: Layers,
-        about: dict[str, Any] | None = None,
+        about: dict[str, object] | None = None,
         card: str = "",
         persistence: Persistence | None = None,
     ) -> None:
@@ -97,7 +97,7 @@ class MlpModel:
         """Widths of all layers, the input first."""
         return [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything but the weights as plain data."""
         return {
             "kind": "mlp",
@@ -115,7 +115,7 @@ class MlpModel:
 
     @classmethod
     @checked
-    def load(cls, folder: Path, data: dict[str, Any]) -> MlpModel:
+    def load(cls, folder: Path, data: dict[str, object]) -> MlpModel:
         """Load a saved network.
 
         Args:
@@ -128,7 +128,12 @@ class MlpModel:
         inputs, head, sizes = read_shape(folder, data)
         tensors, text = read_tensors(folder, shapes_of(sizes))
         persistence = read_persistence(folder, data)
-        return cls(inputs, head, layers_of(tensors, len(sizes) - 1), data.get("about", {}), text, persistence)
+        return cls(inputs, head, layers_of(tensors, len(sizes) - 1), read_about(data), text, persistence)
+
+
+def read_about(data: dict[str, Any]) -> dict[str, object]:
+    """Return the free part of model.json, which describes the training."""
+    return data.get("about", {})
 
 
 def read_persistence(folder: Path, data: dict[str, Any]) -> Persistence | None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +24,7 @@ from acquisition.limits import shown
 from acquisition.ping import check_pairs
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
-from noise.learned.networks import WARNED, MlpModel, dense, of_distance
+from noise.learned.networks import WARNED, MlpModel, dense, of_distance, read_about
 from noise.learned.recurrent_file import LstmShape
 from noise.learned.recurrent_state import LstmCell, LstmState, PingHistory, condition_of
 from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, tensors_of, write_tensors
@@ -64,7 +63,7 @@ class LstmModel:
         cell: LstmCell,
         layers: Layers,
         base: MlpModel | None = None,
-        about: dict[str, Any] | None = None,
+        about: dict[str, object] | None = None,
         card: str = "",
     ) -> None:
         self.inputs, self.head, self.base, self.about, self.card = inputs, head, base, about or {}, card
@@ -176,7 +175,7 @@ class LstmModel:
         """Widths of the perceptron's layers, the input first."""
         return [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything but the weights as plain data."""
         base = None if self.base is None else {"sizes": self.base.sizes, "head": asdict(self.base.head)}
         return {
@@ -200,7 +199,7 @@ class LstmModel:
 
     @classmethod
     @checked
-    def load(cls, folder: Path, data: dict[str, Any]) -> LstmModel:
+    def load(cls, folder: Path, data: dict[str, object]) -> LstmModel:
         """Load a saved network.
 
         Args:
@@ -218,4 +217,4 @@ class LstmModel:
         if shape.base is not None:
             base_head, base_sizes = shape.base
             base = MlpModel(shape.inputs, base_head, layers_of(tensors, len(base_sizes) - 1, "base."))
-        return cls(shape.inputs, shape.head, cell, layers, base, data.get("about", {}), text)
+        return cls(shape.inputs, shape.head, cell, layers, base, read_about(data), text)

@@ -142,15 +142,15 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self,
         sonar: SonarChoice = "ideal",
         sonar_layout: Layout = "eight",
-        street: StreetSettings | Mapping[str, Any] | None = None,
-        car: CarSettings | Mapping[str, Any] | None = None,
-        reward: RewardWeights | Mapping[str, Any] | None = None,
+        street: StreetSettings | Mapping[str, object] | None = None,
+        car: CarSettings | Mapping[str, object] | None = None,
+        reward: RewardWeights | Mapping[str, object] | None = None,
         odometry: OdometryChoice = "exact",
         render_mode: str | None = None,
         difficulty: str = "normal",
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
-        randomize: Randomization | Mapping[str, Any] | None = None,
+        randomize: Randomization | Mapping[str, object] | None = None,
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode

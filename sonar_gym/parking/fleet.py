@@ -105,14 +105,14 @@ class Fleet:
         sonar: SonarChoice = "ideal",
         sonar_layout: Layout = "eight",
         difficulty: str = "normal",
-        street: StreetSettings | Mapping[str, Any] | None = None,
-        car: CarSettings | Mapping[str, Any] | None = None,
-        reward: RewardWeights | Mapping[str, Any] | None = None,
+        street: StreetSettings | Mapping[str, object] | None = None,
+        car: CarSettings | Mapping[str, object] | None = None,
+        reward: RewardWeights | Mapping[str, object] | None = None,
         odometry: OdometryChoice = "exact",
         credence_driver: str | None = "agent",
         crosstalk: bool = True,
         threads: int = 1,
-        randomize: Randomization | Mapping[str, Any] | None = None,
+        randomize: Randomization | Mapping[str, object] | None = None,
     ) -> None:
         self.count = count
         check_value("crosstalk", crosstalk, bool)

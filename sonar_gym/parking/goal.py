@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import spaces
@@ -14,6 +14,7 @@ from acquisition.arrays import Floats, Singles
 from acquisition.limits import Count, as_numbers, check_value
 from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go, tabulated
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
+from sonar_gym.parking.settings import ParkingSettings
 from sonar_gym.parking.street import Goal, rear_room
 
 GOAL, LENGTH = 6, 4  # numbers of a goal, and which of them is the length of the space
@@ -68,7 +69,7 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         settings: keyword arguments of `SonarParkingEnv` except `reward`.
     """
 
-    def __init__(self, hold: Count = 4, **settings: Any) -> None:
+    def __init__(self, hold: Count = 4, **settings: Unpack[ParkingSettings]) -> None:
         check_value("hold", hold, Count)
         if "reward" in settings:
             raise SettingError("SonarParkingGoal-v0 takes no reward: its reward is the cost to go to the goal")
@@ -100,7 +101,7 @@ class SonarParkingGoalEnv(SonarParkingEnv):
         reward = float(self.compute_reward(shown["achieved_goal"], shown["desired_goal"], info))
         return shown, reward, terminated, truncated, info
 
-    def compute_reward(self, achieved_goal: Singles, desired_goal: Singles, info: Any) -> NDArray[np.float64]:
+    def compute_reward(self, achieved_goal: Singles, desired_goal: Singles, info: object) -> NDArray[np.float64]:
         """Return the reward of one goal achieved, or of several.
 
         Args:

@@ -137,7 +137,7 @@ LEVELS: dict[str, StreetSettings] = {
 Difficulty = Annotated[str, OneOf(LEVELS)]
 
 
-def street_settings(difficulty: str, given: StreetSettings | Mapping[str, Any] | None = None) -> StreetSettings:
+def street_settings(difficulty: str, given: StreetSettings | Mapping[str, object] | None = None) -> StreetSettings:
     """Return the settings of a level, with some fields replaced, or complete settings as given.
 
     >>> street_settings("hard", {"decoys": [0, 0]}).gap

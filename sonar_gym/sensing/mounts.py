@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -87,7 +87,7 @@ LAYOUTS: dict[str, tuple[Mount, ...]] = {
         Mount("rear", -0.09, 0.0, 180.0),
     ),
 }
-Layout = str | Iterable[Mount | Mapping[str, Any]]
+Layout = str | Iterable[Mount | Mapping[str, object]]
 
 
 def layout(given: Layout) -> tuple[Mount, ...]:

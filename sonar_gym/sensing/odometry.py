@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -60,7 +60,7 @@ ODOMETRIES: dict[str, OdometrySettings] = {
     "worn": OdometrySettings(scale=0.04, pull=float(np.radians(3.0)), slip=0.01, wander=float(np.radians(1.0))),
 }
 OdometryName = Annotated[str, OneOf(ODOMETRIES)]
-OdometryChoice = str | OdometrySettings | Mapping[str, Any]
+OdometryChoice = str | OdometrySettings | Mapping[str, object]
 
 
 def odometry(given: OdometryChoice) -> OdometrySettings:

@@ -113,6 +113,14 @@ def test_the_reason_is_named(tmp_path):
     check_rejected("plot", "/dev/zero", "--out", tmp_path / "out", names=["/dev/zero: is a device or a pipe"])
 
 
+@pytest.mark.parametrize("begin", [b"", b"distance_mm,angle_deg,reading_mm\n", b"Ping: 1 cm\n"])
+def test_a_file_without_line_ends_is_rejected_at_once(tmp_path, begin):
+    path = tmp_path / "log.csv"
+    path.write_bytes(begin + b"1 " * 2 * 10**7)
+    check_rejected("import", path, "--out", tmp_path / "out.csv", names=[path])
+    check_rejected("plot", path, "--out", tmp_path / "out", names=[path])
+
+
 TOA5 = b"""\"TOA5\",\"s\",\"CR6\",\"1\",\"o\",\"p\",\"9\",\"t\"
 \"TIMESTAMP\",\"R\",\"D\"\n\"TS\",\"m\",\"m\"\n\"\",\"Smp\",\"Smp\"
 \"2022-05-21 00:00:00\",1.5,1.5\n\"2022-05-21 00:10:00\",\"NAN\",1.5

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from acquisition.io.files import write_bytes, write_text
 from noise.effects import CATALOGUE
 from noise.metrics import reliability
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
+from training.common.commit import ROOT
 from training.common.tables import markdown_table
 from training.diagnosis.generators.ensemble import FAMILIES, SAME, SINGLE
 from training.diagnosis.judging.page import is_right
@@ -29,6 +31,7 @@ from training.proof.ledger import answers_of, left_out_records, lost_of, records
 from training.proof.real import EVENT as REAL
 
 PAGE, FAMILIES_PAGE, PICTURE = "proof.md", "proof-families.md", "proof.png"
+FIRST_DESIGN = ROOT / "benchmarks" / "records" / "proof" / "first-design.json"
 SILENT = ("none", "too_little_data")
 EDGES = (0.0, 2.0, 5.0, 15.0, 50.0, 150.0, np.inf)  # of bins of separation, nats
 UNFITTED, ALL = "families never fitted", "all families"
@@ -82,17 +85,23 @@ def _plain(row: Row) -> dict[str, Any]:
     return {"metric": row.metric, "target": row.aim, "n": row.n, "hit": row.hit, **plain}
 
 
-def publish(lines: Sequence[Line], out: Path) -> str:
-    """Write the page and its figures; return how many targets are met."""
+def publish(lines: Sequence[Line], pages: Path, out: Path) -> str:
+    """Write the page with its figure, and the table of each family; return how many targets are met.
+
+    Args:
+        lines: of the ledger.
+        pages: folder of the page.
+        out: folder of the table of each family.
+    """
     answers = answers_of(lines)
     records = [record for record in records_of(lines, answers) if record["error"] is None]
     drawn = [lambda axes, f=f: f(axes, records) for f in (draw_accuracy, draw_calibration, draw_coverage)]
-    write_bytes(out / PICTURE, panels(drawn, (13.5, 4.0)))
+    write_bytes(pages / PICTURE, panels(drawn, (13.5, 4.0)))
     found = scopes(lines, answers)
-    write_text(out / PAGE, page(lines, records, found))
+    write_text(pages / PAGE, page(lines, records, found))
     write_text(out / FAMILIES_PAGE, f"# Targets of each family of generators\n\n{family_table(found)}\n")
     hits = Counter(row.hit for row in found[ALL])
-    return f"targets met over all families: {hits[True]} of {hits[True] + hits[False]}; page: {out / PAGE}"
+    return f"targets met over all families: {hits[True]} of {hits[True] + hits[False]}; page: {pages / PAGE}"
 
 
 def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list[Row]]) -> str:
@@ -109,7 +118,7 @@ def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list
         met=hits[True],
         of=hits[True] + hits[False],
         table=target_table(found),
-        baselines=baseline_table(records),
+        baselines=baseline_table(records, first_design(deck["hash"])),
         real=real_table(real) if real else "None were at hand.",
         deck=deck["hash"],
         last=lines[-1]["hash"],
@@ -143,7 +152,14 @@ def family_table(found: dict[str, list[Row]]) -> str:
     return markdown_table(("metric", *families), [(m, *(_cell(columns[f][m]) for f in families)) for m in shown])
 
 
-def baseline_table(records: Sequence[Record]) -> str:
+def first_design(deck: str, path: Path = FIRST_DESIGN) -> dict[int, tuple[str, str]]:
+    """Return verdict and most probable cause of the first design on trials of a deck, as far as they were recorded."""
+    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    said = content.get("said", {}) if content.get("deck") == deck else {}
+    return {int(trial): (verdict, cause) for trial, (verdict, cause) in said.items()}
+
+
+def baseline_table(records: Sequence[Record], first: Mapping[int, tuple[str, str]]) -> str:
     """Return what this package and the baselines reach on nulls and on single causes of half the plain size."""
     null = [r for r in records if r["kind"] == SAME]
     known = [r for r in records if r["kind"] == SINGLE and r["causes"][0]["size"] >= STRONG_SIZE]
@@ -154,7 +170,18 @@ def baseline_table(records: Sequence[Record]) -> str:
         said = (_percent([alarm(r) for r in group]) if alarm else "–" for group in (null, known))
         named = _percent([right(r) for r in known]) if right else "–"
         table.append((name, *said, named, f"{np.median(gaps):.2f}" if gaps else "–"))
+    if first:
+        table.append(_first_row(null, known, first))
     return markdown_table(("method", "alarms, nulls", "alarms, causes", "cause right", "median gap closed"), table)
+
+
+def _first_row(
+    null: Sequence[Record], known: Sequence[Record], first: Mapping[int, tuple[str, str]]
+) -> tuple[str, ...]:
+    """Return the row of the first design, on those trials that it was given."""
+    alarms = ([first[r["number"]][0] != "none" for r in group if r["number"] in first] for group in (null, known))
+    right = [first[r["number"]][1] in r["causes"][0]["accepted"] for r in known if r["number"] in first]
+    return "first design, commit 802bd60", *map(_percent, alarms), _percent(right), "–"
 
 
 def _percent(values: Sequence[float]) -> str:
@@ -259,8 +286,8 @@ Each line of the ledger holds the hash of the line before. The hash of the deck 
 
 ## Result
 
-Misses are bold and first. Families never fitted are those that the decision model's fit left out; the others are in
-[a table of each family](proof-families.md).
+Misses are bold and first. Families never fitted are those that the decision model's fit left out. A table of each
+family stands beside the ledger (`proof-families.md`).
 
 {table}
 
@@ -278,11 +305,17 @@ Nulls, and single causes of at least half the plain size. The oracle is a second
 
 ## Verify
 
-    sonar-gym verify-proof ledger.jsonl       # --rediagnose N also repeats N verdicts
-    sonar-gym prove --out proof --trials {trials}  # a deck of your own
+<!-- parsed -->
+```sh
+sonar-gym verify-proof benchmarks/records/proof/ledger.jsonl.xz    # --rediagnose N also repeats N verdicts
+sonar-gym prove --out proof --workers 2                            # a deck of your own; stop at any time
+```
 
-It recomputes hashes, seals and the table, regenerates all recordings from the disclosed seeds, and says what it cannot
-check.
+`verify-proof` recomputes hashes, seals and the table, regenerates all recordings from the disclosed seeds bit by bit,
+and says what nobody can check afterwards. Verdicts repeat at the commit of the deck. `--ray` runs a deck on a cluster,
+and `--plan` only writes it, so that its hash can be published first. An interruption loses the trials at work: their
+keys are gone, they are counted as lost and never run again.
+
 Deck `{deck}`, closing line `{last}`.
 
 ## What it does not show
@@ -290,7 +323,6 @@ Deck `{deck}`, closing line `{last}`.
 - Simulated trials show internal validity only: that effects are found as these generators make them.
 - Sealing keeps the answer from the diagnosis. It cannot show that no deck was run and thrown away, nor that the
   developers of the diagnosis did not learn from earlier trials of the same generators.
-- Verdicts of the first design on the same files are not part of the table.
 
 The first design met 10 targets of 20 in 300 trials of one generator (commit 511b13d92f21); its ledgers and verifier
 are in the history of the repository up to commit 802bd60.

@@ -80,7 +80,7 @@ class Args:
     plan: bool = False
     """Only write the deck, whose hash can then be published before the trials are run."""
     pages: OutputFolder | None = None
-    """Folder of the page, its figures and the table of each family; `out` by default."""
+    """Folder of the page and its figures; `out` by default, where the table of each family is."""
     announce: OutputFile | None = None
     """File to which the hashes of the deck and of the closing line are added, for the repository."""
 
@@ -93,7 +93,7 @@ def main(args: Args) -> None:
             with (on_ray if args.ray else local)(args.workers) as call:
                 Runner(chain, args.out, args.workers, call).run()
             close(chain, args.announce)
-            print(publish(chain.lines, args.pages or args.out))
+            print(publish(chain.lines, args.pages or args.out, args.out))
         print(f"{chain.path}: deck {chain.lines[0]['hash']}, last line {chain.lines[-1]['hash']}")
     finally:
         chain.close()

@@ -16,7 +16,7 @@ from acquisition.io.logs.bags import GroundTruthSource, import_bag, is_bag
 from acquisition.io.logs.foreign import ColumnMap, beginning, import_table, parse_constants, read_log
 from acquisition.io.logs.guess import guess_columns, guess_dialect
 from acquisition.io.places import OutputFile
-from acquisition.io.tables import Dialect, read_bytes
+from acquisition.io.tables import Dialect, read_beginning
 from acquisition.limits import Finite, Limit
 from training.common.progress import bar
 
@@ -91,7 +91,7 @@ def _table(args: Args) -> tuple[Recording, list[str]]:
 
 def _dialect(args: Args) -> Dialect:
     if not args.columns and (args.delimiter, args.decimal) == (",", "."):
-        return guess_dialect(beginning(read_bytes(args.source)))
+        return guess_dialect(beginning(read_beginning(args.source)))
     return Dialect("\t" if args.delimiter in ("tab", "\\t") else args.delimiter, args.decimal)
 
 

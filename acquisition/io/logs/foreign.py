@@ -150,7 +150,10 @@ def read_log(path: Path, dialect: Dialect = COMMAS) -> tuple[pd.DataFrame, dict[
     if data.startswith(TOA5):
         return *read_toa5(data, str(path)), f"{path} (line 1: its names)"
     if is_serial_log(beginning(data)):
-        log = read_serial_log(data.decode("utf-8", "replace"))
+        try:
+            log = read_serial_log(data.decode("utf-8", "replace"))
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {error}") from None
         return log.table, {}, f"{path} (its lines of numbers, from 2; {log.omitted} others)"
     return parse_table(data, str(path), dialect, number_twins=True), {}, str(path)
 

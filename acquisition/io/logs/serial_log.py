@@ -20,6 +20,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from acquisition.errors import RecordingError
+from acquisition.io.tables import MAX_COLUMNS
+
 STAMP = re.compile(r"^(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)\s*->\s*")
 NUMBER = r"[-+]?\d+(?:\.\d+)?"
 ITEM = re.compile(
@@ -66,6 +69,9 @@ def read_serial_log(text: str) -> SerialLog:
 
     Args:
         text: of the log.
+
+    Raises:
+        RecordingError: the lines have more than 1,000 names.
     """
     rows, omitted, day, last = list[dict[str, str]](), 0, 0.0, 0.0
     for line in filter(str.strip, text.splitlines()):
@@ -87,10 +93,10 @@ def read_serial_log(text: str) -> SerialLog:
 
 def _items(line: str) -> list[tuple[str, str, str]] | None:
     """Return name, number and unit of each item of a line; None where it holds anything else."""
-    found, at = list[tuple[str, str, str]](), 0
-    while at < len(line.rstrip()):
+    found, at, end = list[tuple[str, str, str]](), 0, len(line.rstrip())
+    while at < end:
         item = ITEM.match(line, at)
-        if item is None or item.end() == at:
+        if item is None or item.end() == at or len(found) == MAX_COLUMNS:
             return None
         name, number, unit = (part or "" for part in item.groups())
         found.append((name, number, ALIASES.get(unit, unit)))
@@ -109,6 +115,9 @@ def _named_fields(items: Sequence[tuple[str, str, str]]) -> dict[str, str]:
 
 def _table(rows: Sequence[dict[str, str]]) -> pd.DataFrame:
     """Return one row per line; a line without a number is no echo, 0 in the columns of most lines."""
-    usual = Counter(names for row in rows if (names := tuple(name for name in row if name != "time")))
+    names = {name for row in rows for name in row}
+    if len(names) > MAX_COLUMNS:
+        raise RecordingError(f"its lines name {len(names)} numbers, expected at most {MAX_COLUMNS}; keep those needed")
+    usual = Counter(own for row in rows if (own := tuple(name for name in row if name != "time")))
     silent = dict.fromkeys(usual.most_common(1)[0][0] if usual else (), "0")
     return pd.DataFrame([row if set(row) - {"time"} else row | silent for row in rows], dtype=str).fillna("")

@@ -20,7 +20,7 @@ from scipy.stats import f as fisher
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.locate.location import TWO_SIDED, region_of
 from noise.discrepancy.locate.orthogonal import INDICATORS, MIN_CLUSTERS
-from noise.discrepancy.moments.bootstrap import NOTHING, Found, exceeded, signs_of, studentised
+from noise.discrepancy.moments.bootstrap import NOTHING, Found, exceeded, leverage_factor, signs_of, studentised
 from noise.discrepancy.moments.moments import bin_sums
 from noise.discrepancy.moments.regressors import Column, Form, columns_of
 from noise.discrepancy.moments.sample import Sample, positions
@@ -123,7 +123,7 @@ def within_test(law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: 
     columns = [column for column in columns_of(sample) if column.form is not Form.CONDITION]
     if block is None:
         return NOTHING
-    signs = signs_of(block, rng)
+    signs, factor = signs_of(block, rng), _leverage_of(place, block)
     greatest, best = np.zeros(len(signs)), (0.0, Aspect.BIAS, 0, 0)
     n_aspects = 0
     for a, aspect in enumerate(ASPECTS):
@@ -132,7 +132,7 @@ def within_test(law_recorded: Stack, law_simulated: Stack, sample: Sample, rng: 
             continue
         parts = [_of_column(scored, sample, column, place, block, a) for column in columns]
         psi, allowed = (np.concatenate([each[k] for each in parts], axis=-1) for k in range(2))
-        z, _, scaled = studentised(psi, allowed)
+        z, _, scaled = studentised(psi, allowed, unbiased=psi * factor[:, None])
         if not scaled.shape[1]:
             continue
         n_aspects += 1
@@ -201,6 +201,12 @@ def _within(value: Floats, valid: Bits, place: Ints) -> Floats:
     return np.asarray(((flat - mean[place]) * valid[:, None]).reshape(value.shape))
 
 
+def _leverage_of(place: Ints, block: Ints) -> Floats:
+    """Return the factor of each block's residuals about the mean of its position, (blocks,)."""
+    first = np.unique(block, return_index=True)[1]
+    return leverage_factor(np.bincount(block) / np.bincount(place)[place[first]])
+
+
 def _regressors(column: Column) -> Floats:
     """Return the regressors of a column at each ping, 0 where it is unknown, (n, k)."""
     known = column.base >= 0
@@ -249,7 +255,7 @@ def _located(
         k -= len(column.regressors)
     natural = Scores(scored.natural, scored.valid, scored.natural, scored.level_db, scored.sigma, scored.probability)
     psi = _of_column(natural, sample, column, place, block, a)[0][:, k]
-    value, error = float(psi.sum()), float(np.sqrt(np.sum(psi**2)))
+    value, error = float(psi.sum()), float(np.linalg.norm(psi * _leverage_of(place, block)))
     region = region_of(column.regressors[k], [column])
     size = Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, ASPECTS[a].unit)
     return Location(ASPECTS[a], region, size, p_value)

@@ -70,8 +70,9 @@ def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
     found: list[_Found] = []
     residual = group.residual[:, j]
     while len(found) < MAX_PER_ASPECT and allowed.any():
-        psi = moments(group, tested.columns, tested.units, tested.cluster, residual[:, None])[:, :, 0]
-        z = studentised(psi, allowed, tested.chains, int(tested.length[group.aspects[j]]))[0]
+        every = moments(group, tested.columns, tested.units, tested.cluster, residual[:, None])
+        psi, own = (each[:, :, 0] for each in every)
+        z = studentised(psi, allowed, tested.chains, int(tested.length[group.aspects[j]]), own)[0]
         if np.isnan(z).all():
             break
         p_value = tested.p_of(float(np.nanmax(np.abs(z))))

@@ -252,12 +252,12 @@ def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, 
     # g and m do not depend on the conditions of the day, so that regions of these are not compared
     comparable = np.array([not set(r.columns) & set(frame.sample.of_the_day) for r in regressors])
     for group in groups:
-        psi = moments(group, columns, frame.units, cluster, group.residual)
+        psi, own = moments(group, columns, frame.units, cluster, group.residual)
         for j, a in enumerate(group.aspects):
             allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
             allowed &= comparable
             allowed &= _clusters_with(columns, cluster, group.unexpected[:, j]) >= MIN_CLUSTERS
-            z[a], scale[a], scaled = studentised(psi[:, :, j], allowed, chains, int(length[a]))
+            z[a], scale[a], scaled = studentised(psi[:, :, j], allowed, chains, int(length[a]), own[:, :, j])
             if scaled.shape[1]:
                 greatest[a] = np.abs(signs @ scaled).max(axis=1)
     return _result(z, scale, length, greatest, groups, frame, overlap)

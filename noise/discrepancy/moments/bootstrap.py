@@ -52,7 +52,7 @@ def signs_of(cluster: Ints, rng: np.random.Generator, draws: int = DRAWS) -> Sin
 
 
 def studentised(
-    psi: Floats, allowed: Bits, chains: Chains | None = None, length: int = 1
+    psi: Floats, allowed: Bits, chains: Chains | None = None, length: int = 1, unbiased: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:
     """Return z and scale of each regressor, z nan where too few clusters contribute, and scaled sums of the others.
 
@@ -61,8 +61,10 @@ def studentised(
         allowed: which regressors are tested, (regressors,).
         chains: of dependent clusters.
         length: number of neighbours in a chain that are not independent.
+        unbiased: sums over clusters of which the squares are those of the variance, if not the same.
     """
-    sums = psi if chains is None else chains.sums(psi, length)
+    own = psi if unbiased is None else unbiased
+    sums = own if chains is None else chains.sums(own, length)
     square = sums**2
     total = square.sum(axis=0)
     effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300) / length
@@ -71,6 +73,18 @@ def studentised(
     z = np.full(psi.shape[1], np.nan)
     z[enough] = psi[:, enough].sum(axis=0) / root
     return z, np.sqrt(total), (sums[:, enough] / root).astype(np.float32)
+
+
+def leverage_factor(share: Floats) -> Floats:
+    """Return 1 / sqrt(1 - h): residuals about a mean are too small where their cluster has a share h of it.
+
+    With it, sums of squares over clusters are unbiased (HC2 of MacKinnon and White 1985; of clusters, Bell and
+    McCaffrey 2002). A cluster that is a mean by itself has no residual, and the factor is 0.
+
+    Args:
+        share: of each cluster in each mean, from 0 to 1.
+    """
+    return np.where(share < 1.0, 1.0 / np.sqrt(np.maximum(1.0 - share, 1e-12)), 0.0)
 
 
 def p_of_greatest(z: Floats, greatest: Floats, n_regressors: int) -> PValue:

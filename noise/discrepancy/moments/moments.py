@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.moments.bootstrap import leverage_factor
 from noise.discrepancy.moments.regressors import Column, Form
 
 
@@ -51,8 +52,10 @@ def bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool 
     return np.asarray(sums.reshape(n, column.n_bins), dtype=np.float64)
 
 
-def moments(group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats) -> Floats:
-    """Return sums over clusters of the weight of each regressor times values.
+def moments(
+    group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats
+) -> tuple[Floats, Floats]:
+    """Return sums over clusters of the weight of each regressor times values, and those whose squares are unbiased.
 
     Args:
         group: aspects and their nuisance functions.
@@ -62,20 +65,29 @@ def moments(group: Group, columns: Sequence[Column], units: Ints, cluster: Ints,
         value: values, 0 where not valid, (n, k).
 
     Returns:
-        sums, (clusters, regressors, k).
+        sums, and sums of which the squares add up to the variance of the total, (clusters, regressors, k) each. Where
+        values are centred in bins, the residuals of a cluster are too small, by its share of the bin.
     """
     n, first = int(cluster.max()) + 1, np.unique(units, return_index=True)[1]
     by_unit, at = np.add.reduceat(value, first, axis=0), cluster[first]
-    out = []
+    every: tuple[list[Floats], list[Floats]] = [], []
     for column, expected in zip(columns, group.expected, strict=True):
         weight = group.plain_weight(column.form)[units]
+        if is_centred(column):
+            weight = centred(column, group, weight[:, None])[:, 0]
         parts = [bin_sums(column, cluster, weight * part, n) for part in centred(column, group, value).T]
-        if expected is not None:
-            for j, part in enumerate(parts):
-                product = expected * by_unit[:, j : j + 1]
-                part -= np.stack([np.bincount(at, each, n) for each in product.T], axis=1)
-        out.append(np.stack([part @ column.combine for part in parts], axis=2))
-    return np.concatenate(out, axis=1)
+        factor = _leverage_factor(column, group, cluster) if is_centred(column) else 1.0
+        for out, unbiased in zip(every, (1.0, factor), strict=True):
+            own = [part * unbiased for part in parts]
+            if expected is not None:
+                own = [part - _expected_sums(expected, by_unit[:, j], at, n) for j, part in enumerate(own)]
+            out.append(np.stack([part @ column.combine for part in own], axis=2))
+    return np.concatenate(every[0], axis=1), np.concatenate(every[1], axis=1)
+
+
+def _expected_sums(expected: Floats, by_unit: Floats, cluster: Ints, n: int) -> Floats:
+    """Return sums over clusters of the conditional mean of the weight of each bin times a value, (clusters, bins)."""
+    return np.stack([np.bincount(cluster, each, n) for each in (expected * by_unit[:, None]).T], axis=1)
 
 
 def centred(column: Column, group: Group, value: Floats) -> Floats:
@@ -84,7 +96,7 @@ def centred(column: Column, group: Group, value: Floats) -> Floats:
     After a reading of another object, say, readings of both files may have another mean than g(x). Such readings may be
     more frequent in one file without a difference in what follows them.
     """
-    if column.form is not Form.SHARED or column.factor is not None:
+    if not is_centred(column):
         return value
     rows = np.flatnonzero(group.valid & (column.base >= 0))
     at = column.base[rows]
@@ -93,6 +105,17 @@ def centred(column: Column, group: Group, value: Floats) -> Floats:
     out = value.copy()
     out[rows] -= mean[at]
     return out
+
+
+def is_centred(column: Column) -> bool:
+    """Return whether values are compared within the bins of a column: of what both files have beside the conditions."""
+    return column.form is Form.SHARED and column.factor is None
+
+
+def _leverage_factor(column: Column, group: Group, cluster: Ints) -> Floats:
+    """Return the factor of each cluster's residuals in each bin, (clusters, bins)."""
+    count = bin_sums(column, cluster, group.valid.astype(np.float64), int(cluster.max()) + 1)
+    return leverage_factor(count / np.maximum(count.sum(axis=0), 1.0))
 
 
 def one_weight(group: Group, columns: Sequence[Column], units: Ints, k: int) -> tuple[Floats, Floats]:

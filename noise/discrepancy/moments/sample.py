@@ -164,8 +164,15 @@ def _overlaps(own: Floats, other: Floats) -> Bits:
 
 
 def is_continuous(batch: Batch) -> bool:
-    """Return whether visits are pieces of a log: of a moving robot, or of a target that stays in place."""
-    return bool(np.array_equal(np.unique(batch.condition, return_inverse=True)[1].ravel(), batch.visit))
+    """Return whether visits are pieces of a log: of a moving robot, or of a target that stays in place.
+
+    They are none in a survey that visits every position once.
+    """
+    if not np.array_equal(np.unique(batch.condition, return_inverse=True)[1].ravel(), batch.visit):
+        return False
+    at, ping = positions(batch), batch.ping
+    still = all(np.array_equal(value, value[batch.first]) for value in (ping.distance, ping.angle))
+    return not (still and len(np.unique(at, axis=0)) == len(at))
 
 
 def moves(batch: Batch) -> bool:

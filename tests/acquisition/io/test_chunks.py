@@ -206,6 +206,6 @@ def test_what_cannot_be_read_is_named(tmp_path, monkeypatch):
     with pytest.raises(RecordingError, match="column angle_deg is missing"):
         Recording.load(tmp_path / "short.parquet")
     (tmp_path / "row.csv").write_text('a,b\n"' + "x" * 200)
-    monkeypatch.setattr(tables, "MAX_BYTES", 50)
+    monkeypatch.setattr(tables, "MAX_ROW", 50)
     with pytest.raises(RecordingError, match="line 2: a row of more than"):
         list(read_blocks(tmp_path / "row.csv", 20))

@@ -54,16 +54,12 @@ def judged(records: Records, left_out: Sequence[str]) -> Judged:
 
 def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
     """Return the page; `heading` holds commit, command line and counts."""
-    parts = ["# The diagnosis, measured\n", heading, "", NOTES, "", "## Misses", ""]
-    parts.append(_misses(dict(list(content.scopes.items())[:2])))
-    parts += [
-        "",
-        "## Targets",
-        "",
-        f"Left out of the fit: {', '.join(left_out)}. In brackets the number of values.",
-        "",
-    ]
-    parts += [_by_scope(content), "", "## Hard cases", "", _special_table(content.special)]
+    parts = ["# The diagnosis, measured\n", heading]
+    if content.scopes:
+        parts += ["", NOTES, "", "## Misses", "", _misses(dict(list(content.scopes.items())[:2]))]
+        parts += ["", "## Targets", "", f"{_left_out(left_out)} In brackets the number of values.", ""]
+        parts.append(_by_scope(content))
+    parts += ["", "## Hard cases", "", _special_table(content.special)]
     parts += ["", "## Halves of real recordings", "", _real_table(content.special)]
     return "\n".join(parts) + "\n"
 

@@ -62,8 +62,12 @@ class Row:
         return self.target[0] <= self.value <= self.target[1]
 
     def number(self, value: float) -> str:
-        """Return a value in the unit of the row."""
-        return "–" if not np.isfinite(value) else f"{100 * value:.0f} %" if self.percent else f"{value:.3g}"
+        """Return a value in the unit of the row; a share below 1 % that is not 0 with one digit."""
+        if not np.isfinite(value):
+            return "–"
+        if not self.percent:
+            return f"{value:.3g}"
+        return f"{100 * value:.1f} %" if 0.0 < value < 0.01 else f"{100 * value:.0f} %"
 
     @property
     def aim(self) -> str:

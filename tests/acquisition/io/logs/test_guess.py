@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition import EchoStatus
-from acquisition.io.logs.foreign import ColumnMap, import_table
+from acquisition import EchoStatus, RecordingError
+from acquisition.io.logs.foreign import ColumnMap, import_table, read_log
 from acquisition.io.logs.guess import guess_columns, guess_dialect
 from acquisition.io.logs.serial_log import is_serial_log, read_serial_log
+from acquisition.io.tables import MAX_COLUMNS
 
 
 def guess(header, row):
@@ -70,6 +71,12 @@ def test_lines_of_known_sketches_are_read(text, columns, rows):
     assert list(log.table.columns) == columns
     assert log.table.to_numpy().tolist() == rows
     assert log.omitted == len(text.splitlines()) - len(rows)
+
+
+def test_a_log_in_which_each_line_has_a_name_of_its_own_is_no_table(tmp_path):
+    (tmp_path / "log.txt").write_text("".join(f"a{k}: 1\n" for k in range(MAX_COLUMNS + 1)))
+    with pytest.raises(RecordingError, match=r"log\.txt: its lines name 1001 numbers, expected at most 1000"):
+        read_log(tmp_path / "log.txt")
 
 
 @pytest.mark.parametrize("text", ["a,b\n1,2\n3,4\n", "time;d\n10:00:00;5\n", "1,2,3\n4,5,6\n", "", '"TOA5","x"\n'])

@@ -10,6 +10,7 @@ from sklearn.ensemble import RandomForestRegressor
 from noise.discrepancy.locate.location import locate, size_of
 from noise.discrepancy.locate.orthogonal import orthogonal_test
 from noise.discrepancy.moments.nuisance import CrossFit, folds_of
+from noise.discrepancy.moments.regressors import Form
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.moments.scores import ASPECTS
 from noise.discrepancy.result import Aspect
@@ -137,3 +138,14 @@ def test_large_files_are_tested_in_seconds(lab):
     start = time.perf_counter()
     orthogonal_test(lab.rough, lab.rough, sample, np.random.default_rng(0))
     assert time.perf_counter() - start < 30.0  # 10 s on an idle core
+
+
+def test_statistics_of_what_both_files_have_have_unit_variance_with_few_visits(lab):
+    square = []
+    for seed in range(24):
+        sample = lab.pair(np.random.default_rng(seed), visits=24)
+        tested = orthogonal_test(lab.exact, lab.exact, sample, np.random.default_rng(seed))
+        columns = [column for column in tested.columns for _ in column.regressors]
+        shared = np.array([column.form is Form.SHARED and column.factor is None for column in columns])
+        square.append(np.nanmean(tested.z[:, shared] ** 2))
+    assert np.mean(square) == pytest.approx(1.0, abs=0.2)

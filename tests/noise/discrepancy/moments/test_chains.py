@@ -74,4 +74,4 @@ def test_a_drift_of_the_pose_is_no_difference_and_an_offset_beyond_it_is():
             sample = Sample.comparable(drive(offset, rng), drive(0.0, rng))
             values.append(orthogonal_test(LAW, LAW, sample, rng).p_value.value)
     assert np.mean(np.array(p[0.0]) < 0.05) <= 0.25  # 5 % expected; with independent pieces 10 of 12
-    assert np.mean(np.array(p[0.04]) < 0.01) >= 0.75
+    assert np.mean(np.array(p[0.04]) < 0.05) >= 0.75

@@ -90,3 +90,12 @@ def test_a_target_that_never_moves_is_compared_on_days_of_other_temperatures(off
         files.append(Batch.of(Recording.of(ping, Reading.of(np.round(1.0 + change + rng.normal(0.0, 0.003, 1000), 3)))))
     assert Sample(*files).of_the_day == ("temperature_c",)
     assert (p_value(law, Sample(*files)) < 0.01) == found
+
+
+def test_files_share_their_clusters_where_every_position_is_visited_once():
+    recorded, simulated = averaging(1, in_order=False), averaging(1, in_order=True)
+    sample = Sample(recorded, simulated)
+    assert recorded.n_visits == 60
+    for place in np.unique(recorded.ping.distance):
+        at = [batch.ping.distance == place for batch in sample.batches]
+        assert len(np.unique(sample.cluster[np.concatenate(at)])) == 1
