@@ -13,7 +13,7 @@ from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.records import PingArrays
-from sonar_gym.sensing.sonar import BINS, Sonar, bin_edges, broad_table, resolve
+from sonar_gym.sensing.sonar import BINS, NOTHING_HELD, Sonar, assign_places, bin_edges, broad_table, resolve
 
 ROW = np.zeros(1, dtype=np.int64)
 STREET = (StreetSettings(), CarSettings(), LAYOUTS["eight"], MAX_RANGE)
@@ -104,3 +104,17 @@ def test_a_named_model_is_loaded_once_and_one_in_a_folder_each_time(tmp_path):
     first = resolve(folder)
     save_model(GaussianModel(sigma=0.02), folder)
     assert (first, resolve(folder)) == (GaussianModel(sigma=0.01), GaussianModel(sigma=0.02))
+
+
+def test_each_path_of_an_update_has_its_own_place_and_a_face_keeps_it():
+    held, used = np.full((2, 4), NOTHING_HELD, np.int32), np.zeros((2, 4), np.uint32)
+    cars, sonars, faces = np.array([1, 1, 1, 1]), np.array([0, 0, 1, 1]), np.array([5, 7, 5, -1])
+    first, new = assign_places(cars, sonars, faces, held, used)
+    assert new.all()
+    assert sorted(first) == [4, 5, 6, 7]  # those of the second car
+    again, new = assign_places(cars[:2], sonars[:2], faces[:2], held, used)
+    assert np.array_equal(again, first[:2])
+    assert not new.any()
+    other, new = assign_places(cars[:1], sonars[:1], np.array([9]), held, used)
+    assert new.all()
+    assert other[0] == first[2]  # used longest ago
