@@ -236,13 +236,15 @@ def bursts(
 
 
 @compiled
-def farthest_of(r: Bursts, i: int, j: int) -> float:
-    """Return the greatest distance of a path between ping i and burst j that either reads, m."""
-    shift = 0.5 * SOUND_SPEED * (r.sent[j] - r.sent[i])
-    farthest = r.reach[i] - shift
-    if j < r.pings:
-        farthest = max(farthest, r.reach[j] + shift)
-    return min(farthest, LISTENING_M)
+def farthest_of(reach: float, other_reach: float, shift: float) -> float:
+    """Return the greatest distance of a path between a ping and another burst that either reads, m.
+
+    Args:
+        reach: of the ping, m.
+        other_reach: of the other burst, m; -inf if that is an earlier one, which hears nothing now.
+        shift: what the ping adds to the distance, m; the other burst subtracts it.
+    """
+    return min(max(reach - shift, other_reach + shift), LISTENING_M)
 
 
 @compiled
@@ -295,7 +297,7 @@ def add_crosstalk(
 @compiled
 def add_paths(r: Bursts, around: Surroundings, row: Floats, paths: Floats, counts: Ints) -> None:
     """Add the paths between all pings and bursts by all faces; `row` is scratch."""
-    count, segments = r.sonar.shape[0], around.segments
+    count, segments, reach, sent = r.sonar.shape[0], around.segments, r.reach, r.sent
     seen, sides, feet = np.empty(count, np.bool_), np.empty(count), np.empty(count)
     for k in range(segments.shape[0]):
         x1, y1, x2, y2 = segments[k, 0], segments[k, 1], segments[k, 2], segments[k, 3]
@@ -306,10 +308,11 @@ def add_paths(r: Bursts, around: Surroundings, row: Floats, paths: Floats, count
             seen[j], sides[j], feet[j] = view_of(x1 - jx, y1 - jy, x2 - jx, y2 - jy, cj, sj, ux, uy)
             if not seen[j]:
                 continue
+            other_reach = reach[j] if j < r.pings else -np.inf
             for i in range(min(j, r.pings)):
                 if not seen[i]:
                     continue
-                farthest = farthest_of(r, i, j)
+                farthest = farthest_of(reach[i], other_reach, 0.5 * SOUND_SPEED * (sent[j] - sent[i]))
                 distance, t = mirror(sides[i], feet[i], sides[j], feet[j], length, farthest)
                 x, y = x1 + t * ux, y1 + t * uy
                 if (
