@@ -270,24 +270,23 @@ TEXT = """# The diagnosis on concealed effects
 
 A generator writes a recording of a simulated and one of a real sonar, which differ by nothing, by one or two effects of
 the catalogue, by a fault that a grammar composed at random, or by the simulator. Sizes are log-uniform between an
-eighth and three times a plain effect. The diagnosis gets both files and says whether, where, why and by how much they
-differ.
+eighth and three times a plain effect.
 
 ## How it was sealed
 
-1. Family, kind and seed come from the operating system's generator. The answer is encrypted (ChaCha20-Poly1305, a key
-   of its own that only the parent process holds); ciphertext, hash of the key and hashes of all recordings are written
+1. Family, kind and seed come from the operating system's generator. The answer is encrypted (ChaCha20-Poly1305; only
+   the parent process holds the key); ciphertext, hash of the key and hashes of all recordings are written
    to the ledger.
 2. A new process gets two CSV files in an empty folder, a cleaned environment, and nothing else.
 3. Its verdict is written to the ledger, then the key is.
 4. The corrected model, whose hash stands beside the verdict, is scored on recordings under fresh conditions.
 
-Each line of the ledger holds the hash of the line before. The hash of the deck is published before the run.
+Each line holds the hash of the line before; that of the deck is published before the run.
 
 ## Result
 
-Misses are bold and first. Families never fitted are those that the decision model's fit left out. A table of each
-family stands beside the ledger (`proof-families.md`).
+Misses are bold and first. Families never fitted are those that the decision model's fit left out. Beside the
+ledger, `proof-families.md` has each family.
 
 {table}
 
@@ -312,9 +311,8 @@ sonar-gym prove --out proof --workers 2                            # a deck of y
 ```
 
 `verify-proof` recomputes hashes, seals and the table, regenerates all recordings from the disclosed seeds bit by bit,
-and says what nobody can check afterwards. Verdicts repeat at the commit of the deck. `--ray` runs a deck on a cluster,
-and `--plan` only writes it, so that its hash can be published first. An interruption loses the trials at work: their
-keys are gone, they are counted as lost and never run again.
+and says what nobody can check afterwards. Verdicts repeat at the commit of the deck. An interruption loses the trials
+at work: their keys are gone, they are counted as lost and never run again.
 
 Deck `{deck}`, closing line `{last}`.
 
@@ -323,7 +321,4 @@ Deck `{deck}`, closing line `{last}`.
 - Simulated trials show internal validity only: that effects are found as these generators make them.
 - Sealing keeps the answer from the diagnosis. It cannot show that no deck was run and thrown away, nor that the
   developers of the diagnosis did not learn from earlier trials of the same generators.
-
-The first design met 10 targets of 20 in 300 trials of one generator (commit 511b13d92f21); its ledgers and verifier
-are in the history of the repository up to commit 802bd60.
 """

@@ -21,7 +21,8 @@ medians and percentiles). A gap is that
 between the simulation's own readings and a second recording in the same visits, in CRPS with silence counted, where it
 exceeds two standard errors; on unseen visits a forest of the recording stands for the second. "Corrected readings" are
 the simulation's own with what differs applied (`Diagnosis.correct`). Times are those of this run, beside other work.
-Not measured: the width of intervals relative to an oracle, and whether the next measurement settles."""
+Not measured: the width of intervals relative to an oracle, and whether the next measurement settles. Sealed trials of
+all kinds are in [the proof](proof.md)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def markdown(content: Judged, heading: str, left_out: Sequence[str]) -> str:
     parts = ["# The diagnosis, measured\n", heading]
     if content.scopes:
         parts += ["", NOTES, "", "## Misses", "", _misses(dict(list(content.scopes.items())[:2]))]
-        parts += ["", "## Targets", "", f"{_left_out(left_out)} In brackets the number of values.", ""]
+        parts += ["", "## Targets", "", _left_out(left_out), ""]
         parts.append(_by_scope(content))
     parts += ["", "## Hard cases", "", _special_table(content.special)]
     parts += ["", "## Halves of real recordings", "", _real_table(content.special)]
@@ -93,6 +94,7 @@ def _by_scope(content: Judged) -> str:
     lines = [
         (row.metric, row.aim, *(_cell(found[k], interval=False) for found in scopes.values()))
         for k, row in enumerate(first)
+        if row.n
     ]
     return markdown_table(("metric", "target", *scopes), lines)
 
