@@ -126,7 +126,7 @@ def test_memory_of_an_environment() -> None:
             envs.close()
         per_env = (memory[1] - memory[0]) / MANY / 1000
         print(f"| {name}, {layout} | {per_env:.1f} |")
-        assert per_env < 20.0
+        assert per_env < 16.0
 
 
 class Stopwatch(gymnasium.Wrapper):
