@@ -130,6 +130,9 @@ class Session:
         if journal.table is None:
             return deque(range(len(self.plan)))
         self._check_echoes(journal.table)
+        last = str(journal.table["session"].iloc[-1])
+        if not last.isdecimal():
+            raise RecordingError(f"{self.path}: session {last!r} of the last row is no whole number; correct that row")
         done = self._recorded(journal.table)
         due = {_key(condition): number for number, condition in enumerate(self.plan.conditions)}
         counted = Counter(done[:: self.plan.pings])

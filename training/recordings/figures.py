@@ -229,7 +229,7 @@ def course(recording: Recording) -> bytes:
     hours, unit = _clock(recording)
     shown = _some(len(recording))
     draws: list[Draw] = [lambda axes: _errors(axes, recording, hours, shown)]
-    if recording.has("temperature_c") and np.ptp(recording.table["temperature_c"].to_numpy(np.float64)) > 0:
+    if "temperature_c" in recording.covariates and np.ptp(recording.table["temperature_c"].to_numpy(np.float64)) > 0:
         draws.append(lambda axes: _temperature(axes, recording, hours, shown))
 
     def last(axes: Axes) -> None:

@@ -227,3 +227,16 @@ def test_the_command_itself_can_be_stopped_and_resumed(tmp_path, retry, number, 
     for arguments in ([str(path), "--resume"], [str(whole)]):
         subprocess.run([*command, *arguments], check=True, capture_output=True, cwd=root)
     assert path.read_bytes() == whole.read_bytes()
+
+
+def test_a_session_that_is_no_number_is_named_and_nothing_is_changed(tmp_path):
+    path = tmp_path / "r.csv"
+    Session(PLAN, SOURCE, path).run()
+    lines = path.read_text().splitlines(keepends=True)
+    cells = lines[-1].split(",")
+    cells[lines[0].strip().split(",").index("session")] = "x"
+    path.write_text("".join([*lines[:-1], ",".join(cells)]))
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match="session 'x' of the last row"):
+        Session(PLAN, SOURCE, path, resume=True).run()
+    assert path.read_bytes() == before

@@ -85,6 +85,13 @@ def test_every_figure_is_drawn_for_every_recording(tmp_path, capsys, name):
         assert colours.std() > 5  # something is drawn
 
 
+def test_a_temperature_in_words_is_not_drawn(tmp_path):
+    path = survey(temperature_c=18.125).save(tmp_path / "r.csv")
+    path.write_text(path.read_text().replace("18.125", "warm", 1))
+    main(["plot", str(path), "--out", str(tmp_path / "figures")])
+    assert {file.name for file in (tmp_path / "figures").iterdir()} >= {"course.png"}
+
+
 def test_selected_rows(tmp_path, capsys):
     path = survey(600).save(tmp_path / "r.csv")
     main(["plot", str(path), "--out", str(tmp_path), "--where", "reflectance=0.9", "sensor=0"])
