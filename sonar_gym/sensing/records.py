@@ -99,9 +99,9 @@ class PingArrays(NamedTuple):
         return self._replace(**self.scratch(*self.n_paths.shape))
 
     def of_shown(self, which: int | slice | Ints) -> Floats:
-        """Return the records of the readings shown: of one car, (s, N_RECORD), or of several, (r, s, N_RECORD)."""
-        place = self.shown[which].astype(np.int64)[..., None, None]
-        return np.take_along_axis(self.records[which], place, axis=-2)[..., 0, :]
+        """Return a copy of the records of the readings shown: (s, N_RECORD) of one car, (r, s, N_RECORD) of several."""
+        row = np.arange(len(self.records))[which]
+        return self.records[row[..., None], np.arange(self.shown.shape[1]), self.shown[which]]
 
 
 class FiredPings(NamedTuple):

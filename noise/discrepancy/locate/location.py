@@ -16,7 +16,7 @@ import numpy as np
 from acquisition.arrays import Bits, Floats
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.moments.bootstrap import studentised
-from noise.discrepancy.moments.moments import Group, bin_sums, moments, one_weight
+from noise.discrepancy.moments.moments import Group, bin_sums, one_weight, unbiased_moments
 from noise.discrepancy.moments.regressors import Column, Regressor
 from noise.discrepancy.moments.scores import ASPECTS
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Range
@@ -70,7 +70,7 @@ def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
     found: list[_Found] = []
     residual = group.residual[:, j]
     while len(found) < MAX_PER_ASPECT and allowed.any():
-        every = moments(group, tested.columns, tested.units, tested.cluster, residual[:, None])
+        every = unbiased_moments(group, tested.columns, tested.units, tested.cluster, residual[:, None])
         psi, own = (each[:, :, 0] for each in every)
         z = studentised(psi, allowed, tested.chains, int(tested.length[group.aspects[j]]), own)[0]
         if np.isnan(z).all():

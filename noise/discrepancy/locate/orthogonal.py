@@ -23,7 +23,7 @@ import numpy as np
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from noise.discrepancy.moments.bootstrap import exceeded, p_of_greatest, signs_of, studentised
 from noise.discrepancy.moments.chains import Chains
-from noise.discrepancy.moments.moments import Group, bin_sums, moments
+from noise.discrepancy.moments.moments import Group, bin_sums, unbiased_moments
 from noise.discrepancy.moments.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.regressors import Column, Form, Regressor, columns_of
 from noise.discrepancy.moments.sample import MIN_OVERLAP, Sample, dependence
@@ -252,7 +252,7 @@ def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, 
     # g and m do not depend on the conditions of the day, so that regions of these are not compared
     comparable = np.array([not set(r.columns) & set(frame.sample.of_the_day) for r in regressors])
     for group in groups:
-        psi, own = moments(group, columns, frame.units, cluster, group.residual)
+        psi, own = unbiased_moments(group, columns, frame.units, cluster, group.residual)
         for j, a in enumerate(group.aspects):
             allowed = np.array([only is None or only(r, ASPECTS[a]) for r in regressors])
             allowed &= comparable

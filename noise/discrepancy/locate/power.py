@@ -143,7 +143,7 @@ class _Probe:
         value[self.rows] = shift
         for group in tested.groups:
             own = value[:, group.aspects] * group.weight * group.valid[:, None]
-            shifts, _ = moments(group, tested.columns, tested.units, tested.cluster, own)
+            shifts = moments(group, tested.columns, tested.units, tested.cluster, own)
             total = self.factor * np.abs(shifts.sum(axis=0)).T
             # rare events add to the sum of squares that the statistic is divided by
             square = tested.scale[group.aspects] ** 2 + self.factor * (shifts**2).sum(axis=0).T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,10 +52,8 @@ def bin_sums(column: Column, label: Ints, value: Floats, n: int, absolute: bool 
     return np.asarray(sums.reshape(n, column.n_bins), dtype=np.float64)
 
 
-def moments(
-    group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats
-) -> tuple[Floats, Floats]:
-    """Return sums over clusters of the weight of each regressor times values, and those whose squares are unbiased.
+def moments(group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats) -> Floats:
+    """Return sums over clusters of the weight of each regressor times values.
 
     Args:
         group: aspects and their nuisance functions.
@@ -65,24 +63,46 @@ def moments(
         value: values, 0 where not valid, (n, k).
 
     Returns:
-        sums, and sums of which the squares add up to the variance of the total, (clusters, regressors, k) each. Where
-        values are centred in bins, the residuals of a cluster are too small, by its share of the bin.
+        sums, (clusters, regressors, k).
     """
+    every = zip(columns, _in_bins(group, columns, units, cluster, value), strict=True)
+    return np.concatenate([_of_regressors(column, sums, means) for column, (sums, means) in every], axis=1)
+
+
+def unbiased_moments(
+    group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats
+) -> tuple[Floats, Floats]:
+    """Return the sums of `moments`, and those of which the squares add up to the variance of the total.
+
+    Where values are centred in bins, the residuals of a cluster are too small, by its share of the bin.
+    """
+    plain, unbiased = [], []
+    for column, (sums, means) in zip(columns, _in_bins(group, columns, units, cluster, value), strict=True):
+        plain.append(_of_regressors(column, sums, means))
+        if is_centred(column):
+            factor = _leverage_factor(column, group, cluster)
+            unbiased.append(_of_regressors(column, [part * factor for part in sums], means))
+        else:
+            unbiased.append(plain[-1])
+    return np.concatenate(plain, axis=1), np.concatenate(unbiased, axis=1)
+
+
+def _in_bins(
+    group: Group, columns: Sequence[Column], units: Ints, cluster: Ints, value: Floats
+) -> Iterator[tuple[list[Floats], list[Floats]]]:
+    """Yield the sums of each column over (cluster, bin), and what is expected of them, one array for each value."""
     n, first = int(cluster.max()) + 1, np.unique(units, return_index=True)[1]
     by_unit, at = np.add.reduceat(value, first, axis=0), cluster[first]
-    every: tuple[list[Floats], list[Floats]] = [], []
     for column, expected in zip(columns, group.expected, strict=True):
-        weight = group.plain_weight(column.form)[units]
-        if is_centred(column):
-            weight = centred(column, group, weight[:, None])[:, 0]
-        parts = [bin_sums(column, cluster, weight * part, n) for part in centred(column, group, value).T]
-        factor = _leverage_factor(column, group, cluster) if is_centred(column) else 1.0
-        for out, unbiased in zip(every, (1.0, factor), strict=True):
-            own = [part * unbiased for part in parts]
-            if expected is not None:
-                own = [part - _expected_sums(expected, by_unit[:, j], at, n) for j, part in enumerate(own)]
-            out.append(np.stack([part @ column.combine for part in own], axis=2))
-    return np.concatenate(every[0], axis=1), np.concatenate(every[1], axis=1)
+        weight = centred(column, group, group.plain_weight(column.form)[units][:, None])[:, 0]
+        sums = [bin_sums(column, cluster, weight * part, n) for part in centred(column, group, value).T]
+        yield sums, [] if expected is None else [_expected_sums(expected, part, at, n) for part in by_unit.T]
+
+
+def _of_regressors(column: Column, sums: Sequence[Floats], means: Sequence[Floats]) -> Floats:
+    """Return sums over bins, less their means if there are any, for each regressor, (clusters, regressors, k)."""
+    left = [part - mean for part, mean in zip(sums, means, strict=True)] if means else sums
+    return np.stack([part @ column.combine for part in left], axis=2)
 
 
 def _expected_sums(expected: Floats, by_unit: Floats, cluster: Ints, n: int) -> Floats:

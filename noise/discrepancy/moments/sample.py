@@ -107,15 +107,15 @@ class Sample:
     def _clusters(self) -> tuple[Ints, Chains]:
         keys, chains = [], []
         for k, batch in enumerate(self.batches):
-            at = positions(batch)
-            chain = np.arange(batch.n_visits) if not is_continuous(batch) else np.zeros(batch.n_visits)
+            at, continuous = positions(batch), is_continuous(batch)
+            chain = np.zeros(batch.n_visits) if continuous else np.arange(batch.n_visits)
             place = np.zeros_like(at) if moves(batch) else at
             chains.append(np.c_[np.full(batch.n_visits, k), chain, place])
             table = pd.DataFrame(at)
             nth = table.groupby(list(table.columns)).cumcount().to_numpy()
             if stays_in_place(batch):
                 nth = np.zeros_like(nth)
-            elif is_continuous(batch):  # of this file alone
+            elif continuous:  # of this file alone
                 at, nth = np.full_like(at, float(k)), np.arange(batch.n_visits)
             keys.append(np.c_[at, nth, batch.ping.time[batch.starts]])
         every = pd.DataFrame(np.concatenate(keys))
