@@ -164,7 +164,10 @@ def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool =
 
 def shown(value: Any) -> str:
     """Return a value for a message, at most 60 characters."""
-    text = f"{value:.10g}" if isinstance(value, float) else repr(value)
+    try:
+        text = f"{value:.10g}" if isinstance(value, float) else repr(value)
+    except ValueError:  # a whole number of more digits than Python converts
+        text = f"{type(value).__name__} that is too long to show"
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

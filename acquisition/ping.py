@@ -22,6 +22,7 @@ from acquisition.errors import SettingError
 from acquisition.limits import as_numbers, as_whole, shown
 
 TEMPERATURE = "temperature_c"  # covariate: a thermometer at the sensor, degC
+CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 CELSIUS = 273.15  # K; 0 degC
 MAX_RANGE = 1700.0  # m, of a reading: any 16-bit count, also in inches, since transmission errors can set every bit
 
@@ -74,7 +75,8 @@ class Ping:
         reflectance: of the reflector, 0..1, (n,); 0.1 rubber, 0.9 mirror in Esmi (2016).
         time: since the start of the recording, s, (n,).
         run: index of the uninterrupted run (session and sensor) of each ping, (n,) int.
-        covariates: further logged quantities by column name (with its unit), each (n,).
+        covariates: further logged quantities by column name (with its unit), each (n,). A law uses those that it knows;
+            a learned law warns once of others, any other law ignores them.
     """
 
     __repr__ = brief

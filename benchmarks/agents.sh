@@ -1,15 +1,15 @@
 #!/bin/sh
 # Reproduce the results of docs/explanation/agents.md in runs/agents. To continue after an interruption, give the same command again.
-# Two jobs run in parallel, about 90 minutes on two processors. With the argument "quick", check every step in minutes.
+# Two jobs run in parallel, about two hours on two processors. With the argument "quick", check every step in minutes.
 set -eu
 cd "$(dirname "$0")/.."
 out=runs/agents
 python="${PYTHON:-.venv/bin/python}"
 run="$python -m training.cli"
 if [ "${1:-}" = quick ]; then
-    out=runs/agents-quick lessons=60 steps=1 episodes=20 ablation=2 agents=2 streets=2 seeds=1
+    out=runs/agents-quick lessons=60 steps=1 episodes=20 ablation=2 agents=2 streets=2 seeds=2
 else
-    lessons=3000 steps=1000000 episodes=500 ablation=32 agents=10 streets=30 seeds=3
+    lessons=3000 steps=1000000 episodes=500 ablation=32 agents=10 streets=30 seeds=10
 fi
 mkdir -p $out
 shipped="--odometry exact wheels --difficulty normal hard --lessons $lessons"
@@ -28,7 +28,7 @@ shipped_agent() {
 # agents with and without credence and echo flags; then agents trained with several sonars
 comparisons() {
     $run compare-observations --out $out/observations --agents $agents --lessons $((lessons / 5)) --streets $ablation --workers 1
-    $run transfer --out $out/transfer --seeds $seeds --lessons $((lessons / 6)) --episodes $streets --workers 1
+    $run transfer --out $out/transfer --learners imitation --seeds $seeds --lessons $((lessons / 6)) --episodes $streets --workers 1
 }
 
 echo "to follow: tail -f $out/shipped_agent.log $out/comparisons.log"

@@ -36,7 +36,7 @@ ORACLE = (
     ", faces as the rig"  # a model whose faces are chosen by the rig's detection, which shows the share of the choice
 )
 UNITS, STREETS, STEPS, STAND_PINGS = 40, 8, 130, 8
-DETECTION_UNITS = range(50, 53)  # counted from the first one
+DETECTION_UNITS = range(50, 74)  # counted from the first one
 FIRST_UNIT, SEED = 301, 2_000_000  # serial numbers that no model was trained on; streets that no agent was trained on
 TEMPERATURE_C = (14.0, 26.0)  # of the survey
 MOVED_M = {"1 cm": (0.005, 0.015), "5 cm": (0.04, 0.06), "20 cm": (0.17, 0.23)}
@@ -114,11 +114,14 @@ def actions() -> Floats:
 def rig_detection() -> Floats:
     """Return how often the rig detects a reflector alone, see `detection_table`: the mean of units not used otherwise.
 
-    By it the faces that a unit of the rig hears are chosen; one draw of one unit would choose them by chance.
+    By it the faces that a unit of the rig hears are chosen; the draws of a few units would choose them by chance. Both
+    sides are alike, so one is sampled.
     """
-    ping, units = nodes(MAX_RANGE, SHAPE), [rig_unit(k) for k in DETECTION_UNITS]
-    readings = [unit.law(ping).sample(np.random.default_rng(k)) for k, unit in zip(DETECTION_UNITS, units, strict=True)]
-    return np.mean([is_own_echo(ping.distance, reading) for reading in readings], axis=0).reshape(SHAPE)
+    one_side = np.arange(np.prod(SHAPE)).reshape(SHAPE)[:, SHAPE[1] // 2 :]
+    ping = nodes(MAX_RANGE, SHAPE)[one_side.ravel()]
+    readings = (rig_unit(k).law(ping).sample(np.random.default_rng(k)) for k in DETECTION_UNITS)
+    heard = np.mean([is_own_echo(ping.distance, reading) for reading in readings], axis=0).reshape(one_side.shape)
+    return np.concatenate([heard[:, :0:-1], heard], axis=1)
 
 
 def drive(sonar: SonarChoice, course: Floats, draw: int, detection: Floats | None = None) -> tuple[Floats, ...]:

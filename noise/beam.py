@@ -34,12 +34,13 @@ class BeamLaw(EchoLaw):
     def parts(self, low: Floats, high: Floats) -> Floats:
         """Return P(exact range in (low, high] | hit, short, random), (3, ..., n)."""
         model = self.model
-        below, above = (low - self.distance) / model.sigma, (high - self.distance) / model.sigma
+        with np.errstate(over="ignore"):  # an infinite number of deviations is one, too
+            below, above = (low - self.distance) / model.sigma, (high - self.distance) / model.sigma
         hit = np.where(below > 0, ndtr(-below) - ndtr(-above), ndtr(above) - ndtr(below))
         return np.stack([hit, self._short(high) - self._short(low), self._anywhere(high) - self._anywhere(low)])
 
     def _short(self, z: Floats) -> Floats:
-        rate, reach = self.model.short_rate, np.maximum(self.distance, self.resolution)
+        rate, reach = max(self.model.short_rate, TINY), np.maximum(self.distance, self.resolution)
         return -np.expm1(-rate * np.clip(z, 0.0, reach)) / -np.expm1(-rate * reach)
 
     def _anywhere(self, z: Floats) -> Floats:

@@ -19,9 +19,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.errors import SampleOnlyError
 from acquisition.limits import Limit, as_numbers, shown
-from acquisition.ping import check_pairs
-
-CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
+from acquisition.ping import CREDENCE_TOLERANCE, check_pairs
 
 Tolerance = Annotated[float, Limit(0.0, 10.0)]
 MAX_N_WIDE = 64  # pings; up to this number the inverse is searched in many parts at once
@@ -36,7 +34,7 @@ class UniformSource(Protocol):
 
 
 class ExtrapolationWarning(UserWarning):
-    """A learned law was asked about conditions outside its training data."""
+    """A learned law was asked about conditions outside its training data, or about a quantity that it does not know."""
 
 
 class EchoLaw(ABC):

@@ -29,6 +29,7 @@ class Inputs(Schema):
     open_end: bool
     uncompensated: bool = False
     fixed: Parameters = Field(default_factory=dict)
+    averaged: Annotated[list[str], MaxLen(256)] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _fits(self) -> Inputs:

@@ -168,7 +168,7 @@ class SonarVecEnv(VecEnv):
         """Set an attribute of the vector environment, for all environments.
 
         Raises:
-            SettingError: only some environments are given, or the attribute is none that can be set.
+            SettingError: only some environments are given, the attribute is none that can be set, or its value invalid.
         """
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise SettingError(f"SonarVecEnv: {attr_name!r} is shared by all environments; set it without indices")

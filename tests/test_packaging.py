@@ -35,6 +35,22 @@ DRIVE = (
     "env = gymnasium.make('SonarParking-v0', sonar='srf08-mlp', credence_driver='random'); "
     "env.reset(seed=0); env.step([0.0, 0.5]); print(sonar_gym.__version__)"
 )
+COMMANDS = {  # of each extra, run in the order given
+    "record": ["record --driver twin --pings 1 --out rec.csv"],
+    "train": [
+        "record --driver rig --pings 1 --out rec.csv",
+        "plot rec.csv --out figures",
+        "train-agent --out agent --lessons 1 --steps 2000 --num-envs 8 --hidden 8 --sonars ideal --repeat 1",
+    ],
+    "all": [
+        "record --driver twin --pings 1 --out rec.csv",
+        "import rec.csv --out rec.parquet",
+        "bridge ros-bag rec.csv --out bag",
+        "bridge opendlv-rec rec.csv --out rec.rec",
+        "export fmi ideal --out sonar.fmu",
+        "diagnose rec.csv --out diagnosis",
+    ],
+}
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 
@@ -73,6 +89,17 @@ def run_fresh(python, tmp_path, what, code):
 def test_the_wheel_runs_the_environment(built, tmp_path, python):
     (wheel,) = built.glob("*.whl")
     assert run_fresh(python, tmp_path, f"{wheel}[noise,gym]", DRIVE).strip()
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("extra", COMMANDS)
+def test_the_wheel_runs_the_commands_of_an_extra(built, tmp_path, python, extra):
+    (wheel,) = built.glob("*.whl")
+    run_fresh(python, tmp_path, f"{wheel}[{extra}]", "")
+    for line in COMMANDS[extra]:
+        subprocess.run([str(tmp_path / "venv" / "bin" / "sonar-gym"), *line.split()], check=True, cwd=tmp_path)
+    has_torch = any(tmp_path.glob("venv/lib/python3.*/site-packages/torch"))
+    assert has_torch == (extra != "record")
 
 
 def test_the_core_records_without_torch(built, tmp_path):

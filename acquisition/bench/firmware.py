@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.arrays import Floats
+from acquisition.bench.laboratory.air import sound_speed
 from acquisition.bench.laboratory.setup import Output
 from acquisition.bench.laboratory.unit import Unit
 
 ECHOES = 17
+COMPENSATED_C = 21.2  # degC; at this temperature 58 us are 1 cm there and back
 # s per unit of output: 58 us/cm and 148 us/inch for this family of sensors
 PER_UNIT: dict[Output, float] = {"cm": 58e-6, "inch": 148e-6, "us": 1e-6}
 
@@ -36,12 +38,24 @@ def first_echoes(ping: NDArray[np.int64], time: Floats, count: int, unit: Unit, 
     return out
 
 
-def to_codes(time: Floats, unit: Unit, output: Output) -> NDArray[np.uint16]:
-    """Return the register values of times in s; 0 for no echo."""
+def to_codes(
+    time: Floats, unit: Unit, output: Output, temperature_c: Floats | float = COMPENSATED_C
+) -> NDArray[np.uint16]:
+    """Return the register values of times in s, (n, k); 0 for no echo.
+
+    Args:
+        time: of the echoes, s; NaN for none.
+        unit: the sensor.
+        output: unit of the registers.
+        temperature_c: of the air, (n,), for a sensor that compensates it.
+    """
     counted = np.maximum(time + unit.t_offset, 0.0) * (1.0 + unit.clock_error)
+    if unit.compensated:
+        speed = sound_speed(temperature_c) / sound_speed(COMPENSATED_C)
+        counted = counted * np.reshape(speed, (-1, *[1] * (time.ndim - 1)))
     if unit.ramp_tau_s > 0.0:
         counted = unit.ramp_tau_s * -np.expm1(-counted / unit.ramp_tau_s)
-    ticks = np.floor(counted / unit.tick)
+    ticks = np.floor(np.maximum(counted, unit.nearest_s) / unit.tick)
     value = ticks * unit.tick / PER_UNIT[output]
     whole = np.rint(value) if unit.rounding == "nearest" else np.floor(value + 1e-9)
     return np.where(np.isnan(time), 0.0, np.clip(whole, 1.0, 65_535.0)).astype(np.uint16)

@@ -31,6 +31,7 @@ from acquisition.bench.visits import Visits
 from acquisition.ping import Ping
 
 N_GROUPS = len(GROUPS)
+RANGE_RATE = "range_rate_mps"  # covariate: speed of the reflector away from the sensor, m/s
 # change of each group's path length with the stand's sway, relative to the path to the reflector
 SWAY_FACTOR = np.array([{FACE: 1.0, BOUNCE: 2.0, POST: 1.0}.get(group, 0.0) for group in range(N_GROUPS)])
 MIN_CAUSE_LEVEL = 0.3  # relative to the threshold; weaker groups are not the cause of a crossing
@@ -144,10 +145,17 @@ class Reception:
         delay = 2.0 * length * (1.0 / speed[:, None] - 1.0 / reference)
         delay += 2.0 * setup.jitter_m * np.sqrt(length / 6.0) * fluctuation[..., 1] / reference
         sway = setup.sway_m * np.sin(2.0 * np.pi * self.time / setup.sway_period_s)
-        delay += 2.0 * sway[:, None] * SWAY_FACTOR / reference
+        moved = sway[:, None] + length * self._rate[:, None] / reference  # while the sound is on its way there
+        delay += 2.0 * moved * SWAY_FACTOR / reference
         factor = 10.0 ** (level / 20.0)
         factor[:, LEAK], delay[:, LEAK] = 1.0, 0.0
         return factor, delay
+
+    @property
+    def _rate(self) -> Floats:
+        """Speed of the reflector and its stand away from the sensor, m/s, (m,)."""
+        given = self.drawn.ping.covariates.get(RANGE_RATE)
+        return np.zeros(len(self.rows)) if given is None else np.nan_to_num(given[self.rows])
 
     def threshold(self, pings: slice | Ints = slice(None)) -> Floats | None:
         """Return the comparator's threshold relative to its nominal value, (k, samples), or None if constant."""

@@ -62,7 +62,8 @@ class Rig:
 
         Args:
             ping: the conditions; consecutive pings of one condition in one run are one visit, with one placement of the
-                reflector. Covariates `temperature_c`, `humidity_pct`, `gain` and `range_mm` override the setup's.
+                reflector. Covariates `temperature_c`, `humidity_pct`, `gain` and `range_mm` override the setup's;
+                `range_rate_mps` is the speed of reflector and stand away from the sensor.
             rng: source of all randomness.
             drift: drift of the air; None draws one.
             progress: called with the number of pings done and the total.
@@ -81,7 +82,7 @@ class Rig:
         drawn = self._draw(ping, self.draw_drift(rng) if drift is None else drift, setting, rng)
         time, true_echoes = self._echo_times(drawn, setting, setups, rng, progress, truth)
         time = time + (self.unit.cold_s * np.exp(-ping.time / self.unit.warm_up_tau_s))[:, None]
-        code = to_codes(time, self.unit, self.setup.output)
+        code = to_codes(time, self.unit, self.setup.output, drawn.temperature_c)
         if self.unit.averaging > 1 or self.unit.deadband > 0.0:
             code = smoothed(code, ping.run, self.unit, self.setup.output)
         code[down] = 0

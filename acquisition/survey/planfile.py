@@ -14,6 +14,7 @@ import numpy as np
 
 from acquisition.errors import SettingError
 from acquisition.io.files import read_limited
+from acquisition.limits import check_number, near, shown
 from acquisition.survey.plan import MAX_CONDITIONS, PLANS, SurveyPlan
 
 KEYS = tuple(field.name for field in fields(SurveyPlan))
@@ -40,7 +41,9 @@ def find_plan(name: str) -> SurveyPlan:
     if name in PLANS:
         return PLANS[name]
     if not name.endswith(".toml"):
-        raise SettingError(f"plan {name!r}: expected one of {', '.join(PLANS)}, or the path of a .toml file")
+        raise SettingError(
+            f"plan {name!r}: expected one of {', '.join(PLANS)}, or the path of a .toml file{near(name, PLANS)}"
+        )
     return load_plan(Path(name))
 
 
@@ -52,7 +55,7 @@ def load_plan(path: Path) -> SurveyPlan:
     """
     try:
         content = tomllib.loads(read_limited(path, SettingError, "a plan (TOML)").decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # of its syntax, of bytes, of long numbers, of nested lists
         raise SettingError(f"{path}: not TOML: {error}") from None
     try:
         return SurveyPlan(**_settings(content))
@@ -94,16 +97,16 @@ def _range(key: str, given: dict[str, Any]) -> tuple[float, ...]:
     _expect(set(given) == set(RANGE_KEYS), key, "{from, to, step}", given)
     start, stop, step = (_number(f"{key}.{name}", given[name]) for name in RANGE_KEYS)
     _expect(step > 0, f"{key}.step", "a number above 0", step)
-    count = int(np.floor((stop - start) / step + 1e-9)) + 1
-    _expect(1 <= count <= MAX_CONDITIONS, key, f"a range of 1 to {MAX_CONDITIONS} values", given)
-    return tuple(float(value) for value in np.round(start + step * np.arange(count), 9))
+    steps = np.floor((stop - start) / step + 1e-9)  # infinite where the step is tiny
+    _expect(0 <= steps < MAX_CONDITIONS, key, f"a range of 1 to {MAX_CONDITIONS} values", given)
+    return tuple(float(value) for value in np.round(start + step * np.arange(int(steps) + 1), 9))
 
 
 def _number(key: str, value: Any) -> float:
-    _expect(isinstance(value, int | float) and not isinstance(value, bool), key, "a number", value)
+    check_number(key, value)
     return float(value)
 
 
 def _expect(valid: bool, key: str, expected: str, value: Any) -> None:
     if not valid:
-        raise SettingError(f"{key}: expected {expected}, got {value!r}")
+        raise SettingError(f"{key}: expected {expected}, got {shown(value)}")

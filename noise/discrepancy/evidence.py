@@ -18,6 +18,8 @@ class Evidence:
         gain_error: standard error of `gain` over visits, nats.
         n_pings: number of pings of the folds.
         n_visits: number of visits of the folds.
+        lead_unnamed: log-likelihood on unseen visits relative to a forest in its place, nats.
+        lead_unnamed_error: standard error of it over visits, nats.
         share: its share of the misfit, 0 to 1.
         rest: share of the misfit that nothing explains, 0 to 1.
         lead: log posterior relative to the best alternative in its place, nats.
@@ -34,6 +36,8 @@ class Evidence:
     gain_error: float
     n_pings: int
     n_visits: int
+    lead_unnamed: float
+    lead_unnamed_error: float
     share: float
     rest: float
     lead: float
@@ -48,14 +52,16 @@ class Evidence:
     def features(self) -> Floats:
         """Return the features of the decision model.
 
-        They are few, because wrong causes are few in an ensemble: how well the gain repeats itself from visit to visit,
-        on a scale that tells 2 standard errors from 4 and not 40 from 42, how much a visit gains, and by how much the
-        size of the effect varies: what stands for something else acts in a part of the readings only.
+        They are few, because wrong causes are few in an ensemble: by how many standard errors the effect predicts
+        unseen visits better than a forest, which describes any difference and names none, on a scale that tells 2 from
+        4 and not 40 from 42, how much a visit gains, and by how much the size of the effect varies: what stands for
+        something else acts in a part of the readings only.
         """
-        t = self.gain / self.gain_error if self.gain_error > 0.0 else 0.0
+        t = self.lead_unnamed / self.lead_unnamed_error if self.lead_unnamed_error > 0.0 else 0.0
         each = np.clip(self.gain / self.n_visits, 0.0, None)
-        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log1p(each), self.variation])
+        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log1p(each), np.log(self.variation + STEADY)])
 
 
 MAX_T = 1e3  # standard errors; keeps the feature finite
-FEATURES = ("log_t", "log_gain_per_visit", "variation")
+STEADY = 0.03  # variation of a size that is as good as none; chosen here
+FEATURES = ("log_t_unnamed", "log_gain_per_visit", "log_variation")

@@ -11,15 +11,13 @@ import numpy as np
 
 from acquisition import Ping, Reading, Recording, RecordingError, SettingError
 from acquisition.arrays import Floats
+from acquisition.io.units import doubtful_units
 from noise.fitting.visits import visits_of
 from noise.model import SonarModel
 from noise.store import load_model
 
 Simulator = Callable[[Ping, np.random.Generator], Reading | Floats]
 Progress = Callable[[str, float], None]
-MIN_RANGE_MM = 20.0  # least range of an HC-SR04 by its data sheet; no ultrasonic ranger here measures less
-MIN_DISTANCE = 1e-9  # m; shorter distances have no ratio
-MAX_RATIO_ERROR = 0.15  # relative deviation of reading / distance from a power of ten; more than any scale error
 MIN_CONDITIONS = 5  # as many as `name.folds` deals at a time
 MIN_OVERLAP = 0.5  # share of recorded pings within the simulated conditions, below which a warning is due
 
@@ -74,36 +72,10 @@ def check_conditions(recording: Recording) -> None:
 
 def warnings_of(recorded: Recording, simulated: Recording | None = None) -> tuple[str, ...]:
     """Return one sentence for each doubtful property of the data; none for data without one."""
-    found = [*_units(recorded), *_times(recorded), *_answers(recorded)]
+    found = [*doubtful_units(recorded), *_times(recorded), *_answers(recorded)]
     if simulated is not None:
-        found += [*_units(simulated), *_times(simulated), *_overlap(recorded, simulated)]
+        found += [*doubtful_units(simulated), *_times(simulated), *_overlap(recorded, simulated)]
     return tuple(found)
-
-
-def _units(recording: Recording) -> Iterator[str]:
-    distance_mm = 1000.0 * recording.ping.distance
-    reading_mm = 1000.0 * recording.reading.range[recording.reading.echo]
-    small = [
-        name
-        for name, value in (("distance_mm", distance_mm), ("reading_mm", reading_mm))
-        if len(value) and 0.0 < value.max() < MIN_RANGE_MM
-    ]
-    for name in small:
-        yield (
-            f"{recording.name}: no value of {name} exceeds {MIN_RANGE_MM:.0f} mm, so the column may be in metres; "
-            "multiply it by 1000."
-        )
-    reading, distance = recording.reading.range, recording.ping.distance
-    long = (reading > MIN_DISTANCE) & (distance > MIN_DISTANCE)
-    if len(small) == 2 or not long.any():
-        return
-    ratio = float(np.median(reading[long] / distance[long]))
-    power = round(np.log10(ratio))
-    if power and abs(ratio / 10.0**power - 1.0) < MAX_RATIO_ERROR:
-        yield (
-            f"{recording.name}: reading_mm is {10.0**power:g} times distance_mm in the median, so the columns may have "
-            "different units; both must be in mm."
-        )
 
 
 def _times(recording: Recording) -> Iterator[str]:

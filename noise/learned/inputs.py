@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -16,6 +16,8 @@ from acquisition.ping import CELSIUS, TEMPERATURE
 
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
 COMPARED_C = (-11.0, 46.0)  # degC; -10 to 45 degC with the drift of a room: training/noise/conditions.py
+# of the past or of a simulation; this package adds them to pings, and no learned law of a condition needs them
+ADDED = ("interval_s", "range_rate_mps", "simulated_range_m", "simulated_status")
 LOG_OFFSET_M = 0.02  # m; added to the distance to limit the slope of its logarithm
 
 
@@ -53,6 +55,7 @@ class Inputs:
         uncompensated: whether readings are times of flight at one assumed speed of sound, so that at temperatures
             outside the learned range the law is that of equal time of flight at its end (see `equivalent`).
         fixed: other covariates and the one value that each had in the training data.
+        averaged: other covariates that varied in the training data; the law is that over their values there.
     """
 
     names: tuple[str, ...]
@@ -63,6 +66,7 @@ class Inputs:
     open_end: bool = False
     uncompensated: bool = False
     fixed: Mapping[str, float] = field(default_factory=dict, hash=False)
+    averaged: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -84,9 +88,16 @@ class Inputs:
         low, high = np.nanmin(value, axis=0), np.nanmax(value, axis=0)
         beyond = bool(horizon is not None and high[0] > horizon)
         high[0] = horizon if beyond else high[0]
-        others = {name: value for name, value in ping.covariates.items() if name not in (*used, "interval_s")}
+        others = {name: value for name, value in ping.covariates.items() if name not in (*used, *ADDED)}
         fixed = {name: float(value[0]) for name, value in others.items() if len(value) and np.ptp(value) == 0.0}
-        return cls(used, tuple(map(float, low)), tuple(map(float, high)), folded, tied, beyond, uncompensated, fixed)
+        averaged = tuple(sorted(others.keys() - fixed.keys()))
+        ends = tuple(map(float, low)), tuple(map(float, high))
+        return cls(used, *ends, folded, tied, beyond, uncompensated, fixed, averaged)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data; `averaged` is left out where it is empty, so that it changes no digest of a model."""
+        data = asdict(self)
+        return data if self.averaged else {key: value for key, value in data.items() if key != "averaged"}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Inputs:
@@ -94,15 +105,21 @@ class Inputs:
         ranges = {key: tuple(map(float, data[key])) for key in ("low", "high")}
         if not len(data["names"]) == len(ranges["low"]) == len(ranges["high"]):
             raise ValueError("inputs: names, low and high differ in number")
-        flags = [bool(data.get(key, False)) for key in ("folded", "tied", "open_end", "uncompensated")]
-        folded, tied, open_end, uncompensated = flags
-        fixed = dict(data.get("fixed", {}))
-        return cls(tuple(data["names"]), ranges["low"], ranges["high"], folded, tied, open_end, uncompensated, fixed)
+        fixed, averaged = dict(data.get("fixed", {})), tuple(data.get("averaged", ()))
+        names = ("folded", "tied", "open_end", "uncompensated")
+        folded, tied, open_end, uncompensated = (bool(data.get(key, False)) for key in names)
+        ends = ranges["low"], ranges["high"]
+        return cls(tuple(data["names"]), *ends, folded, tied, open_end, uncompensated, fixed, averaged)
 
     @cached_property
     def covariates(self) -> tuple[str, ...]:
         """Names of the optional quantities."""
         return tuple(name for name in self.names if name not in NATURAL_SPAN)
+
+    @cached_property
+    def known(self) -> frozenset[str]:
+        """Names of covariates that the law uses, that were in its training data, or that this package adds."""
+        return frozenset((*self.covariates, *self.fixed, *self.averaged, *ADDED))
 
     @cached_property
     def width(self) -> int:

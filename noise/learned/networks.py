@@ -18,13 +18,17 @@ import numpy as np
 from acquisition import ModelError, Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
+from acquisition.limits import near
 from noise.law import ExtrapolationWarning
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head, MixtureLaw
 from noise.learned.persistence import Persistence
 from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, shapes_of, tensors_of, write_tensors
 
-WARNED: WeakSet[Any] = WeakSet()  # models that have warned; not an attribute, since it is no part of the law
+# models that have warned of what they were not trained with, and of what they do not know; not attributes, since they
+# are no part of the law
+WARNED: WeakSet[Any] = WeakSet()
+WARNED_UNKNOWN: WeakSet[Any] = WeakSet()
 
 
 def dense(layers: Layers, x: Floats) -> Floats:
@@ -36,7 +40,7 @@ def dense(layers: Layers, x: Floats) -> Floats:
 
 
 def of_distance(model: Any, law: MixtureLaw, ping: Ping, known: Ping) -> MixtureLaw:
-    """Return the law with the true distances of pings, and warn once per model where it extrapolates.
+    """Return the law with the true distances of pings, and warn once per model where it extrapolates or ignores.
 
     Args:
         model: with `inputs`.
@@ -49,6 +53,13 @@ def of_distance(model: Any, law: MixtureLaw, ping: Ping, known: Ping) -> Mixture
         WARNED.add(model)
         limits = "; ".join(model.inputs.stated_outside(known))
         warnings.warn(f"the law extrapolates: it was trained with {limits} (law.extrapolates)", ExtrapolationWarning, 3)
+    unknown = ping.covariates.keys() - model.inputs.known
+    if unknown and model not in WARNED_UNKNOWN:
+        WARNED_UNKNOWN.add(model)
+        first = min(unknown)
+        hint = near(first, model.inputs.known)
+        text = f"the law does not know {', '.join(sorted(unknown))}, and ignores it{hint}"
+        warnings.warn(text, ExtrapolationWarning, 3)
     return law
 
 
@@ -102,7 +113,7 @@ class MlpModel:
         return {
             "kind": "mlp",
             "sizes": self.sizes,
-            "inputs": asdict(self.inputs),
+            "inputs": self.inputs.to_dict(),
             "head": asdict(self.head),
             "persistence": None if self.persistence is None else self.persistence.to_dict(),
             "about": self.about,

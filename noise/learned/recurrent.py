@@ -24,7 +24,7 @@ from acquisition.limits import shown
 from acquisition.ping import check_pairs
 from noise.learned.inputs import FeatureBatch, Inputs
 from noise.learned.mixture import Head, MixtureLaw
-from noise.learned.networks import WARNED, MlpModel, dense, of_distance, read_about
+from noise.learned.networks import WARNED, WARNED_UNKNOWN, MlpModel, dense, of_distance, read_about
 from noise.learned.recurrent_file import LstmShape
 from noise.learned.recurrent_state import LstmCell, LstmState, PingHistory, condition_of
 from noise.learned.tensors import Layers, as_layers, layers_of, read_tensors, tensors_of, write_tensors
@@ -80,8 +80,9 @@ class LstmModel:
     def fresh(self) -> LstmModel:
         """Return the same model with an empty state of its own."""
         model = LstmModel(self.inputs, self.head, self.cell, self.layers, self.base, self.about, self.card)
-        if self in WARNED:
-            WARNED.add(model)
+        for warned in (WARNED, WARNED_UNKNOWN):
+            if self in warned:
+                warned.add(model)
         return model
 
     def reset(self, sensors: ArrayLike | None = None) -> None:
@@ -182,7 +183,7 @@ class LstmModel:
             "kind": "lstm",
             "hidden": self.cell.hidden,
             "sizes": self.sizes,
-            "inputs": asdict(self.inputs),
+            "inputs": self.inputs.to_dict(),
             "head": asdict(self.head),
             "base": base,
             "about": self.about,

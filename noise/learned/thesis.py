@@ -158,7 +158,7 @@ def _architecture(path: Path, file: h5py.File) -> tuple[Kind, int]:
 def _layers(path: Path, config: str) -> list[tuple[str, dict[str, Any]]]:
     try:
         return [(str(layer["class_name"]), dict(layer["config"])) for layer in json.loads(config).get("config", [])]
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ModelError(f"{path}: its `model_config` is not that of a Keras 1 model") from None
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition import ModelError
+from acquisition import SonarError
 from acquisition.arrays import Floats
 from noise import save_model
 
@@ -82,7 +82,7 @@ def fingerprint(model: Any) -> str:
     with TemporaryDirectory() as folder:
         try:
             saved = save_model(model, Path(folder) / "model")
-        except (ModelError, AttributeError, TypeError):
+        except (SonarError, AttributeError, TypeError):
             return ""
         text = json.loads((saved / "model.json").read_text(encoding="utf-8"))
         text.pop("about", None)

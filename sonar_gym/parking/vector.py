@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value, is_list
-from sonar_gym.checks import check_options
+from sonar_gym.checks import check_options, settings_of
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
 from sonar_gym.parking.randomization import Randomization
@@ -76,12 +76,7 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         pictured: Sequence[int] = (0,),
     ) -> None:
         check_value("num_envs", num_envs, Annotated[int, Limit(1, 1_000_000)])
-        check_value("max_episode_steps", max_episode_steps, Annotated[int, Limit(1, 10**9)] | None)
-        check_render_mode(render_mode)
-        check_value("pictured", pictured, tuple[int, ...])
-        if not all(0 <= i < num_envs for i in pictured):
-            raise SettingError(f"pictured must contain numbers of environments below {num_envs}, got {list(pictured)}")
-        self.num_envs, self.render_mode, self.pictured = num_envs, render_mode, tuple(pictured)
+        self.num_envs, self.render_mode, self.pictured = num_envs, render_mode, pictured
         check_choice("autoreset_mode", autoreset_mode, [*AutoresetMode, *(mode.value for mode in AutoresetMode)])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -132,8 +127,23 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
 
     @street_settings.setter
     def street_settings(self, settings: StreetSettings) -> None:
+        settings = settings_of(StreetSettings, settings, "street_settings")
         check_gap(settings.gap[0], self.fleet.car_settings)
         self.fleet.street_settings = settings
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; raise SettingError for an invalid value of one that can be changed."""
+        if name == "max_episode_steps":
+            check_value(name, value, Annotated[int, Limit(1, 10**9)] | None)
+        elif name == "render_mode":
+            check_render_mode(value)
+        elif name == "pictured":
+            check_value(name, value, tuple[int, ...])
+            if not all(0 <= i < self.num_envs for i in value):
+                raise SettingError(
+                    f"pictured must contain numbers of environments below {self.num_envs}, got {list(value)}"
+                )
+        super().__setattr__(name, value)
 
     def _stream(self, i: int, seed: int | None = None) -> np.random.Generator:
         """Return the generator of an environment; a new one if a seed is given or there is none yet."""

@@ -157,6 +157,12 @@ def merge_corners(pieces: Floats, count: int, points: Floats, cosines: Floats) -
 
 
 @compiled
+def detected(table: Floats, limit: float, path: Floats) -> float:
+    """Return how often the reflector of a path is detected alone."""
+    return detection(table, limit, path[DISTANCE], path[BEARING], path[INCIDENCE], path[REFLECTANCE])
+
+
+@compiled
 def select_paths(found: Floats, count: int, table: Floats, limit: float, out: Floats) -> int:
     """Write the paths that a law is given, the one detected most often last, and return their number.
 
@@ -169,8 +175,7 @@ def select_paths(found: Floats, count: int, table: Floats, limit: float, out: Fl
     """
     expected, hidden_from = np.empty(count), math.inf
     for k in range(count):
-        path = found[k]
-        expected[k] = detection(table, limit, path[DISTANCE], path[BEARING], path[INCIDENCE], path[REFLECTANCE])
+        expected[k] = detected(table, limit, found[k])
         if expected[k] >= CERTAIN:
             hidden_from = min(hidden_from, found[k, DISTANCE])
     chosen, n = np.empty(MAX_OWN_PATHS, np.int64), 0
@@ -238,6 +243,63 @@ def meet_moving(path: Floats, x: float, y: float, velocity: Floats) -> None:
 
 
 @compiled
+def cast_faces(
+    x: float, y: float, heading: float, half: float, segments: Floats, surface: Floats, owner: Ints, limit: float,
+    table: Floats, out: Floats,
+) -> int:  # fmt: skip
+    """Write the paths by faces, the one detected most often last, and return their number; as in `cast_paths`."""
+    distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
+    one = out[0]
+    one[DISTANCE], one[BEARING], one[INCIDENCE], one[REFLECTANCE] = distance, bearing, 0.0, 0.0
+    one[OBSTACLE], one[FACE], one[X], one[Y], one[TEXTURE] = NO_HIT, face, at_x, at_y, 0.0
+    if face == NO_HIT:
+        return 1
+    one[INCIDENCE], one[REFLECTANCE] = max(incidence - surface[face, 1], 0.0), surface[face, 0]
+    one[OBSTACLE], one[TEXTURE] = owner[face], surface[face, 1]
+    if detected(table, limit, one) >= CERTAIN:
+        return 1  # the nearest point hides all others
+    size = segments.shape[0]
+    pieces, faces = np.empty((size, 6)), np.empty(size, np.int64)
+    count = pieces_in_cone(x, y, heading, half, segments, limit, pieces, faces)
+    if count <= 1:
+        return 1
+    points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.zeros((count, N_PATH)), 0
+    nearest_visible(pieces, count, np.empty(2 * count), points)
+    merge_corners(pieces, count, points, cosines)
+    c, s = math.cos(heading), math.sin(heading)
+    for k in range(count):
+        if points[k, 2] > limit:
+            continue
+        px, py, path = points[k, 0], points[k, 1], found[kept]
+        path[DISTANCE], path[BEARING] = points[k, 2], math.atan2(py, px) if points[k, 2] > SAME_POINT else 0.0
+        path[INCIDENCE] = max(math.acos(cosines[k]) - surface[faces[k], 1], 0.0)
+        path[REFLECTANCE], path[OBSTACLE], path[FACE] = surface[faces[k], 0], owner[faces[k]], faces[k]
+        path[X], path[Y], path[TEXTURE] = x + c * px - s * py, y + s * px + c * py, surface[faces[k], 1]
+        kept += 1
+    return select_paths(found, kept, table, limit, out)
+
+
+@compiled
+def add_floor(ground: Floats, count: int, table: Floats, limit: float, out: Floats) -> int:
+    """Write the path by the floor before the others, and return their number; it takes the place of the least heard.
+
+    The floor is never the main path, since it has no false alarms of its own: it returns little more than its own echo.
+    """
+    if detected(table, limit, ground) < MIN_DETECTION:
+        return count
+    for k in range(count):
+        nearer = out[k, OBSTACLE] >= 0.0 and out[k, DISTANCE] < ground[DISTANCE]
+        if nearer and detected(table, limit, out[k]) >= CERTAIN:
+            return count
+    if count < MAX_OWN_PATHS:
+        for k in range(count, 0, -1):
+            out[k] = out[k - 1]
+        count += 1
+    out[0] = ground
+    return count
+
+
+@compiled
 def cast_paths(
     x: float,
     y: float,
@@ -269,40 +331,8 @@ def cast_paths(
         floor: height of the sensor above the floor, m, 0 for none; its reflectance; slope of its facets, rad.
     """
     out[:, SHIFT : SOURCE + 1] = 0.0
+    count = cast_faces(x, y, heading, half, segments, surface, owner, limit, table, out)
     ground = out[MAX_PATHS - 1]  # as scratch
-    on_floor = floor_path(x, y, heading, half, segments, owner, limit, floor, ground)
-    distance, bearing, incidence, face, at_x, at_y = cast_cone(x, y, heading, half, segments, limit)
-    one = out[0]
-    one[DISTANCE], one[BEARING], one[INCIDENCE], one[REFLECTANCE] = distance, bearing, 0.0, 0.0
-    one[OBSTACLE], one[FACE], one[X], one[Y], one[TEXTURE] = NO_HIT, face, at_x, at_y, 0.0
-    if face == NO_HIT:
-        if on_floor:
-            out[0] = ground
-        return 1
-    one[INCIDENCE], one[REFLECTANCE] = max(incidence - surface[face, 1], 0.0), surface[face, 0]
-    one[OBSTACLE], one[TEXTURE] = owner[face], surface[face, 1]
-    nearest = not on_floor or distance < ground[DISTANCE]
-    if nearest and detection(table, limit, distance, bearing, one[INCIDENCE], one[REFLECTANCE]) >= CERTAIN:
-        return 1  # the nearest point hides all others
-    size = segments.shape[0]
-    pieces, faces = np.empty((size, 6)), np.empty(size, np.int64)
-    count = pieces_in_cone(x, y, heading, half, segments, limit, pieces, faces)
-    if count <= 1 and not on_floor:
-        return 1
-    points, cosines, found, kept = np.empty((count, 3)), np.empty(count), np.zeros((count + 1, N_PATH)), 0
-    nearest_visible(pieces, count, np.empty(2 * count), points)
-    merge_corners(pieces, count, points, cosines)
-    c, s = math.cos(heading), math.sin(heading)
-    for k in range(count):
-        if points[k, 2] > limit:
-            continue
-        px, py, path = points[k, 0], points[k, 1], found[kept]
-        path[DISTANCE], path[BEARING] = points[k, 2], math.atan2(py, px) if points[k, 2] > SAME_POINT else 0.0
-        path[INCIDENCE] = max(math.acos(cosines[k]) - surface[faces[k], 1], 0.0)
-        path[REFLECTANCE], path[OBSTACLE], path[FACE] = surface[faces[k], 0], owner[faces[k]], faces[k]
-        path[X], path[Y], path[TEXTURE] = x + c * px - s * py, y + s * px + c * py, surface[faces[k], 1]
-        kept += 1
-    if on_floor:
-        found[kept] = ground
-        kept += 1
-    return select_paths(found, kept, table, limit, out)
+    if floor_path(x, y, heading, half, segments, owner, limit, floor, ground):
+        return add_floor(ground, count, table, limit, out)
+    return count

@@ -244,6 +244,7 @@ def first_echoes(
         begin, last, record = fired.first[n], fired.first[n + 1] - 1, out[n]
         faulty = fault.shape[0] > 0 and fault[last] > 0
         alone, nearest, answered, missed = status[last] == _NO_ANSWER or faulty, math.inf, last, 1.0
+        faced = False
         for i in range(begin, last + 1):
             own, echo = fired.paths[i], math.inf
             fails = fault.shape[0] > 0 and fault[i] > 0
@@ -252,6 +253,7 @@ def first_echoes(
             echoes[i - begin] = echo if echo <= max_range else math.inf
             if echoes[i - begin] < nearest:
                 nearest, answered = echoes[i - begin], i
+            faced = faced or (own[OBSTACLE] >= 0.0 and own[SOURCE] == 0.0)
             missed *= 1.0 - (credence[i] if credence.shape[0] > 0 else 0.0)
         second = math.inf
         for i in range(last + 1 - begin):
@@ -266,7 +268,7 @@ def first_echoes(
         record[STATUS] = _ECHO
         if math.isinf(nearest):  # also if the echo comes from beyond the range
             record[STATUS] = _NO_ANSWER if status[last] == _NO_ANSWER else _NO_ECHO
-        record[GIVEN_CONDITION] = 1.0 - missed if fired.paths[last, OBSTACLE] >= 0.0 else 0.0
+        record[GIVEN_CONDITION] = 1.0 - missed if faced else 0.0
         record[FAULT] = fault[last] if fault.shape[0] > 0 else 0.0
     return out
 

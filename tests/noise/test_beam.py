@@ -72,3 +72,11 @@ def test_a_sensor_that_always_detects_has_no_silent_component(seed):
     ping = Ping.of(distance=rng.uniform(0.2, 4.0, 200))
     reading = Reading.of(np.rint(np.clip(ping.distance + rng.normal(0.0, 0.03, 200), STEP, REACH) / STEP) * STEP)
     assert 0.0 <= fit_beam(ping, reading, STEP, REACH)[0].silent < 1e-12
+
+
+@pytest.mark.parametrize("setting", [{"sigma": 2.3e-308}, {"sigma": 5e-324}, {"short_rate": 5e-324}])
+def test_the_least_positive_numbers_are_limits_of_the_law(setting):
+    law = BeamModel(**setting).law(Ping.of(distance=np.linspace(0.3, 9.0, 20)))
+    cdf = law.cdf(np.linspace(0.0, 10.0, 30)[:, None])
+    assert np.all(np.isfinite(cdf))
+    assert np.all(np.diff(cdf, axis=0) >= 0.0)

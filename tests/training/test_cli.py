@@ -77,7 +77,7 @@ def test_a_name_like_no_other_lists_the_commands():
         ("record --out x --pings x", "record: --pings: expected a whole number, got 'x'."),
         ("import a --out b --truth-point 1 x 3", "--truth-point: expected three numbers, got '1', 'x', '3'."),
         ("sweep --seeds 1 x", "sweep: --seeds: not all of its values are of its type: '1', 'x'."),
-        ("zoo ppo --out x --ste 3", "zoo: Unrecognized options: --ste, 3; did you mean --steps?"),
+        ("zoo ppo --out x --ste 3", "zoo: Unrecognized options: --ste, 3; did you mean --steps? See"),
         ("plot x", "--out PATH Output folder of the figures, PNG. (required)."),
     ],
 )
@@ -131,6 +131,14 @@ def test_a_full_disk_below_a_database_is_foreseen():
         database.execute("CREATE TABLE t (x)")
     database.close()
     assert "free disk space" in reason_of(failed.value)
+
+
+def test_a_result_that_another_process_wrote_is_named(tmp_path):
+    (tmp_path / "fresh").mkdir()
+    (tmp_path / "result" / "data").mkdir(parents=True)
+    with pytest.raises(OSError, match="not empty") as failed:
+        (tmp_path / "fresh").rename(tmp_path / "result")
+    assert reason_of(failed.value).startswith(f"{tmp_path / 'result'}: Directory not empty: another process")
 
 
 def test_a_name_that_the_terminal_cannot_show_is_spelled_out(tmp_path):

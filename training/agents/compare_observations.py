@@ -25,7 +25,7 @@ from training.agents import train
 from training.agents.evaluate import pool_of
 from training.agents.leaderboard.tracks import TRACKS
 from training.common.progress import bar
-from training.common.statistics import AgentScores
+from training.common.statistics import AGENT_COLUMNS, AgentScores, agent_rows
 from training.common.tables import markdown_table
 
 ARMS = {  # what an agent observes besides ranges: credence, echo
@@ -35,7 +35,7 @@ ARMS = {  # what an agent observes besides ranges: credence, echo
     "everything": (True, True),
 }
 REFERENCE = "ranges, echo"  # what any real sonar gives
-HEADER = ("observed", "agents", "parked, interquartile mean", "each", f'better than "{REFERENCE}"', "p")
+HEADER = ("observed", *(name.format(reference=f'"{REFERENCE}"') for name in AGENT_COLUMNS))
 
 
 @dataclass(frozen=True)
@@ -103,19 +103,7 @@ def table(results: pd.DataFrame) -> str:
     """Return the results in Markdown; intervals at 95 % over agents."""
     rates = results.groupby(["arm", "agent"])["success"].mean()
     scores = {arm: AgentScores(rates[arm].to_numpy()) for arm in ARMS}
-    return markdown_table(HEADER, (_row(scores, arm, np.random.default_rng(0)) for arm in ARMS))
-
-
-def _row(scores: dict[str, AgentScores], arm: str, rng: np.random.Generator) -> tuple[object, ...]:
-    one, reference = scores[arm], scores[REFERENCE]
-    each = ", ".join(f"{100 * score:.0f}" for score in one.scores)
-    low, high = one.interval(rng)
-    centre = f"{100 * one.centre:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-    if arm == REFERENCE:
-        return arm, len(one.scores), centre, each, "", ""
-    better, (least, most) = one.exceeds(reference, rng)
-    odds = f"{100 * better:.0f} % ({100 * least:.0f} to {100 * most:.0f})"
-    return arm, len(one.scores), centre, each, odds, f"{one.p(reference, rng):.2g}"
+    return markdown_table(HEADER, agent_rows(scores, REFERENCE, np.random.default_rng(0)))
 
 
 def main(args: Args) -> None:

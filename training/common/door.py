@@ -50,6 +50,7 @@ ADVICE = {
     errno.ENOTDIR: "a part of the path is a file: give another path",
     errno.ENAMETOOLONG: "give a shorter name",
     errno.ENOENT: "check the path",
+    errno.ENOTEMPTY: "another process wrote it meanwhile: give another folder",
     errno.EMFILE: "close other programs, or use fewer workers",
     errno.ENOMEM: "close other programs, or use fewer workers",
 }
@@ -98,7 +99,8 @@ def reason_of(error: BaseException) -> str | None:
     if isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
         return f"the output: {os.strerror(errno.ENOSPC)}: {ADVICE[errno.ENOSPC]}"
     if isinstance(error, OSError) and error.errno is not None:
-        place = error.filename if error.filename is not None else "the output or a file"
+        named = error.filename2 or error.filename  # the second is that to which a file was to be moved
+        place = named if named is not None else "the output or a file"
         place = os.fsdecode(place) if isinstance(place, bytes | os.PathLike) else str(place)
         return f"{place}: {error.strerror}: {ADVICE.get(error.errno, 'check the disk and the path')}"
     return None
@@ -184,7 +186,7 @@ def parsing(command: str) -> Iterator[None]:
     except SystemExit as left:
         if left.code in (0, None):
             raise
-        stop(f"{command}: {_unboxed(captured.getvalue())}. See `sonar-gym {command} --help`")
+        stop(f"{command}: {_unboxed(captured.getvalue())} See `sonar-gym {command} --help`")
 
 
 def _unboxed(text: str) -> str:
@@ -196,4 +198,4 @@ def _unboxed(text: str) -> str:
     for words, plain in PLAIN.items():
         reason = re.sub(words, plain, reason)
     hint = next((row for before, row in itertools.pairwise(rows) if before.startswith("Perhaps you meant")), "")
-    return reason + (f"; did you mean {hint.split()[0]}?" if hint else "")
+    return f"{reason}; did you mean {hint.split()[0]}?" if hint else f"{reason}."

@@ -6,6 +6,7 @@ References:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,6 +123,26 @@ class AgentScores:
             rng=rng,
         )
         return float(test.pvalue)
+
+
+AGENT_COLUMNS = ("agents", "parked, interquartile mean", "each", "better than {reference}", "p")
+
+
+def agent_rows(scores: Mapping[str, AgentScores], reference: str, rng: np.random.Generator) -> list[tuple[object, ...]]:
+    """Return a row for each arm, its name and `AGENT_COLUMNS`; intervals at 95 % over agents, p by permutation."""
+    return [
+        (arm, *_agent_row(one, None if arm == reference else scores[reference], rng)) for arm, one in scores.items()
+    ]
+
+
+def _agent_row(one: AgentScores, reference: AgentScores | None, rng: np.random.Generator) -> tuple[object, ...]:
+    low, high = one.interval(rng)
+    centre = f"{100 * one.centre:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+    shown = len(one.scores), centre, ", ".join(f"{100 * score:.0f}" for score in one.scores)
+    if reference is None:
+        return *shown, "", ""
+    better, (least, most) = one.exceeds(reference, rng)
+    return *shown, f"{100 * better:.0f} % ({100 * least:.0f} to {100 * most:.0f})", f"{one.p(reference, rng):.2g}"
 
 
 def _interval(groups: tuple[Floats, ...], statistic: Any, rng: np.random.Generator) -> tuple[float, float]:

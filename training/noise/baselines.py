@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,10 +119,22 @@ def _scaled_condition(ping: Ping) -> Floats:
     return np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1) / CONDITION_SCALE
 
 
-def fit_physics(recording: Recording, max_range: float) -> PhysicalModel:
-    """Return a stack of effects for single pings with maximum-likelihood parameters."""
-    stack = [CATALOGUE[name](**values) for name, values in PHYSICS_START.items()]
-    start = PhysicalModel(stack, recording.resolution, max_range)
-    some = recording.select(first_pings(recording, PINGS_PER_VISIT))
-    free = [(name, parameter) for name, values in PHYSICS_START.items() for parameter in values]
-    return fit(start, some, free, nuisances=False, iterations=ITERATIONS).stack.model
+def fit_physics(
+    recording: Recording,
+    max_range: float,
+    start: Mapping[str, Mapping[str, float]] = PHYSICS_START,
+    pings: int = PINGS_PER_VISIT,
+) -> PhysicalModel:
+    """Return a stack of effects for single pings with maximum-likelihood parameters.
+
+    Args:
+        recording: the data.
+        max_range: range of the register's last step, m.
+        start: effects, with initial values of the parameters to fit.
+        pings: of each visit that are used.
+    """
+    stack = [CATALOGUE[name](**values) for name, values in start.items()]
+    initial = PhysicalModel(stack, recording.resolution, max_range)
+    some = recording.select(first_pings(recording, pings))
+    free = [(name, parameter) for name, values in start.items() for parameter in values]
+    return fit(initial, some, free, nuisances=False, iterations=ITERATIONS).stack.model

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from acquisition import Ping, Recording
+from acquisition import Ping, Reading, Recording
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.bench import Rig, Setup, Unit
+from acquisition.bench.front_ends import FRONT_ENDS, FrontEnd
 from acquisition.bench.laboratory.setup import Bus
 from acquisition.bench.laboratory.shapes import Wall
 from acquisition.survey.plan import PLANS, SurveyPlan
@@ -42,6 +43,7 @@ EDGE_PROBABILITY = 0.35  # of a reflector at the edge of the cone; 42 % of the f
 EDGE_DEG = (20.0, 35.0)  # deg; bearings about the edge of a cone of 55 deg
 EDGE_DISTANCE_M = (0.08, 4.0)
 MAX_INCIDENCE_DEG = 85.0
+SRF08_REGISTERS = ("gain", "range_mm")  # which other sensors do not have
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class Sessions:
         seed: of all random draws.
         temperature_c: lowest and highest temperature of the air, degC.
         scenes: laboratory by scene.
+        sensor: kind of the sensors, a name in `FRONT_ENDS`, which draws a room for each session; None is an SRF08.
     """
 
     units: tuple[int, ...]
@@ -68,6 +71,12 @@ class Sessions:
     seed: int = 0
     temperature_c: tuple[float, float] = TEMPERATURE_C
     scenes: Mapping[int, Setup] = field(default_factory=lambda: SCENES)
+    sensor: str | None = None
+
+    @property
+    def front_end(self) -> FrontEnd | None:
+        """Front end of the sensors; None is that of an SRF08."""
+        return None if self.sensor is None else FRONT_ENDS[self.sensor]
 
 
 @dataclass(frozen=True)
@@ -141,6 +150,8 @@ def _draw_conditions(scene: Ints, rng: np.random.Generator) -> tuple[Floats, Flo
 def _draw_laboratory(sessions: Sessions, unit: Unit, rng: np.random.Generator) -> tuple[Unit, dict[str, Any]]:
     """Draw the settings of a session: the air, and if `faulty` a loose wire, a cold sensor, or both."""
     settings: dict[str, Any] = {"temperature_c": float(rng.uniform(*sessions.temperature_c))}
+    if sessions.front_end is not None:
+        settings |= {**sessions.front_end.settings, "room": sessions.front_end.room(rng)}
     kind = rng.choice(3) if sessions.faulty else -1
     if kind in (0, 2):
         nack, stale = rng.uniform(0.02, 0.2, 2)
@@ -150,9 +161,28 @@ def _draw_laboratory(sessions: Sessions, unit: Unit, rng: np.random.Generator) -
     return unit, settings
 
 
+def with_lead_in(course: SessionCourse, pings: int) -> tuple[SessionCourse, Bits]:
+    """Return a course in which pings before each visit fill a sensor's filter, each visit a run; and which those are.
+
+    Args:
+        course: of a session.
+        pings: number of pings before each visit.
+    """
+    begins = np.r_[True, np.diff(course.ping.time) > 2.0 * STEP_S]
+    times = np.where(begins, 1 + pings, 1)
+    rows = np.repeat(np.arange(len(times)), times)
+    before = np.cumsum(times)[rows] - 1 - np.arange(len(rows))  # number of pings until the one of the course
+    time = course.ping.time[rows] - STEP_S * before
+    ping = replace(course.ping[rows], time=time, run=np.cumsum(begins)[rows] - 1)
+    return SessionCourse(ping, course.scene[rows]), before > 0
+
+
 def session(unit: Unit, course: SessionCourse, sessions: Sessions, name: str, rng: np.random.Generator) -> pd.DataFrame:
     """Record one session with the rig and return the recording's table."""
     unit, settings = _draw_laboratory(sessions, unit, rng)
+    lead_in = np.zeros(len(course.scene), dtype=bool)
+    if unit.averaging > 1:
+        course, lead_in = with_lead_in(course, unit.averaging - 1)
     rigs = {scene: Rig(unit, replace(setup, **settings)) for scene, setup in sessions.scenes.items()}
     drift = rigs[STAND].draw_drift(rng)
     parts = []
@@ -161,9 +191,19 @@ def session(unit: Unit, course: SessionCourse, sessions: Sessions, name: str, rn
         rig, ping = rigs[int(scene)], course.ping[rows]
         registers = rig.ping(ping, rng, drift)
         columns: dict[str, Any] = {**rig.columns(ping, registers), "session": name, "sensor": str(unit.serial)}
-        table = Recording.of(ping, registers.reading(rig.setup), "corpus", **columns).table
-        parts.append(_first_echo_only(table))
+        reading = registers.reading(rig.setup)
+        if sessions.front_end is not None:
+            reading = rounded(reading, sessions.front_end.step_m)
+            columns = {key: value for key, value in columns.items() if key not in SRF08_REGISTERS}
+        table = Recording.of(ping, reading, "corpus", **columns).table
+        parts.append(_first_echo_only(table)[~lead_in[rows]])
     return pd.concat(parts).sort_values("time_s", kind="stable")
+
+
+def rounded(reading: Reading, step_m: float) -> Reading:
+    """Return the first echoes in whole steps of a host that converts times, at least one step."""
+    steps = np.maximum(np.rint(reading.range / step_m), 1.0)
+    return Reading.of(np.where(reading.echo, steps * step_m, 0.0), reading.status)
 
 
 def _first_echo_only(table: pd.DataFrame) -> pd.DataFrame:
@@ -174,7 +214,8 @@ def _first_echo_only(table: pd.DataFrame) -> pd.DataFrame:
 def record_unit(sessions: Sessions, serial: int) -> pd.DataFrame:
     """Record all sessions of one sensor; the table depends only on the numbers in `sessions` and `serial`."""
     rng = np.random.default_rng([sessions.seed, serial, int(sessions.faulty)])
-    unit, tables = Unit.draw(serial), []
+    unit = Unit.draw(serial) if sessions.front_end is None else sessions.front_end.unit(serial)
+    tables = []
     for k in range(sessions.surveys + sessions.drives):
         course = survey(sessions.visits, rng) if k < sessions.surveys else drive(sessions.pings, rng)
         if sessions.faulty:  # a lost command repeats the previous ping, so all pings must be of one rig
@@ -250,7 +291,17 @@ def record_plan(plan: SurveyPlan, units: tuple[int, ...], seed: int) -> Recordin
 def ensure_recorded(folder: Path, name: str, jobs: int = 1, progress: Callable[[int, int], None] = no_progress) -> Path:
     """Record an entry of `RECORDINGS` unless its file exists; returns the file."""
     path, what = folder / f"{name}.csv", RECORDINGS[name]
+    if isinstance(what, Sessions):
+        return record_session_file(path, what, jobs, progress)
     if not path.exists():
-        recording = record(what, jobs, progress) if isinstance(what, Sessions) else record_plan(*what)
-        recording.save(path)
+        record_plan(*what).save(path)
+    return path
+
+
+def record_session_file(
+    path: Path, sessions: Sessions, jobs: int = 1, progress: Callable[[int, int], None] = no_progress
+) -> Path:
+    """Record sessions into a file unless it exists; returns the file."""
+    if not path.exists():
+        record(sessions, jobs, progress).save(path)
     return path

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,7 @@ from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, IdealModel, SonarModel
 from noise.store import load_model, save_model
 from training.common.progress import bar
+from training.noise import make_front_ends
 from training.noise.baselines import fit_gaussian
 from training.noise.card import card, scores_as_numbers
 from training.noise.conditions import CONDITIONS, NEW_SENSORS, calibration, recordings
@@ -58,18 +59,31 @@ class Args:
     """Folder to write the models to, one subfolder each."""
     data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
+    sensors: Annotated[tuple[Literal["srf08", "hcsr04", "maxbotix"], ...], MinLen(1)] = ("srf08", "hcsr04", "maxbotix")
+    """Kinds of sensors to make laws of."""
     laws: Annotated[tuple[Law, ...], MinLen(1)] = ("mlp", "lstm", "hybrid")
-    """Laws to make."""
+    """Laws of the SRF08 to make; other sensors have a perceptron."""
     jobs: Workers = 1
     """Number of parallel processes that record."""
     seed: Seed = 0
     """Seed of the initial weights and the order of pings."""
     cards_only: bool = False
-    """Measure the models in `out` again and write their cards, without training."""
+    """Measure the models of the SRF08 in `out` again and write their cards, without training."""
 
 
 def main(args: Args) -> None:
     """Record, train, score and write."""
+    if "srf08" in args.sensors:
+        _make_srf08(args)
+    for sensor in args.sensors:
+        if sensor != "srf08" and not args.cards_only:
+            settings = TrainArgs(args.data, args.out / f"{sensor}-mlp", seed=args.seed, **make_front_ends.SETTINGS)
+            with bar(f"training {sensor}-mlp", settings.epochs) as progress:
+                report = partial(_report_epoch, progress, settings.epochs)
+                print(f"{make_front_ends.make(sensor, settings, args.data, report, args.jobs)}: written")
+
+
+def _make_srf08(args: Args) -> None:
     for name in RECORDINGS:
         with bar(f"recording {name}", 1) as progress:
             ensure_recorded(args.data, name, args.jobs, progress)

@@ -116,6 +116,15 @@ def layers_of(network: nn.Sequential) -> Layers:
     return [(layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in linear]
 
 
+def set_layers(network: nn.Sequential, layers: Layers) -> None:
+    """Set the weights and biases of a perceptron of the same widths."""
+    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
+    with torch.no_grad():
+        for layer, (weight, bias) in zip(linear, layers, strict=True):
+            layer.weight.copy_(torch.tensor(weight))
+            layer.bias.copy_(torch.tensor(bias))
+
+
 def init_spread(layer: nn.Module, head: Head) -> None:
     """Initialise components from 30 mm short to 300 mm long and along the scale."""
     assert isinstance(layer, nn.Linear)
@@ -197,13 +206,25 @@ class CovariateDropout:
 
 
 class MixtureNetwork(nn.Module):
-    """Perceptron in torch; `to_model` converts it to `noise.learned.networks.MlpModel`."""
+    """Perceptron in torch; `to_model` converts it to `noise.learned.networks.MlpModel`.
 
-    def __init__(self, inputs: Inputs, head: Head, hidden: int, depth: int) -> None:
+    Args:
+        inputs: features of a condition.
+        head: interpretation of the network's output.
+        hidden: width of each hidden layer.
+        depth: number of hidden layers.
+        start: perceptron with whose weights training begins, of the same inputs and components; its widths are used.
+    """
+
+    def __init__(self, inputs: Inputs, head: Head, hidden: int, depth: int, start: MlpModel | None = None) -> None:
         super().__init__()
         self.inputs, self.head, self.dropout = inputs, head, CovariateDropout(inputs)
-        self.layers = perceptron([inputs.width, *[hidden] * depth, head.width])
-        init_spread(self.layers[-1], head)
+        sizes = [inputs.width, *[hidden] * depth, head.width] if start is None else start.sizes
+        self.layers = perceptron(sizes)
+        if start is None:
+            init_spread(self.layers[-1], head)
+        else:
+            set_layers(self.layers, start.layers)
 
     def numbers(self, features: Tensor) -> Tensor:
         """Return the inputs of the head; only the features of the condition are used."""
@@ -242,11 +263,7 @@ class LstmNetwork(nn.Module):
 
     def _frozen_copy(self, base: MlpModel) -> nn.Sequential:
         copy = perceptron(base.sizes)
-        linear = [layer for layer in copy if isinstance(layer, nn.Linear)]
-        with torch.no_grad():
-            for layer, (weight, bias) in zip(linear, base.layers, strict=True):
-                layer.weight.copy_(torch.tensor(weight))
-                layer.bias.copy_(torch.tensor(bias))
+        set_layers(copy, base.layers)
         return copy.requires_grad_(False)
 
     def numbers(self, features: Tensor) -> Tensor:

@@ -63,6 +63,9 @@ class Args:
     """mlp: no memory. lstm: memory of the pings of a run. hybrid: an LSTM that corrects the perceptron `base`."""
     base: ModelName = "srf08-mlp"
     """hybrid: perceptron to correct, by name or folder; its weights are fixed."""
+    start: ModelName | None = None
+    """mlp: perceptron with whose weights training begins, such as hcsr04-mlp for a recording of your HC-SR04; its
+    inputs and widths are used, at a quarter of the learning rate."""
     hidden: Annotated[int, Limit(1, 4096)] = 64
     """Width of each hidden layer."""
     depth: Annotated[int, Limit(1, 32)] = 2
@@ -103,7 +106,8 @@ class Args:
     def schedule(self) -> Schedule:
         """Settings of the optimisation; a run of a recurrent law counts as 32 pings."""
         batch = self.batch if self.law == "mlp" else max(1, self.batch // 32)
-        return Schedule(self.epochs, self.patience, batch, self.learning_rate, self.weight_decay)
+        rate = self.learning_rate if self.start is None else self.learning_rate / 4.0
+        return Schedule(self.epochs, self.patience, batch, rate, self.weight_decay)
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,13 @@ class DataSplit:
 
     @classmethod
     def by_group(
-        cls, group: NDArray[np.int64], validation: float, test: float, rng: np.random.Generator, what: str = "groups"
+        cls,
+        group: NDArray[np.int64],
+        validation: float,
+        test: float,
+        rng: np.random.Generator,
+        what: str = "groups",
+        min_groups: int = MIN_GROUPS,
     ) -> DataSplit:
         """Assign whole groups at random.
 
@@ -125,8 +135,8 @@ class DataSplit:
         """
         names, segment = np.unique(group, return_inverse=True)
         groups = len(names)
-        if groups < MIN_GROUPS:
-            raise SettingError(f"the recording holds {groups} {what}, training needs {MIN_GROUPS}: record more")
+        if groups < min_groups:
+            raise SettingError(f"the recording holds {groups} {what}, training needs {min_groups}: record more")
         if not (0 < validation < 1 and 0 < test < 1 and validation + test < 0.9):
             raise SettingError(f"validation {validation:g} and test {test:g} must be > 0 and together < 0.9")
         n_test, n_validation = max(1, round(test * groups)), max(1, round(validation * groups))
@@ -164,8 +174,7 @@ def train(recording: Recording, args: Args, report: Report = no_report) -> Train
     if not (recording.reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
         raise SettingError(f"{recording.name}: too few echoes or answers to train, validate and test on: record more")
     parts = {name: TrainingPings.of(recording, mask, group) for name, mask in rows.items()}
-    head = head_of(recording, args)
-    inputs = Inputs.of(recording.ping, input_names(recording, args), args.horizon)
+    head, inputs = shape_of(recording, args)
     model = learn(parts["train"], parts["validation"], inputs, head, args, report)
     answered = (rows["train"] | rows["validation"]) & recording.reading.answered
     baselines: dict[str, SonarModel] = {
@@ -213,7 +222,7 @@ def learn(
 
 def _network(inputs: Inputs, head: Head, args: Args) -> MixtureNetwork | LstmNetwork:
     if args.law == "mlp":
-        return MixtureNetwork(inputs, head, args.hidden, args.depth)
+        return MixtureNetwork(inputs, head, args.hidden, args.depth, start_of(args))
     if args.law == "lstm":
         return LstmNetwork(inputs, recurrent_head(head), args.state, args.hidden)
     base = load_model(args.base)
@@ -223,6 +232,34 @@ def _network(inputs: Inputs, head: Head, args: Args) -> MixtureNetwork | LstmNet
             "train one with `sonar-gym train-noise`"
         )
     return LstmNetwork(base.inputs, recurrent_head(base.head), args.state, args.hidden, base)
+
+
+def start_of(args: Args) -> MlpModel | None:
+    """Return the perceptron with which training begins, or None.
+
+    Raises:
+        SettingError: it is no perceptron, or the law to train is none.
+    """
+    if args.start is None:
+        return None
+    start = load_model(args.start)
+    if args.law != "mlp" or not isinstance(start, MlpModel):
+        raise SettingError(f"start {args.start!r}: expected a perceptron, for --law mlp; hcsr04-mlp is one")
+    return start
+
+
+def shape_of(recording: Recording, args: Args) -> tuple[Head, Inputs]:
+    """Return head and inputs of the network: of the recording, or of the start with the recording's register.
+
+    What the recording has and the start does not know is averaged over.
+    """
+    head, start = head_of(recording, args), start_of(args)
+    if start is None:
+        return head, Inputs.of(recording.ping, input_names(recording, args), args.horizon)
+    reach = max(head.max_range, start.head.max_range)
+    own = replace(start.head, resolution=head.resolution, max_range=reach, no_answer=head.no_answer)
+    new = recording.ping.covariates.keys() - start.inputs.known
+    return own, replace(start.inputs, averaged=(*start.inputs.averaged, *sorted(new)))
 
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:

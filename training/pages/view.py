@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import os
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -15,11 +14,13 @@ from urllib.parse import quote
 import numpy as np
 import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from pydantic import BaseModel
 
 from acquisition import Ping, Recording, SettingError, SonarError
 from acquisition.io.columns import REQUIRED
 from acquisition.io.files import write_text
 from acquisition.io.places import OutputFile
+from acquisition.io.schema import read_json
 from noise import load_model
 from training.common.canvas import AFTER, BEFORE, Axes, panels
 from training.recordings.figures import readings
@@ -59,6 +60,19 @@ class Item:
     text: str
     links: dict[str, str] = field(default_factory=dict)
     pictures: list[tuple[str, str]] = field(default_factory=list)
+
+
+class _Verdict(BaseModel):
+    """What is shown of a verdict; other fields are left out."""
+
+    verdict: str
+    summary: str
+
+
+class _Kind(BaseModel):
+    """What is shown of a model."""
+
+    kind: str
 
 
 def main(args: Args) -> None:
@@ -147,7 +161,7 @@ def _recording(path: Path, base: Path) -> Item:
 
 
 def _model(path: Path, base: Path) -> Item:
-    kind = json.loads(path.read_text(encoding="utf-8"))["kind"]
+    kind = read_json(path, _Kind)["kind"]
     card = path.parent / "README.md"
     links = {"model.json": _link(path, base)} | ({"card": _link(card, base)} if card.exists() else {})
     pictures = [_drawn(_credence(path.parent), "credence over true distance"), *_beside(path.parent, base)]
@@ -168,7 +182,7 @@ def _credence(folder: Path) -> bytes:
 
 
 def _diagnosis(path: Path, base: Path) -> Item:
-    verdict = json.loads(path.read_text(encoding="utf-8"))
+    verdict = read_json(path, _Verdict)
     report = path.parent / "report.html"
     links = {"verdict.json": _link(path, base)} | ({"report": _link(report, base)} if report.exists() else {})
     return Item("", f"{verdict['verdict'].replace('_', ' ')}: {verdict['summary']}", links, _beside(path.parent, base))

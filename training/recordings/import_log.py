@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,6 +18,7 @@ from acquisition.io.logs.foreign import ColumnMap, beginning, import_table, pars
 from acquisition.io.logs.guess import guess_columns, guess_dialect
 from acquisition.io.places import OutputFile
 from acquisition.io.tables import Dialect, read_beginning
+from acquisition.io.units import doubtful_units
 from acquisition.limits import Finite, Limit
 from training.common.progress import bar
 
@@ -67,8 +69,7 @@ def main(args: Args) -> None:
     if args.truth_csv is not None and not is_bag(args.source):
         raise SettingError(f"--truth-csv {args.truth_csv}: only a bag needs true distances, {args.source} is none")
     if not args.columns and not is_bag(args.source) and is_recording(args.source):
-        n = write_chunks(args.out, read_chunks(args.source, args.skip_bad_rows))
-        print(f"{args.out}: {n} pings; {args.source} is a recording already, and was converted in parts")
+        _convert(args)
         return
     recording, notes = (_bag if is_bag(args.source) else _table)(args)
     recording.save(args.out)
@@ -77,8 +78,27 @@ def main(args: Args) -> None:
         f"{args.out}: {len(recording)} pings in {conditions} conditions and {runs} runs; "
         f"{(status == EchoStatus.NO_ECHO).sum()} without echo, {(status == EchoStatus.NO_ANSWER).sum()} without answer"
     )
-    for note in notes:
+    for note in [*notes, *map(_warning, doubtful_units(recording))]:
         print(note)
+
+
+def _convert(args: Args) -> None:
+    """Write a recording in the other format, in parts; a unit is doubtful if it is in all of them."""
+    doubts = list[set[str]]()
+
+    def parts() -> Iterator[Recording]:
+        for part in read_chunks(args.source, args.skip_bad_rows):
+            doubts.append(set(doubtful_units(part)))
+            yield part
+
+    n = write_chunks(args.out, parts())
+    print(f"{args.out}: {n} pings; {args.source} is a recording already, and was converted in parts")
+    for warning in sorted(set.intersection(*doubts)):
+        print(_warning(warning))
+
+
+def _warning(text: str) -> str:
+    return f"warning: {text}"
 
 
 def _table(args: Args) -> tuple[Recording, list[str]]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from acquisition.ping import CREDENCE_TOLERANCE
 from acquisition.survey.plan import Condition
 from acquisition.survey.sources import VisitData
-from noise.law import CREDENCE_TOLERANCE
 
 CELLS = 31  # of the picture, from 10 % below the true distance to 10 % above it
 LEVELS = " ▁▂▃▄▅▆▇█"

@@ -12,6 +12,7 @@ import tyro
 from acquisition import Recording, SettingError
 from acquisition.io.files import write_bytes
 from acquisition.io.places import OutputFolder
+from acquisition.io.units import doubtful_units
 from training.common.progress import bar
 from training.recordings.figures import FIGURES
 
@@ -39,6 +40,8 @@ class Args:
 def main(args: Args) -> None:
     """Draw every figure and print its file name and content."""
     recording = Recording.load(args.recording, args.skip_bad_rows)
+    for warning in doubtful_units(recording):
+        print(f"warning: {warning}")
     for text in args.where:
         recording = chosen(recording, text)
     recording = over(recording, args.bearing)

@@ -26,7 +26,6 @@ GAINS = (
     177, 187, 199, 212, 227, 245, 265, 288, 317, 352, 395, 450, 524, 626, 777, 1025,
 )
 # fmt: on
-GAIN_STEP = 70e-6  # s per step, from the start of the burst
 NOISE_BOUND_SIGMAS = 7.0  # bound of the noise: exceeded with probability exp(-7^2/2) = 2e-11 per sample
 BAND_DECAY = float(np.exp(-np.pi * 10e3 * PERIOD))  # per sample, of the amplifier's band-pass, Q = 4 at 40 kHz
 LEAD = 1  # periods before the start of the burst, as cubic interpolation needs a step on each side
@@ -102,16 +101,18 @@ def _fast_length(min_samples: int) -> int:
     return min(size for size in sizes if size >= min_samples)
 
 
-def gain_over_time(cap: int, samples: int) -> Floats:
-    """Return the amplifier's gain relative to its maximum, per period: one step every 70 us up to the cap."""
-    code = np.minimum((np.arange(samples) * PERIOD / GAIN_STEP + 1e-9).astype(np.int64), cap)
+def gain_over_time(cap: int, samples: int, step: float = 70e-6) -> Floats:
+    """Return the amplifier's gain relative to its maximum, per period: one code every `step`, s, up to the cap."""
+    code = np.full(samples, cap)
+    if step > 0.0:
+        code = np.minimum((np.arange(samples) * PERIOD / step + 1e-9).astype(np.int64), cap)
     return np.asarray(GAINS, dtype=np.float64)[code] / GAINS[-1]
 
 
 def amplification(unit: Unit, setup: Setup, samples: int) -> Floats:
     """Return the relative gain divided by the comparator's threshold, which recovers from the burst, (samples,)."""
     sag = unit.sag * np.exp(-np.arange(samples) * PERIOD / unit.sag_tau_s)
-    return gain_over_time(setup.gain, samples) / np.maximum(1.0 - sag, 0.01)
+    return gain_over_time(setup.gain, samples, unit.gain_step_s) / np.maximum(1.0 - sag, 0.01)
 
 
 def noise(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.complex64]:

@@ -19,6 +19,7 @@ OVERSAMPLING = 2  # steps per period of the grid of delays, on which arrivals ar
 PULSE_STEP = PERIOD / 32  # s, sampling interval at which a pulse is computed
 PULSE_LENGTH = 5.0e-3  # s, after which a pulse has decayed by 70 dB even at Q = 58
 REFERENCE_C = 20.0
+MIN_QUALITY = 0.2  # relative; far beyond -40 to 85 degC, bounds what a slope may do
 
 
 def _resonator(t: Floats, f0: float, quality: float) -> Complexes:
@@ -36,11 +37,13 @@ def pulse_at(unit: Unit, temperature_c: float, step: float) -> Complexes:
     """
     t = np.arange(0.0, PULSE_LENGTH, step)
     size = 2 * len(t)
-    shift = unit.f_slope * (temperature_c - REFERENCE_C)
+    warmer = temperature_c - REFERENCE_C
+    shift, quality = unit.f_slope * warmer, max(1.0 + unit.q_slope * warmer, MIN_QUALITY)
     burst = (t < BURST_CYCLES * PERIOD - 0.5 * step).astype(np.complex128)
     burst[0] = 0.5
     burst[round(BURST_CYCLES * PERIOD / step)] = 0.5
-    parts = (burst, _resonator(t, unit.f_tx + shift, unit.q_tx), _resonator(t, unit.f_rx + shift, unit.q_rx))
+    resonators = ((unit.f_tx + shift, unit.q_tx * quality), (unit.f_rx + shift, unit.q_rx * quality))
+    parts = (burst, *(_resonator(t, *resonator) for resonator in resonators))
     spectrum = np.prod([np.fft.fft(part, size) for part in parts], axis=0)
     return np.fft.ifft(spectrum)[: len(t)] * step**2
 

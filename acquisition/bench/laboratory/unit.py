@@ -1,4 +1,4 @@
-"""Electronics and transducers of one SRF08: parameters that no datasheet states."""
+"""Electronics and transducers of one sensor: parameters that no datasheet states, by default those of an SRF08."""
 
 from __future__ import annotations
 
@@ -49,6 +49,7 @@ class Unit:
         q_tx, q_rx: quality factor of each transducer's resonance; 35 is a width of 2 kHz at -6 dB.
         f_tx, f_rx: resonance frequencies at 20 degC, Hz.
         f_slope: change of both resonances with temperature, Hz/K.
+        q_slope: relative change of both qualities with temperature, 1/K; negative: in the cold they ring longer.
         radius: effective radius of the pistons, m; 6.55 mm gives the specified beam of 55 degrees.
         sensitivity_db: echo level relative to that at which a wall at 6 m just trips the comparator at full gain, dB.
         noise: rms of the noise at full gain relative to the comparator's threshold.
@@ -73,6 +74,9 @@ class Unit:
         sag, sag_tau_s: relative drop of the comparator's reference after the burst, and its recovery time, s.
         spill: pressure emitted and received outside the beam, by the housing, relative to that on the axis, each way.
         light: value of the light register.
+        gain_step_s: time per step of the amplifier's gain, s; 0 is the full gain from the start of the burst.
+        nearest_s: time at which the firmware reports earlier echoes, s; 0 on a real SRF08.
+        compensated: whether the firmware corrects times for the temperature of the air; False on a real SRF08.
     """
 
     __repr__ = brief
@@ -110,6 +114,10 @@ class Unit:
     sag_tau_s: float = 3e-3
     spill: float = 0.0
     light: int = 92
+    q_slope: float = 0.0
+    gain_step_s: float = 70e-6
+    nearest_s: float = 0.0
+    compensated: bool = False
 
     @classmethod
     def nominal(cls) -> Unit:

@@ -173,12 +173,14 @@ def _cause(search: Search, place: Place, certain: float, divided: Shares, known:
 def evidence_of(selected: Judgement, place: Place, divided: Shares, before: PValue, stable: Stability) -> Evidence:
     """Return what the decision model needs to know of a selected effect."""
     search, found, name = selected.search, selected.found, place.effect
-    gain, error = divided.gains[name]
+    (gain, error), (lead, lead_error) = divided.gains[name], divided.leads[name]
     return Evidence(
         gain=gain,
         gain_error=error,
         n_pings=sum(len(part) for part in search.parts),
         n_visits=len(found.nats),
+        lead_unnamed=lead,
+        lead_unnamed_error=lead_error,
         share=divided.causes[name].value,
         rest=divided.rest.value,
         lead=place.lead,

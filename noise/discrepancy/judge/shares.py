@@ -8,6 +8,7 @@ lacks it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,12 +32,14 @@ class Shares:
     Attributes:
         causes: share of each effect, by leaving it out.
         gains: log-likelihood that is lost without each effect, nats, with its standard error.
+        leads: log-likelihood relative to a forest in the place of each effect, nats, with its standard error.
         together: share of all effects.
         rest: share that no effect explains.
     """
 
     causes: dict[str, Interval]
     gains: dict[str, tuple[float, float]]
+    leads: dict[str, tuple[float, float]]
     together: Interval
     rest: Interval
 
@@ -106,13 +109,19 @@ def shares(rest: Rest, none: Hypothesis, found: Hypothesis, rng: np.random.Gener
     search = rest.search
     others = {name: none if len(found.effects) == 1 else search.left_out(found, name) for name in found.effects}
     lost = {name: found.nats - other.nats for name, other in others.items()}
+    leads = {name: lost[name] - rest.gain(other) for name, other in others.items()}
     draws = _bootstrap(np.stack([found.nats - none.nats, rest.gain(found), *lost.values()]), rng)
     return Shares(
         {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)},
-        {name: (float(gain.sum()), standard_error(gain)) for name, gain in lost.items()},
+        _with_errors(lost),
+        _with_errors(leads),
         _ratio(draws[0], draws),
         _ratio(draws[1].clip(min=0.0), draws),
     )
+
+
+def _with_errors(per_visit: Mapping[str, Floats]) -> dict[str, tuple[float, float]]:
+    return {name: (float(each.sum()), standard_error(each)) for name, each in per_visit.items()}
 
 
 def _bootstrap(per_visit: Floats, rng: np.random.Generator) -> Floats:

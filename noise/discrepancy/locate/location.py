@@ -1,9 +1,9 @@
 """Located mismatches: the most probable region of each aspect, with its size.
 
-With z the statistic studentised about its own mean, z^2 / 2 is the gain in log-likelihood of a difference in a region.
-Each finite edge of a region is one more estimated number, so that the region with the greatest
-z^2 - edges log(clusters) is the most probable one (Schwarz 1978, BIC). Further mismatches of the same aspect count if
-they remain significant after the first is projected out.
+With z a significant statistic, studentised by a variance that all of them share, z^2 / 2 is the gain in log-likelihood
+of a difference in a region. Each finite edge of a region is one more estimated number, so that the region with the
+greatest z^2 - edges log(clusters) is the most probable one (Schwarz 1978, BIC). Further mismatches of the same aspect
+count if they remain significant after the first is projected out.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.arrays import Bits, Floats
+from acquisition.arrays import Floats, Ints
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.moments.bootstrap import studentised
 from noise.discrepancy.moments.moments import Group, bin_sums, one_weight, unbiased_moments
@@ -75,29 +75,45 @@ def _steps(tested: Tested, group: Group, j: int) -> list[_Found]:
         z = studentised(psi, allowed, tested.chains, int(tested.length[group.aspects[j]]), own)[0]
         if np.isnan(z).all():
             break
-        p_value = tested.p_of(float(np.nanmax(np.abs(z))))
+        size = np.nan_to_num(np.abs(z))
+        p_value = tested.p_of(float(size.max()))
         if p_value.value > FALSE_ALARM:
             break
-        k, strength = _most_probable(tested, group, j, psi, np.isfinite(z))
+        certain = size >= min(float(size.max()), float(np.quantile(tested.greatest, 1.0 - FALSE_ALARM)))
+        k, strength = _most_probable(tested, group, j, psi, np.flatnonzero(certain))
         found.append(_Found(k, strength, p_value))
         weight = one_weight(group, tested.columns, tested.units, k)[0]
         residual = residual - weight * float(weight @ residual) / max(float(weight @ weight), 1e-300)
     return found
 
 
-def _most_probable(tested: Tested, group: Group, j: int, psi: Floats, allowed: Bits) -> tuple[int, float]:
-    """Return the most probable regressor, and its statistic studentised about its own mean."""
-    index = np.flatnonzero(allowed)
+def _most_probable(tested: Tested, group: Group, j: int, psi: Floats, index: Ints) -> tuple[int, float]:
+    """Return the most probable of some regressors, and its statistic by the variance that all share.
+
+    A statistic that is studentised in its own region would prefer the one where clusters happen to agree.
+    """
     psi, exposure = psi[:, index], _exposure(tested, group, j)[:, index]
-    slope = psi.sum(axis=0) / np.where(exposure.sum(axis=0) == 0, 1.0, exposure.sum(axis=0))
-    centred = psi - slope * exposure
-    least = ROUNDING * np.abs(psi).sum(axis=0)  # all clusters may agree to rounding
+    total = psi.sum(axis=0)
+    centred = psi - total / np.where(exposure.sum(axis=0) == 0, 1.0, exposure.sum(axis=0)) * exposure
     sums = tested.chains.sums(centred, int(tested.length[group.aspects[j]]))
-    norm = np.maximum(np.sqrt((sums**2).sum(axis=0)), np.maximum(least, 1e-150))
-    z = psi.sum(axis=0) / norm
+    weight = np.maximum(_squares(tested, group, j)[index], 1e-300)
+    square = total**2 / weight
+    variance = float(np.median((sums**2).sum(axis=0) / weight))
+    gain = square / max(variance, ROUNDING * float(square.max()))  # all clusters may agree to rounding
     edges = np.array([_complexity(tested.regressors[i]) for i in index])
-    chosen = int(np.argmax(z**2 - edges * np.log(len(psi))))
-    return int(index[chosen]), float(np.abs(z[chosen]))
+    chosen = int(np.argmax(gain - edges * np.log(len(psi))))
+    return int(index[chosen]), float(np.sqrt(gain[chosen]))
+
+
+def _squares(tested: Tested, group: Group, j: int) -> Floats:
+    """Return the sum of squared weights of each regressor, (regressors,)."""
+    parts = []
+    for column in tested.columns:
+        weight = group.valid * group.plain_weight(column.form)[tested.units]
+        own = weight**2 if column.factor is None else weight**2 * np.abs(column.factor)
+        everything = np.zeros(len(own), dtype=np.int64)
+        parts.append(bin_sums(column, everything, own, 1, absolute=True)[0] @ column.combine**2)
+    return np.concatenate(parts)
 
 
 def _complexity(regressor: Regressor) -> int:

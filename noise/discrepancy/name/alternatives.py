@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import softmax
 
-from noise.discrepancy.name.candidates import explains_nothing
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
@@ -53,11 +52,7 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     if set(given) != set(others):
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
-    inside = {
-        other: fit
-        for other, fit in fits.items()
-        if not any(explains_nothing(stack, search.common, other, search.folds.both) for stack in fit.stacks)
-    }
+    inside = {other: fit for other, fit in fits.items() if search.explains(fit, other)}
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)
     return Place(name, weights(every, search.rng), lead, {each: fit.stacks[0] for each, fit in every.items()})

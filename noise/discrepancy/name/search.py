@@ -11,7 +11,7 @@ value there is a difference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -231,12 +231,20 @@ class Search:
         return tuple(key for key in every if key not in SPREAD)  # the scatter is free in every fit
 
     def round(self, current: Hypothesis) -> Hypothesis | None:
-        """Return the hypothesis with the effect that gains most; None when no gain is beyond chance."""
-        screened = self.screened(current)
-        tried = {name: self.met(fit, current, name) for name, fit in screened.items()}
+        """Return the hypothesis with the effect that gains most; None when no gain is beyond chance.
+
+        Effects that need a bound explain nothing, however much they gain, and do not keep others from being tried.
+        """
+        tried: dict[str, Hypothesis] = {}
+        winner = None
+        while winner is None:
+            more = {name: self.met(fit, current, name) for name, fit in self.screened(current, tried).items()}
+            tried |= more
+            gains = {name: each.nats - current.nats for name, each in tried.items()}
+            winner = self.winner(current, tried, gains)
+            if all(self.explains(each, name) for name, each in more.items()):
+                break
         self.tried[current.effects] = tried
-        gains = {name: each.nats - current.nats for name, each in tried.items()}
-        winner = self.winner(current, tried, gains)
         for name, gain in gains.items():
             decision = "added" if name == winner else "gained less"
             self.attempts.append(Attempt(name, current.effects, float(gain.sum()), standard_error(gain), decision))
@@ -248,12 +256,15 @@ class Search:
         self.common, self.shared = common, [*self.shared, winner]
         return self.rebased(current)
 
-    def screened(self, current: Hypothesis) -> dict[str, Fit]:
-        """Return the most promising candidates, each fitted to a part of the first fold, best first."""
-        stack = current.stacks[0]
-        points = {}
+    def explains(self, found: Hypothesis, name: str) -> bool:
+        """Return whether an effect of a hypothesis explains readings, by `explains_nothing`."""
+        return not any(explains_nothing(stack, self.common, name, self.folds.both) for stack in found.stacks)
+
+    def screened(self, current: Hypothesis, tried: Container[str]) -> dict[str, Fit]:
+        """Return the most promising candidates but those tried, each fitted to a part of the first fold, best first."""
+        stack, points = current.stacks[0], {}
         for name in self.names:
-            if name not in current.effects:
+            if name not in current.effects and name not in tried:
                 starts = starts_of(stack, name, self.screen, self.parts[0], self.rng)
                 scored = log_likelihoods(starts, self.screen)
                 best = np.argsort(scored)[::-1][:2]
@@ -296,11 +307,8 @@ class Search:
         good = {}
         for name, gain in gains.items():
             value = tried[name].value - current.value
-            inside = not any(
-                explains_nothing(stack, self.common, name, self.folds.both) for stack in tried[name].stacks
-            )
             repeated = not current.effects or gain.sum() > 2.0 * standard_error(gain)
-            if inside and value > self.worthwhile(current) and repeated:
+            if self.explains(tried[name], name) and value > self.worthwhile(current) and repeated:
                 good[name] = value
         if not good:
             return None

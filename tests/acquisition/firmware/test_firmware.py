@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from acquisition import NoAnswerError
-from acquisition.drivers import ArduinoBus, Bridge, HcSr04, Srf08
+from acquisition.drivers import ArduinoBus, Bridge, HcSr04, MaxBotixPwm, Srf08
 from acquisition.drivers.arduino import parse
 from tests.acquisition.drivers.serial_devices import PseudoTerminal
 
@@ -165,6 +165,24 @@ class EchoLine:
         return 0
 
 
+class PulseTrain:
+    """The PW output of a MaxBotix at pin 8: pulses of `width_us` by itself, one every `period_us`."""
+
+    def __init__(self, mega, width_us, period_us=49_000):
+        self.mega, self.on = mega, True
+        self._level, self._next = 0, (period_us - width_us, width_us)
+        self._pin = mega._irq("iogH", 5)
+        self._timer = TIMER(lambda avr, when, param: self._toggle())
+        mega.lib.avr_cycle_timer_register_usec(mega.avr, period_us, self._timer, None)
+
+    def _toggle(self):
+        self._level = int(self.on) and 1 - self._level
+        self.mega.lib.avr_raise_irq(self._pin, self._level)
+        if self.on:
+            self.mega.lib.avr_cycle_timer_register_usec(self.mega.avr, self._next[self._level], self._timer, None)
+        return 0
+
+
 class OnCable:
     """The chip as a device at a serial line, which also runs without input."""
 
@@ -309,3 +327,14 @@ def test_the_chip_times_an_echo_to_a_few_microseconds(bridge, mega, width_us):
     line.width_us = 0
     with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
         HcSr04(bridge).ping()
+
+
+@pytest.mark.parametrize("count", [20, 100, 700])
+def test_the_chip_times_a_whole_pulse_of_a_sensor_that_pulses_by_itself(bridge, mega, count):
+    train = PulseTrain(mega, 58 * count)
+    mega.run(500_000)  # into the train, so that the first pulse seen may already be under way
+    for _ in range(2):
+        assert MaxBotixPwm(bridge, "xl").ping().ranges == (0.01 * count,)
+    train.on = False
+    with pytest.raises(NoAnswerError):
+        MaxBotixPwm(bridge, "xl").ping()

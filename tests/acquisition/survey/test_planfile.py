@@ -74,14 +74,29 @@ def test_a_short_file_has_the_default_values(tmp_path):
         (MINIMAL + "facing = 1", "facing: expected true or false, got 1"),
         (MINIMAL + "reflectances = [1.5]", "reflectances: expected a number from 0 to 1, got 1.5"),
         (MINIMAL + "reflectances = 0.5", r"reflectances: expected a list of numbers or {from, to, step}, got 0.5"),
-        (MINIMAL + "incidences_deg = ['x']", "incidences_deg: expected a number, got 'x'"),
+        (MINIMAL + "incidences_deg = ['x']", "incidences_deg: expected a finite number, got 'x'"),
         (MINIMAL + "reflectances = {from = 0, to = 1}", r"reflectances: expected {from, to, step}"),
         (MINIMAL + "reflectances = {from = 0, to = 1, step = 0}", "reflectances.step: expected a number above 0"),
         (MINIMAL + "reflectances = {from = 1, to = 0, step = 0.1}", "reflectances: expected a range of 1 to"),
         (MINIMAL + "reflectances = {from = 0, to = 1, step = 1e-12}", "reflectances: expected a range of 1 to"),
+        (MINIMAL + "reflectances = {from = 0, to = 1, step = 1e-320}", "reflectances: expected a range of 1 to"),
+        (MINIMAL + "reflectances = {from = -1e308, to = 1e308, step = 1}", "reflectances: expected a range of 1 to"),
         (MINIMAL + "sweep = 3", "sweep: expected a table of quantities, got 3"),
         (MINIMAL + "[sweep]\ngain = [32]", "sweep.gain: expected a whole number from 0 to 31, got 32"),
         (MINIMAL + "[sweep]\nvolts = [5]", "sweep.volts: no such quantity, expected one of height_mm"),
+        (MINIMAL + f"reflectances = [{10**400}]", "reflectances: expected a finite number, got 1000"),
+        (
+            MINIMAL + "reflectances = {from = 0, to = inf, step = 1}",
+            "reflectances.to: expected a finite number, got inf",
+        ),
+        (
+            MINIMAL + "reflectances = {from = 0, to = nan, step = 1}",
+            "reflectances.to: expected a finite number, got nan",
+        ),
+        (MINIMAL + f"pings = {2**20_000:#x}", "pings: expected a whole number from 1 to .*, got int that is too long"),
+        (MINIMAL + f"order = {2**20_000:#x}", "order: expected text, got int that is too long"),
+        (MINIMAL + "pings = " + "9" * 5000, "not TOML: "),
+        (MINIMAL + "pings = " + "[" * 3000 + "]" * 3000, "not TOML: "),
         ("angles_deg = [", "not TOML: "),
     ],
 )
@@ -93,7 +108,10 @@ def test_an_error_names_file_key_value_and_limit(tmp_path, text, message):
 
 def test_plans_are_found_by_name_or_path(tmp_path):
     assert find_plan("vertical") is PLANS["vertical"]
-    with pytest.raises(SettingError, match=r"plan 'verticle': expected one of quick, .*, or the path of a .toml file"):
+    with pytest.raises(
+        SettingError,
+        match=r"plan 'verticle': expected one of quick, .*, or the path of a .toml file; did you mean vertical",
+    ):
         find_plan("verticle")
     with pytest.raises(SettingError, match=r"no.toml: cannot be read: No such file or directory; give a plan"):
         find_plan(str(tmp_path / "no.toml"))

@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import warnings
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,11 +16,13 @@ from scipy import stats
 
 from acquisition import ModelError, Ping, Reading, SettingError
 from noise import ExtrapolationWarning, load_model, model_names, save_model
+from noise.effects.interping import INTERVAL, RANGE_RATE
 from noise.effects.medium import sound_speed
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
 from noise.learned.tensors import WEIGHTS_FILE
+from noise.replay import SIMULATED
 from noise.store import WEIGHTS
 
 REACH, STEP = 4.0, 0.01
@@ -182,6 +184,25 @@ def test_a_law_says_once_that_it_was_not_trained_with_a_covariate(given, said):
         assert not air_model().law(known[:1]).extrapolates.any()
 
 
+def test_a_law_says_once_which_covariates_it_does_not_know():
+    model = air_model()
+    with pytest.warns(ExtrapolationWarning, match="does not know gian, and ignores it; did you mean gain?"):
+        law = model.law(Ping.of(1.0, 0.1, 0.1, 0.5, gian=14.0, temperature_c=20.0))
+    assert not law.extrapolates.any()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model.law(Ping.of(1.0, gian=14.0, temperature_c=20.0))
+        air_model().law(Ping.of(1.0, interval_s=0.1, range_rate_mps=0.5))
+
+
+def test_a_law_knows_the_covariates_over_which_it_was_averaged():
+    ping = Ping.of([1.0, 2.0], wind_mps=[0.0, 3.0], gain=31.0)
+    inputs = Inputs.of(ping, ("distance", "angle", "incidence"))
+    assert (inputs.averaged, inputs.fixed) == (("wind_mps",), {"gain": 31.0})
+    assert {"wind_mps", "gain", INTERVAL, RANGE_RATE, *SIMULATED} <= inputs.known
+    assert Inputs.from_dict(json.loads(json.dumps(asdict(inputs)))) == inputs
+
+
 def test_what_a_law_was_trained_with_is_saved(tmp_path):
     model = air_model()
     again = load_model(save_model(model, tmp_path / "m"))
@@ -327,3 +348,16 @@ def test_the_ends_of_a_range_are_no_extrapolation():
     """Reflectances drawn from 0 to 1 hold neither."""
     law = load_model("srf08-mlp").law(Ping.of(1.0, reflectance=[0.0, 1.0]))
     assert not law.extrapolates.any()
+
+
+@pytest.mark.parametrize("name", ["hcsr04-mlp", "maxbotix-mlp"])
+def test_a_law_that_a_gaussian_beats_on_real_readings_says_so(name):
+    """Each row of the card names the fitted laws that were better, than the shipped law and than the adapted one."""
+    model = load_model(name)
+    assert sum(path.stat().st_size for path in (WEIGHTS / name).iterdir()) < 60_000
+    assert model.about["real"]
+    for recording, crps in model.about["real"].items():
+        row = next(line for line in model.card.splitlines() if line.startswith(f"| {recording} |"))
+        for law, cell in zip((name, f"{name}, adapted"), row.split("|")[-3:-1], strict=True):
+            for fitted in ("Gaussian", "beam model", "physics"):
+                assert (fitted in cell) == (crps[fitted] < crps[law]), (recording, law, fitted)

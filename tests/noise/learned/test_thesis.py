@@ -174,10 +174,11 @@ def test_other_files_raise(tmp_path, make, message):
         load_thesis_network(make(tmp_path / "file.h5"))
 
 
-def test_a_file_without_a_readable_model_raises(tmp_path):
+@pytest.mark.parametrize("config", [b"{broken", b"[" * 50_000])
+def test_a_file_without_a_readable_model_raises(tmp_path, config):
     path = write(tmp_path / "file.h5", mlp())
     with h5py.File(path, "a") as file:
-        file.attrs["model_config"] = b"{broken"
+        file.attrs["model_config"] = config
     with pytest.raises(ModelError, match="its `model_config` is not that of a Keras 1 model"):
         load_thesis_network(path)
 

@@ -52,6 +52,12 @@ OPTIONS = {
     "unknown field": ({"street": {"fog": 1.0}}, "StreetSettings: unknown field 'fog'"),
     "street of a wrong type": ({"street": 3}, "'street' must be a Street, StreetSettings or a mapping .* got a int"),
 }
+UNFIT = [
+    ("max_episode_steps", -1, "max_episode_steps: expected .*, got -1"),
+    ("render_mode", "film", "render_mode 'film': expected None"),
+    ("pictured", [2], r"pictured must contain numbers of environments below 2, got \[2\]"),
+    ("street_settings", 3, "street_settings: expected StreetSettings or a mapping of its fields, got 3"),
+]
 
 
 @pytest.mark.parametrize(("arguments", "message"), ARGUMENTS.values(), ids=ARGUMENTS)
@@ -92,6 +98,9 @@ def test_attributes_that_have_no_effect_cannot_be_set():
     with pytest.raises(SettingError, match="'sonar' cannot be set; expected max_episode_steps, render_mode, pictured"):
         envs.set_attr("sonar", "gaussian")
     envs.set_attr("max_episode_steps", 3)
+    for name, value, message in UNFIT:
+        with pytest.raises(SettingError, match=message):
+            envs.set_attr(name, value)
     envs.reset()
     ended = [envs.step(np.zeros((2, 2)))[2].tolist() for _ in range(3)]
     assert ended == [[False, False], [False, False], [True, True]]

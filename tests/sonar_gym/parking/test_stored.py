@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise import load_model
+from noise import GaussianModel, load_model
 from noise.learned.networks import MlpModel
 from sonar_gym import ENVIRONMENTS
 from sonar_gym.parking import prior, stored
@@ -30,6 +30,19 @@ def test_registered_environments_have_shipped_tables_of_the_present_weights(mode
             table = shipped(load_model(model), task(level, layout))
             assert table is not None, (level, layout, "run `sonar-gym make-credence`")
             assert np.all((table >= 0.0) & (table <= 1.0))
+
+
+class Own:
+    """A user's model, which has a law and cannot be saved."""
+
+    resolution, remembers = 0.001, False
+
+    def law(self, ping, past=None):
+        return GaussianModel().law(ping)
+
+
+def test_a_model_that_cannot_be_saved_has_no_shipped_table():
+    assert shipped(Own(), task()) is None
 
 
 def test_no_car_is_driven_for_a_shipped_table(monkeypatch):

@@ -90,6 +90,28 @@ def rig_reading(distance, unit):
     return Rig(Unit.draw(unit), setup).ping(ping, np.random.default_rng(unit)).reading(setup).range[0]
 
 
+@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0])
+def test_firing_in_turn_helps_as_much_as_in_the_rig(distance):
+    """A sonar that looks aside by 35 deg hears its neighbour by a wall; not if the neighbour fires 20 ms earlier."""
+    wall, pair = WallSegment(distance, -9.0, distance, 9.0), [(0.0, -0.05, 0.0), (0.0, 0.05, math.radians(35.0))]
+    together, in_turn = ping(pair, [wall])[1], ping(pair, [wall], [0.0, 0.02])[1]
+    crossed = together[together[:, paths.SOURCE] > 0.0][0]
+    expected = paths.detected(detection_table(load_model("srf08-mlp"), MAX_RANGE), MAX_RANGE, crossed)
+    assert expected == pytest.approx(heard_in_rig(crossed[paths.DISTANCE], first_s=0.2), abs=0.15)
+    assert not np.any(in_turn[:, paths.SOURCE] > 0.0)
+    assert heard_in_rig(crossed[paths.DISTANCE], first_s=0.18) == pytest.approx(0.0, abs=0.1)
+
+
+def heard_in_rig(half_path, first_s, units=range(701, 725)):
+    """Return how often units that ping at 0.2 s read the burst of a mirror image, 38 deg off their axis."""
+    image = Neighbour(period_s=0.2, first_s=first_s, path_m=2.0 * half_path, bearing_deg=38.0)
+    setup, near = replace(SIMULATED, post=None, range_register=69, neighbour=image), []
+    for unit in units:
+        registers = Rig(Unit.draw(unit), setup).ping(Ping.of([20.0], time=[0.2]), np.random.default_rng(unit))
+        near.append(abs(registers.reading(setup).range[0] - half_path) <= 0.01 * half_path + 0.07)
+    return np.mean(near)
+
+
 def test_what_either_cannot_see_is_not_heard():
     behind = WallSegment(0.5, -0.4, 0.5, -0.1)  # hides the mirror point from the first sonar
     assert len(ping([(0.0, -0.3, 0.0), (0.0, 0.3, 0.0)], [WALL, behind])[1]) == 1

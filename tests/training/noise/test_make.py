@@ -9,9 +9,20 @@ from acquisition import Recording
 from noise import load_model
 from noise.store import WEIGHTS
 from training.cli import main
-from training.noise import corpus, experiments, make, report
+from training.noise import corpus, experiments, make, make_front_ends, report
 from training.noise.conditions import calibration
-from training.noise.corpus import EMPTY, STAND, WALL, Sessions, drive, first_pings, record, record_unit, survey
+from training.noise.corpus import (
+    EMPTY,
+    STAND,
+    WALL,
+    Sessions,
+    drive,
+    first_pings,
+    record,
+    record_unit,
+    survey,
+    with_lead_in,
+)
 
 SMALL = Sessions((5, 6), surveys=2, drives=1, visits=8, pings=10)
 QUICK_PLAN = replace(corpus.QUICK_PLAN, angles_deg=(0.0,), distances_mm=(400.0, 900.0, 1500.0), pings=8)
@@ -82,6 +93,10 @@ def made(tmp_path_factory):
         patch.setattr(make, "CONDITIONS", {"cold": (-5.0, {}), "gain 7": (20.0, {"gain": 7})})
         patch.setattr(make, "NEW_SENSORS", replace(SMALL, units=(8, 9)))
         patch.setattr(make, "TRAINING_SETTINGS", {law: {"epochs": 2} for law in make.TRAINING_SETTINGS})
+        patch.setattr(make_front_ends, "N_SENSORS", {"hcsr04": (2, 1, 1), "maxbotix": (1, 1, 1)})
+        patch.setattr(make_front_ends, "TEMPERATURES_C", {"hcsr04": (-10.0,), "maxbotix": (45.0,)})
+        patch.setattr(make_front_ends, "NEW_SENSORS", replace(SMALL, units=(8,)))
+        patch.setattr(make_front_ends, "SETTINGS", {"epochs": 2})
         patch.setattr(report, "SCENARIOS", {"independent": experiments.MemoryScenario()})
         plan = experiments.RecentCredencePlan
         patch.setattr(report, "RecentCredencePlan", lambda depth: plan(depth, epochs=1))
@@ -100,6 +115,19 @@ def test_one_command_makes_all_three(made):
         assert set(model.about["scores"]) == {"ideal", "Gaussian, fitted", "network"}
         assert model.inputs.covariates == ("temperature_c",)
     assert model.base is not None
+
+
+@pytest.mark.parametrize(("sensor", "inputs"), [("hcsr04", ("temperature_c",)), ("maxbotix", ())])
+def test_the_same_command_makes_a_perceptron_of_each_other_sensor(made, sensor, inputs):
+    model = load_model(made / "weights" / f"{sensor}-mlp")
+    assert (model.resolution, model.inputs.covariates) == (0.001, inputs)
+    assert model.inputs.known >= {"temperature_c", "humidity_pct"}
+    assert f"sonar-gym make-noise --sensors {sensor}" in model.card
+    condition = {"hcsr04": "-10 degC", "maxbotix": "45 degC"}[sensor]
+    sessions = replace(SMALL, units=(8,), seed=100, sensor=sensor, temperature_c=(float(condition[:-5]),) * 2)
+    gap = calibration(model, record(sessions)).gap
+    assert model.about["calibration"] == {condition: pytest.approx(gap.mean, abs=1e-4)}
+    assert f"| {gap} |" in model.card
 
 
 @pytest.mark.parametrize("law", ["mlp", "lstm", "hybrid"])
@@ -167,8 +195,8 @@ def test_existing_recordings_are_not_recorded_again(made):
 def test_the_shipped_models_are_made_again_to_within_0_03_nats(tmp_path):
     args = make.Args(tmp_path / "weights", tmp_path / "corpus")
     make.main(args)
-    for law in args.laws:
-        again, shipped = (load_model(folder / f"srf08-{law}") for folder in (args.out, WEIGHTS))
+    for name in (*(f"srf08-{law}" for law in args.laws), "hcsr04-mlp", "maxbotix-mlp"):
+        again, shipped = (load_model(folder / name) for folder in (args.out, WEIGHTS))
         one, two = (model.about["scores"]["network"]["log_likelihood_per_ping"] for model in (again, shipped))
         assert one == pytest.approx(two, abs=0.03)
 
@@ -180,3 +208,22 @@ def test_shipped_weights_are_small_and_carry_their_cards():
         card = (folder / "README.md").read_text()
         assert "sonar-gym make-noise" in card
         assert "Limits" in card
+
+
+def test_pings_before_a_visit_fill_the_filter_of_a_sensor():
+    course = survey(20, np.random.default_rng(2))
+    longer, lead_in = with_lead_in(course, 4)
+    assert lead_in.sum() == 4 * 20
+    np.testing.assert_array_equal(longer.ping.time[~lead_in], course.ping.time)
+    assert len(np.unique(longer.ping.run)) == 20
+    first = np.flatnonzero(lead_in)[:4]
+    np.testing.assert_allclose(np.diff(longer.ping.time[: first[-1] + 2]), corpus.STEP_S)
+    np.testing.assert_array_equal(longer.ping.distance[first], course.ping.distance[0])
+
+
+@pytest.mark.parametrize("sensor", ["hcsr04", "maxbotix"])
+def test_other_sensors_have_rooms_of_their_own_and_no_gain(sensor):
+    recorded = record(replace(SMALL, units=(5,), sensor=sensor))
+    assert recorded.resolution == 0.001
+    assert recorded.ping.covariates.keys() == {"temperature_c", "humidity_pct", "interval_s"}
+    assert 0.2 < recorded.reading.echo.mean() < 1.0

@@ -206,3 +206,23 @@ def test_network_beats_a_gaussian_on_a_real_sensor(real_recordings, tmp_path):
     network, normal = scores["network"].log_likelihood, scores["Gaussian, fitted"].log_likelihood
     assert network.mean - normal.mean > 2 * np.hypot(network.error, normal.error)
     assert scores["network"].crps_mm.mean < 0.7 * scores["Gaussian, fitted"].crps_mm.mean
+
+
+def test_training_begins_with_the_weights_of_a_start(trained, tmp_path):
+    """Without a step, the law is the start's; after a few, it is better than from nothing."""
+    start, few = str(save_model(trained.model, tmp_path / "start")), recording(pings=2, distances=6)
+    settings = Args(tmp_path / "rec.csv", tmp_path / "out", start=start, epochs=1, learning_rate=1e-12)
+    same = train(few, settings).model.law(few.ping).log_prob(few.reading)
+    np.testing.assert_allclose(same, trained.model.law(few.ping).log_prob(few.reading), atol=1e-3)
+    of_start, of_nothing = (
+        train(few, replace(settings, start=given, learning_rate=4e-3)).scores["network"].log_likelihood.mean
+        for given in (start, None)
+    )
+    assert of_start > of_nothing + 0.5
+
+
+def test_a_start_must_be_a_perceptron_for_a_perceptron(tmp_path):
+    settings = Args(tmp_path / "rec.csv", tmp_path / "out", start="gaussian", epochs=1)
+    for wrong in (settings, replace(settings, start="srf08-mlp", law="lstm")):
+        with pytest.raises(SettingError, match="expected a perceptron, for --law mlp"):
+            train(recording(), wrong)

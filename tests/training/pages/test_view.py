@@ -50,6 +50,14 @@ def test_a_result_that_cannot_be_read_says_why(results, capsys):
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="names of files are UTF-8 there")
+@pytest.mark.parametrize("name", ["verdict.json", "model.json"])
+@pytest.mark.parametrize("content", ["[]", "3", '{"verdict": 3, "summary": 1, "kind": []}', "[" * 100_000])
+def test_a_file_of_another_kind_says_so(tmp_path, capsys, name, content):
+    (tmp_path / name).write_text(content)
+    main(["view", str(tmp_path)])
+    assert "damaged or of another version" in Path(capsys.readouterr().out.strip()).read_text()
+
+
 def test_names_that_are_not_utf_8_are_spelled_and_linked(results):
     shutil.copy(results / "rec & <b>.csv", results / os.fsdecode(b"\xff.csv"))
     (results / os.fsdecode(b"\xff.png")).write_bytes(b"")

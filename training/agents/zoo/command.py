@@ -34,6 +34,7 @@ import sonar_gym
 from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, Limit
+from noise import SonarModel
 from noise.fitting.threads import one_thread
 from noise.store import ModelName
 from sonar_gym.curriculum import Curriculum
@@ -72,7 +73,7 @@ class Args:
     """The same seed gives the same model on the same machine."""
 
 
-def make_envs(env_id: str, count: int, sonar: str) -> VecEnv:
+def make_envs(env_id: str, count: int, sonar: str | SonarModel) -> VecEnv:
     """Return n environments of an id: the native vector environment, or single ones where it has none."""
     spec = gymnasium.spec(env_id)
     if spec.vector_entry_point is not None:
@@ -99,6 +100,7 @@ class Training:
         args: settings of the command.
         settings: tuned settings.
         on_progress: called with task, steps done and steps in total.
+        sonar: sonar model, instead of the one that `args` names.
 
     Attributes:
         model: the learner.
@@ -106,12 +108,18 @@ class Training:
         seconds: processor time of the complete legs, s.
     """
 
-    def __init__(self, args: Args, settings: Tuned, on_progress: OnProgress = lambda name, done, total: None) -> None:
+    def __init__(
+        self,
+        args: Args,
+        settings: Tuned,
+        on_progress: OnProgress = lambda name, done, total: None,
+        sonar: SonarModel | None = None,
+    ) -> None:
         self.args, self.leg, self.seconds = args, 0, 0.0
         self.steps = settings.n_timesteps if args.steps is None else args.steps
         self.leg_steps = math.ceil(settings.n_timesteps / LEGS)
         keywords = {name: value for name, value in settings.keywords.items() if name != "policy"}
-        self.envs = make_envs(args.env, settings.n_envs, args.sonar)
+        self.envs = make_envs(args.env, settings.n_envs, sonar or args.sonar)
         self.model = settings.algorithm_class(
             settings.keywords["policy"], self.envs, seed=args.seed, device="cpu", **keywords
         )
@@ -183,11 +191,16 @@ def parked(model: BaseAlgorithm, args: Args) -> Rate:
     return Rate(sum(ends), len(ends))
 
 
-def write(args: Args, settings: Tuned, model: BaseAlgorithm, rate: Rate, seconds: float) -> None:
-    """Write model, card and result into the folder."""
+def save_model(model: BaseAlgorithm, path: Path) -> None:
+    """Write a model into a file atomically."""
     data = io.BytesIO()
     model.save(data)
-    write_bytes(args.out / MODEL, data.getvalue())
+    write_bytes(path, data.getvalue())
+
+
+def write(args: Args, settings: Tuned, model: BaseAlgorithm, rate: Rate, seconds: float) -> None:
+    """Write model, card and result into the folder."""
+    save_model(model, args.out / MODEL)
     result = {
         **{name: value for name, value in asdict(args).items() if name != "out"},
         "steps": model.num_timesteps,

@@ -73,14 +73,14 @@ def read(out: Path) -> list[Record]:
     for number, line in enumerate(whole.splitlines(), 1):
         try:
             check_line(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise RecordingError(f"{path}: line {number}: {_reason(error)}; remove it, or give another --out") from None
         record = json.loads(line)
         found[record["id"]] = record
     return list(found.values())
 
 
-def _reason(error: ValueError) -> str:
+def _reason(error: Exception) -> str:
     """Return in a few words why a line is no record."""
     if not isinstance(error, ValidationError):
         return f"no record of a trial ({error})"

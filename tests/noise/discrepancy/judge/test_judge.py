@@ -22,8 +22,8 @@ from noise.fitting.batch import Batch
 from tests.noise.discrepancy.made import batch_of, law_of, recording_of
 
 torch.set_num_threads(1)
-STRONG = Evidence(300.0, 20.0, 1500, 100, 0.95, 0.05, 40.0, -0.5, 5e-4, 0.4, 0.6, 0.0, 1, False)
-WEAK = Evidence(3.0, 4.0, 1500, 100, 0.05, 0.9, 0.1, -5.0, 0.009, 5e-4, 5e-4, 0.9, 3, True)
+STRONG = Evidence(300.0, 20.0, 1500, 100, 100.0, 10.0, 0.95, 0.05, 40.0, -0.5, 5e-4, 0.4, 0.6, 0.0, 1, False)
+WEAK = Evidence(3.0, 4.0, 1500, 100, -30.0, 10.0, 0.05, 0.9, 0.1, -5.0, 0.009, 5e-4, 5e-4, 0.9, 3, True)
 REST = Unexplained(Interval(0.1, 0.05, 0.2, "1"), PValue(0.001, 2000))
 CAUSE = Cause("zero_offset", 0.9, (), Interval(0.9, 0.8, 1.0, "1"), 100.0, 10.0, {}, "")
 
@@ -45,6 +45,8 @@ def test_a_single_cause_explains_nearly_everything():
     assert divided.rest.value < 0.1
     gain, error = divided.gains["zero_offset"]
     assert gain > 4.0 * error > 0.0
+    lead, error = divided.leads["zero_offset"]
+    assert lead > 2.0 * error > 0.0
 
 
 def test_most_of_a_misfit_that_the_effect_does_not_describe_is_the_rest():
@@ -60,6 +62,7 @@ def test_most_of_a_misfit_that_the_effect_does_not_describe_is_the_rest():
         Rest(search, grown(search.joined, np.random.default_rng(5)), None), none, wrong, np.random.default_rng(5)
     )
     assert divided.rest.value > 0.5
+    assert divided.leads["clock_scale"][0] < 0.0
 
 
 def test_a_pool_gains_all_of_a_better_prediction_and_loses_nothing_to_a_worse_one():
@@ -72,7 +75,7 @@ def test_a_pool_gains_all_of_a_better_prediction_and_loses_nothing_to_a_worse_on
 
 
 def test_every_feature_has_a_name_and_is_finite():
-    for evidence in (STRONG, WEAK, replace(WEAK, lead=float("inf"), gain=-5.0, gain_error=0.0)):
+    for evidence in (STRONG, WEAK, replace(WEAK, lead=float("inf"), lead_unnamed=-5.0, lead_unnamed_error=0.0)):
         assert evidence.features().shape == (len(FEATURES),)
         assert np.isfinite(evidence.features()).all()
 
@@ -85,7 +88,9 @@ def test_strong_evidence_is_believed_and_weak_is_not():
 @given(st.floats(0.0, 300.0), st.floats(0.0, 100.0))
 def test_a_gain_that_repeats_itself_better_is_never_less_probable(gain, more):
     model = decision_model()
-    assert model.probability(replace(STRONG, gain=gain + more)) >= model.probability(replace(STRONG, gain=gain))
+    for name in ("gain", "lead_unnamed"):
+        least, most = (model.probability(replace(STRONG, **{name: value})) for value in (gain, gain + more))
+        assert least <= most
 
 
 @pytest.mark.parametrize(

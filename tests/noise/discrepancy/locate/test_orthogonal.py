@@ -1,12 +1,14 @@
 """The test rejects a true null at its level, finds planted differences, and agrees with a reference."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import kstest
 from sklearn.ensemble import RandomForestRegressor
 
+from acquisition import Reading
 from noise.discrepancy.locate.location import locate, size_of
 from noise.discrepancy.locate.orthogonal import orthogonal_test
 from noise.discrepancy.moments.nuisance import CrossFit, folds_of
@@ -65,6 +67,22 @@ def test_planted_differences_are_located(lab, effect):
     if size is not None:
         assert found.size.low <= size <= found.size.high
         assert not found.region
+
+
+@pytest.mark.parametrize("offset_m", [0.008, 0.02, 0.1])
+@pytest.mark.parametrize("from_m", [0.0, 2.0])
+def test_a_region_is_where_the_difference_is_however_large(lab, offset_m, from_m):
+    recorded, simulated = lab.pair(np.random.default_rng(7), visits=120).batches
+    moved = recorded.reading.range + np.where(recorded.ping.distance >= from_m, offset_m, 0.0)
+    changed = replace(
+        recorded, reading=Reading.of(np.where(recorded.reading.echo, moved, 0.0), recorded.reading.status)
+    )
+    tested = orthogonal_test(lab.rough, lab.rough, Sample(changed, simulated), np.random.default_rng(0))
+    first = next(location for location in locate(tested) if location.aspect is Aspect.BIAS)
+    assert set(first.region) <= {"distance"}
+    low, high = first.region.get("distance", (0.0, np.inf))
+    assert abs(low - from_m) < 0.5
+    assert high > recorded.ping.distance.max() - 0.5
 
 
 @pytest.mark.slow

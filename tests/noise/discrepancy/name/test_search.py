@@ -174,3 +174,9 @@ def test_a_reading_that_sticks_at_a_target_that_never_moves_is_the_target():
     for stack, name in ((stuck, "stuck"), (cluttered, "fixed_clutter")):
         assert explains_nothing(stack, law_of(), name, still)
         assert not explains_nothing(stack, law_of(), name, batch_of(visits=20, pings=3))
+
+
+def test_an_effect_that_explains_nothing_keeps_no_other_from_being_tried(monkeypatch):
+    search = search_of(CHANGES["noise_burst"])
+    monkeypatch.setattr(search, "explains", lambda found, name: name != "noise_burst")
+    assert search.run()[1].effects

@@ -7,6 +7,8 @@ EVIDENCE = {
     "gain_error": 10.0,
     "n_pings": 1000,
     "n_visits": 80,
+    "lead_unnamed": 30.0,
+    "lead_unnamed_error": 10.0,
     "share": 0.9,
     "rest": 0.05,
     "lead": 10.0,

@@ -69,6 +69,14 @@ def test_a_damaged_record_or_one_of_another_version_is_named(tmp_path, record, p
         read(tmp_path)
 
 
+def test_a_line_nested_too_deeply_is_named(tmp_path, record):
+    append(tmp_path / RECORDS, record())
+    with (tmp_path / RECORDS).open("a") as file:
+        file.write("[" * 100_000 + "\n")
+    with pytest.raises(RecordingError, match="line 2: no record of a trial"):
+        read(tmp_path)
+
+
 def test_a_task_fixes_its_data():
     first, second, other = (case_of(trials(("beam",), ("single",), 2, 0, 60)[k]) for k in (0, 0, 1))
     assert np.array_equal(first.recorded.reading.range, second.recorded.reading.range)
