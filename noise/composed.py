@@ -199,7 +199,7 @@ class ComposedModel:
 
 
 def with_differences(
-    model: SonarModel, before: Values, causes: Values, common: Sequence[Effect] = (), added: Sequence[Effect] = ()
+    model: SonarModel, before: Values, causes: Values, common: Sequence[Effect] = ()
 ) -> tuple[ComposedModel, dict[str, str]]:
     """Return a model with the causes of a difference, and why some could not be added, by effect.
 
@@ -208,7 +208,6 @@ def with_differences(
         before: parameters of the effects of the simulation, by effect.
         causes: parameters of the recording in the effects in which it differs, by effect.
         common: further effects that both have.
-        added: further effects that the recording alone has.
     """
     shared = {name: values for name, values in before.items() if not _adds(name)}
     after, left_out = dict(shared), dict[str, str]()
@@ -218,7 +217,7 @@ def with_differences(
             left_out[name] = reason
         else:
             after[name] = _known(name, _added(own, values) if _adds(name) else values)
-    return ComposedModel(model, [*_built(shared), *common], [*_built(after), *common, *added]), left_out
+    return ComposedModel(model, [*_built(shared), *common], [*_built(after), *common]), left_out
 
 
 def _built(values: Values) -> list[Effect]:

@@ -163,16 +163,21 @@ class Trees(Schema):
     right: list[int]
 
 
-class Forest(Registered):
-    """See `noise.discrepancy.baseline.forest.AnalogueForest`."""
+class Similar(Schema):
+    """See `noise.discrepancy.baseline.similarity.Similarity`."""
 
-    kind: Literal["forest"]
     names: Annotated[list[str], MinLen(1)]
     times: tuple[float, float]
     typical: Numbers
     leaf: Annotated[list[list[int]], MinLen(1)]
-    error: Annotated[list[float | None], MinLen(1)]
     trees: Trees
+
+
+class Forest(Registered, Similar):
+    """See `noise.discrepancy.baseline.forest.AnalogueForest`."""
+
+    kind: Literal["forest"]
+    error: Annotated[list[float | None], MinLen(1)]
 
 
 class Table(Registered):
@@ -226,6 +231,25 @@ class Composed(Kind):
     after: Effects
 
 
+class Recalibrated(Kind, Similar):
+    """See `noise.discrepancy.baseline.recalibration.Recalibrated`."""
+
+    kind: Literal["recalibrated"]
+    model: Model
+    low: Numbers
+    high: Numbers
+    error: Numbers
+    share: Share
+
+
+class Mapped(Kind):
+    """See `noise.discrepancy.baseline.mapped.Mapped`."""
+
+    kind: Literal["mapped"]
+    model: Model
+    after: Model
+
+
 class Replay(Kind):
     """See `noise.replay.Replay`."""
 
@@ -236,12 +260,27 @@ class Replay(Kind):
 
 
 Model = Annotated[
-    Ideal | Gaussian | Beam | Physical | Empirical | Forest | Table | Mlp | Lstm | Faulty | Composed | Replay,
+    Ideal
+    | Gaussian
+    | Beam
+    | Physical
+    | Empirical
+    | Forest
+    | Table
+    | Mlp
+    | Lstm
+    | Faulty
+    | Composed
+    | Replay
+    | Recalibrated
+    | Mapped,
     Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()
 Composed.model_rebuild()
 Replay.model_rebuild()
+Recalibrated.model_rebuild()
+Mapped.model_rebuild()
 
 
 class Credence(Schema):

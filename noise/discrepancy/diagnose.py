@@ -231,7 +231,7 @@ def _different(
         data.rng("judge"),
     )
     data.tell("correcting", 0.9)
-    options = Options.of(judged, search, data.forest, data.simulation, recorded.resolution)
+    options = Options.of(judged, search, data.forest, data.simulation, recorded.resolution, data.rng("term"))
     corrected = options.corrected(data.simulation)
     left = judged.rest
     left = replace(left, description=location_in_words(left.where[0]) if left.where else None)

@@ -86,7 +86,6 @@ class Learned:
 def learn_smooth(
     stack: Stack,
     batch: Batch,
-    kind: type[Smooth],
     inputs: Sequence[Sequence[str]],
     score: Score,
     rng: np.random.Generator,
@@ -97,15 +96,14 @@ def learn_smooth(
     The inputs and the strength of each aspect's prior, zero included, are chosen by cross-validation over conditions.
 
     Args:
-        stack: law without a correction of this kind.
+        stack: law; a correction that it has is replaced.
         batch: readings.
-        kind: `Smooth` or `Empirical`.
         inputs: alternative sets of inputs; see `noise.fitting.smooth.column`.
         score: log probability of each reading.
         rng: chooses centres and folds.
         heads: aspects that may be corrected.
     """
-    problem, folds = Problem(stack.without_term(kind.name), kind, batch, score), _folds(batch, rng)
+    problem, folds = Problem(stack.without_term(Smooth.name), batch, score), _folds(batch, rng)
     bases = [basis_of(problem, names, rng) for names in inputs]
     crossed = [cross_fitted(problem, basis, folds, heads) for basis in bases]
     best = int(np.argmax([each.gain.sum() for each in crossed]))

@@ -253,16 +253,6 @@ class Smooth(Effect):
         }
 
 
-class Empirical(Smooth):
-    """What a recording shows beyond the named effects, as a smooth function of conditions, time and memory."""
-
-    name = "empirical"
-    summary = "A smooth difference without a known cause"
-
-
-TERMS: dict[str, type[Smooth]] = {Smooth.name: Smooth, Empirical.name: Empirical}
-
-
 def term_of(data: Mapping[str, Any]) -> Smooth:
     """Return the term that `Smooth.to_dict` describes.
 
@@ -278,7 +268,9 @@ def term_of(data: Mapping[str, Any]) -> Smooth:
         fits = all(len(w) == len(centres) for w in alpha.values()) and all(len(w) == len(level) for w in beta.values())
         if not fits or tuple(alpha) != tuple(beta) or not set(alpha) <= set(HEADS) or not min(early, late) > 0:
             raise ValueError("its parts do not fit together")
-        return TERMS[data["term"]](inputs, centres, alpha, level, beta, (early, late), float(data["placement_m"]))
+        if data["term"] != Smooth.name:
+            raise ValueError(f"a term {data['term']!r} is not known")
+        return Smooth(inputs, centres, alpha, level, beta, (early, late), float(data["placement_m"]))
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"smooth term: cannot be built from its parameters ({error}); it may be damaged") from None
 

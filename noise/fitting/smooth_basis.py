@@ -99,7 +99,7 @@ class Basis:
         alpha = {head: self.root @ c[:m] for head, c in scaled.items()}
         beta = {head: self.level_root @ c[m:] for head, c in scaled.items()}
         sizes = old.tails_m, old.placement_m
-        return type(old)(old.inputs, old.centres, alpha, old.level_centres, beta, *sizes)
+        return Smooth(old.inputs, old.centres, alpha, old.level_centres, beta, *sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,6 @@ class Problem:
     """Readings and the physics before and after the correction."""
 
     stack: Stack
-    kind: type[Smooth]
     batch: Batch
     score: Score
 
@@ -119,7 +118,7 @@ class Problem:
     @cached_property
     def parts(self) -> tuple[PhysicalModel, PhysicalModel]:
         """The effects before the correction, and those after it."""
-        model, own = self.stack.model, (self.kind.stage, self.kind.name)
+        model, own = self.stack.model, (Smooth.stage, Smooth.name)
         before = [effect for effect in model.effects if (effect.stage, effect.name) < own]
         after = [effect for effect in model.effects if (effect.stage, effect.name) > own]
         first, last = (PhysicalModel(part, model.resolution, model.max_range) for part in (before, after))
@@ -169,7 +168,7 @@ def basis_of(problem: Problem, names: Sequence[str], rng: np.random.Generator) -
     with torch.no_grad():
         law, placement = problem.law(state), placement_scatter(float(problem.visits.placement_m))
     scatter, tails = _sizes(law, batch, placement)
-    term = problem.kind(inputs, centres, {}, at, {}, tails, placement)
+    term = Smooth(inputs, centres, {}, at, {}, tails, placement)
     prior = {head: sd * (scatter if head == SHIFT else 1.0) for head, sd in PRIOR_SD.items()}
     return Basis(term, _inverse_root(kernel(centres, centres)), _inverse_root(level_kernel(at, at)), prior)
 

@@ -1,6 +1,6 @@
-"""The law that describes the simulation.
+"""The law that describes the simulation, and what readings show beyond a law.
 
-emulator: a physical law with a smooth correction, fitted to readings; the empirical term of a recording.
-sources: the simulation as a model, a file, or a function that is asked. forest: readings under
-similar conditions and after a similar past, from trees; forest_law: their law.
+emulator: a physical law with a smooth correction, fitted to readings. sources: the simulation as a model, a file, or a
+function that is asked. forest: readings under similar conditions and after a similar past, from trees (similarity);
+forest_law: their law. recalibration: a law corrected by such readings; mapped: the same for given readings.
 """

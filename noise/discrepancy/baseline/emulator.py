@@ -1,6 +1,6 @@
-"""Laws that describe readings: the emulator of a simulation, and the empirical term of a recording.
+"""The emulator: a law that describes the readings of a simulation.
 
-The emulator is physics first: what every sonar has (an axis, a beam, a threshold, losses), then effects of the
+It is physics first: what every sonar has (an axis, a beam, a threshold, losses), then effects of the
 catalogue by forward selection, each kept only if it improves visits that it was not fitted to, then a smooth
 correction in the law's own coordinates. Physics extrapolates to other conditions, and the correction describes the
 rest where there are readings.
@@ -18,13 +18,12 @@ from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Scales, highest, maximise
-from noise.fitting.learn_smooth import Learned, learn_smooth
+from noise.fitting.learn_smooth import learn_smooth
 from noise.fitting.likelihood import log_likelihood, log_likelihoods
-from noise.fitting.smooth import DETECTION, HEADS, MEMORY, MIRRORED, SHIFT, Empirical, Smooth
+from noise.fitting.smooth import DETECTION, HEADS, MIRRORED, SHIFT
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, PLACEMENT, SHARED, SPREAD, VISITS, Key, Stack
 from noise.fitting.starts import extra_modes, nuisance_starts, starting_points
-from noise.fitting.visit_effects import log_prob
 from noise.physical import PhysicalModel
 
 # where the fit of what every sonar has begins: a level at which reflectors 1 to 4 m away are near the threshold, and
@@ -104,30 +103,8 @@ def crossed_log_likelihood(law: Stack, batch: Batch) -> float:
 
 def _corrected(stack: Stack, batch: Batch, heads: Sequence[str], rng: np.random.Generator) -> Stack:
     inputs = [(*names, *_logged(batch)) for names in condition_inputs(batch)]
-    learned = learn_smooth(stack, batch, Smooth, inputs, single_log_prob, rng, heads)
+    learned = learn_smooth(stack, batch, inputs, single_log_prob, rng, heads)
     return replace(learned.stack, left_out=learned.left_out)
-
-
-def empirical_term(stack: Stack, batch: Batch, rng: np.random.Generator) -> Learned:
-    """Return a law with what a recording shows beyond it, as a smooth function of conditions, time and memory.
-
-    Args:
-        stack: a law of the recording, corrected by the effects that were found.
-        batch: readings of the recording.
-        rng: chooses centres and folds.
-
-    Returns:
-        The stack with an `Empirical` term, or unchanged where no term improves visits that it was not fitted to, and
-        the gain on each visit of `learner_pings(batch)`.
-    """
-    few, conditions = learner_pings(batch), (*CONDITION_INPUTS, *_logged(batch))
-    interval = (INTERVAL,) if INTERVAL in batch.ping.covariates else ()
-    inputs = [conditions, (*conditions, "time")] if batch.timed else [conditions]
-    found = learn_smooth(stack, few, Empirical, [*inputs, (*conditions, *interval, *MEMORY)], log_prob, rng)
-    if found.stack.terms == stack.terms:
-        return found
-    fitted = maximise(found.stack, NUISANCES, batch.thin(PHYSICS_PINGS), ITERATIONS, MIN_GAIN_NATS)
-    return replace(found, stack=fitted.stack)
 
 
 def learner_pings(batch: Batch) -> Batch:

@@ -77,9 +77,14 @@ def outcomes(batch: Batch) -> Floats:
     score[target] = ndtri((rankdata(error[target]) - 0.5) / max(int(target.sum()), 1))
     outlier = batch.reading.echo & ~target
     spread = np.where(target, np.abs(score) - MEAN_ABS_NORMAL, 0.0)
-    every = np.stack([batch.reading.echo, outlier & (error < 0), outlier & (error > 0), score, spread], axis=1)
+    return standardised(batch.reading.echo, outlier & (error < 0), outlier & (error > 0), score, spread)
+
+
+def standardised(*column: Bits | Floats) -> Floats:
+    """Return columns of unit standard deviation, (n, k), without those that are constant; at least one."""
+    every = np.stack(column, axis=1).astype(np.float64)
     deviation = every.std(axis=0)
-    return every[:, deviation > 0] / deviation[deviation > 0] if (deviation > 0).any() else every[:, :1].astype(float)
+    return every[:, deviation > 0] / deviation[deviation > 0] if (deviation > 0).any() else every[:, :1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,18 +115,19 @@ class Trees:
         return node
 
 
-def grow(batch: Batch, x: Floats, rng: np.random.Generator) -> tuple[Trees, Bits]:
+def grow(batch: Batch, x: Floats, y: Floats, rng: np.random.Generator) -> tuple[Trees, Bits]:
     """Return extremely randomised trees (Geurts et al. 2006), each grown without one fold of the visits.
 
     Args:
         batch: readings.
         x: inputs, (n, d).
+        y: what the leaves are to agree in, (n, k).
         rng: deals visits to folds, and draws thresholds.
 
     Returns:
         The trees, and whether each was grown on each ping, (n, t).
     """
-    y, single, grown, drawn = outcomes(batch), x.astype(np.float32), [], []
+    single, grown, drawn = x.astype(np.float32), [], []
     n_folds = min(N_FOLDS, batch.n_visits)
     for _ in range(N_DEALS):
         fold = rng.permutation(np.arange(batch.n_visits) % n_folds)[batch.visit]

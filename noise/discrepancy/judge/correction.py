@@ -1,28 +1,27 @@
 """The corrected model: the causes, with what they leave as an empirical term, or a forest of the recording.
 
-What no cause explains joins the corrected model as an empirical term, where that predicts better; where the recording's
-own readings under similar conditions predict better than any law, they are the corrected model. A correction is offered
-only if its CRPS is less than that of the user's simulation beyond chance, on visits that the model has not seen: those
-that nothing was fitted to, and those of each fold by the causes fitted to the other fold, by the empirical term
-fitted without their conditions, or by trees that lack them.
+What no cause explains joins the corrected model as an empirical term, a local recalibration, where that predicts
+better; where the recording's own readings under similar conditions predict better than any law, they are the corrected
+model. A correction is offered only if its CRPS is less than that of the user's simulation beyond chance, on visits that
+the model has not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold,
+or by trees that lack them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acquisition.arrays import Floats
 from noise.composed import with_differences
-from noise.discrepancy.baseline.emulator import learner_pings
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
-from noise.discrepancy.judge.held_out import Simulation, crps_of_each, log_score
+from noise.discrepancy.baseline.recalibration import recalibrated
+from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, log_score
 from noise.discrepancy.judge.judged import Judged
-from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
-from noise.fitting.learn_smooth import Learned
 from noise.fitting.stack import Stack
 from noise.model import SonarModel
 
@@ -47,8 +46,9 @@ class Option:
         return float(np.mean(np.concatenate([crps for _, crps in self.scored])))
 
     def is_better_than(self, other: Option) -> bool:
-        """Return whether the CRPS is less than that of another model beyond chance, on what nothing was fitted to."""
-        return Simulation(other.model).is_beaten(self.scored[0])
+        """Return whether the CRPS is less than that of another model beyond chance, on visits that neither has seen."""
+        pairs = zip(self.scored, other.scored, strict=False)
+        return beyond_chance(np.concatenate([batch.visit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Options:
 
     Attributes:
         with_causes: the law with the believed causes alone; None where none is believed.
-        with_term: the same with an empirical term; None where there is none.
+        with_term: the same, or the simulation's law, with an empirical term; None where there is none.
         on_simulation: the causes on what stands for the simulation; None where that is the emulator.
         forest: a forest of the recording.
     """
@@ -73,7 +73,15 @@ class Options:
         return None if self.with_causes is None else self.with_causes.model
 
     @classmethod
-    def of(cls, judged: Judged, search: Search, forest: Grown, before: Simulation, step_m: float) -> Options:
+    def of(
+        cls,
+        judged: Judged,
+        search: Search,
+        forest: Grown,
+        before: Simulation,
+        step_m: float,
+        rng: np.random.Generator,
+    ) -> Options:
         """Return the options of a judged hypothesis.
 
         Args:
@@ -82,29 +90,31 @@ class Options:
             forest: of the recording.
             before: the user's simulation.
             step_m: step of the recording's register.
+            rng: grows the trees of the empirical term.
         """
-        unseen, with_causes, with_term, on_simulation = search.folds.unseen, None, None, None
+        parts, with_causes, on_simulation = _parts(search), None, None
         if judged.believed:
-            folds = _by_fold(search, judged.found, step_m) if len(search.parts) > 1 else ()
-            with_causes = _scored(offered(judged.final.single.stack, step_m), unseen, folds)
-            on_simulation = _on_simulation(judged, search, before.model, step_m)
-        learned = judged.learned
-        if learned is not None and learned.left_out is not None:
-            parts = _by_part(search, learned, step_m) if len(search.parts) > 1 else ()
-            with_term = _scored(offered(learned.stack, step_m), unseen, parts)
-        own = Option(forest.model, ((unseen, crps_of_each(forest.model, unseen)), (forest.batch, forest.crps)))
-        return cls(with_causes, with_term, on_simulation, own)
+            laws = [offered(stack, step_m) for stack in (judged.final.single.stack, *reversed(judged.found.stacks))]
+            with_causes = _scored(laws, parts)
+            on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
+        term = recalibrated(offered(judged.final.single.stack, step_m), search.folds.both, rng)
+        with_term = None if term is None else _crossed(term, search, parts)
+        return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts))
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.
 
-        Laws with causes hold under other conditions too, and a forest of readings under their own alone.
+        Laws with causes hold under other conditions too, and a forest of readings under their own alone. What is less
+        general is preferred only where it is better beyond chance.
         """
-        laws = [each for each in (self.with_causes, self.on_simulation, self.with_term) if each is not None]
-        best = min(laws, key=lambda option: option.crps, default=self.forest)
-        if best is not self.forest and self.forest.is_better_than(best):
-            best = self.forest
-        return next((each.model for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
+        laws = [each for each in (self.with_causes, self.on_simulation) if each is not None]
+        best = min(laws, key=lambda option: option.crps, default=None)
+        others = [each for each in (self.with_term, self.forest) if each is not None]
+        for other in others:
+            if best is None or other.is_better_than(best):
+                best = other
+        every = [each for each in (best, *others) if each is not None]
+        return next((each.model for each in every if before.is_beaten(*each.scored)), None)
 
 
 def offered(stack: Stack, step_m: float) -> SonarModel:
@@ -112,19 +122,33 @@ def offered(stack: Stack, step_m: float) -> SonarModel:
     return replace(stack, resolution=max(stack.resolution, step_m)).single_ping_model
 
 
-def _scored(model: SonarModel, unseen: Batch, crossed: tuple[tuple[Batch, SonarModel], ...]) -> Option:
-    pairs = ((unseen, model), *crossed)
-    scored = tuple((batch, crps_of_each(each, batch)) for batch, each in pairs)
-    return Option(model, scored, tuple(log_score(each, batch) for batch, each in pairs))
+def _parts(search: Search) -> tuple[Batch, ...]:
+    """Return the visits that nothing was fitted to, and those of each fold, where there are two."""
+    return (search.folds.unseen, *search.parts) if len(search.parts) > 1 else (search.folds.unseen,)
 
 
-def _by_fold(search: Search, found: Hypothesis, step_m: float) -> tuple[tuple[Batch, SonarModel], ...]:
-    """Return the readings of each fold, and the causes fitted to the other."""
-    parts = search.folds.divided(learner_pings(search.joined))
-    return tuple((part, offered(stack, step_m)) for part, stack in zip(parts, reversed(found.stacks), strict=True))
+def _scored(models: Sequence[SonarModel], parts: tuple[Batch, ...]) -> Option:
+    """Return an option: the model, and its scores on each part by the model that was not fitted to it."""
+    pairs = tuple(zip(models, parts, strict=False))
+    scored = tuple((batch, crps_of_each(model, batch)) for model, batch in pairs)
+    return Option(models[0], scored, tuple(log_score(model, batch) for model, batch in pairs))
 
 
-def _on_simulation(judged: Judged, search: Search, model: SonarModel, step_m: float) -> Option | None:
+def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
+    """Return an option whose scores on the folds are those by trees that lack each visit."""
+    whole = _scored([found.model], parts)
+    if len(parts) == 1:
+        pieces = [np.ones(len(found.batch), dtype=bool)]
+    else:
+        first = search.folds.in_first(found.batch)
+        pieces = [first, ~first]
+    scored = tuple((found.batch.select(rows), found.crps[rows]) for rows in pieces)
+    return Option(found.model, (*whole.scored, *scored), (*whole.nats, *(found.nats[rows] for rows in pieces)))
+
+
+def _on_simulation(
+    judged: Judged, search: Search, model: SonarModel, step_m: float, parts: tuple[Batch, ...]
+) -> Option | None:
     """Return the causes acting on what stands for the simulation; None where that is the law they were found beside.
 
     What that law gets wrong of the simulation does not enter such a model.
@@ -139,15 +163,4 @@ def _on_simulation(judged: Judged, search: Search, model: SonarModel, step_m: fl
     ]
     if any(left_out for _, left_out in pairs):
         return None
-    whole, *folds = (composed for composed, _ in pairs)
-    parts = search.folds.divided(learner_pings(search.joined)) if len(search.parts) > 1 else ()
-    return _scored(whole, search.folds.unseen, tuple(zip(parts, folds, strict=False)))
-
-
-def _by_part(search: Search, learned: Learned, step_m: float) -> tuple[tuple[Batch, SonarModel], ...]:
-    """Return the readings of each part, and the empirical term fitted without them."""
-    assert learned.left_out is not None
-    few = learner_pings(search.joined)
-    part = learned.left_out.of(few)
-    terms = enumerate(learned.left_out.terms)
-    return tuple((few.select(part == k), offered(learned.stack.with_term(term), step_m)) for k, term in terms)
+    return _scored([composed for composed, _ in pairs], parts)

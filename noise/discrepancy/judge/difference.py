@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from noise.composed import ComposedModel, with_differences
+from noise.discrepancy.baseline.mapped import Mapped
+from noise.discrepancy.baseline.recalibration import Recalibrated
 from noise.discrepancy.judge.correction import Option, Options
 from noise.discrepancy.judge.held_out import beyond_chance, crps_of_each, log_score
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
-from noise.fitting.smooth import Empirical
 from noise.fitting.stack import Stack
 from noise.model import SonarModel
 from noise.replay import Replay
@@ -22,7 +23,7 @@ from noise.replay import Replay
 
 def difference(
     judged: Judged, search: Search, options: Options, emulator: SonarModel, step_m: float
-) -> tuple[ComposedModel | None, dict[str, str]]:
+) -> tuple[SonarModel | None, dict[str, str]]:
     """Return the believed causes, with the empirical term where it predicts better, acting on given readings.
 
     Args:
@@ -37,14 +38,16 @@ def difference(
         recording better than the emulator: in the mean CRPS, and beyond chance in the log score, which is the more
         sensitive of the two where echoes are lost.
     """
-    laws = [(options.with_causes, judged.final.single.stack)]
-    laws += [(options.with_term, judged.learned.stack)] if judged.learned is not None else []
-    better = [(law.crps, stack) for law, stack in laws if law is not None and gains(law, emulator)]
+    better = [each for each in (options.with_causes, options.with_term) if each is not None and gains(each, emulator)]
     if not better:
         return None, {}
-    stack = min(better, key=lambda pair: pair[0])[1]
+    best = min(better, key=lambda option: option.crps)
     register = search.common.resolution
-    return _acting_on(Replay(emulator, register, max(register, step_m)), search.common, stack, judged.believed)
+    replay = Replay(emulator, register, max(register, step_m))
+    acting, left_out = _acting_on(replay, search.common, judged.final.single.stack, judged.believed)
+    if isinstance(best.model, Recalibrated):
+        return Mapped(replay if acting is None else acting, best.model), left_out
+    return acting, left_out
 
 
 def gains(law: Option, emulator: SonarModel) -> bool:
@@ -62,7 +65,6 @@ def _acting_on(
     """Return the differences between two stacks, acting on another model, None where none can; and what cannot."""
     # the readings of the simulator have its early and late echoes already
     shared = [term.without_tails() for term in common.terms]
-    terms = [term for term in recorded.terms if isinstance(term, Empirical)]
     causes = {name: recorded.effects[name] for name in believed}
-    composed, left_out = with_differences(model, common.effects, causes, shared, terms)
-    return composed if terms or len(left_out) < len(causes) else None, left_out
+    composed, left_out = with_differences(model, common.effects, causes, shared)
+    return composed if len(left_out) < len(causes) else None, left_out

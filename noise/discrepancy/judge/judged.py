@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from noise.discrepancy.baseline.emulator import empirical_term
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.shares import Rest, Shares, shares
@@ -20,7 +19,6 @@ from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
 from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MIN_SHARE
-from noise.fitting.learn_smooth import Learned
 from noise.fitting.stack import Key, Stack
 
 Test = Callable[[Stack], Tested]
@@ -41,7 +39,6 @@ class Judged:
         together: share of the believed causes.
         share_of_rest: share that they leave.
         after: test of the law with the believed causes.
-        learned: that law with what it lacks; None where the test finds nothing left.
     """
 
     causes: tuple[Cause, ...]
@@ -53,7 +50,6 @@ class Judged:
     together: float
     share_of_rest: Interval
     after: Tested
-    learned: Learned | None
 
     @property
     def rest(self) -> Unexplained:
@@ -116,7 +112,7 @@ def judge(
         before: p-value of the test of the simulation's law.
         test: tests whether the recording differs from a law.
         stability: tests whether an effect of a law has the same size everywhere.
-        rng: draws the bootstrap samples of the shares, and the centres of an empirical term.
+        rng: draws the bootstrap samples of the shares.
     """
     search = rest.search
     selected = Judgement(search, test, found)
@@ -133,10 +129,7 @@ def judge(
     causes = [_cause(search, place, certain[place.effect], divided, known) for place in places]
     causes.sort(key=lambda cause: (cause.effect not in believed, -cause.share.value))
     together, left = _divided(divided, [name for name in found.effects if name not in believed])
-    learned = empirical_term(final.final.stack, search.joined, rng) if is_left(final.after) else None
-    return Judged(
-        tuple(causes), believed, final.found, final.final, places, evidence, together, left, final.after, learned
-    )
+    return Judged(tuple(causes), believed, final.found, final.final, places, evidence, together, left, final.after)
 
 
 def kept(certain: Mapping[str, float], divided: Shares) -> tuple[str, ...]:

@@ -138,7 +138,7 @@ def test_a_smooth_bias_is_learned_and_reduces_the_error_under_unseen_conditions(
 
     train, test = (survey(PhysicalModel([JITTER]), seed=seed, shift=shift) for seed in (1, 2))
     stack = fitted(train)
-    smooth = learn_smooth(stack, train, Smooth, [NAMES], single_log_prob, np.random.default_rng(0)).stack
+    smooth = learn_smooth(stack, train, [NAMES], single_log_prob, np.random.default_rng(0)).stack
     assert SHIFT in smooth.terms[0].alpha
     before, after = (np.mean(np.abs(s.expected(test) - test.ping.distance - shift(test.ping))) for s in (stack, smooth))
     assert after < 0.3 * before
@@ -147,7 +147,7 @@ def test_a_smooth_bias_is_learned_and_reduces_the_error_under_unseen_conditions(
 def test_readings_of_the_law_itself_are_hardly_corrected():
     train, test = (survey(PhysicalModel([JITTER]), seed=seed) for seed in (1, 2))
     stack = fitted(train)
-    smooth = learn_smooth(stack, train, Smooth, [NAMES], single_log_prob, np.random.default_rng(0)).stack
+    smooth = learn_smooth(stack, train, [NAMES], single_log_prob, np.random.default_rng(0)).stack
     loss = log_likelihood(stack, test).sum() - log_likelihood(smooth, test).sum()
     assert loss < 5.0  # nats in 480 readings
 

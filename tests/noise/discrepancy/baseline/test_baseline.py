@@ -5,15 +5,11 @@ import pytest
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import GaussianModel, IdealModel, load_model, save_model
-from noise.discrepancy.baseline.emulator import base_physics, crossed_log_likelihood, empirical_term, with_smooth
+from noise.discrepancy.baseline.emulator import base_physics, crossed_log_likelihood, with_smooth
 from noise.discrepancy.baseline.sources import asked, baseline_of
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import maximise
-from noise.fitting.likelihood import log_likelihood
-from noise.fitting.smooth import Empirical
-from noise.fitting.stack import NUISANCES, PLACEMENT, Stack
-from noise.fitting.starts import nuisance_start
+from noise.fitting.stack import PLACEMENT
 from noise.metrics import crps_with_silence
 from noise.physical import PhysicalModel
 from tests.noise.discrepancy.made import batch_of, recording_of
@@ -116,27 +112,6 @@ def test_another_model_is_sampled_under_the_conditions_of_the_recording():
     found = baseline_of(model, real, None, np.random.default_rng(0))
     assert found.before is model
     assert set(found.readings.ping.distance) <= set(real.ping.distance)
-
-
-def test_a_law_that_describes_the_recording_gets_no_empirical_term_that_does_harm():
-    train, test = (Batch.of(recording(SONAR, seed)) for seed in (1, 2))
-    stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
-    found = empirical_term(stack, train, np.random.default_rng(0)).stack
-    assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > -5.0  # nats in 480 readings
-
-
-def test_a_drift_without_a_name_becomes_an_empirical_term_of_time():
-    def drifting(seed):
-        ping = survey(seed)
-        reading = SONAR.law(Ping.of(ping.distance + 0.03 * np.sin(ping.time / 8.0), ping.angle))
-        return Batch.of(Recording.of(ping, reading.sample(np.random.default_rng(seed))))
-
-    train, test = drifting(1), drifting(2)
-    stack = maximise(nuisance_start(Stack.of(SONAR), train), NUISANCES, train).stack
-    found = empirical_term(stack, train, np.random.default_rng(0)).stack
-    assert found.terms
-    assert isinstance(found.terms[0], Empirical)
-    assert (log_likelihood(found, test) - log_likelihood(stack, test)).sum() > 50.0
 
 
 def test_rare_silence_of_strong_echoes_is_not_taken_for_a_threshold():

@@ -61,7 +61,7 @@ def test_a_ping_at_another_time_may_be_at_any_recorded_one():
     ping, rng = survey(4), np.random.default_rng(4)
     late = ping.time > np.median(ping.time)
     model = forest_of(batch_of(ping, STEP_M * late, rng))
-    assert "time" in model.names
+    assert "time" in model.similar.names
     later = replace(ping, time=ping.time + 1e6)
     chance = model.law(later).between(np.zeros(len(ping)), ping.distance + 0.5 * STEP_M)
     assert np.mean(chance) == pytest.approx(0.5, abs=0.1)
