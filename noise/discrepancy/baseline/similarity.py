@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,18 +80,20 @@ class Similarity:
             used: whether a tree is asked for each ping, (n, t); every tree by default.
         """
         used = np.ones(reached.shape, dtype=bool) if used is None else used
-        n, m, n_trees = len(reached), len(self.leaf), reached.shape[1]
-        stored = self.leaf >= 0
-        size = np.bincount(self.leaf[stored], minlength=len(self.trees.feature))
-        shape = len(size)
-        row, at = np.nonzero(stored)[0], self.leaf[stored]
-        members = csr_matrix((1.0 / size[at], (at, row)), shape=(shape, m))
+        n, n_trees = reached.shape
         of_ping = np.repeat(np.arange(n), n_trees)[used.ravel()]
         each = np.repeat(1.0 / used.sum(axis=1), used.sum(axis=1))
-        chosen = csr_matrix((each, (of_ping, reached[used])), shape=(n, shape))
-        step = max(1, MAX_VALUES // m)
+        chosen = csr_matrix((each, (of_ping, reached[used])), shape=(n, len(self.trees.feature)))
+        step = max(1, MAX_VALUES // len(self.leaf))
         for k in range(0, n, step):
-            yield slice(k, k + step), (chosen[k : k + step] @ members).toarray()
+            yield slice(k, k + step), (chosen[k : k + step] @ self._members).toarray()
+
+    @cached_property
+    def _members(self) -> csr_matrix:
+        """Share of each stored reading in its leaf, (nodes, m)."""
+        stored, shape = self.leaf >= 0, (len(self.trees.feature), len(self.leaf))
+        size = np.bincount(self.leaf[stored], minlength=shape[0])
+        return csr_matrix((1.0 / size[self.leaf[stored]], (self.leaf[stored], np.nonzero(stored)[0])), shape=shape)
 
     def to_dict(self) -> dict[str, object]:
         """Return the weights' rule as plain data."""
