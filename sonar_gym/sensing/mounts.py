@@ -103,8 +103,8 @@ def layout(given: Layout) -> tuple[Mount, ...]:
         raise SettingError(f"sonar_layout: expected the name of a layout or a list of mounts, got {shown(given)}")
     try:
         each = list(given)
-    except TypeError:  # an array without dimensions
-        raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from None
+    except Exception as error:  # of the object, such as an array without dimensions
+        raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from error
     mounts = tuple(settings_of(Mount, mount, "sonar_layout") for mount in each)
     if not 1 <= len(mounts) <= MAX_MOUNTS:
         raise SettingError(f"sonar_layout has {len(mounts)} mounts, expected 1 to {MAX_MOUNTS}")
