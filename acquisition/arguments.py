@@ -7,6 +7,7 @@ import inspect
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import IOBase
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -101,10 +102,7 @@ class _Items(_Kind):
     def admit(self, value: Any) -> Any:
         """Return the value as a tuple; raise SettingError if one item is of another class."""
         has_items = isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
-        try:
-            items = tuple(value) if has_items else (value,)
-        except Exception as error:  # of the object, such as a file that is open for writing
-            raise SettingError(f"{self.name}: expected a list of {self.item.__name__}, got {shown(value)}") from error
+        items = tuple(value) if has_items and not isinstance(value, IOBase) else (value,)
         for each in items:
             if not isinstance(each, self.item):
                 raise SettingError(f"{self.name}: expected a list of {self.item.__name__}, got {shown(each)} in it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import IOBase
 from typing import Annotated
 
 import numpy as np
@@ -99,12 +100,12 @@ def layout(given: Layout) -> tuple[Mount, ...]:
     if isinstance(given, str):
         check_choice("sonar_layout", given, list(LAYOUTS))
         return LAYOUTS[given]
-    if not isinstance(given, Iterable) or isinstance(given, Mapping):
+    if not isinstance(given, Iterable) or isinstance(given, Mapping | IOBase):
         raise SettingError(f"sonar_layout: expected the name of a layout or a list of mounts, got {shown(given)}")
     try:
         each = list(given)
-    except Exception as error:  # of the object, such as an array without dimensions
-        raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from error
+    except TypeError:  # an array without dimensions
+        raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from None
     mounts = tuple(settings_of(Mount, mount, "sonar_layout") for mount in each)
     if not 1 <= len(mounts) <= MAX_MOUNTS:
         raise SettingError(f"sonar_layout has {len(mounts)} mounts, expected 1 to {MAX_MOUNTS}")
