@@ -7,6 +7,7 @@ import inspect
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import IOBase
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -42,7 +43,7 @@ def checked(function: Callable[Parameters, Result]) -> Callable[Parameters, Resu
 
 
 def _admitted(kind: _Kind | None, value: Any) -> Any:
-    return value if kind is None or isinstance(value, kind.classes) else kind.admit(value)
+    return value if kind is None or kind.holds(value) else kind.admit(value)
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,12 @@ class _Kind:
     name: str
     classes: tuple[type, ...]
     scalars: tuple[Any, ...]
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is an instance of one of the classes."""
+        if isinstance(value, type):  # a class has the methods of a protocol, and is no instance of it
+            return any(isinstance(value, cls) for cls in self.classes if not _is_protocol(cls))
+        return isinstance(value, self.classes)
 
     def admit(self, value: Any) -> Any:
         """Return the value; raise SettingError unless it is as one of the scalars."""
@@ -95,7 +102,7 @@ class _Items(_Kind):
     def admit(self, value: Any) -> Any:
         """Return the value as a tuple; raise SettingError if one item is of another class."""
         has_items = isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
-        items = tuple(value) if has_items else (value,)
+        items = tuple(value) if has_items and not isinstance(value, IOBase) else (value,)
         for each in items:
             if not isinstance(each, self.item):
                 raise SettingError(f"{self.name}: expected a list of {self.item.__name__}, got {shown(each)} in it")
@@ -153,6 +160,10 @@ def _class(hint: Any) -> Any:
     return get_origin(plain) or plain
 
 
+def _is_protocol(cls: Any) -> bool:
+    return bool(getattr(cls, "_is_protocol", False))
+
+
 def _is_recognised(cls: Any) -> bool:
-    is_protocol = getattr(cls, "_is_protocol", False) and not getattr(cls, "_is_runtime_protocol", False)
-    return isinstance(cls, type) and cls not in (Any, np.ndarray) and not is_protocol
+    unknown = _is_protocol(cls) and not getattr(cls, "_is_runtime_protocol", False)
+    return isinstance(cls, type) and cls not in (Any, np.ndarray) and not unknown

@@ -103,6 +103,7 @@ Metres = Annotated[float, Limit(0.0, 1000.0, "m")]
 PositiveMetres = Annotated[float, Limit(0.0, 1000.0, "m", open_low=True)]
 WHOLE = int | np.integer
 REAL = WHOLE | float | np.floating  # not a fraction: compiled code knows none
+NO_NUMBER = bool | np.timedelta64  # which are also integers
 ANY_NUMBER, SEEDS = Limit(), Limit(0, 2**63 - 1)
 
 
@@ -154,7 +155,7 @@ def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool =
     Raises:
         SettingError: not a finite number within the limits; the message gives name, limits, unit and value.
     """
-    is_number = isinstance(value, WHOLE if whole else REAL) and not isinstance(value, bool)
+    is_number = isinstance(value, WHOLE if whole else REAL) and not isinstance(value, NO_NUMBER)
     if is_number and limit.holds(value):
         return
     noun = "a whole number" if whole else "a number"

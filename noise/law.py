@@ -8,6 +8,7 @@ remaining probability is divided between no echo and no answer, so that all outc
 
 from __future__ import annotations
 
+import random
 from abc import ABC, abstractmethod
 from typing import Annotated, Any, Protocol
 
@@ -161,7 +162,8 @@ class EchoLaw(ABC):
 
     def sample(self, rng: UniformSource) -> Reading:
         """Draw a reading for each ping."""
-        if isinstance(rng, type) or not callable(getattr(rng, "random", None)):
+        gives_arrays = callable(getattr(rng, "random", None)) and not isinstance(rng, type | random.Random)
+        if not gives_arrays:
             raise SettingError(
                 f"{type(self).__name__}.sample.rng: expected a generator, such as numpy.random.default_rng(0), "
                 f"got {shown(rng)}"

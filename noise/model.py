@@ -12,6 +12,7 @@ from scipy.special import ndtr, ndtri
 from acquisition import ModelError, Ping, Reading, previous
 from acquisition.arguments import checked
 from acquisition.limits import Limit, Metres, PositiveMetres, Share, check_settings
+from acquisition.ping import check_pairs
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Tolerance, UniformSource
 from noise.schema import Resolution
 
@@ -265,6 +266,7 @@ def follow(model: SonarModel, ping: Ping, reading: Reading) -> EchoLaw:
         ping: conditions, (n,), in chronological order.
         reading: readings, (n,).
     """
+    check_pairs("follow.reading", ping, reading)
     if isinstance(model, StatefulModel):
         return model.follow(ping, reading)
     return model.law(ping, previous(reading, ping.run)) if model.remembers else model.law(ping)

@@ -11,11 +11,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from acquisition import Ping, Reading
+from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.air import Drift
 from acquisition.bench.registers import METRES
+from acquisition.limits import shown
 from noise.law import SampleOnlyLaw, UniformSource
 
 # full gain, and reflectors exactly at their nominal positions
@@ -33,10 +34,10 @@ class RigLaw(SampleOnlyLaw):
         """Simulate every ping once, independently of the others.
 
         Raises:
-            TypeError: `rng` is not a numpy Generator; the simulation needs more than uniform numbers.
+            SettingError: `rng` is not a numpy Generator; the simulation needs more than uniform numbers.
         """
         if not isinstance(rng, np.random.Generator):
-            raise TypeError(f"RigLaw.sample needs a numpy.random.Generator, got a {type(rng).__name__}")
+            raise SettingError(f"RigLaw.sample.rng: expected a numpy.random.Generator, got {shown(rng)}")
         rig = self.model.rig
         alone = replace(self.ping, run=np.arange(len(self.ping)))
         reading = rig.ping(alone, rng, _drift(self.model)).reading(rig.setup)

@@ -111,17 +111,27 @@ def save_model(model: object, folder: str | os.PathLike[str]) -> Path:
         model: any object with `to_dict()`; `write_weights(folder)` is called if it exists.
         folder: folder to write.
     """
-    if not hasattr(model, "to_dict"):
+    if isinstance(model, type) or not hasattr(model, "to_dict"):
         raise SettingError(f"save_model.model: expected a model with to_dict(), got {shown(model)}")
     folder = Path(folder)
     check_path(folder)
     check_model_folder(folder)
-    text = json.dumps({"format": FORMAT, **model.to_dict()}, indent=2, allow_nan=False)
+    text = _described(model)
     with whole_folder(folder) as fresh:
         if hasattr(model, "write_weights"):
             model.write_weights(fresh)
         (fresh / "model.json").write_text(text + "\n", encoding="utf-8")
     return folder
+
+
+def _described(model: Any) -> str:
+    described = model.to_dict()
+    if not isinstance(described, dict) or "kind" not in described:  # such as a table
+        raise SettingError(f"save_model.model: its to_dict() gives no kind of model: {shown(model)}")
+    try:
+        return json.dumps({"format": FORMAT, **described}, indent=2, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise SettingError(f"save_model.model: its to_dict() gives what is no JSON: {error}") from None
 
 
 def check_model_folder(folder: Path) -> None:

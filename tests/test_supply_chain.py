@@ -14,6 +14,15 @@ PINS = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().
 HARM = {"id": "PYSEC-2026-1", "fix_versions": ["9.9"]}
 
 
+UNSAFE = r"pickle\.loads?\(|torch\.load\((?!.*weights_only=True)|allow_pickle=True|joblib\.load|yaml\.(unsafe_)?load\("
+
+
+def test_no_pickle_is_loaded():
+    files = [path for name in ("acquisition", "noise", "sonar_gym", "training") for path in (ROOT / name).rglob("*.py")]
+    assert len(files) > 100
+    assert not [path for path in files if re.search(UNSAFE, path.read_text())]
+
+
 def normal(name):
     return re.sub(r"[-_.]+", "-", name).lower()
 

@@ -134,7 +134,8 @@ class Recording:
         """Return a recording of arrays; `columns` adds or replaces columns (session, sensor, covariates)."""
         check_pairs("Recording.of.reading", ping, reading)
         for key, value in columns.items():
-            if not np.isscalar(value) and not _is_column(value, len(ping)):
+            is_one = np.isscalar(value) and not isinstance(value, memoryview)
+            if not (is_one or _is_column(value, len(ping))):
                 raise SettingError(f"Recording.of.{key}: expected one value or {len(ping)}, got {shown(value)}")
         table = pd.DataFrame(
             {

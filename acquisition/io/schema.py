@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from acquisition.errors import ModelError, SonarError
-from acquisition.io.files import read_limited
+from acquisition.io.files import is_file, read_limited
 from acquisition.limits import shown
 
 MAX_DEPTH = 5  # names of a place in a message
@@ -35,7 +35,7 @@ def read_json(path: Path, schema: Any, error: type[SonarError] = ModelError) -> 
         schema: subclass of `Schema`, or a union of them.
         error: raised for a file that does not fit.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise error(f"{path.parent}: contains no {path.name}; give the folder as it was saved")
     return validated(read_limited(path, error, "a file of settings"), schema, str(path), error)
 

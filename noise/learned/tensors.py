@@ -14,7 +14,7 @@ from safetensors.numpy import load_file, save
 
 from acquisition import ModelError, SettingError
 from acquisition.arrays import Floats
-from acquisition.io.files import read_limited
+from acquisition.io.files import is_folder, read_limited
 from acquisition.limits import as_numbers, shown
 
 WEIGHTS_FILE, CARD_FILE = "weights.safetensors", "README.md"
@@ -24,7 +24,7 @@ HEADER_BYTES = 65_536  # upper limit of a safetensors header
 
 def write_tensors(folder: Path, tensors: Mapping[str, np.ndarray], card: str) -> None:
     """Write weights in single precision, and the card if there is one, into a folder."""
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise ModelError(f"{folder}: is not a folder; make it before weights are written into it")
     data = save({name: np.ascontiguousarray(value, dtype=np.float32) for name, value in tensors.items()})
     _file(folder).write_bytes(data)

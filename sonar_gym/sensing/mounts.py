@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import IOBase
 from typing import Annotated
 
 import numpy as np
@@ -99,7 +100,7 @@ def layout(given: Layout) -> tuple[Mount, ...]:
     if isinstance(given, str):
         check_choice("sonar_layout", given, list(LAYOUTS))
         return LAYOUTS[given]
-    if not isinstance(given, Iterable) or isinstance(given, Mapping):
+    if not isinstance(given, Iterable) or isinstance(given, Mapping | IOBase):
         raise SettingError(f"sonar_layout: expected the name of a layout or a list of mounts, got {shown(given)}")
     try:
         each = list(given)

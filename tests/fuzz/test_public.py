@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -73,6 +74,26 @@ def test_a_foreign_object_is_rejected_by_name(valid_calls):
                 silent.append((name, argument, message))
     silent = [each for each in silent if each[:2] not in UNCHECKED]
     assert not silent, silent
+
+
+TREACHEROUS = {
+    "a path that no system takes": Path("a" * 300),
+    "a time, which is a whole number": np.timedelta64(1, "s"),
+    "a file, which has no items": open(os.devnull, "w"),  # noqa: SIM115
+    "a class of models": IdealModel,
+    "a table, which has a to_dict": pd.Series([1.0, None]),
+    "a generator of single numbers": random.Random(0),
+    "more pings": Ping.of([1.0, 2.0, 3.0]),
+    "a tensor with a gradient": torch.tensor([1.0], requires_grad=True),
+    "a memory, which is a scalar": memoryview(b"abc"),
+}
+
+
+@pytest.mark.parametrize("value", TREACHEROUS.values(), ids=TREACHEROUS)
+def test_what_only_looks_right_is_used_or_rejected(valid_calls, value):
+    for function, valid in valid_calls.values():
+        for argument in valid:
+            check_used_or_rejected(function, {**valid, argument: value})
 
 
 # a reward does not depend on `info`; what is indexed is named by its class

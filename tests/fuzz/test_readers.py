@@ -18,6 +18,7 @@ from acquisition.io.tables import MAX_COLUMNS
 from acquisition.survey.planfile import KEYS, find_plan
 from noise import load_model, save_model
 from noise.composed import ComposedModel
+from noise.discrepancy import diagnose
 from noise.faults import Faulty, Short
 from noise.model import GaussianModel, IdealModel
 from noise.physical import PhysicalModel
@@ -25,6 +26,7 @@ from noise.store import WEIGHTS
 from sonar_gym.agent import WEIGHTS as AGENTS
 from sonar_gym.agent import load_policy
 from tests.acquisition.io.logs.test_bags import Bag
+from tests.fuzz.conftest import recording
 from tests.fuzz.rule import EXAMPLES, FUZZ, check_rejected, check_used_or_rejected, digests, limited
 from tests.fuzz.tables import csv_bytes
 from training.proof.chain import load as load_ledger
@@ -195,6 +197,20 @@ def test_agents(tmp_path_factory, data):
     path = folder / "agent.json"
     path.write_text(data.draw(damaged(json.loads(path.read_text()))))
     load(load_policy, folder)
+
+
+@pytest.fixture(scope="module")
+def verdict(tmp_path_factory):
+    """Content of a verdict.json."""
+    return diagnose(IdealModel(), recording(48)).verdict.to_dict()
+
+
+@FUZZ
+@given(data=st.data())
+def test_verdicts(verdict, tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("run") / "verdict.json"
+    path.write_text(data.draw(damaged(json.loads(json.dumps(verdict)))))
+    assert check_used_or_rejected("view", path.parent) == 0
 
 
 @pytest.mark.parametrize("text", ["NaN", '{"a": NaN}', "[" * 100_000, '{"format": 1, "kind": "ideal"', '"', "\ud800"])

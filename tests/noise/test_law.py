@@ -182,5 +182,5 @@ def test_a_law_with_a_sampling_method_of_its_own_does_not_inherit_the_declaratio
 
 def test_the_rig_needs_a_generator():
     law = load_model("rig").law(Ping.of(distance=[1.0, 2.0], time=0.0))
-    with pytest.raises(TypeError, match=r"needs a numpy\.random\.Generator, got a Columns"):
+    with pytest.raises(SettingError, match=r"rng: expected a numpy\.random\.Generator, got .*Columns"):
         law.sample(Columns([1], 2))

@@ -53,7 +53,7 @@ def words_of(name, folder, out):
         "train-agent": ["train-agent", "--out", out / "a", "--lessons", 2, "--steps", 8000, "--num-envs", 8,
                         "--hidden", 8, "--sonars", "ideal", "--repeat", 1],
         "zoo": ["zoo", "ppo", "--out", out / "z", "--steps", 15_000, "--episodes", 2],
-        "prove": ["prove", "--out", out / "p", "--trials", 3, "--pings", 60, "--left-out", 0, "--workers", 1],
+        "prove": ["prove", "--out", out / "p", "--trials", 2, "--pings", 40, "--left-out", 0, "--workers", 1],
     }[name]  # fmt: skip
 
 

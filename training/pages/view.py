@@ -18,7 +18,7 @@ from pydantic import BaseModel
 
 from acquisition import Ping, Recording, SettingError, SonarError
 from acquisition.io.columns import REQUIRED
-from acquisition.io.files import write_text
+from acquisition.io.files import is_file, write_text
 from acquisition.io.places import OutputFile
 from acquisition.io.schema import read_json
 from noise import load_model
@@ -123,8 +123,13 @@ def _kind_of(path: Path) -> tuple[str, Describe | None]:
 
 
 def _has_columns(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.readline(100_000).decode("utf-8", "replace").strip().split(",")
+    if not is_file(path):  # a pipe would block
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.readline(100_000).decode("utf-8", "replace").strip().split(",")
+    except OSError:
+        return True  # the page says why it cannot be read
     return set(REQUIRED) <= set(head)
 
 

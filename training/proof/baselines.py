@@ -17,7 +17,6 @@ from acquisition.arrays import Floats, Ints
 from noise.beam import fit_beam
 from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.discrepancy.name.candidates import candidate_names, keys_of, with_sampled_bounds
-from noise.discrepancy.result import Diagnosis
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.likelihood import likeliest, log_likelihood
@@ -25,7 +24,7 @@ from noise.fitting.stack import SPREAD, Stack
 from noise.fitting.starts import nuisance_start, starting_points
 from noise.law import EchoLaw
 from noise.metrics import crps_with_silence
-from noise.model import MAX_RANGE
+from noise.model import MAX_RANGE, SonarModel
 from noise.physical import PhysicalModel
 from training.diagnosis.judging.tasks import Case
 
@@ -36,13 +35,19 @@ N_FITTED, GRID_PINGS, FIT_PINGS = 6, 200, 600  # effects with the best starting 
 NEAR_M = 0.3  # an echo this near the target is taken for the target's
 
 
-def baselines(case: Case, found: Diagnosis) -> tuple[dict[str, Any], dict[str, float]]:
-    """Return what the baselines say of a trial, and the CRPS of their corrections on its fresh recording, m."""
+def baselines(case: Case, recorded: Batch, emulator: SonarModel | None) -> tuple[dict[str, Any], dict[str, float]]:
+    """Return what the baselines say of a trial, and the CRPS of their corrections on its fresh recording, m.
+
+    Args:
+        case: the trial.
+        recorded: its recording as the diagnosis saw it.
+        emulator: law that describes the simulation.
+    """
     rng = np.random.default_rng(0)  # so that the same trial gives the same scores
-    simulated, recorded = Batch.of(case.simulated), found.recorded
+    simulated = Batch.of(case.simulated)
     x, label, group = _features(simulated, recorded)
     said: dict[str, Any] = {"classifier_p": classifier_p(x, label, group, rng), "mmd_p": mmd_p(x, label, group, rng)}
-    said["independent"] = independent_name(found, rng)
+    said["independent"] = independent_name(recorded, emulator, rng)
     return said, corrections(simulated, recorded, Batch.of(case.fresh[0]), rng) if case.fresh else {}
 
 
@@ -90,21 +95,21 @@ def _discrepancy(kernel: Floats, side: Ints) -> float:
     return float(weight @ kernel @ weight)
 
 
-def independent_name(found: Diagnosis, rng: np.random.Generator) -> str:
+def independent_name(recorded: Batch, emulator: SonarModel | None, rng: np.random.Generator) -> str:
     """Return the effect with the greatest likelihood ratio if every ping were independent; "" for none.
 
     The effects, their starting points and the law of the simulation are those of the diagnosis; Akaike's criterion
     decides, without unseen visits and without effects of visits.
     """
-    if not isinstance(found.emulator, PhysicalModel):
+    if not isinstance(emulator, PhysicalModel):
         return ""
-    base = with_sampled_bounds(Stack.of(found.emulator), found.recorded)
-    batch, grid = found.recorded.thin(FIT_PINGS), found.recorded.thin(GRID_PINGS)
+    base = with_sampled_bounds(Stack.of(emulator), recorded)
+    batch, grid = recorded.thin(FIT_PINGS), recorded.thin(GRID_PINGS)
     free = SPREAD[:2]
     null = maximise(nuisance_start(base, batch).without("visits"), free, batch, 20)
     starts = {
         name: likeliest(starting_points(null.stack, name, grid, rng, 2), grid)
-        for name in candidate_names(base, found.recorded, ())
+        for name in candidate_names(base, recorded, ())
     }
     near = sorted(starts, key=lambda name: -log_likelihood(starts[name], grid).sum())[:N_FITTED]
     gains = {"": 0.0}

@@ -1,13 +1,12 @@
 """The diagnosing program: it finds two recordings in its working folder and knows nothing else about them.
 
-It writes result.json (verdict or error, seconds) and the diagnosis itself, from which the corrected model is scored
-once the answer is disclosed. Arguments are ids of effects that are taken out of the catalogue.
+It writes result.json (verdict or error, seconds) and what else is scored of the diagnosis once the answer is disclosed.
+Arguments are ids of effects that are taken out of the catalogue.
 """
 
 from __future__ import annotations
 
 import json
-import pickle
 import sys
 import time
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import Any
 
 from acquisition import Recording
 from noise import IdealModel, discrepancy
+from training.proof.parcel import packed
 
-SIMULATED, RECORDED, RESULT, MODEL = "simulated.csv", "recorded.csv", "result.json", "diagnosis.pickle"
+SIMULATED, RECORDED, RESULT, MODEL = "simulated.csv", "recorded.csv", "result.json", "diagnosis.json"
 SEED = 0  # of every diagnosis
 
 
@@ -29,7 +29,7 @@ def main(folder: Path, without: tuple[str, ...]) -> None:
         simulated = Recording.load(given) if given.is_file() else None
         recorded = Recording.load(folder / RECORDED)
         found = discrepancy.diagnose(IdealModel(), recorded, simulated=simulated, seed=SEED, without=without)
-        result["verdict"], model = found.verdict.to_dict(), pickle.dumps(found)
+        result["verdict"], model = found.verdict.to_dict(), packed(found)
     except Exception as error:
         result["error"] = f"{type(error).__name__}: {error}"
     result["seconds"] = round(time.perf_counter() - begin, 2)

@@ -210,7 +210,7 @@ class Runner:
 
     def model(self, trial: int) -> Path:
         """Return the file of a diagnosis that has not been scored."""
-        return self.out / "unscored" / f"{trial}.pickle"
+        return self.out / "unscored" / f"{trial}.json"
 
     def finish(self, trial: int, answer: dict[str, Any], model: bytes) -> None:
         """Score a disclosed trial; a diagnosis that ended in an error, or was lost, has no scores."""

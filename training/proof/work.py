@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import subprocess
 import sys
 import tempfile
@@ -22,10 +21,11 @@ from acquisition import Recording
 from acquisition.extras import require
 from training.common.commit import ROOT
 from training.diagnosis.generators.trial import RECORDINGS
-from training.diagnosis.judging.record import _content as content_of
+from training.diagnosis.judging.record import judged
 from training.diagnosis.judging.tasks import Case, Task, case_of
 from training.proof.baselines import baselines
 from training.proof.diagnosing import MODEL, RECORDED, RESULT, SIMULATED
+from training.proof.parcel import unpacked
 
 Files = dict[str, bytes]
 Result = dict[str, Any]
@@ -104,11 +104,11 @@ def scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:
 
 def _scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:
     with threadpool_limits(1):
-        case, found = case_of(task_of(answer)), pickle.loads(model)
-        content = content_of(case, found)
-        names, crps = baselines(case, found)
-        scores = content["scores"] and {**content["scores"], **crps}
-        return {**{k: v for k, v in content.items() if k != "verdict"}, "scores": scores, "baselines": names}
+        case, found = case_of(task_of(answer)), unpacked(model)
+        recorded = found.recorded(case.recorded)
+        content = judged(case, found.said, recorded, found.models)
+        names, crps = baselines(case, recorded, found.models["emulator"])
+        return {**content, "scores": content["scores"] and {**content["scores"], **crps}, "baselines": names}
 
 
 @contextmanager

@@ -18,7 +18,7 @@ import pandas as pd
 from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
-from acquisition.io.files import write_bytes
+from acquisition.io.files import is_file, write_bytes
 from acquisition.io.logs.bags import TimeSeries
 from sonar_gym.bridges.opendlv.messages import FRAME, HEADER, HEADER_SIZE, INT32, READING, encode
 from sonar_gym.bridges.opendlv.session import seconds_of, time_of
@@ -55,7 +55,7 @@ def read_rec(path: Path) -> Iterator[Envelope]:
         RecordingNotFoundError: the file does not exist.
         RecordingError: the file is no `.rec` file, or damaged; a last envelope that was cut off is left out.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise RecordingNotFoundError(f"{path}: no such file; give a .rec file of OpenDLV")
     with path.open("rb") as file:
         at = 0

@@ -13,7 +13,7 @@ import numpy as np
 from acquisition import RecordingError, RecordingNotFoundError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
-from acquisition.io.files import read_limited
+from acquisition.io.files import is_file, read_limited
 from sonar_gym.sensing.scene import Scene, WallSegment
 
 REFLECTANCE = 0.9  # of a wall: smooth and hard
@@ -34,7 +34,7 @@ def load_map(path: Path, reflectance: float = REFLECTANCE) -> Scene:
         RecordingNotFoundError: the file does not exist.
         RecordingError: a line is not a wall.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise RecordingNotFoundError(f"{path}: no such map; give a text file with one wall a line, x1,y1,x2,y2; in m")
     try:
         lines = read_limited(path, RecordingError, "a map").decode().splitlines()

@@ -15,7 +15,7 @@ import numpy as np
 from acquisition import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
-from acquisition.io.files import read_limited
+from acquisition.io.files import is_file, read_limited
 from noise import SonarModel
 from noise.table import TableModel
 from sonar_gym.bridges.simulators.nearest import Nearest, nearest_table
@@ -45,7 +45,7 @@ def load_tables(path: Path, metres_per_unit: float | None = None) -> dict[str, T
         RecordingError: the file has no lookup table, or a damaged one.
         SettingError: a table cannot be inverted.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise RecordingNotFoundError(f"{path}: no such file; give a .wbt or .proto file of Webots")
     text = COMMENT.sub("", read_limited(path, RecordingError, "a world or PROTO file").decode("utf-8", "replace"))
     models: dict[str, TableModel] = {}

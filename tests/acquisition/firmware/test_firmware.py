@@ -3,8 +3,11 @@
 import binascii
 import ctypes
 import ctypes.util
+import gc
 import shutil
 import subprocess
+import weakref
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -42,7 +45,10 @@ def ioctl(text):
 
 
 class Mega:
-    """An ATmega2560 in simavr with the sketch, as a serial port; calling it returns the time of the chip."""
+    """An ATmega2560 in simavr with the sketch, as a serial port; calling it returns the time of the chip.
+
+    It owns what C may call, and so whatever is connected to it, since simavr keeps the pointers.
+    """
 
     def __init__(self, library, elf):
         self.lib = lib = ctypes.CDLL(library)
@@ -66,12 +72,23 @@ class Mega:
         lib.avr_ioctl(self.avr, ioctl("uas0"), ctypes.byref(ctypes.c_uint32(0)))  # no copy on stdout, no sleeping
         self.output = bytearray()
         self.steps = 0
-        self._notify = NOTIFY(lambda irq, value, param: self.output.append(value & 0xFF))
-        lib.avr_irq_register_notify(self._irq("uar0", 1), self._notify, None)
-        self._input = self._irq("uar0", 0)
+        self._owned = [firmware]
+        self.on(self.irq("uar0", 1), lambda value: self.output.append(value & 0xFF))
+        self._input = self.irq("uar0", 0)
 
-    def _irq(self, name, index):
+    def irq(self, name, index):
+        """Return a signal."""
         return self.lib.avr_io_getirq(self.avr, ioctl(name), index)
+
+    def on(self, irq, function):
+        """Call a function with each value of a signal from now on."""
+        self._owned.append(NOTIFY(lambda irq, value, param: function(value)))
+        self.lib.avr_irq_register_notify(irq, self._owned[-1], None)
+
+    def after(self, microseconds, function):
+        """Call a function once, after a time of the chip."""
+        self._owned.append(TIMER(lambda avr, when, param: function() or 0))
+        self.lib.avr_cycle_timer_register_usec(self.avr, microseconds, self._owned[-1], None)
 
     def run(self, steps):
         for _ in range(steps):
@@ -116,9 +133,8 @@ class Sonar:
     def __init__(self, mega, address):
         self.mega, self.address, self.registers = mega, address, bytearray((7 * k + 3) % 256 for k in range(256))
         self.busy, self.writes, self.pointer, self._selected = 0, [], 0, False
-        self._notify = NOTIFY(lambda irq, value, param: self._on_bus(value))
-        mega.lib.avr_irq_register_notify(mega._irq("twi\0", 1), self._notify, None)
-        self._input = mega._irq("twi\0", 0)
+        mega.on(mega.irq("twi\0", 1), self._on_bus)
+        self._input = mega.irq("twi\0", 0)
 
     def _on_bus(self, value):
         message, addressed, data = value >> 8 & 0xFF, value >> 16 & 0xFF, value >> 24 & 0xFF
@@ -149,20 +165,14 @@ class EchoLine:
 
     def __init__(self, mega, delay_us=450):
         self.mega, self.delay_us, self.width_us, self._high = mega, delay_us, 0, False
-        self._echo = mega._irq("iogH", 5)
-        self._rise, self._fall = (TIMER(lambda avr, when, param, level=level: self._set(level)) for level in (1, 0))
-        self._notify = NOTIFY(lambda irq, value, param: self._on_trigger(value))
-        mega.lib.avr_irq_register_notify(mega._irq("iogH", 6), self._notify, None)
+        self._echo = mega.irq("iogH", 5)
+        mega.on(mega.irq("iogH", 6), self._on_trigger)
 
     def _on_trigger(self, value):
         if self._high and not value and self.width_us:
-            for when, timer in ((self.delay_us, self._rise), (self.delay_us + self.width_us, self._fall)):
-                self.mega.lib.avr_cycle_timer_register_usec(self.mega.avr, when, timer, None)
+            for level, after_us in ((1, self.delay_us), (0, self.delay_us + self.width_us)):
+                self.mega.after(after_us, partial(self.mega.lib.avr_raise_irq, self._echo, level))
         self._high = bool(value)
-
-    def _set(self, level):
-        self.mega.lib.avr_raise_irq(self._echo, level)
-        return 0
 
 
 class PulseTrain:
@@ -171,16 +181,14 @@ class PulseTrain:
     def __init__(self, mega, width_us, period_us=49_000):
         self.mega, self.on = mega, True
         self._level, self._next = 0, (period_us - width_us, width_us)
-        self._pin = mega._irq("iogH", 5)
-        self._timer = TIMER(lambda avr, when, param: self._toggle())
-        mega.lib.avr_cycle_timer_register_usec(mega.avr, period_us, self._timer, None)
+        self._pin = mega.irq("iogH", 5)
+        mega.after(period_us, self._toggle)
 
     def _toggle(self):
         self._level = int(self.on) and 1 - self._level
         self.mega.lib.avr_raise_irq(self._pin, self._level)
         if self.on:
-            self.mega.lib.avr_cycle_timer_register_usec(self.mega.avr, self._next[self._level], self._timer, None)
-        return 0
+            self.mega.after(self._next[self._level], self._toggle)
 
 
 class OnCable:
@@ -239,7 +247,7 @@ def test_a_sensor_without_power_does_not_raise_its_line(bridge):
 
 
 def test_a_stuck_echo_line_is_an_error(bridge, mega):
-    pin = mega._irq("iogH", 5)  # the Mega's pin 8 is port H, bit 5
+    pin = mega.irq("iogH", 5)  # the Mega's pin 8 is port H, bit 5
     mega.lib.avr_raise_irq(pin, 1)
     with pytest.raises(NoAnswerError, match="high before the trigger"):
         HcSr04(bridge).ping()
@@ -327,6 +335,16 @@ def test_the_chip_times_an_echo_to_a_few_microseconds(bridge, mega, width_us):
     line.width_us = 0
     with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
         HcSr04(bridge).ping()
+
+
+def test_what_is_connected_to_the_chip_lives_as_long_as_the_chip(bridge, mega):
+    line, train = weakref.ref(EchoLine(mega)), weakref.ref(PulseTrain(mega, 580))
+    train().on = False
+    gc.collect()
+    assert line() is not None
+    with pytest.raises(NoAnswerError, match="echo line did not rise within 20 ms"):
+        HcSr04(bridge).ping()  # its trigger is a signal that the line receives
+    assert train() is not None
 
 
 @pytest.mark.parametrize("count", [20, 100, 700])

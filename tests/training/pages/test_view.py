@@ -71,3 +71,13 @@ def test_names_that_are_not_utf_8_are_spelled_and_linked(results):
 def test_an_empty_folder_says_so(tmp_path):
     main(["view", str(tmp_path)])
     assert "No recording, model, diagnosis or agent" in (tmp_path / "index.html").read_text()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes: Linux or macOS")
+def test_a_pipe_and_a_link_to_nothing_are_no_results(results, capsys):
+    os.mkfifo(results / "pipe.csv")
+    (results / "link.csv").symlink_to(results / "nothing")
+    main(["view", str(results)])
+    text = Path(capsys.readouterr().out.strip()).read_text()
+    assert "pipe.csv" not in text
+    assert "link.csv" not in text

@@ -2,13 +2,19 @@
 
 import json
 import os
+import pickle
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from noise.discrepancy.baseline.forest import AnalogueForest
+from noise.effects import CATALOGUE
+from noise.fitting.batch import Batch
+from noise.fitting.empirical import EmpiricalModel
 from tests.training.proof.conftest import args_of, run_stub, stub_diagnose
 from training.common.checksum import canonical, sha256
 from training.diagnosis.generators.ensemble import FAMILIES
@@ -17,6 +23,7 @@ from training.proof import work
 from training.proof.chain import FIRST, ProofError, linked, load, parse
 from training.proof.deck import planned
 from training.proof.ledger import answers_of, lost_of
+from training.proof.parcel import packed, unpacked
 from training.proof.run import LEDGER, Args, given, main, opened
 from training.proof.verify import Args as VerifyArgs
 from training.proof.verify import problems_of
@@ -119,7 +126,7 @@ SPY = """
 import json, os, sys
 seen = {"files": sorted(os.listdir()), "env": dict(os.environ), "arguments": sys.argv[1:], "cwd": os.getcwd()}
 json.dump({"verdict": seen, "error": None, "seconds": 0.0}, open("result.json", "w"))
-open("diagnosis.pickle", "wb").close()
+open("diagnosis.json", "wb").close()
 """
 
 
@@ -154,6 +161,35 @@ def test_a_process_that_dies_is_an_error_of_the_diagnosis(monkeypatch):
 
 def test_an_error_of_scoring_is_returned():
     assert work.scored({}, b"")["error"].startswith("scoring: KeyError")
+
+
+def test_what_is_scored_is_data_and_runs_no_code(tmp_path):
+    class Harm:
+        def __reduce__(self):
+            return Path.touch, (tmp_path / "harm",)
+
+    task = Task("beam", "same", 0, 1, 40)
+    content = work.scored(work.answer_of(task, case_of(task)), pickle.dumps(Harm()))
+    assert content["error"].startswith("scoring: ")
+    assert not (tmp_path / "harm").exists()
+
+
+def test_models_of_a_diagnosis_are_those_that_were_packed():
+    rng = np.random.default_rng(0)
+    batch = Batch.of(case_of(Task("beam", "same", 0, 1, 200)).recorded)
+    forest, physical = AnalogueForest.of(batch, rng), EmpiricalModel([CATALOGUE["zero_offset"](offset_m=0.01)], 0.01)
+    found = SimpleNamespace(
+        verdict=SimpleNamespace(causes=(), where=()), evidence={}, likely={}, recorded=replace(batch, resolution=0.001),
+        corrected=forest, causes_only=None, difference=None, emulator=physical,
+    )  # fmt: skip
+    again = unpacked(packed(found))
+    for name, model in (("corrected", forest), ("emulator", physical)):
+        loaded = again.models[name]
+        assert type(loaded) is type(model)
+        own, other = (each.law(batch.ping, batch.past).quantile(0.3) for each in (model, loaded))
+        assert np.array_equal(own, other)
+    assert again.models["causes_only"] is None
+    assert again.recorded(case_of(Task("beam", "same", 0, 1, 200)).recorded).resolution == 0.001
 
 
 @pytest.mark.slow

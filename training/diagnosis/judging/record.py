@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -14,16 +14,19 @@ from acquisition import EchoStatus, Reading, Recording
 from acquisition.arrays import Bits, Floats, Ints
 from noise import discrepancy
 from noise.discrepancy.judge.held_out import fair_crps
-from noise.discrepancy.result import Diagnosis, Location
+from noise.discrepancy.result import Diagnosis
 from noise.fitting.batch import Batch
 from noise.fitting.visits import visits_of
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, IdealModel, SonarModel
 from noise.replay import with_simulated
 from training.common.commit import commit
+from training.diagnosis.judging.said import said
 from training.diagnosis.judging.tasks import Case, Task, case_of
 
 Record = dict[str, Any]
+Region = Mapping[str, Sequence[float]]  # column -> (low, high)
+Models = Mapping[str, SonarModel | None]
 MAX_MEMBERS = 25  # readings of an ensemble; more hardly add information, and take memory
 
 
@@ -43,30 +46,36 @@ def record_of(task: Task) -> Record:
 
 
 def _content(case: Case, found: Diagnosis) -> Record:
-    verdict, batch = found.verdict, found.recorded
+    models = {"corrected": found.corrected, "causes_only": found.causes_only, "difference": found.difference}
+    return {"verdict": found.verdict.to_dict(), **judged(case, said(found), found.recorded, models)}
+
+
+def judged(case: Case, told: Mapping[str, Any], batch: Batch, models: Models) -> Record:
+    """Return what a diagnosis says, the overlap of its regions with the true one, and scores on fresh recordings.
+
+    Args:
+        case: the task with its answer.
+        told: what `said` returned.
+        batch: the recording as the diagnosis saw it.
+        models: "corrected", "causes_only" and "difference" of the diagnosis.
+    """
     region = case.causes[0].region if len(case.causes) == 1 else {}
     return {
-        "verdict": verdict.to_dict(),
-        "intervals": {
-            cause.effect: {name: (v.value, v.low, v.high) for name, v in cause.parameters.items()}
-            for cause in verdict.causes
-        },
-        "overlap": [overlap(batch, location, region) for location in verdict.where],
-        "evidence": {name: asdict(each) for name, each in found.evidence.items()},
-        "likely": {name: dict(each) for name, each in found.likely.items()},
-        "scores": scores(found, case.fresh) if case.fresh else None,
+        **{name: told[name] for name in ("intervals", "evidence", "likely")},
+        "overlap": [overlap(batch, each, region) for each in told["regions"]],
+        "scores": scores(models, case.fresh) if case.fresh else None,
     }
 
 
-def overlap(batch: Batch, location: Location, region: Mapping[str, tuple[float, float]]) -> float | None:
+def overlap(batch: Batch, found: Region, region: Region) -> float | None:
     """Return the intersection over union of two regions, in pings; None for a region of history or phase."""
-    here, true = _inside(batch, location.region), _inside(batch, region)
+    here, true = _inside(batch, found), _inside(batch, region)
     if here is None or true is None or not (here | true).any():
         return None
     return float((here & true).sum() / (here | true).sum())
 
 
-def _inside(batch: Batch, region: Mapping[str, tuple[float, float]]) -> Bits | None:
+def _inside(batch: Batch, region: Region) -> Bits | None:
     ping = batch.ping
     columns = {name: getattr(ping, name) for name in ("distance", "angle", "incidence", "reflectance", "time")}
     columns |= {"abs_angle": np.abs(ping.angle), **ping.covariates}
@@ -78,7 +87,7 @@ def _inside(batch: Batch, region: Mapping[str, tuple[float, float]]) -> Bits | N
     return inside
 
 
-def scores(found: Diagnosis, fresh: tuple[Recording, ...]) -> Record:
+def scores(offered: Models, fresh: tuple[Recording, ...]) -> Record:
     """Return CRPS with silence counted, m, on a fresh recording.
 
     The user's simulation and the oracle, a second recording, are their own readings in the same visits; "own" is the
@@ -86,21 +95,22 @@ def scores(found: Diagnosis, fresh: tuple[Recording, ...]) -> Record:
     simulation.
 
     Args:
-        found: the diagnosis.
+        offered: models of the diagnosis; see `judged`.
         fresh: recording, simulation, and second recording under the same conditions, ping by ping.
     """
     recording, simulated, again = fresh
     batch = Batch.of(recording)
     each = {"before": ensemble_crps(recording, simulated), "again": ensemble_crps(recording, again)}
-    models = {"corrected": found.corrected, "causes_only": found.causes_only}
+    models = {name: offered[name] for name in ("corrected", "causes_only")}
     each |= {name: each["before"] if model is None else _crps(model, batch) for name, model in models.items()}
-    each["own"] = each["before"] if found.difference is None else ensemble_crps(recording, simulated, found.difference)
+    acting = offered["difference"]
+    each["own"] = each["before"] if acting is None else ensemble_crps(recording, simulated, acting)
     gap = ClusterMean.of(each["before"] - each["again"], batch.visit).error
     changes = {
         f"{name}_error": ClusterMean.of(each[name] - each["before"], batch.visit).error for name in ("corrected", "own")
     }
     means = {name: float(value.mean()) for name, value in each.items()}
-    return {**means, **changes, "gap_error": gap, "offered": found.corrected is not None}
+    return {**means, **changes, "gap_error": gap, "offered": offered["corrected"] is not None}
 
 
 def _crps(model: SonarModel, batch: Batch) -> Floats:

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from acquisition import Recording, RecordingError
-from noise.discrepancy.result import Aspect, Interval, Location, PValue
 from noise.fitting.batch import Batch
 from training.diagnosis.judging import real
 from training.diagnosis.judging.record import ensemble_crps, overlap
@@ -131,11 +130,10 @@ def test_real_recordings_can_be_halved(real_recordings):
 def test_overlap_counts_pings():
     table = survey(3).assign(distance_mm=np.linspace(0.0, 999.0, 60) + 1.0)
     batch = Batch.of(Recording(table, "a"))
-    size, p = Interval(0.0, 0.0, 0.0, "m"), PValue(0.01, 100)
-    here = Location(Aspect.BIAS, {"distance": (0.0, 0.5)}, size, p)
+    here = {"distance": (0.0, 0.5)}
     assert overlap(batch, here, {}) == pytest.approx(0.5)
     assert overlap(batch, here, {"distance": (0.25, 0.5)}) == pytest.approx(0.5)
-    assert overlap(batch, Location(Aspect.BIAS, {"previous_reading": (0.0, 1.0)}, size, p), {}) is None
+    assert overlap(batch, {"previous_reading": (0.0, 1.0)}, {}) is None
 
 
 def test_the_ensemble_score_is_that_of_the_law_that_drew_the_ensemble():
