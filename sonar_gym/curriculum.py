@@ -12,7 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from acquisition.arguments import checked
 from acquisition.limits import Count, Rate, Share, check_value
 from sonar_gym.checks import check_observation
-from sonar_gym.parking.street import StreetSettings, replaced, street_settings
+from sonar_gym.street.street import StreetSettings, replaced, street_settings
 
 
 def between(begin: StreetSettings, end: StreetSettings, share: float) -> StreetSettings:

@@ -25,8 +25,8 @@ from sonar_gym.control.fusion import StreetFilter
 from sonar_gym.control.memory import EGO
 from sonar_gym.control.perception import Perception, RawPerception
 from sonar_gym.parking.environment import MAX_RANGE, ODOMETRY_SPAN
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS, Mount
+from sonar_gym.street.vehicle import CarSettings
 
 Observation = Mapping[str, NDArray[Any]]
 NEEDED = ("left", "right front", "right rear", "rear", "front")

@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from acquisition.limits import SEEDS, as_numbers, check_number, shown
 from sonar_gym.parking.fleet import MAX_RANGE, MAX_STEPS, ODOMETRY_SPAN, STEP_S, Fleet, Observation
-from sonar_gym.parking.randomization import Randomization
 from sonar_gym.parking.step_kernel import RewardWeights
-from sonar_gym.parking.street import Street, StreetSettings
-from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.parking.world import WorldView
 from sonar_gym.sensing.mounts import Layout, Mount
 from sonar_gym.sensing.odometry import OdometryChoice
 from sonar_gym.sensing.sonar import SonarChoice
+from sonar_gym.street.randomization import Randomization
+from sonar_gym.street.street import Street, StreetSettings
+from sonar_gym.street.vehicle import Car, CarSettings
 
 __all__ = ["MAX_RANGE", "MAX_STEPS", "ODOMETRY_SPAN", "STEP_S", "RewardWeights", "SonarParkingEnv"]
 ROW_0 = np.zeros(1, dtype=np.int64)  # the row of the single world

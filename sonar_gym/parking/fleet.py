@@ -22,12 +22,21 @@ from acquisition.limits import Limit, check_value, near, shown
 from noise import SonarModel
 from sonar_gym.checks import settings_of
 from sonar_gym.parking import step_kernel
-from sonar_gym.parking.cost_to_go import PARKED_ANGLE, PARKED_OVERHANG, CostTables, Space, tabulated
-from sonar_gym.parking.obstacles import obstacles_of
 from sonar_gym.parking.prior import street_credence
-from sonar_gym.parking.randomization import LEVEL_NAMES, Randomization
 from sonar_gym.parking.step_kernel import REWARD_TERMS, RewardWeights, StepConstants, WorldArrays
-from sonar_gym.parking.street import (
+from sonar_gym.parking.world import WorldView
+from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
+from sonar_gym.sensing.mounts import Layout, heights, layout, mount_arrays, times_of
+from sonar_gym.sensing.odometry import Odometer, OdometryChoice
+from sonar_gym.sensing.odometry import odometry as odometry_settings
+from sonar_gym.sensing.pipeline import Sensing
+from sonar_gym.sensing.records import CAUSES, PingArrays
+from sonar_gym.sensing.sonar import STREAM_TAG, Sonar, SonarChoice, resolve, sonar_spaces
+from sonar_gym.sensing.timing import Times, timing
+from sonar_gym.street.cost_to_go import PARKED_ANGLE, PARKED_OVERHANG, CostTables, Space, tabulated
+from sonar_gym.street.obstacles import obstacles_of
+from sonar_gym.street.randomization import LEVEL_NAMES, Randomization
+from sonar_gym.street.street import (
     BEHIND,
     Goal,
     Street,
@@ -40,16 +49,7 @@ from sonar_gym.parking.street import (
     street_of,
     street_settings,
 )
-from sonar_gym.parking.vehicle import CarSettings
-from sonar_gym.parking.world import WorldView
-from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
-from sonar_gym.sensing.mounts import Layout, heights, layout, mount_arrays, times_of
-from sonar_gym.sensing.odometry import Odometer, OdometryChoice
-from sonar_gym.sensing.odometry import odometry as odometry_settings
-from sonar_gym.sensing.pipeline import Sensing
-from sonar_gym.sensing.records import CAUSES, PingArrays
-from sonar_gym.sensing.sonar import STREAM_TAG, Sonar, SonarChoice, resolve, sonar_spaces
-from sonar_gym.sensing.timing import Times, timing
+from sonar_gym.street.vehicle import CarSettings
 
 Observation = dict[str, Singles]
 STEP_S = 0.1  # s; an SRF08 needs 65 ms, several at once after a general call (Devantech)

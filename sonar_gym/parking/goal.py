@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition import SettingError
 from acquisition.arrays import Floats, Singles
 from acquisition.limits import Count, as_numbers, check_value
-from sonar_gym.parking.cost_to_go import Space, cost_table, costs_to_go, tabulated
 from sonar_gym.parking.environment import ODOMETRY_SPAN, SonarParkingEnv
 from sonar_gym.parking.settings import ParkingSettings
-from sonar_gym.parking.street import Goal, rear_room
+from sonar_gym.street.cost_to_go import Space, cost_table, costs_to_go, tabulated
+from sonar_gym.street.street import Goal, rear_room
 
 GOAL, LENGTH = 6, 4  # numbers of a goal, and which of them is the length of the space
 DISCOUNT = 0.95  # at which waiting costs as much per metre as a crash

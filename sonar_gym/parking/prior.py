@@ -23,8 +23,6 @@ from noise import SonarModel, load_model
 from noise.law import CREDENCE_TOLERANCE
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.stored import shipped, stored
-from sonar_gym.parking.street import StreetSettings
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.detection import detection_table, has_beam, listening_table
 from sonar_gym.sensing.laws.general import GeneralLaw
@@ -32,6 +30,8 @@ from sonar_gym.sensing.mounts import Mount, heights, mount_arrays
 from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import BINS, Sonar, broad_table
+from sonar_gym.street.street import StreetSettings
+from sonar_gym.street.vehicle import CarSettings
 
 SEED = 2016  # fixed, so that the prior is the same in every environment
 GENERAL_EVERY, SAMPLED_ONLY_EVERY = 8, 48  # for models that are not compiled, and for those that can only be sampled

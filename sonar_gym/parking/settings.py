@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
-from sonar_gym.parking.randomization import Randomization
 from sonar_gym.parking.step_kernel import RewardWeights
-from sonar_gym.parking.street import StreetSettings
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.odometry import OdometryChoice
 from sonar_gym.sensing.sonar import SonarChoice
+from sonar_gym.street.randomization import Randomization
+from sonar_gym.street.street import StreetSettings
+from sonar_gym.street.vehicle import CarSettings
 
 
 class ParkingSettings(TypedDict, total=False):

@@ -14,12 +14,12 @@ import numpy as np
 from acquisition.arrays import Bits, Floats, Ints, Singles
 from acquisition.limits import Limit, check_settings
 from sonar_gym.compiled import compiled
-from sonar_gym.parking.cost_to_go import cost_to_go
 from sonar_gym.sensing.crosstalk import Surroundings, add_crosstalk
 from sonar_gym.sensing.kernels import NO_HIT, drive_part, out_of_frame, roll, shift
 from sonar_gym.sensing.odometry import PULL, SCALE, update_odometry
 from sonar_gym.sensing.paths import cast_paths, meet_moving
 from sonar_gym.sensing.records import SAME_TIME_S, PingArrays, firing_delay
+from sonar_gym.street.cost_to_go import cost_to_go
 
 GAP, GAP_END, LINE, GOAL_X, GOAL_Y, TURN, READY_X, TABLE, COST = range(9)
 N_TASK = 9

@@ -19,13 +19,13 @@ from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_num
 from sonar_gym.checks import check_options, settings_of
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
-from sonar_gym.parking.randomization import Randomization
 from sonar_gym.parking.step_kernel import RewardWeights
-from sonar_gym.parking.street import StreetSettings, check_gap
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import Layout
 from sonar_gym.sensing.odometry import OdometryChoice
 from sonar_gym.sensing.sonar import SonarChoice
+from sonar_gym.street.randomization import Randomization
+from sonar_gym.street.street import StreetSettings, check_gap
+from sonar_gym.street.vehicle import CarSettings
 
 StepResult = tuple[Observation, Floats, Bits, Bits, dict[str, Any]]
 MASK = "reset_mask"  # Gymnasium's reset option that selects environments

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from acquisition import Reading
 from sonar_gym.parking import step_kernel
 from sonar_gym.parking.step_kernel import WorldArrays
-from sonar_gym.parking.street import Street
-from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.mounts import Mount
 from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import Box, Hits
+from sonar_gym.street.street import Street
+from sonar_gym.street.vehicle import Car, CarSettings
 
 
 @dataclass(frozen=True)

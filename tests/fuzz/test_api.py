@@ -26,12 +26,12 @@ from noise.learned.persistence import Persistence
 from sonar_gym import SonarObservation
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import RewardWeights
-from sonar_gym.parking.street import StreetSettings
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import Mount
 from sonar_gym.sensing.odometry import OdometrySettings
 from sonar_gym.sensing.scene import Box, WallSegment
+from sonar_gym.street.street import StreetSettings
+from sonar_gym.street.vehicle import CarSettings
 from sonar_gym.wrappers.settings import SonarSettings
 from tests.fuzz.conftest import recording
 from tests.fuzz.rule import FUZZ, limited

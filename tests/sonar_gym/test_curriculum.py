@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 from acquisition import SettingError
 from sonar_gym import Curriculum, SonarVecEnv
 from sonar_gym.curriculum import between
-from sonar_gym.parking.street import LEVELS, StreetSettings, draw_street
+from sonar_gym.street.street import LEVELS, StreetSettings, draw_street
 
 EASY, HARD = LEVELS["easy"], LEVELS["hard"]
 

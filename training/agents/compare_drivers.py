@@ -20,8 +20,8 @@ from acquisition.limits import Count, Limit, Seed
 from noise import Faulty, SonarModel, load_model
 from noise.faults import Noise, Short
 from noise.store import ModelName
-from sonar_gym.parking.street import Difficulty
 from sonar_gym.sensing.odometry import OdometryName
+from sonar_gym.street.street import Difficulty
 from training.agents.evaluate import Outcomes, ScriptedPool, evaluate
 from training.common.progress import bar
 from training.common.statistics import PairedComparison

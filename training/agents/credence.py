@@ -22,9 +22,9 @@ from noise import load_model
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.parking.prior import DRIVERS, Task, counted
 from sonar_gym.parking.stored import SHIPPED, shipped_key
-from sonar_gym.parking.street import LEVELS
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS
+from sonar_gym.street.street import LEVELS
+from sonar_gym.street.vehicle import CarSettings
 from training.common.progress import bar
 
 MODELS = ("gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")

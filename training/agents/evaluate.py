@@ -27,9 +27,9 @@ from sonar_gym.agent import AgentDriver, Policy, VectorAgent, load_policy
 from sonar_gym.control.driver import Controller, Episode, ParkingDriver, run_episode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
 from sonar_gym.parking.step_kernel import COLLISION, PARKED
-from sonar_gym.parking.street import Difficulty
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.sensing.odometry import OdometryName
+from sonar_gym.street.street import Difficulty
 from training.agents.sonars import mismatched
 from training.common.progress import OnProgress, progress_bars
 from training.common.statistics import PairedComparison

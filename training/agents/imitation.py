@@ -19,7 +19,7 @@ from torch.nn import functional as F
 from acquisition.arrays import Bits, Floats, Singles
 from sonar_gym.parking.fleet import Fleet
 from sonar_gym.parking.step_kernel import GOAL_X, GOAL_Y, READY_X, TURN
-from sonar_gym.parking.street import arc_radius
+from sonar_gym.street.street import arc_radius
 from training.agents.vec_env import AgentVecEnv
 
 # ---- the teacher -----------------------------------------------------------------------------------------------------

@@ -21,8 +21,8 @@ from acquisition.io.schema import Schema, validated
 from acquisition.limits import Count, Seed
 from noise.store import ModelName
 from sonar_gym.agent import WEIGHTS, Policy, load_policy
-from sonar_gym.parking.street import Difficulty
 from sonar_gym.sensing.odometry import OdometryName
+from sonar_gym.street.street import Difficulty
 from training.agents.evaluate import Outcomes, evaluate, pool_of
 from training.agents.sonars import has_probabilities, mismatched
 from training.common.progress import bar

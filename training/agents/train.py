@@ -31,8 +31,8 @@ from noise.fitting.threads import one_thread
 from noise.store import ModelName
 from sonar_gym.agent import Layer, Policy
 from sonar_gym.control.memory import MemorySettings
-from sonar_gym.parking.street import Difficulty
 from sonar_gym.sensing.odometry import OdometryName
+from sonar_gym.street.street import Difficulty
 from training.agents.imitation import ImitationSettings, imitate
 from training.agents.vec_env import AgentVecEnv, EnvSettings, EpisodeResult, settings_of
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels

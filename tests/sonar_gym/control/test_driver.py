@@ -10,9 +10,9 @@ from sonar_gym.control.driver import ParkingDriver, ReversePath, run_episode
 from sonar_gym.control.perception import RawPerception, box_distance, find_runs, find_spaces, lane_heading
 from sonar_gym.parking.environment import MAX_RANGE
 from sonar_gym.parking.fleet import RewardWeights
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.scene import Box, Scene
+from sonar_gym.street.vehicle import CarSettings
 
 HALF = np.radians(27.5)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sonar_gym.parking.street import BEHIND, PATH_STEP, Goal, arc_radius, arc_table
+from sonar_gym.street.street import BEHIND, PATH_STEP, Goal, arc_radius, arc_table
 
 
 def reference_path(street, car):

@@ -12,7 +12,7 @@ from stable_baselines3.common.env_checker import check_env as check_for_sb3
 from acquisition import SettingError
 from sonar_gym import SonarParkingEnv, SonarParkingGoalEnv
 from sonar_gym.parking.goal import DISCOUNT, LENGTH
-from sonar_gym.parking.street import Goal
+from sonar_gym.street.street import Goal
 from training.agents.zoo.settings import tuned
 
 ENV = SonarParkingGoalEnv()

@@ -9,9 +9,9 @@ from gymnasium.utils.env_checker import check_env
 
 import sonar_gym
 from sonar_gym.parking.step_kernel import is_parked
-from sonar_gym.parking.street import LEVELS, draw_street
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
+from sonar_gym.street.street import LEVELS, draw_street
+from sonar_gym.street.vehicle import CarSettings
 
 CAR = CarSettings()
 LIMITS = np.array([0.03, np.radians(10.0), 0.02, -1.5])  # of a parked car

@@ -5,9 +5,9 @@ import pytest
 
 from acquisition import SettingError
 from sonar_gym.parking.environment import SonarParkingEnv
-from sonar_gym.parking.street import StreetSettings, draw_street
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.sb3 import SonarVecEnv
+from sonar_gym.street.street import StreetSettings, draw_street
 
 NOSE = {"name": "nose", "x": 0.36, "y": 0.0, "heading_deg": 0.0}
 BOXES = [{"begin": 0.6, "length": 0.3}, {"begin": 1.9, "length": 0.3}]

@@ -10,12 +10,12 @@ from noise import GaussianModel
 from noise.faults import Constant, Faulty
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
-from sonar_gym.parking.street import LEVELS, StreetSettings, draw_street
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.scene import Scene, WallSegment
 from sonar_gym.sensing.timing import sensor_latency
+from sonar_gym.street.street import LEVELS, StreetSettings, draw_street
+from sonar_gym.street.vehicle import CarSettings
 from tests.sonar_gym.parking.reference import reference_path
 
 BOXES = [{"begin": 0.6, "length": 0.3}, {"begin": 1.9, "length": 0.3, "reflectance": 0.8, "texture_deg": 5.0}]

@@ -12,9 +12,9 @@ from sonar_gym.parking import prior, stored
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.parking.prior import Task, counted
 from sonar_gym.parking.stored import shipped
-from sonar_gym.parking.street import LEVELS
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS
+from sonar_gym.street.street import LEVELS
+from sonar_gym.street.vehicle import CarSettings
 
 MODELS = ("gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
 

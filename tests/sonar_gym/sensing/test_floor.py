@@ -12,10 +12,10 @@ from acquisition.bench.laboratory.setup import Room
 from noise import load_model
 from noise.rig import SIMULATED
 from sonar_gym.parking.fleet import MAX_RANGE
-from sonar_gym.parking.street import StreetSettings
 from sonar_gym.sensing import paths
 from sonar_gym.sensing.detection import detection_table
 from sonar_gym.sensing.scene import Scene, WallSegment
+from sonar_gym.street.street import StreetSettings
 
 HALF = math.radians(27.5)
 ROUGH_DB = -20.0  # of the rig's floor

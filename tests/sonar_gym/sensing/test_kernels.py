@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from shapely import LineString, Point, Polygon
 from shapely.affinity import rotate, translate
 
-from sonar_gym.parking.vehicle import Car, CarSettings
 from sonar_gym.sensing import kernels
+from sonar_gym.street.vehicle import Car, CarSettings
 
 LIMIT = 3.0
 LENGTH = st.floats(-2.0, 2.0)

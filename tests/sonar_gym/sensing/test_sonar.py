@@ -7,13 +7,13 @@ from acquisition import Ping, Reading
 from noise import CredenceTable, GaussianModel, IdealModel, save_model
 from sonar_gym.parking.environment import MAX_RANGE
 from sonar_gym.parking.prior import DRIVERS, driver_of, street_credence
-from sonar_gym.parking.street import LEVELS, StreetSettings
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing import paths, records
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.sonar import BINS, NOTHING_HELD, Sonar, assign_places, bin_edges, broad_table, resolve
+from sonar_gym.street.street import LEVELS, StreetSettings
+from sonar_gym.street.vehicle import CarSettings
 
 ROW = np.zeros(1, dtype=np.int64)
 STREET = (StreetSettings(), CarSettings(), LAYOUTS["eight"], MAX_RANGE)

@@ -11,8 +11,8 @@ from stable_baselines3 import PPO
 import sonar_gym
 from acquisition import SettingError
 from noise.fitting.threads import one_thread
-from sonar_gym.parking.street import LEVELS
 from sonar_gym.sb3 import SonarVecEnv
+from sonar_gym.street.street import LEVELS
 from training.agents.zoo.command import Args, Training, make_envs, parked
 from training.agents.zoo.settings import tuned
 from training.cli import main

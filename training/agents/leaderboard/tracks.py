@@ -15,12 +15,12 @@ import numpy as np
 from acquisition.arrays import Bits
 from noise import load_model
 from noise.rig import SIMULATED
-from sonar_gym.parking.randomization import Drawn, Randomization
-from sonar_gym.parking.street import LEVELS
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.odometry import ODOMETRIES
+from sonar_gym.street.randomization import Drawn, Randomization
+from sonar_gym.street.street import LEVELS
+from sonar_gym.street.vehicle import CarSettings
 from training.agents.evaluate import DriverPool, Outcomes, evaluate
 from training.agents.sonars import LooseContact, MismatchedModel
 from training.common.checksum import canonical, sha256

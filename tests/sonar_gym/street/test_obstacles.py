@@ -8,11 +8,11 @@ import pytest
 from acquisition import SettingError
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
-from sonar_gym.parking.obstacles import OBSTACLES
-from sonar_gym.parking.street import StreetSettings, draw_street
 from sonar_gym.parking.vector import SonarParkingVectorEnv
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import SOUND_SPEED, touches
+from sonar_gym.street.obstacles import OBSTACLES
+from sonar_gym.street.street import StreetSettings, draw_street
+from sonar_gym.street.vehicle import CarSettings
 from tests.sonar_gym.parking.reference import reference_path
 
 BOXES = [{"begin": 4.0, "length": 0.3}, {"begin": 6.0, "length": 0.3}]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from acquisition.arrays import Floats, Singles
 from sonar_gym.compiled import compiled
-from sonar_gym.parking.street import StreetSettings, arc_radius
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import NO_HIT, out_of_frame, roll, touches
+from sonar_gym.street.street import StreetSettings, arc_radius
+from sonar_gym.street.vehicle import CarSettings
 
 PARKED_ANGLE = math.radians(10.0)  # greatest angle of a parked car to the kerb
 PARKED_OVERHANG = 0.02  # m; how far a parked body may stand over the strip's line

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonar_gym.parking.cost_to_go import (
+from sonar_gym.sensing.kernels import NO_HIT, roll, touches
+from sonar_gym.street.cost_to_go import (
     CHANGE_M,
     PARKED_ANGLE,
     PARKED_OVERHANG,
@@ -17,9 +18,8 @@ from sonar_gym.parking.cost_to_go import (
     stands_in,
     tabulated,
 )
-from sonar_gym.parking.street import ARC_MARGIN, LEVELS, StreetSettings
-from sonar_gym.parking.vehicle import CarSettings
-from sonar_gym.sensing.kernels import NO_HIT, roll, touches
+from sonar_gym.street.street import ARC_MARGIN, LEVELS, StreetSettings
+from sonar_gym.street.vehicle import CarSettings
 
 CAR = CarSettings()
 RADIUS = ARC_MARGIN * CAR.turning_radius

@@ -11,7 +11,7 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
-from sonar_gym.parking.street import LEVELS
+from sonar_gym.street.street import LEVELS
 
 LEVEL_NAMES = tuple(LEVELS)
 

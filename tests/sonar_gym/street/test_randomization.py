@@ -7,9 +7,9 @@ from gymnasium.utils.env_checker import check_env
 
 from acquisition import SettingError
 from sonar_gym.parking.environment import SonarParkingEnv
-from sonar_gym.parking.randomization import LEVEL_NAMES, Randomization
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.sensing.mounts import LAYOUTS, Mount, mount_arrays
+from sonar_gym.street.randomization import LEVEL_NAMES, Randomization
 
 BOTH = {"street": {"easy": 1.0, "hard": 3.0}, "mounts": (0.02, 5.0)}
 NOMINAL = mount_arrays(LAYOUTS["eight"])[0]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from acquisition import SettingError
-from sonar_gym.parking.street import START_BEFORE, StreetSettings, draw_street
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS, Mount, in_world, layout, mount_arrays
 from sonar_gym.sensing.scene import EMPTY_M, Box, Scene, WallSegment
+from sonar_gym.street.street import START_BEFORE, StreetSettings, draw_street
+from sonar_gym.street.vehicle import CarSettings
 from tests.sonar_gym.parking.reference import reference_path
 
 STREETS = [draw_street(StreetSettings(), np.random.default_rng(seed)) for seed in range(200)]

@@ -16,10 +16,10 @@ from acquisition import SettingError
 from acquisition.arrays import Floats
 from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_settings
 from sonar_gym.checks import check_fields
-from sonar_gym.parking.obstacles import OBSTACLES, check_mappings, draw_obstacles
-from sonar_gym.parking.vehicle import CarSettings
 from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.scene import Box, Scene, Texture, box_faces
+from sonar_gym.street.obstacles import OBSTACLES, check_mappings, draw_obstacles
+from sonar_gym.street.vehicle import CarSettings
 
 REAR_ROOM = (0.02, 0.12)  # m; minimum and maximum space behind the car at the end of the reference path
 TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no space behind the car
