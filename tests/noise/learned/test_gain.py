@@ -1,12 +1,14 @@
 """The gain of an SRF08 as a loss of the echo's level."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 from acquisition import Ping
 from acquisition.bench.acoustics.receiver import gain_over_time
 from acquisition.bench.acoustics.transducer import PERIOD
-from noise import ExtrapolationWarning
+from noise import ExtrapolationWarning, load_model
 from noise.learned.gain import GAIN, LOSS, gain_loss
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
@@ -54,3 +56,18 @@ def test_a_ping_without_a_gain_is_at_that_of_power_up():
 def test_a_law_says_that_a_code_does_not_exist(gain):
     with pytest.warns(ExtrapolationWarning, match="gain"):
         assert model().law(Ping.of(1.0, gain=gain)).extrapolates[0]
+
+
+@pytest.mark.parametrize("name", ["srf08-mlp", "srf08-lstm", "srf08-hybrid"])
+def test_shipped_laws_know_the_gain(name):
+    shipped = load_model(name)
+    gain = np.array([31.0, 14.0, 0.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ExtrapolationWarning)
+        law = shipped.law(Ping.of(np.full(3, 3.0), 0.0, 0.3, 0.9, gain=gain, temperature_c=20.0))
+    assert np.all(np.diff(law.echo) < 0.0)
+    assert law.echo[0] > law.echo[2] + 0.3
+    if shipped.remembers:
+        gaps = {code: gap for code, gap in shipped.about["calibration"].items() if code.startswith("gain")}
+        assert len(gaps) == 5
+        assert all(abs(gap) <= 0.03 for gap in gaps.values())
