@@ -44,8 +44,8 @@ TRAINING_SETTINGS: dict[Law, dict[str, Any]] = {
 N_VALIDATION_SENSORS: dict[Law, int] = {"mlp": 48, "lstm": 16, "hybrid": 16}
 BASE_SETTINGS: dict[str, Any] = {"epochs": 60, "patience": 60, "batch": 512}  # of the hybrid's perceptron
 NOTE = (
-    "Simulated by the waveform rig, not measured: SRF08s of 160 serial numbers at their power-up gain, in "
-    "{gains} of the sessions at lower gains, in the laboratory of Esmi (2016) at 14 to 26 degC: its plate and disc on their "
+    "Simulated by the waveform rig, not measured: SRF08s of 160 serial numbers at their power-up gain, in {gains} of "
+    "the sessions at lower gains, in the laboratory of Esmi (2016) at 14 to 26 degC: its plate and disc on their "
     "stand, parallel to the sensor's face or turned, at rest or moving; walls; no reflector, or one beyond the range "
     "gate. {more}The best weights were chosen on {n_sensors} other sensors; the scores are those of 80 further ones."
 )
