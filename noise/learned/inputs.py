@@ -13,6 +13,7 @@ import numpy as np
 from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.ping import CELSIUS, TEMPERATURE
+from noise.learned.gain import GAIN, LOSS, with_loss
 
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
 COMPARED_C = (-11.0, 46.0)  # degC; -10 to 45 degC with the drift of a room: training/noise/conditions.py
@@ -80,6 +81,7 @@ class Inputs:
             horizon: distance beyond which there is no echo, m; all farther pings are one condition.
             uncompensated: see the attribute.
         """
+        ping = with_loss(ping) if LOSS in names else ping
         turned = np.concatenate([ping.angle, ping.incidence])
         folded = bool(np.all(turned >= 0) or np.all(turned <= 0))
         tied = bool(np.allclose(np.abs(ping.angle), np.abs(ping.incidence)))
@@ -88,7 +90,8 @@ class Inputs:
         low, high = np.nanmin(value, axis=0), np.nanmax(value, axis=0)
         beyond = bool(horizon is not None and high[0] > horizon)
         high[0] = horizon if beyond else high[0]
-        others = {name: value for name, value in ping.covariates.items() if name not in (*used, *ADDED)}
+        seen = (*used, *ADDED, *((GAIN,) if LOSS in used else ()))
+        others = {name: value for name, value in ping.covariates.items() if name not in seen}
         fixed = {name: float(value[0]) for name, value in others.items() if len(value) and np.ptp(value) == 0.0}
         averaged = tuple(sorted(others.keys() - fixed.keys()))
         ends = tuple(map(float, low)), tuple(map(float, high))
@@ -119,7 +122,12 @@ class Inputs:
     @cached_property
     def known(self) -> frozenset[str]:
         """Names of covariates that the law uses, that were in its training data, or that this package adds."""
-        return frozenset((*self.covariates, *self.fixed, *self.averaged, *ADDED))
+        return frozenset((*self.covariates, *self.fixed, *self.averaged, *ADDED, *((GAIN,) if self.by_loss else ())))
+
+    @cached_property
+    def by_loss(self) -> bool:
+        """Whether the gain is an input, by the loss that it causes."""
+        return LOSS in self.names
 
     @cached_property
     def width(self) -> int:
@@ -140,15 +148,18 @@ class Inputs:
         return ping.covariates.get(name, math.nan)
 
     def equivalent(self, ping: Ping) -> Ping:
-        """Return pings within the learned temperatures whose readings have the same law.
+        """Return pings within the learned temperatures whose readings have the same law, with the loss by their gain.
 
         The reading of a sensor without temperature compensation is a time of flight, 2 d / c(T): at T it is that of the
         distance d c(T') / c(T) at T', with c proportional to the square root of the absolute temperature. Absorption
-        and what the electronics do with temperature are those at T'.
+        and what the electronics do with temperature are those at T'. A gain is replaced by the loss that it causes.
 
         Args:
             ping: conditions, (n,).
         """
+        return self._of_equal_time(with_loss(ping) if self.by_loss else ping)
+
+    def _of_equal_time(self, ping: Ping) -> Ping:
         given = ping.covariates.get(TEMPERATURE) if self.uncompensated and TEMPERATURE in self.names else None
         if given is None:
             return ping

@@ -25,6 +25,10 @@ RESCALED = (
     f" At other temperatures from {COMPARED_C[0]:g} to {COMPARED_C[1]:g} degC the law is that of equal "
     "time of flight at the end of the range."
 )
+BY_LOSS = (
+    " A gain enters as the loss of the echo that it causes, `gain_loss_db`; a ping without a gain is at that of "
+    "power-up."
+)
 CALIBRATED = (
     "Simulated by the waveform rig. Credence is that given the condition and, with memory, the earlier readings;\n"
     "standard errors are over sensors. The calibration error is the mean gap over tenths of credence."
@@ -151,7 +155,7 @@ def card(
         scores=markdown_table(HEADINGS, score_rows(scores)),
         ranges=markdown_table(("quantity", "from", "to"), ranges),
         single_valued=_fixed(inputs),
-        temperatures=RESCALED if inputs.uncompensated else "",
+        temperatures=(RESCALED if inputs.uncompensated else "") + (BY_LOSS if inputs.by_loss else ""),
         persistence=_persistence(model),
         calibration=_calibration(conditions or {}),
         tied=" Incidence equals bearing in the data, so other incidences count as outside." if inputs.tied else "",

@@ -31,11 +31,12 @@ MIN_DISTANCE_M, MAX_DISTANCE_M, EMPTY_DISTANCE_M = 0.03, 6.0, 20.0  # the last i
 STEP_S, MOVE_S = 0.1, 20.0  # s; between pings, and to place the next reflector
 VISIT_PINGS = (1, 2, 4, 8, 16, 30)  # numbers of pings per visit
 VISIT_PINGS_PROBABILITY = (0.35, 0.20, 0.15, 0.12, 0.10, 0.08)
+MAX_GAIN = 31  # register at power-up
 STAND, WALL, EMPTY = range(3)
 SCENES = {
-    STAND: Setup(gain=31),
-    WALL: Setup(gain=31, reflector=Wall(), post=None),
-    EMPTY: Setup(gain=31, post=None),
+    STAND: Setup(gain=MAX_GAIN),
+    WALL: Setup(gain=MAX_GAIN, reflector=Wall(), post=None),
+    EMPTY: Setup(gain=MAX_GAIN, post=None),
 }
 SCENES_PROBABILITY = (0.82, 0.10, 0.08)
 TEMPERATURE_C = (14.0, 26.0)
@@ -56,6 +57,7 @@ class Sessions:
         visits: number of visits per survey.
         pings: number of pings per drive.
         faulty: whether sessions have a loose wire, a sensor that warms up, or both.
+        gains: whether sessions have gains below that at power-up.
         seed: of all random draws.
         temperature_c: lowest and highest temperature of the air, degC.
         scenes: laboratory by scene.
@@ -68,6 +70,7 @@ class Sessions:
     visits: int = 40
     pings: int = 60
     faulty: bool = False
+    gains: bool = False
     seed: int = 0
     temperature_c: tuple[float, float] = TEMPERATURE_C
     scenes: Mapping[int, Setup] = field(default_factory=lambda: SCENES)
@@ -148,10 +151,12 @@ def _draw_conditions(scene: Ints, rng: np.random.Generator) -> tuple[Floats, Flo
 
 
 def _draw_laboratory(sessions: Sessions, unit: Unit, rng: np.random.Generator) -> tuple[Unit, dict[str, Any]]:
-    """Draw the settings of a session: the air, and if `faulty` a loose wire, a cold sensor, or both."""
+    """Draw the settings of a session: the air, a gain, and if `faulty` a loose wire, a cold sensor, or both."""
     settings: dict[str, Any] = {"temperature_c": float(rng.uniform(*sessions.temperature_c))}
     if sessions.front_end is not None:
         settings |= {**sessions.front_end.settings, "room": sessions.front_end.room(rng)}
+    if sessions.gains:
+        settings["gain"] = int(rng.integers(MAX_GAIN))
     kind = rng.choice(3) if sessions.faulty else -1
     if kind in (0, 2):
         nack, stale = rng.uniform(0.02, 0.2, 2)
@@ -267,6 +272,9 @@ RECORDINGS: dict[str, Sessions | tuple[SurveyPlan, tuple[int, ...], int]] = {
     "validation": Sessions(VALIDATION_SENSORS, surveys=4, drives=1),
     "faulty": Sessions(TRAINING_SENSORS, surveys=2, drives=0, faulty=True),
     "faulty-validation": Sessions(VALIDATION_SENSORS, surveys=1, drives=0, faulty=True),
+    "drives": Sessions(TRAINING_SENSORS, surveys=0, drives=8, seed=6),
+    "gains": Sessions(TRAINING_SENSORS, surveys=3, drives=1, gains=True, seed=5),
+    "gains-validation": Sessions(VALIDATION_SENSORS[:16], surveys=2, drives=1, gains=True, seed=5),
     "known": (replace(QUICK_PLAN, pings=6), KNOWN_SENSORS, 1),
     "conditions": (INTERMEDIATE_PLAN, KNOWN_SENSORS, 2),
     "sensors": (replace(QUICK_PLAN, distances_mm=EVERY_THIRD_DISTANCE, pings=24), TEST_SENSORS, 3),

@@ -16,6 +16,7 @@ from annotated_types import MinLen
 from acquisition import Recording
 from acquisition.io.places import OutputFolder
 from acquisition.limits import Seed, Workers
+from noise.learned.gain import LOSS
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
@@ -32,7 +33,7 @@ from training.noise.corpus import RECORDINGS, ensure_recorded, first_pings
 from training.noise.train import Args as TrainArgs
 from training.noise.train import Law, Report, TrainingPings, learn, no_report, run_segments
 
-INPUTS = ("distance", "angle", "incidence", "reflectance", "temperature_c")
+INPUTS = ("distance", "angle", "incidence", "reflectance", "temperature_c", LOSS)
 HORIZON_M, STEP_M, COMPONENTS, FIXED = 6.5, 0.01, 6, 2
 PINGS_PER_VISIT = 2  # for the perceptron: further pings of a visit depend on the same placement and add little
 TRAINING_SETTINGS: dict[Law, dict[str, Any]] = {
@@ -43,12 +44,12 @@ TRAINING_SETTINGS: dict[Law, dict[str, Any]] = {
 N_VALIDATION_SENSORS: dict[Law, int] = {"mlp": 48, "lstm": 16, "hybrid": 16}
 BASE_SETTINGS: dict[str, Any] = {"epochs": 60, "patience": 60, "batch": 512}  # of the hybrid's perceptron
 NOTE = (
-    "Simulated by the waveform rig, not measured: SRF08s of 160 serial numbers at their power-up gain, in the "
-    "laboratory of Esmi (2016) at 14 to 26 degC: its plate and disc on their stand, parallel to the sensor's "
-    "face or turned, at rest or moving; walls; no reflector, or one beyond the range gate. {more}The best weights "
-    "were chosen on {n_sensors} other sensors; the scores are those of 80 further ones."
+    "Simulated by the waveform rig, not measured: SRF08s of 160 serial numbers at their power-up gain, in {gains} of "
+    "the sessions at lower gains, in the laboratory of Esmi (2016) at 14 to 26 degC: its plate and disc on their "
+    "stand, parallel to the sensor's face or turned, at rest or moving; walls; no reflector, or one beyond the range "
+    "gate. {more}The best weights were chosen on {n_sensors} other sensors; the scores are those of 80 further ones."
 )
-FAULTY_NOTE = "A sixth of the sessions have a loose wire, a sensor that warms up, or both. "
+FAULTY_NOTE = "A twelfth of the sessions have a loose wire, a sensor that warms up, or both. "
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,8 @@ def describe(
     model.about |= {"commands": commands, "seed": settings.seed, "scores": scores_as_numbers(scores)}
     model.about["calibration"] = {name: round(c.gap.mean, 4) for name, c in calibrated.items()}
     n_sensors = N_VALIDATION_SENSORS[settings.law]
-    note = NOTE.format(more="" if settings.law == "mlp" else FAULTY_NOTE, n_sensors=n_sensors)
+    more, gains = ("", "two sevenths") if settings.law == "mlp" else (FAULTY_NOTE, "a sixth")
+    note = NOTE.format(more=more, gains=gains, n_sensors=n_sensors)
     model.card = card(settings.out.name, model, scores, "conditions of new sensors", train, commands, note, calibrated)
     return save_model(model, settings.out)
 
@@ -148,17 +150,18 @@ def _train(settings: TrainArgs, parts: tuple[Recording, Recording], report: Repo
 
 
 def load_data(data: Path, law: Law, n_sensors: int) -> tuple[Recording, Recording]:
-    """Return training and validation data of a law; sessions with faults are for recurrent laws only.
+    """Return training and validation data of a law; more drives and sessions with faults are for recurrent laws only.
 
     Args:
         data: folder of the recordings.
         law: type of the network.
         n_sensors: number of validation sensors.
     """
-    faulty = [] if law == "mlp" else ["faulty"]
-    choose = _load_joined(data, ["validation", *(f"{name}-validation" for name in faulty)])
+    faulty, drives = ([], []) if law == "mlp" else (["faulty"], ["drives"])
+    choose = _load_joined(data, ["validation", "gains-validation", *(f"{name}-validation" for name in faulty)])
     sensor = choose.table["sensor"].astype(int)
-    return _load_joined(data, ["train", *faulty]), choose.select((sensor < sensor.min() + n_sensors).to_numpy())
+    chosen = choose.select((sensor < sensor.min() + n_sensors).to_numpy())
+    return _load_joined(data, ["train", "gains", *faulty, *drives]), chosen
 
 
 def _load_joined(data: Path, names: list[str]) -> Recording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from acquisition import EchoStatus, Ping, Reading
+from noise.learned.gain import LOSS
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import FLOOR, UNIT_M, Head
 from noise.learned.networks import MlpModel
@@ -21,6 +22,7 @@ from noise.learned.recurrent import LstmModel
 from noise.learned.recurrent_state import N_ANCHORS, N_HISTORY_FEATURES, LstmCell, PingHistory
 from noise.learned.tensors import Layers
 from noise.model import IdealModel, steps
+from training.noise.restarts import draw_restarts, echo_known, padded_sequences, whole_runs, without_past
 
 MAX_RUN_PINGS = 256  # length at which training runs are cut
 COVARIATE_DROPOUT = 0.25  # probability that the covariates of a ping or run are masked
@@ -69,6 +71,7 @@ class TrainingBatch:
     @classmethod
     def of(cls, inputs: Inputs, head: Head, ping: Ping, reading: Reading) -> TrainingBatch:
         """Convert arrays; bounds follow `EchoLaw`: the first and last steps include everything beyond them."""
+        ping = inputs.equivalent(ping)
         law, before = IdealModel(head.resolution, head.max_range).law(ping), PingHistory.of_recording(ping, reading)
         step = law.step(reading.range)
         far = 100.0 * head.max_range  # finite, for finite gradients
@@ -90,6 +93,12 @@ class TrainingBatch:
         valid = np.zeros(index.shape, dtype=bool)
         index[piece, place % max_pings], valid[piece, place % max_pings] = np.arange(len(run)), True
         return replace(self[torch.tensor(index)], valid=torch.tensor(valid))
+
+    def restarted(self, begins: Tensor) -> TrainingBatch:
+        """Return runs in which nothing is known of the pings before the beginning of a sequence, (runs, pings)."""
+        known = torch.stack([echo_known(self.features, begins), ~begins], dim=-1)
+        anchors = torch.where(known, self.anchors, self.distance[..., None])
+        return replace(self, features=without_past(self.features, begins), anchors=anchors)
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -192,8 +201,10 @@ class CovariateDropout:
     """
 
     def __init__(self, inputs: Inputs) -> None:
-        self.value = [k for k, name in enumerate(inputs.names) if name in inputs.covariates]
-        self.known = list(range(inputs.width - len(self.value), inputs.width))
+        first = inputs.width - len(inputs.covariates)
+        masked = [(k, name) for k, name in enumerate(inputs.covariates) if name != LOSS]  # which is never missing
+        self.value = [inputs.names.index(name) for _, name in masked]
+        self.known = [first + k for k, _ in masked]
 
     def __call__(self, features: Tensor) -> Tensor:
         """Return the features with covariates masked at random, in whole runs."""
@@ -266,19 +277,31 @@ class LstmNetwork(nn.Module):
         set_layers(copy, base.layers)
         return copy.requires_grad_(False)
 
-    def numbers(self, features: Tensor) -> Tensor:
-        """Return the inputs of the head, (runs, pings, width)."""
-        numbers = self.layers(torch.cat([features, self.lstm(features)[0]], dim=-1))
+    def numbers(self, features: Tensor, sequences: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
+        """Return the inputs of the head, (n, width), of pings in sequences; see `padded_sequences`."""
+        states, places = [], []
+        for index, padding in sequences:
+            states.append(self.lstm(features[index])[0][~padding])
+            places.append(index[~padding])
+        hidden = torch.cat(states)[torch.argsort(torch.cat(places))]
+        numbers = self.layers(torch.cat([features, hidden], dim=-1))
         if self.fixed is None or self.place is None:
             return numbers
         return numbers.index_add(-1, self.place, self.fixed(features[..., : self.inputs.width]))
 
-    def log_prob(self, batch: TrainingBatch) -> Tensor:
-        """Return the log probability of each valid ping, nats, (n,)."""
-        max_pings = int(batch.valid.sum(dim=1).max())
-        batch = batch[:, :max_pings]
+    def log_prob(self, batch: TrainingBatch, begins: Tensor | None = None) -> Tensor:
+        """Return the log probability of each valid ping, nats, (n,).
+
+        Args:
+            batch: runs of pings.
+            begins: where a memory begins, (runs, pings); by default with each run, and in training also elsewhere.
+        """
+        if begins is None:
+            begins = draw_restarts(batch.features, batch.valid) if self.training else whole_runs(batch.valid)
+        batch = batch.restarted(begins)
         features = self.dropout(batch.features) if self.training else batch.features
-        return log_likelihood(self.head, self.numbers(features), batch)[batch.valid]
+        pings = replace(batch, features=features)[batch.valid]
+        return log_likelihood(self.head, self.numbers(pings.features, padded_sequences(begins, batch.valid)), pings)
 
     def to_model(self, about: dict[str, Any]) -> LstmModel:
         """Return the trained network in its numpy form."""
@@ -331,9 +354,14 @@ def fit_network(
 
 
 def _score(network: MixtureNetwork | LstmNetwork, validation: TrainingBatch) -> float:
+    """Return the mean log probability of validation pings, nats; of a recurrent network also with a memory cut."""
     network.eval()
     with torch.no_grad():
-        return float(network.log_prob(validation).mean())
+        score = float(network.log_prob(validation).mean())
+        if isinstance(network, LstmNetwork):
+            cut = draw_restarts(validation.features, validation.valid, torch.Generator().manual_seed(0))
+            score = 0.5 * (score + float(network.log_prob(validation, cut).mean()))
+    return score
 
 
 def _shuffled(n: int, batch: int) -> Iterator[Tensor]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.arrays import Bytes, Floats, Ints, Singles
+from noise.learned.gain import LOSS
 from noise.learned.inputs import LOG_OFFSET_M, Inputs
 from noise.learned.networks import MlpModel
 from sonar_gym.compiled import compiled
@@ -28,6 +29,7 @@ class Features(NamedTuple):
         low, high, span: learned ranges of the quantities, (q,).
         log: logarithm of the least distance and the scale of logarithms.
         covariates: number of covariates.
+        default: value of each quantity where it is not given; NaN for none, (q,).
         folded, tied, open_end: see `Inputs`.
     """
 
@@ -37,6 +39,7 @@ class Features(NamedTuple):
     span: Floats
     log: tuple[float, float]
     covariates: int
+    default: Floats
     folded: bool
     tied: bool
     open_end: bool
@@ -50,19 +53,21 @@ class Features(NamedTuple):
         near, far = math.log(low[0] + LOG_OFFSET_M), math.log(high[0] + LOG_OFFSET_M)
         log = near, 2.0 / max(far - near, 0.1)
         flags = inputs.folded, inputs.tied, inputs.open_end
-        return cls(np.array(columns), low, high, span, log, len(inputs.covariates), *flags)
+        default = np.where(np.array(inputs.names) == LOSS, 0.0, np.nan)
+        return cls(np.array(columns), low, high, span, log, len(inputs.covariates), default, *flags)
 
 
 @compiled
 def write_features(f: Features, pings: Floats, i: int, x: Singles, r: int) -> float:
     """Write the features of ping i into column r of a block; return its distance from the learned conditions.
 
-    A covariate without a row, or with NaN, is missing.
+    A covariate without a row, or with NaN, has its default, or is missing.
     """
     excess, quantities, own = 0.0, f.columns.shape[0], len(CONDITIONS)
     for k in range(quantities):
         column = f.columns[k]
         value = pings[column, i] if column < pings.shape[0] else math.nan
+        value = f.default[k] if math.isnan(value) else value
         if column >= own:
             x[quantities + 1 + column - own, r] = -1.0 if math.isnan(value) else 1.0
         if math.isnan(value):

@@ -210,9 +210,9 @@ def test_what_a_law_was_trained_with_is_saved(tmp_path):
     assert again.inputs.fixed == {"gain": 31.0}
     for name in ("srf08-mlp", "srf08-lstm", "srf08-hybrid"):
         inputs = load_model(name).inputs
-        assert (inputs.uncompensated, inputs.fixed["gain"]) == (True, 31.0)
-        with pytest.warns(ExtrapolationWarning, match="gain 31"):
-            load_model(name).law(Ping.of(1.0, gain=14.0, temperature_c=20.0))
+        assert (inputs.uncompensated, inputs.fixed["range_mm"]) == (True, 6063.0)
+        with pytest.warns(ExtrapolationWarning, match="range_mm 6063"):
+            load_model(name).law(Ping.of(1.0, range_mm=3010.0, temperature_c=20.0))
 
 
 def test_a_missing_covariate_is_marked():

@@ -16,6 +16,7 @@ from noise.metrics import evaluate
 from noise.physical import PhysicalModel
 from training.cli import main
 from training.noise.networks import LstmNetwork, MixtureNetwork, TrainingBatch, recurrent_head
+from training.noise.restarts import draw_restarts
 from training.noise.train import Args, DataSplit, groups, run_segments, train
 
 torch.set_num_threads(1)
@@ -93,8 +94,15 @@ def test_torch_and_numpy_forms_of_recurrent_networks_agree(hybrid):
     batch = TrainingBatch.of(inputs, network.head, ping, reading).in_runs(ping.run)
     with torch.no_grad():
         here = network.log_prob(batch).numpy()
+        begins = draw_restarts(batch.features, batch.valid, torch.Generator().manual_seed(2))
+        cut = network.log_prob(batch, begins).numpy()
+    order = np.argsort(ping.run, kind="stable")
     there = network.to_model({}).follow(ping, reading).log_prob(reading)
-    np.testing.assert_allclose(here, there[np.argsort(ping.run, kind="stable")], atol=2e-3)
+    np.testing.assert_allclose(here, there[order], atol=2e-3)
+    ping, reading = ping[order], reading[order]
+    ping = replace(ping, run=begins[batch.valid].cumsum(0).numpy())
+    assert len(np.unique(ping.run)) > 4
+    np.testing.assert_allclose(cut, network.to_model({}).follow(ping, reading).log_prob(reading), atol=2e-3)
 
 
 def many_units(seed, sensors=60, pings=40):
