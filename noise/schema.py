@@ -247,6 +247,7 @@ class Mapped(Kind):
 
     kind: Literal["mapped"]
     model: Model
+    before: Model
     after: Model
 
 

@@ -1,8 +1,9 @@
-"""Quantile mapping: what a recording shows beyond a law acts on given readings, such as those of the simulator itself.
+"""Quantile mapping: what a recording shows beyond a simulation acts on the simulator's own readings.
 
-A reading z that the law F places at u = F(z) becomes the reading that the recalibrated law G places there, so that
-G(z') = F(z). Readings keep their order: those that are long for the law stay long. A silent ping has the transforms
-between the law's probability of an echo and one, and may become an echo where the recalibrated law has more of them.
+A reading z that the law F of the simulation places at u = F(z) becomes the reading that the law G of the recording
+places there, so that G(z') = F(z). Readings keep their order: those that are long for the simulation stay long. A
+silent ping has the transforms between the probability of an echo and one, and may become an echo where G has more of
+them. Both laws are recalibrated, each by its own readings, so that an error that they share moves no reading.
 """
 
 from __future__ import annotations
@@ -14,34 +15,33 @@ from typing import Any
 
 import numpy as np
 
-from acquisition import ModelError, Ping, Reading
+from acquisition import Ping, Reading
 from acquisition.arrays import Floats
 from acquisition.brief import brief
-from noise.discrepancy.baseline.recalibration import Recalibrated, RecalibratedLaw
 from noise.law import EchoLaw
 from noise.model import SonarModel
 
+PARTS = ("model", "before", "after")
+
 
 class MappedLaw(EchoLaw):
-    """Readings mapped from one law to its recalibration.
+    """Readings mapped from one law to another.
 
     Attributes:
         given: law of the readings before the map.
-        after: the recalibrated law.
+        before, after: laws between which they are mapped, of the same n pings.
     """
 
     uniform_per_ping = True
 
-    def __init__(self, given: EchoLaw, after: RecalibratedLaw, resolution: float) -> None:
+    def __init__(self, given: EchoLaw, before: EchoLaw, after: EchoLaw, resolution: float) -> None:
         super().__init__(given.distance, resolution, given.max_range)
-        self.given, self.after = given, after
+        self.given, self.before, self.after = given, before, after
 
     def _arrival(self, z: Floats) -> Floats:
-        before = self.after.law
-        u, echo = self.after._arrival(z), before.echo
-        silent = np.clip(1.0 - echo - before.no_answer, 0.0, 1.0)
+        u, echo, silent = self.after._arrival(z), self.before.echo, self.before.no_echo
         heard = np.divide(np.clip(u - echo, 0.0, silent), silent, out=np.zeros_like(u), where=silent > 0.0)
-        own = np.where(u >= echo, np.inf, _inverse(before, np.minimum(u, echo)))
+        own = np.where(u >= echo, np.inf, _inverse(self.before, np.minimum(u, echo)))
         return self.given._arrival(own) + self.given.no_echo * heard
 
     @property
@@ -60,17 +60,18 @@ def _inverse(law: EchoLaw, u: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """A model whose readings are mapped from a law to its recalibration.
+    """A model whose readings are mapped from one law to another.
 
     Attributes:
         model: of the readings before the map.
-        after: the recalibrated law, with the law before it.
+        before, after: models between whose laws they are mapped.
     """
 
     __repr__ = brief
 
     model: SonarModel
-    after: Recalibrated
+    before: SonarModel
+    after: SonarModel
 
     @property
     def resolution(self) -> float:
@@ -80,26 +81,19 @@ class Mapped:
     @property
     def remembers(self) -> bool:
         """Whether the law depends on the previous reading."""
-        return self.model.remembers or self.after.remembers
+        return any(each.remembers for each in (self.model, self.before, self.after))
 
     def law(self, ping: Ping, past: Reading | None = None) -> MappedLaw:
         """Return the law of n pings, given the previous reading of each."""
-        return MappedLaw(self.model.law(ping, past), self.after.law(ping, past), self.resolution)
+        given, before, after = (each.law(ping, past) for each in (self.model, self.before, self.after))
+        return MappedLaw(given, before, after, self.resolution)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the model as plain data."""
-        model: Any = self.model
-        return {"kind": "mapped", "model": model.to_dict(), "after": self.after.to_dict()}
+        """Return the models as plain data."""
+        models: dict[str, Any] = {name: getattr(self, name) for name in PARTS}
+        return {"kind": "mapped", **{name: model.to_dict() for name, model in models.items()}}
 
     @classmethod
     def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, object], SonarModel]) -> Mapped:
-        """Load a saved model; `load_kind` loads the models inside.
-
-        Raises:
-            ModelError: the second of them is no recalibrated law.
-        """
-        after = load_kind(folder, data["after"])
-        if not isinstance(after, Recalibrated):
-            kind = type(after).__name__
-            raise ModelError(f"{folder / 'model.json'}: `after` is a {kind}, expected a recalibrated law")
-        return cls(load_kind(folder, data["model"]), after)
+        """Load a saved model; `load_kind` loads the models inside."""
+        return cls(*(load_kind(folder, data[name]) for name in PARTS))

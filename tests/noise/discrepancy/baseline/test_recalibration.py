@@ -122,7 +122,7 @@ def test_the_recalibrated_law_is_a_law():
 
 def test_a_saved_model_is_the_same_law(tmp_path):
     model, ping = recalibrated(LAW, batch_of(early), np.random.default_rng(0)).model, survey(5, 3)
-    for kind in (model, Mapped(Replay(LAW, 0.001, 0.001), model)):
+    for kind in (model, Mapped(Replay(LAW, 0.001, 0.001), LAW, model)):
         again = load_model(save_model(kind, tmp_path / type(kind).__name__))
         z = np.linspace(0.1, 5.0, len(ping))
         np.testing.assert_allclose(again.law(ping).arrival(z), kind.law(ping).arrival(z), atol=1e-12)
@@ -147,9 +147,8 @@ def uncertain():
 
 
 def mapped(model, ping, reading, seed=0):
-    return (
-        Mapped(Replay(LAW, 0.001, 0.001), model).law(with_simulated(ping, reading)).sample(np.random.default_rng(seed))
-    )
+    law = Mapped(Replay(LAW, 0.001, 0.001), LAW, model).law(with_simulated(ping, reading))
+    return law.sample(np.random.default_rng(seed))
 
 
 def test_mapped_readings_move_as_the_recording_does(uncertain):
@@ -160,6 +159,16 @@ def test_mapped_readings_move_as_the_recording_does(uncertain):
     shift = moved.range - given_.range
     assert np.mean(shift[both & turned(ping)]) == pytest.approx(0.03, abs=0.006)
     assert np.mean(shift[both & ~turned(ping)]) == pytest.approx(0.0, abs=0.002)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_between_equal_laws_every_reading_remains(uncertain, seed):
+    """An error that the laws share moves nothing: these readings are 3 mm from what they expect."""
+    ping, rng = survey(10, 5), np.random.default_rng(seed)
+    given_ = Reading.of(np.round(ping.distance + 0.003, 3))
+    law = Mapped(Replay(LAW, 0.001, 0.001), uncertain, uncertain).law(with_simulated(ping, given_))
+    np.testing.assert_allclose(law.sample(rng).range, given_.range, atol=1.01e-3)
 
 
 def test_mapped_readings_keep_their_order(uncertain):
