@@ -300,8 +300,8 @@ class Diagnosis(Presented):
         causes_only: the corrected model without the empirical term; None where no cause is believed.
         recording: name of the recording.
         unanswered: number of pings without an answer, which were left out.
-        difference: causes and empirical term acting on the readings of the simulator, for `correct`; None where none of
-            them predicts the recording better than the simulation.
+        difference: what differs, acting on the readings of the simulator, for `correct`; None where nothing found
+            predicts the recording better than the simulation.
         left_out: believed cause that cannot act so -> why.
         evidence: what the decision model knew of each selected effect, believed or not.
         likely: selected effect -> effect in its place -> probability.
