@@ -57,7 +57,7 @@ class Options:
 
     Attributes:
         with_causes: the law with the believed causes alone; None where none is believed.
-        with_term: the same, or the simulation's law, with an empirical term; None where there is none.
+        with_term: the same, or the simulation's law, with an empirical term; None where none gains beyond chance.
         on_simulation: the causes on what stands for the simulation; None where that is the emulator.
         forest: a forest of the recording.
     """
@@ -97,8 +97,12 @@ class Options:
             laws = [offered(stack, step_m) for stack in (judged.final.single.stack, *reversed(judged.found.stacks))]
             with_causes = _scored(laws, parts)
             on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
-        term = recalibrated(offered(judged.final.single.stack, step_m), search.folds.both, rng)
+        law = offered(judged.final.single.stack, step_m)
+        term = recalibrated(law, search.folds.both, rng)
         with_term = None if term is None else _crossed(term, search, parts)
+        # the term is compared with the very law that it corrects, so that both were fitted to the same readings
+        if with_term is not None and not with_term.is_better_than(_scored([law] * len(parts), parts)):
+            with_term = None
         return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts))
 
     def corrected(self, before: Simulation) -> SonarModel | None:
@@ -107,14 +111,11 @@ class Options:
         Laws with causes hold under other conditions too, and a forest of readings under their own alone. What is less
         general is preferred only where it is better beyond chance.
         """
-        laws = [each for each in (self.with_causes, self.on_simulation) if each is not None]
-        best = min(laws, key=lambda option: option.crps, default=None)
-        others = [each for each in (self.with_term, self.forest) if each is not None]
-        for other in others:
-            if best is None or other.is_better_than(best):
-                best = other
-        every = [each for each in (best, *others) if each is not None]
-        return next((each.model for each in every if before.is_beaten(*each.scored)), None)
+        laws = [each for each in (self.with_causes, self.on_simulation, self.with_term) if each is not None]
+        best = min(laws, key=lambda option: option.crps, default=self.forest)
+        if best is not self.forest and self.forest.is_better_than(best):
+            best = self.forest
+        return next((each.model for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
 
 
 def offered(stack: Stack, step_m: float) -> SonarModel:

@@ -214,9 +214,9 @@ def crosstalk_share(**settings):
     """Return the share of readings that come from another sonar's burst, beside vehicles on the road."""
     env = SonarObservation(gymnasium.make("highway-v0"), "srf08-mlp", metres_per_unit=0.1, max_range=3.0, **settings)
     causes = []
-    for seed in range(2):
+    for seed in range(6):
         env.reset(seed=seed)
-        for _ in range(3):
+        for _ in range(6):
             env.step(1)
             causes.append(env.sensing.pings.cause.copy())
     return np.mean(np.array(causes) == CROSSTALK)
