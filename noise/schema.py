@@ -242,15 +242,6 @@ class Recalibrated(Kind, Similar):
     share: Share
 
 
-class Mapped(Kind):
-    """See `noise.discrepancy.baseline.mapped.Mapped`."""
-
-    kind: Literal["mapped"]
-    model: Model
-    before: Model
-    after: Model
-
-
 class Replay(Kind):
     """See `noise.replay.Replay`."""
 
@@ -273,15 +264,13 @@ Model = Annotated[
     | Faulty
     | Composed
     | Replay
-    | Recalibrated
-    | Mapped,
+    | Recalibrated,
     Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()
 Composed.model_rebuild()
 Replay.model_rebuild()
 Recalibrated.model_rebuild()
-Mapped.model_rebuild()
 
 
 class Credence(Schema):

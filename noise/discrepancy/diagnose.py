@@ -241,9 +241,7 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
-    acting, left_out = difference(
-        judged, search, options, corrected, data.baseline, recorded.resolution, data.rng("difference")
-    )
+    acting, left_out = difference(judged, search, options, data.baseline.emulator, recorded.resolution)
     return replace(
         diagnosis,
         difference=acting,

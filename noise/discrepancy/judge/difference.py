@@ -10,9 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from noise.composed import ComposedModel, with_differences
-from noise.discrepancy.baseline.mapped import Mapped
-from noise.discrepancy.baseline.recalibration import recalibrated
-from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.judge.correction import Option, Options
 from noise.discrepancy.judge.held_out import beyond_chance, crps_of_each, log_score
 from noise.discrepancy.judge.judged import Judged
@@ -23,37 +20,26 @@ from noise.replay import Replay
 
 
 def difference(
-    judged: Judged,
-    search: Search,
-    options: Options,
-    corrected: SonarModel | None,
-    base: Baseline,
-    step_m: float,
-    rng: np.random.Generator,
-) -> tuple[SonarModel | None, dict[str, str]]:
-    """Return what differs, acting on given readings: as a map from law to law, or as the believed causes.
+    judged: Judged, search: Search, options: Options, emulator: SonarModel, step_m: float
+) -> tuple[ComposedModel | None, dict[str, str]]:
+    """Return the believed causes, acting on given readings.
 
     Args:
         judged: the hypothesis.
         search: readings and candidates.
         options: models that may be offered, with their scores on visits that they have not seen.
-        corrected: the model that is offered; readings are mapped where it has an empirical term.
-        base: the simulation, its readings and the law that describes it.
+        emulator: law that describes the simulation.
         step_m: step of the recording's register.
-        rng: grows the trees of what that law lacks of the simulation.
 
     Returns:
-        The model, and why some causes cannot act so, by effect. The model is None where no law with causes predicts the
-        recording better than the emulator: in the mean CRPS, and beyond chance in the log score, which is the more
-        sensitive of the two where echoes are lost.
+        The model, and why some causes cannot act so, by effect. The model is None where the law with the causes predicts
+        the recording no better than the emulator: in the mean CRPS, and beyond chance in the log score, which is the
+        more sensitive of the two where echoes are lost.
     """
-    register = search.common.resolution
-    replay = Replay(base.emulator, register, max(register, step_m))
-    if options.with_term is not None and corrected is options.with_term.model:
-        known = None if base.readings is None else recalibrated(base.emulator, base.readings, rng)
-        return Mapped(replay, base.emulator if known is None else known.model, corrected), {}
-    if options.with_causes is None or not gains(options.with_causes, base.emulator):
+    if options.with_causes is None or not gains(options.with_causes, emulator):
         return None, {}
+    register = search.common.resolution
+    replay = Replay(emulator, register, max(register, step_m))
     return _acting_on(replay, search.common, judged.final.single.stack, judged.believed)
 
 

@@ -9,13 +9,11 @@ from hypothesis import strategies as st
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import GaussianModel, load_model, save_model
-from noise.discrepancy.baseline.mapped import Mapped
-from noise.discrepancy.baseline.recalibration import Recalibrated, recalibrated, transforms
+from noise.discrepancy.baseline.recalibration import recalibrated, transforms
 from noise.discrepancy.judge.held_out import fair_crps
 from noise.fitting.batch import Batch
 from noise.metrics import crps_with_silence
 from noise.model import MAX_RANGE, simulate
-from noise.replay import Replay, with_simulated
 
 LAW = GaussianModel(0.005, 0.0, 0.0)
 PINGS = 6
@@ -122,10 +120,9 @@ def test_the_recalibrated_law_is_a_law():
 
 def test_a_saved_model_is_the_same_law(tmp_path):
     model, ping = recalibrated(LAW, batch_of(early), np.random.default_rng(0)).model, survey(5, 3)
-    for kind in (model, Mapped(Replay(LAW, 0.001, 0.001), LAW, model)):
-        again = load_model(save_model(kind, tmp_path / type(kind).__name__))
-        z = np.linspace(0.1, 5.0, len(ping))
-        np.testing.assert_allclose(again.law(ping).arrival(z), kind.law(ping).arrival(z), atol=1e-12)
+    again = load_model(save_model(model, tmp_path / "model"))
+    z = np.linspace(0.1, 5.0, len(ping))
+    np.testing.assert_allclose(again.law(ping).arrival(z), model.law(ping).arrival(z), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -140,53 +137,6 @@ def test_a_damaged_file_is_a_clear_error(tmp_path, damage):
         load_model(folder)
 
 
-@pytest.fixture(scope="module")
-def uncertain():
-    """A recalibration that does nothing, but to readings of turned sonars."""
-    return recalibrated(LAW, batch_of(longer, n=200), np.random.default_rng(0)).model
-
-
-def mapped(model, ping, reading, seed=0):
-    law = Mapped(Replay(LAW, 0.001, 0.001), LAW, model).law(with_simulated(ping, reading))
-    return law.sample(np.random.default_rng(seed))
-
-
-def test_mapped_readings_move_as_the_recording_does(uncertain):
-    ping = survey(100, 5)
-    given_ = LAW.law(ping).sample(np.random.default_rng(5))
-    moved = mapped(uncertain, ping, given_)
-    both = moved.echo & given_.echo
-    shift = moved.range - given_.range
-    assert np.mean(shift[both & turned(ping)]) == pytest.approx(0.03, abs=0.006)
-    assert np.mean(shift[both & ~turned(ping)]) == pytest.approx(0.0, abs=0.002)
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=10, deadline=None)
-def test_between_equal_laws_every_reading_remains(uncertain, seed):
-    """An error that the laws share moves nothing: these readings are 3 mm from what they expect."""
-    ping, rng = survey(10, 5), np.random.default_rng(seed)
-    given_ = Reading.of(np.round(ping.distance + 0.003, 3))
-    law = Mapped(Replay(LAW, 0.001, 0.001), uncertain, uncertain).law(with_simulated(ping, given_))
-    np.testing.assert_allclose(law.sample(rng).range, given_.range, atol=1.01e-3)
-
-
-def test_mapped_readings_keep_their_order(uncertain):
-    """Two readings of one condition do not change places."""
-    ping = Ping.of(distance=np.full(9, 2.0), angle=np.full(9, 0.4))
-    given_ = Reading.of(2.0 + 0.002 * np.arange(-4, 5))
-    drawn = np.array([mapped(uncertain, ping, given_, seed).range for seed in range(50)])
-    assert (np.diff(drawn.mean(axis=0)) >= 0.0).all()
-
-
-def test_mapped_silence_and_echoes_have_the_recalibrated_shares():
-    model, ping = recalibrated(LAW, batch_of(lost, n=200), np.random.default_rng(0)).model, survey(200, 5)
-    moved = mapped(model, ping, LAW.law(ping).sample(np.random.default_rng(5)))
-    for rows in (turned(ping), ~turned(ping)):
-        expected = model.law(ping).echo[rows].mean()
-        assert moved.echo[rows].mean() == pytest.approx(expected, abs=4 * np.sqrt(0.25 / rows.sum()))
-
-
-def test_a_model_that_forgets_is_replayed_without_a_past(uncertain):
-    assert isinstance(uncertain, Recalibrated)
-    assert simulate(uncertain, survey(3, 2), np.random.default_rng(0)).answered.all()
+def test_a_model_that_forgets_draws_a_reading_for_every_ping():
+    model = recalibrated(LAW, batch_of(longer), np.random.default_rng(0)).model
+    assert simulate(model, survey(3, 2), np.random.default_rng(0)).answered.all()
