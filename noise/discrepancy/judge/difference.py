@@ -32,9 +32,9 @@ def difference(
         step_m: step of the recording's register.
 
     Returns:
-        The model, and why some causes cannot act so, by effect. The model is None where the law with the causes predicts
-        the recording no better than the emulator: in the mean CRPS, and beyond chance in the log score, which is the
-        more sensitive of the two where echoes are lost.
+        The model, and why some causes cannot act so, by effect. The model is None where the law with the causes
+        predicts the recording no better than the emulator: in the mean CRPS, and beyond chance in the log score, which
+        is the more sensitive of the two where echoes are lost.
     """
     if options.with_causes is None or not gains(options.with_causes, emulator):
         return None, {}
