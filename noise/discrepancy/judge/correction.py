@@ -95,7 +95,8 @@ class Options:
         parts, with_causes, on_simulation = _parts(search), None, None
         if judged.believed:
             laws = [offered(stack, step_m) for stack in (judged.final.single.stack, *reversed(judged.found.stacks))]
-            with_causes = _scored(laws, parts)
+            nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))
+            with_causes = replace(_scored(laws, parts), nats=nats)
             on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
         law = offered(judged.final.single.stack, step_m)
         term = recalibrated(law, search.folds.both, rng)
@@ -130,9 +131,8 @@ def _parts(search: Search) -> tuple[Batch, ...]:
 
 def _scored(models: Sequence[SonarModel], parts: tuple[Batch, ...]) -> Option:
     """Return an option: the model, and its scores on each part by the model that was not fitted to it."""
-    pairs = tuple(zip(models, parts, strict=False))
-    scored = tuple((batch, crps_of_each(model, batch)) for model, batch in pairs)
-    return Option(models[0], scored, tuple(log_score(model, batch) for model, batch in pairs))
+    pairs = zip(models, parts, strict=False)
+    return Option(models[0], tuple((batch, crps_of_each(model, batch)) for model, batch in pairs))
 
 
 def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
@@ -144,7 +144,7 @@ def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
         first = search.folds.in_first(found.batch)
         pieces = [first, ~first]
     scored = tuple((found.batch.select(rows), found.crps[rows]) for rows in pieces)
-    return Option(found.model, (*whole.scored, *scored), (*whole.nats, *(found.nats[rows] for rows in pieces)))
+    return Option(found.model, (*whole.scored, *scored))
 
 
 def _on_simulation(
