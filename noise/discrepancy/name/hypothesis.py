@@ -1,4 +1,4 @@
-"""A hypothesis about the effects in which a recording differs, and what became of the ones that were tried."""
+"""A hypothesis about the effects in which a recording differs."""
 
 from __future__ import annotations
 
@@ -30,17 +30,6 @@ class Hypothesis:
     def value(self) -> float:
         """Log-likelihood with the prior, nats: on visits that nothing was fitted to, or an estimate of it."""
         return float(self.nats.sum()) + self.prior
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One effect that was cross-fitted, given others: its gain, nats, its standard error, and what became of it."""
-
-    effect: str
-    given: tuple[str, ...]
-    gain: float
-    error: float
-    decision: str
 
 
 def standard_error(per_visit: Floats) -> float:

@@ -26,7 +26,7 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Attempt, Hypothesis, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.fit import Fit, Scales, highest, maximise
@@ -61,7 +61,6 @@ class Search:
         without: effects that are known not to differ.
         tell: called with a message and the share done.
         is_left: whether the recording differs from a hypothesis, by the orthogonal test; if not, nothing is added.
-        attempts: what was cross-fitted, and what became of it.
         shared: effects that joined the common law.
         tried: cross-fitted hypotheses of each round, by the effects that were given and the effect that was added.
     """
@@ -73,7 +72,6 @@ class Search:
     without: tuple[str, ...] = ()
     tell: Tell = lambda message, share: None
     is_left: Callable[[Hypothesis], bool] = lambda found: True
-    attempts: list[Attempt] = field(default_factory=list)
     shared: list[str] = field(default_factory=list)
     tried: dict[tuple[str, ...], dict[str, Hypothesis]] = field(default_factory=dict)
     _scales: dict[int, Scales] = field(default_factory=dict)
@@ -112,14 +110,16 @@ class Search:
         return float(np.log(len(self.names) / FALSE_ALARM))
 
     def worthwhile(self, current: Hypothesis) -> float:
-        """Return the gain, nats, that one more effect needs: beyond chance, and no trifle beside what is explained.
+        """Return the gain, nats, that one more effect needs.
 
         A search begins where a test has found a difference, at a level that allows for all that it looked at. The first
         effect need not prove it again for each candidate, nor that it repeats itself, only that it describes it.
         """
-        if not current.effects:
-            return FIRST_GAIN
-        return max(self.least_gain, MIN_SHARE * (current.value - self.null().value))
+        return self.needed(current, self.null()) if current.effects else FIRST_GAIN
+
+    def needed(self, current: Hypothesis, nothing: Hypothesis) -> float:
+        """Return the gain, nats, of one more effect that is beyond chance, and no trifle beside what is explained."""
+        return max(self.least_gain, MIN_SHARE * (current.value - nothing.value))
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
@@ -192,38 +192,43 @@ class Search:
         return maximise(start, free, batch, iterations, ENOUGH, self._scales.setdefault(id(batch), {}))
 
     def with_scatter(self, current: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with the scatter of single pings as the difference, where that gains beyond chance.
+        """Return the hypothesis with the scatter of single pings as a difference too, where that gains beyond chance.
 
         Every fit frees the scatter, so that outliers do not pass for other effects; here it is held at the value of the
-        simulation instead. Beside an effect it is no cause: what a fit of the effect gets wrong scatters too.
+        simulation instead. What a fit of an effect gets wrong scatters too, so that beside effects the scatter must
+        gain more than they do: then it is what differs, and they describe its tails.
         """
-        if current.effects or JITTER in self.without:
+        if JITTER in self.without:
             return current
-        gain = current.nats - self.held_scatter().nats
-        value = float(gain.sum())
-        good = value > self.least_gain and value > 2.0 * standard_error(gain)
-        decision = "added last" if good else "gained less"
-        self.attempts.append(Attempt(JITTER, (), value, standard_error(gain), decision))
-        return replace(current, effects=(JITTER,)) if good else current
+        also = replace(current, effects=(*current.effects, JITTER))
+        gain = also.nats - self.left_out(also, JITTER).nats
+        effects = float((current.nats - self.null().nats).sum()) if current.effects else 0.0
+        good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain), effects)
+        return self.pruned(also) if good else current
 
-    def held_scatter(self) -> Hypothesis:
-        """Return the hypothesis without differences with the scatter of single pings at its value in the simulation."""
+    def held_scatter(self, found: Hypothesis) -> Hypothesis:
+        """Return a hypothesis fitted with the scatter of single pings at its value in the simulation."""
         held = [key for key in SPREAD if key[0] == JITTER]
-        free = tuple(key for key in self.nuisances if key not in held)
+        free = (*self.keys(found.effects), *(key for key in self.nuisances if key not in held))
         values = [self.common.get(key) for key in held]
-        starts = [
-            [near, *nuisance_starts(self.common, p)] for near, p in zip(self.null().stacks, self.parts, strict=True)
-        ]
-        return self.best(starts, lambda start, part: self.fitted(start.put(held, values), free, part, 40))
+        pairs = zip(found.stacks, self.parts, strict=True)
+        starts = [[near] if found.effects else [near, *nuisance_starts(self.common, p)] for near, p in pairs]
+        return self.best(
+            starts, lambda start, part: self.fitted(start.put(held, values), free, part, 40), found.effects
+        )
 
-    def best(self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit]) -> Hypothesis:
-        """Return the hypothesis without differences of the best fit to each part, given starts for each."""
+    def best(
+        self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit], effects: Sequence[str] = ()
+    ) -> Hypothesis:
+        """Return the hypothesis of some effects of the best fit to each part, given starts for each."""
         pairs = zip(starts, self.parts, strict=True)
-        return self.scored((), [highest(fit(start, part) for start in each).stack for each, part in pairs])
+        return self.scored(effects, [highest(fit(start, part) for start in each).stack for each, part in pairs])
 
     def nothing(self, found: Hypothesis) -> Hypothesis:
         """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
-        return self.left_out(found, JITTER) if JITTER in found.effects else self.null()
+        if JITTER not in found.effects:
+            return self.null()
+        return self.left_out(found, JITTER) if len(found.effects) == 1 else self.held_scatter(self.null())
 
     def keys(self, effects: Sequence[str]) -> tuple[Key, ...]:
         """Return the parameters of effects that the recording can identify."""
@@ -245,9 +250,6 @@ class Search:
             if all(self.explains(each, name) for name, each in more.items()):
                 break
         self.tried[current.effects] = tried
-        for name, gain in gains.items():
-            decision = "added" if name == winner else "gained less"
-            self.attempts.append(Attempt(name, current.effects, float(gain.sum()), standard_error(gain), decision))
         if winner is None:
             return None
         common = self.common_value(tried[winner], winner)
@@ -351,13 +353,10 @@ class Search:
         return self.crossed(current.stacks[0], none, current.effects, own_scatter=False)
 
     def pruned(self, current: Hypothesis) -> Hypothesis:
-        """Return the hypothesis without the effects that a later one made needless."""
+        """Return the hypothesis without the effects that a later one made needless, or a trifle beside it."""
         for name in current.effects[:-1]:
             without = self.left_out(current, name)
-            if current.value - without.value < self.least_gain:
-                self.attempts.append(
-                    Attempt(name, without.effects, float((current.nats - without.nats).sum()), 0.0, "left out")
-                )
+            if current.value - without.value < self.needed(without, self.nothing(current)):
                 current = without
         return current
 
@@ -369,9 +368,9 @@ class Search:
         return self._without[key]
 
     def _fitted_without(self, current: Hypothesis, name: str) -> Hypothesis:
-        if name == JITTER:
-            return self.held_scatter()
         others = tuple(each for each in current.effects if each != name)
+        if name == JITTER:
+            return self.held_scatter(replace(current, effects=others) if others else self.null())
         if not others:
             return self.null()
         keys = [(name, p.name) for p in self.common.known[name].parameters]
@@ -395,6 +394,4 @@ class Search:
         found = self.crossed(best, none, (THRESHOLD,), own_scatter=False)
         gain = found.nats - none.nats
         good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain))
-        decision = "added first: echoes are missed" if good else "gained less"
-        self.attempts.append(Attempt(THRESHOLD, (), float(gain.sum()), standard_error(gain), decision))
         return found if good else none
