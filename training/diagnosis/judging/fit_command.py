@@ -15,7 +15,7 @@ from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
 from noise.metrics import Reliability
 from training.common.canvas import AFTER, SOFT, Axes, panels
 from training.common.commit import ROOT, commit
-from training.diagnosis.generators.ensemble import FAMILIES, PAIR, SAME, SINGLE, UNMODELLED
+from training.diagnosis.generators.ensemble import FAMILIES, PAIR, SINGLE, UNMODELLED
 from training.diagnosis.judging.command import LEFT_OUT
 from training.diagnosis.judging.decision_fit import (
     examples_of,
@@ -27,7 +27,7 @@ from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.run import read, run
 from training.diagnosis.judging.tasks import trials
 
-KINDS = (SAME, SINGLE, PAIR, UNMODELLED)  # whose true causes are known
+KINDS = (SINGLE, PAIR, UNMODELLED)  # whose true causes are known, and in which effects are selected
 
 
 @dataclass(frozen=True)
