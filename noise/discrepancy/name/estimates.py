@@ -13,9 +13,11 @@ from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
-from noise.fitting.stack import NUISANCES, Key, Stack
+from noise.fitting.likelihood import log_likelihood
+from noise.fitting.stack import NUISANCES, STEPWISE, Key, Stack
 
 Z = float(norm.ppf(0.5 + LEVEL / 2.0))
+FINEST = 20  # binary digits to which a step is known at best: registers have no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,9 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     for key, error in errors.items():
         if key in NUISANCES and key[0] not in final.effects:
             continue
+        if key[1] in STEPWISE:
+            out[key] = profiled(final.single.stack, key, final.batch)
+            continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
         base, own_error = _in_simulation(search, key)
         value = float(np.clip(value - base, p.low, p.high))
@@ -72,6 +77,22 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
         low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
         out[key] = Interval(value, low, high, p.unit)
     return out
+
+
+def profiled(stack: Stack, key: Key, batch: Batch) -> Interval:
+    """Return the profile-likelihood interval of a parameter that a law has no derivative in, others as they are.
+
+    Steps away from the estimate double until the readings exclude the value.
+    """
+    p, value = stack.parameter(key), stack.get(key)
+    least = float(log_likelihood(stack, batch).sum()) - 0.5 * Z**2
+
+    def end(sign: float) -> float:
+        values = (float(np.clip(value * (1.0 + sign * 2.0**k), p.low, p.high)) for k in range(-FINEST, 1))
+        excluded = (each for each in values if float(log_likelihood(stack.at({key: each}), batch).sum()) < least)
+        return next(excluded, p.low if sign < 0 else p.high)
+
+    return Interval(value, end(-1.0), end(1.0), p.unit)
 
 
 def _in_simulation(search: Search, key: Key) -> tuple[float, float]:

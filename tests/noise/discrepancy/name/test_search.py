@@ -107,6 +107,17 @@ def test_the_interval_holds_the_truth():
     assert known.high - known.low < 0.004
 
 
+@pytest.mark.parametrize("step_m", [0.0128, 0.0341])
+def test_a_step_of_the_register_is_known_to_a_share_of_itself(step_m):
+    search = search_of({"quantisation": {"step_m": step_m}})
+    none = search.null()
+    start = none.stacks[0].put([("quantisation", "step_m")], [step_m])
+    found = search.crossed(start, none, ("quantisation",), own_scatter=False)
+    known = intervals(search, conclude(search, found))[("quantisation", "step_m")]
+    assert known.low < step_m < known.high
+    assert known.high - known.low < 0.1 * step_m
+
+
 def test_lost_readings_are_those_that_the_simulation_does_not_lose():
     few, more = ({"dropped_reading": {"probability": p}} for p in (0.05, 0.15))
     common = law_of().put([("dropped_reading", "probability")], [0.05])
