@@ -24,7 +24,9 @@ class Spike(Effect):
     summary = "Some readings are replaced by random ones"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: chosen here", (0.01,)),
-        Parameter("span_m", "m", FULL_SCALE, 0.1, 20.0, "scale of the register: Devantech SRF08", (FULL_SCALE,)),
+        Parameter(
+            "span_m", "m", FULL_SCALE, 0.1, 20.0, "scale of the register: Devantech SRF08", (FULL_SCALE,), jumps=True
+        ),
     )
     probability: Tensor
     span_m: Tensor
@@ -103,7 +105,7 @@ class Stuck(Effect):
     summary = "Some readings have a constant value, regardless of the target"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.999, "Sharma et al. (2010) CONSTANT; rate: chosen here", (0.02,)),
-        Parameter("value_m", "m", 1.0, 0.001, 20.0, "value of the register; chosen here", (1.0,)),
+        Parameter("value_m", "m", 1.0, 0.001, 20.0, "value of the register; chosen here", (1.0,), jumps=True),
     )
     probability: Tensor
     value_m: Tensor
@@ -171,7 +173,9 @@ class CorruptedByte(Effect):
     summary = "Some readings have a wrong bit: an error of a power of two"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: chosen here", (0.03,)),
-        Parameter("unit_m", "m", 0.01, 1e-4, 0.03, "unit of the register: cm, inch, us", (0.01, 0.0254, 1.7241e-4)),
+        Parameter(
+            "unit_m", "m", 0.01, 1e-4, 0.03, "unit of the register: cm, inch, us", (0.01, 0.0254, 1.7241e-4), jumps=True
+        ),
     )
     bits = 16
     probability: Tensor

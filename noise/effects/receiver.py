@@ -236,7 +236,7 @@ class FalseAlarm(Effect):
             (0.005, 1.0),
         ),
         Parameter("share", "1", 1.0, 0.01, 1.0, "of pings with noise: chosen here", (1.0, 0.3)),
-        Parameter("from_m", "m", 0.0, 0.0, 1.0, "start of sensitive listening: chosen here", (0.0, 0.3)),
+        Parameter("from_m", "m", 0.0, 0.0, 1.0, "start of sensitive listening: chosen here", (0.0, 0.3), jumps=True),
     )
     per_metre: Tensor
     share: Tensor
@@ -284,7 +284,11 @@ class Quantisation(Effect):
     name = "quantisation"
     stage = Stage.REGISTER
     summary = "Readings have coarse steps"
-    parameters = (Parameter("step_m", "m", 0.0, 0.0, MAX_STEP_M, "cm or inch output, Devantech SRF08", (0.01, 0.0254)),)
+    parameters = (
+        Parameter(
+            "step_m", "m", 0.0, 0.0, MAX_STEP_M, "cm or inch output, Devantech SRF08", (0.01, 0.0254), jumps=True
+        ),
+    )
     step_m: Tensor
 
     def apply(self, state: State) -> State:
@@ -308,7 +312,9 @@ class Truncation(Effect):
     stage = Stage.REGISTER
     summary = "Readings are truncated to whole steps"
     parameters = (
-        Parameter("step_m", "m", 0.0, 0.0, MAX_STEP_M, "integer division to cm or inch, us / 58", (0.01, 0.0254)),
+        Parameter(
+            "step_m", "m", 0.0, 0.0, MAX_STEP_M, "integer division to cm or inch, us / 58", (0.01, 0.0254), jumps=True
+        ),
     )
     step_m: Tensor
 
@@ -336,7 +342,16 @@ class RangeGate(Effect):
     localised = True
     summary = "The listening window ends early: farther echoes are not detected"
     parameters = (
-        Parameter("listen_m", "m", 11.008, 0.3, 11.008, "range register (r + 1) 43 mm, Devantech SRF08", (6.0, 3.0)),
+        Parameter(
+            "listen_m",
+            "m",
+            11.008,
+            0.3,
+            11.008,
+            "range register (r + 1) 43 mm, Devantech SRF08",
+            (6.0, 3.0),
+            jumps=True,
+        ),
     )
     listen_m: Tensor
 

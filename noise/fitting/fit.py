@@ -332,12 +332,14 @@ def covariance(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
     """Return the covariance of the free parameters, robust to dependence within visits, (p, p).
 
     Huber's sandwich estimator clustered by visit, at least the inverse curvature. Rows and columns of a parameter at a
-    bound are zero. A wide normal prior (half the bounds) keeps unidentified parameters finite.
+    bound are zero, and so are those of one in which the likelihood jumps: readings bound it so closely that the others
+    are known as if it were. A wide normal prior (half the bounds) keeps unidentified parameters finite.
     """
     objective = Objective(fitted.stack, fitted.free, batch)
     x = np.array([fitted.stack.get(key) for key in fitted.free])
     low, high = objective.bounds()
-    inside = np.flatnonzero((x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low)))
+    smooth = np.array([not fitted.stack.parameter(key).jumps for key in fitted.free])
+    inside = np.flatnonzero(smooth & (x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low)))
     out = np.zeros((len(x), len(x)))
     if len(inside):
         out[np.ix_(inside, inside)] = _sandwich(objective, x, inside, objective.scale(x))

@@ -14,10 +14,10 @@ from noise.discrepancy.result import LEVEL, Interval
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, covariance, maximise, refit_without_urn
 from noise.fitting.likelihood import log_likelihood
-from noise.fitting.stack import NUISANCES, STEPWISE, Key, Stack
+from noise.fitting.stack import NUISANCES, Key, Stack
 
 Z = float(norm.ppf(0.5 + LEVEL / 2.0))
-FINEST = 20  # binary digits to which a step is known at best: registers have no more
+FINEST = 20  # binary digits to which such a parameter is known at best: registers have no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     for key, error in errors.items():
         if key in NUISANCES and key[0] not in final.effects:
             continue
-        if key[1] in STEPWISE:
+        if search.common.parameter(key).jumps:
             out[key] = profiled(final.single.stack, key, final.batch)
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
@@ -80,7 +80,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
 
 
 def profiled(stack: Stack, key: Key, batch: Batch) -> Interval:
-    """Return the profile-likelihood interval of a parameter that a law has no derivative in, others as they are.
+    """Return the likelihood interval of a parameter in which the likelihood jumps, others as they are.
 
     Steps away from the estimate double until the readings exclude the value.
     """
@@ -88,7 +88,8 @@ def profiled(stack: Stack, key: Key, batch: Batch) -> Interval:
     least = float(log_likelihood(stack, batch).sum()) - 0.5 * Z**2
 
     def end(sign: float) -> float:
-        values = (float(np.clip(value * (1.0 + sign * 2.0**k), p.low, p.high)) for k in range(-FINEST, 1))
+        steps = sign * (p.high - p.low) * 2.0 ** np.arange(-FINEST, 1)
+        values = np.clip(value + steps, p.low, p.high).tolist()
         excluded = (each for each in values if float(log_likelihood(stack.at({key: each}), batch).sum()) < least)
         return next(excluded, p.low if sign < 0 else p.high)
 

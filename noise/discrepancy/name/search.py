@@ -25,6 +25,7 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
+from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
@@ -63,6 +64,7 @@ class Search:
         is_left: whether the recording differs from a hypothesis, by the orthogonal test; if not, nothing is added.
         shared: effects that joined the common law.
         tried: cross-fitted hypotheses of each round, by the effects that were given and the effect that was added.
+        base: the law of the simulation and the hypothesis that each round began with, by its effects.
     """
 
     common: Stack
@@ -74,6 +76,7 @@ class Search:
     is_left: Callable[[Hypothesis], bool] = lambda found: True
     shared: list[str] = field(default_factory=list)
     tried: dict[tuple[str, ...], dict[str, Hypothesis]] = field(default_factory=dict)
+    base: dict[tuple[str, ...], tuple[Stack, Hypothesis]] = field(default_factory=dict)
     _scales: dict[int, Scales] = field(default_factory=dict)
     _null: tuple[Stack, Hypothesis] | None = None
     _without: dict[tuple[Hypothesis, str], Hypothesis] = field(default_factory=dict)
@@ -133,7 +136,7 @@ class Search:
                 break
             if found.effects == current.effects:  # an effect joined the common law
                 none = self.null()
-            current = self.pruned(self.polished(found))
+            current = self.pruned(exchanged(self, self.polished(found)))
         return none, self.with_scatter(current)
 
     def null(self) -> Hypothesis:
@@ -249,7 +252,7 @@ class Search:
             winner = self.winner(current, tried, gains)
             if all(self.explains(each, name) for name, each in more.items()):
                 break
-        self.tried[current.effects] = tried
+        self.tried[current.effects], self.base[current.effects] = tried, (self.common, current)
         if winner is None:
             return None
         common = self.common_value(tried[winner], winner)

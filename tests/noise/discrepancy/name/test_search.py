@@ -14,6 +14,7 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.estimates import conclude, intervals
+from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
@@ -107,6 +108,20 @@ def test_the_interval_holds_the_truth():
     assert known.high - known.low < 0.004
 
 
+def test_what_jumps_does_not_blur_what_is_smooth():
+    offset, step = {"zero_offset": {"offset_m": 0.012}}, {"quantisation": {"step_m": 0.0128}}
+    widths = []
+    for changed in (offset, offset | step):
+        search = search_of(changed)
+        none, keys = search.null(), [(name, p) for name, values in changed.items() for p in values]
+        start = none.stacks[0].put(keys, [changed[name][p] for name, p in keys])
+        found = search.crossed(start, none, tuple(changed), own_scatter=False)
+        known = intervals(search, conclude(search, found))[("zero_offset", "offset_m")]
+        assert known.low < 0.012 < known.high
+        widths.append(known.high - known.low)
+    assert widths[1] < 2.0 * widths[0]
+
+
 @pytest.mark.parametrize("step_m", [0.0128, 0.0341])
 def test_a_step_of_the_register_is_known_to_a_share_of_itself(step_m):
     search = search_of({"quantisation": {"step_m": step_m}})
@@ -116,6 +131,24 @@ def test_a_step_of_the_register_is_known_to_a_share_of_itself(step_m):
     known = intervals(search, conclude(search, found))[("quantisation", "step_m")]
     assert known.low < step_m < known.high
     assert known.high - known.low < 0.1 * step_m
+
+
+def test_two_causes_are_found_where_a_third_imitates_both():
+    law = law_of()
+    shifted_and_gated = {"zero_offset": {"offset_m": 0.015}, "range_gate": {"listen_m": 2.2}}
+    search = search_of(shifted_and_gated, law=law)
+    none = search.null()
+    search.tried[()], search.base[()] = {}, (search.common, none)
+    for name, values in shifted_and_gated.items():
+        start = none.stacks[0].put([(name, p) for p in values], values.values())
+        search.tried[()][name] = search.crossed(start, none, (name,), own_scatter=False)
+    wrong = search.crossed(none.stacks[0].put([("sensitivity", "loss_db")], [45.0]), none, ("sensitivity",), False)
+    greedy = search.crossed(
+        wrong.stacks[0].put([("sound_speed", "temperature_c")], [15.0]), wrong, ("sensitivity", "sound_speed"), False
+    )
+    found = exchanged(search, greedy)
+    assert set(found.effects) == set(shifted_and_gated)
+    assert found.value > greedy.value
 
 
 def test_lost_readings_are_those_that_the_simulation_does_not_lose():

@@ -1,0 +1,57 @@
+"""Exchange of pairs, the remedy for the greed of forward selection.
+
+Of two causes that act together, the effect that gains most alone may be a third one which imitates a part of both, and
+those selected after it then mend what it gets wrong. Once two effects have followed each other, the pairs of effects
+that were tried in the place of the first one are looked at, and replace the two where they predict better.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from noise.discrepancy.name.hypothesis import Hypothesis
+
+if TYPE_CHECKING:
+    from noise.discrepancy.name.search import Search
+
+N_PAIRS = 3  # that are fitted
+ALIKE = 0.9  # correlation of two gains over visits from which they are one explanation
+
+
+def exchanged(search: Search, found: Hypothesis) -> Hypothesis:
+    """Return the best of a hypothesis and those with another pair in the place of its last two effects."""
+    given, last = found.effects[:-2], set(found.effects[-2:])
+    rivals = [pair for pair in promising(search, given, found.value) if set(pair) != last]
+    fits = [_together(search, given, pair) for pair in rivals[:N_PAIRS]]
+    good = [fit for fit in fits if all(search.explains(fit, name) for name in fit.effects)]
+    return max([found, *good], key=lambda each: each.value)
+
+
+def promising(search: Search, given: tuple[str, ...], value: float) -> list[tuple[str, str]]:
+    """Return the pairs of tried effects that would exceed a value if their gains added, the greatest sum first."""
+    if given not in search.base or search.base[given][0] is not search.common:
+        return []
+    base, tried = search.base[given][1], search.tried[given]
+    gain = {name: each.value - base.value for name, each in tried.items() if search.explains(each, name)}
+    sums = {(one, other): gain[one] + gain[other] for one, other in combinations(sorted(gain), 2)}
+    better = (
+        pair for pair, total in sums.items() if base.value + total > value and min(gain[name] for name in pair) > 0.0
+    )
+    apart = [pair for pair in better if not _alike(*(tried[name].nats - base.nats for name in pair))]
+    return sorted(apart, key=lambda pair: -sums[pair])
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool(np.corrcoef(one, other)[0, 1] > ALIKE)
+
+
+def _together(search: Search, given: tuple[str, ...], pair: tuple[str, str]) -> Hypothesis:
+    """Return two effects that were fitted one by one, fitted together; the one that gained more comes first."""
+    tried = search.tried[given]
+    first, second = sorted(pair, key=lambda name: -tried[name].value)
+    keys = search.keys([second])
+    start = tried[first].stacks[0].put(keys, [tried[second].stacks[0].get(key) for key in keys])
+    return search.crossed(start, tried[first], (*given, first, second), own_scatter=False)
