@@ -54,14 +54,14 @@ class Evidence:
 
         They are few, because wrong causes are few in an ensemble: by how many standard errors the effect predicts
         unseen visits better than a forest, which describes any difference and names none, on a scale that tells 2 from
-        4 and not 40 from 42, how much a visit gains, and by how much the size of the effect varies: what stands for
-        something else acts in a part of the readings only.
+        4 and not 40 from 42; how much is lost without it; whether its size is the same everywhere, since what stands
+        for something else acts in a part of the readings only; and whether the corrected law still differs.
         """
         t = self.lead_unnamed / self.lead_unnamed_error if self.lead_unnamed_error > 0.0 else 0.0
-        each = np.clip(self.gain / self.n_visits, 0.0, None)
-        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log1p(each), np.log(self.variation + STEADY)])
+        p = np.clip([self.p_stable, self.p_after], LEAST_P, 1.0)
+        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log1p(max(self.gain, 0.0)), *np.log10(p)])
 
 
 MAX_T = 1e3  # standard errors; keeps the feature finite
-STEADY = 0.03  # variation of a size that is as good as none; chosen here
-FEATURES = ("log_t_unnamed", "log_gain_per_visit", "log_variation")
+LEAST_P = 5e-4  # of a test of 2,000 draws
+FEATURES = ("log_t_unnamed", "log_gain", "log_p_stable", "log_p_after")
