@@ -7,21 +7,38 @@ that were tried in the place of the first one are looked at, and replace the two
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.discrepancy.name.hypothesis import Hypothesis
-
-if TYPE_CHECKING:
-    from noise.discrepancy.name.search import Search
+from noise.fitting.stack import Key, Stack
 
 N_PAIRS = 3  # that are fitted
 ALIKE = 0.9  # correlation of two gains over visits from which they are one explanation
 
 
-def exchanged(search: Search, found: Hypothesis) -> Hypothesis:
+class Rounds(Protocol):
+    """What a search knows of its rounds, and how it fits; see `noise.discrepancy.name.search.Search`."""
+
+    common: Stack
+    tried: dict[tuple[str, ...], dict[str, Hypothesis]]
+    base: dict[tuple[str, ...], tuple[Stack, Hypothesis]]
+
+    def explains(self, found: Hypothesis, name: str) -> bool:
+        """Return whether an effect of a hypothesis explains readings."""
+
+    def keys(self, effects: Sequence[str]) -> tuple[Key, ...]:
+        """Return the parameters of effects that the recording can identify."""
+
+    def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
+        """Return a hypothesis fitted on both folds."""
+
+
+def exchanged(search: Rounds, found: Hypothesis) -> Hypothesis:
     """Return the best of a hypothesis and those with another pair in the place of its last two effects."""
     given, last = found.effects[:-2], set(found.effects[-2:])
     rivals = [pair for pair in promising(search, given, found.value) if set(pair) != last]
@@ -30,7 +47,7 @@ def exchanged(search: Search, found: Hypothesis) -> Hypothesis:
     return max([found, *good], key=lambda each: each.value)
 
 
-def promising(search: Search, given: tuple[str, ...], value: float) -> list[tuple[str, str]]:
+def promising(search: Rounds, given: tuple[str, ...], value: float) -> list[tuple[str, str]]:
     """Return the pairs of tried effects that would exceed a value if their gains added, the greatest sum first."""
     if given not in search.base or search.base[given][0] is not search.common:
         return []
@@ -44,11 +61,11 @@ def promising(search: Search, given: tuple[str, ...], value: float) -> list[tupl
     return sorted(apart, key=lambda pair: -sums[pair])
 
 
-def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+def _alike(one: Floats, other: Floats) -> bool:
     return bool(np.corrcoef(one, other)[0, 1] > ALIKE)
 
 
-def _together(search: Search, given: tuple[str, ...], pair: tuple[str, str]) -> Hypothesis:
+def _together(search: Rounds, given: tuple[str, ...], pair: tuple[str, str]) -> Hypothesis:
     """Return two effects that were fitted one by one, fitted together; the one that gained more comes first."""
     tried = search.tried[given]
     first, second = sorted(pair, key=lambda name: -tried[name].value)
