@@ -60,14 +60,14 @@ class Objective:
 
     def __init__(self, stack: Stack, free: Sequence[Key], batch: Batch) -> None:
         self.stack, self.free, self.batch = stack, tuple(free), batch
-        self._last: tuple[bytes, tuple[float, Floats]] | None = None
+        self._known: dict[bytes, tuple[float, Floats]] = {}
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Return value and gradient at parameter values x, (p,); the last result is cached."""
+        """Return value and gradient at parameter values x, (p,); a fit returns to points that it has been at."""
         key = x.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = key, self._evaluate(x)
-        return self._last[1]
+        if key not in self._known:
+            self._known[key] = self._evaluate(x)
+        return self._known[key]
 
     def _evaluate(self, x: Floats) -> tuple[float, Floats]:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
