@@ -1,8 +1,9 @@
 """Directed test: the orthogonal test in the directions in which effects of the catalogue would change readings.
 
-The score of a direction is the log-likelihood ratio of a reading between the law with an effect at a typical size and
-the law itself. Its error under the law, which both files share, is a nuisance g(x), as in `orthogonal_test`; one
-statistic for each direction, over all pings, is sensitive to what no interval of one condition shows well.
+The score of a direction is the log-likelihood ratio of a reading, given those before it in its visit, between the law
+with an effect at a typical size and the law itself. Its error under the law, which both files share, is a nuisance
+g(x), as in `orthogonal_test`; one statistic for each direction, over all pings, is sensitive to what no interval of one
+condition shows well.
 """
 
 from __future__ import annotations
@@ -26,13 +27,12 @@ from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, single_ping_law
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
 from noise.physical import PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
-LOWEST_LOG = float(np.log(1e-12))
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
 
 
@@ -145,13 +145,20 @@ def changes(law: Stack, name: str) -> list[dict[Key, float]]:
 
 
 def log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
-    """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
+    """Return the log probability of each reading, given those before it in its visit, after each change of a law, nats.
 
-    def probability(model: PhysicalModel, visits: VisitEffects) -> Tensor:
-        return single_ping_law(law_of(model, batch), visits).probability_tensor(batch.reading)
+    What all pings of a visit share, such as an error of placement or a reflector that is there for the whole visit,
+    says little of each ping once the first have shown it.
+
+    Returns:
+        Of each change and reading, (changes, n).
+    """
+
+    def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
+        return log_prob(law_of(model, batch), visits, batch, exact=True)
 
     values = np.array([list(change.values()) for change in every], dtype=np.float64)
-    return np.log(np.maximum(at_each(law, list(every[0]), values, probability), np.exp(LOWEST_LOG)))
+    return at_each(law, list(every[0]), values, nats)
 
 
 def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, n: int, rng: np.random.Generator) -> Floats:
