@@ -231,7 +231,8 @@ def _different(
         data.rng("judge"),
     )
     data.tell("correcting", 0.9)
-    options = Options.of(judged, search, data.forest, data.simulation, recorded.resolution, data.rng("term"))
+    emulator, step_m = data.baseline.emulator, recorded.resolution
+    options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, data.rng("term"))
     corrected = options.corrected(data.simulation)
     left = judged.rest
     left = replace(left, description=location_in_words(left.where[0]) if left.where else None)
@@ -241,7 +242,7 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
-    acting, left_out = difference(judged, search, options, data.baseline.emulator, recorded.resolution)
+    acting, left_out = difference(judged, search, options, emulator, step_m)
     return replace(
         diagnosis,
         difference=acting,
