@@ -25,6 +25,7 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
+from noise.discrepancy.name.common import with_effect, with_nuisances
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
@@ -43,7 +44,7 @@ N_SCREENED = 6  # candidates that are fitted, and cross-fitted unless they are f
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
-STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
+MISSED = 3.0  # nats by which other nuisance parameters must predict better for a round to be repeated with them
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
@@ -126,7 +127,7 @@ class Search:
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
-        none = current = self.null()
+        none = current = self.renewed(self.null())
         if self.lacks_threshold():
             current = self.with_threshold(current)
         while len(current.effects) < MAX_CAUSES and (not current.effects or self.is_left(current)):
@@ -135,9 +136,23 @@ class Search:
             if found is None:
                 break
             if found.effects == current.effects:  # an effect joined the common law
+                none, current = self.null(), found
+                continue
+            without = self.left_out(found, found.effects[-1])
+            if without.value > current.value + MISSED:  # the effect only led to other nuisance parameters
+                current = without if without.effects else self.renewed(without)
                 none = self.null()
+                continue
             current = self.pruned(exchanged(self, self.polished(found)))
         return none, self.with_scatter(current)
+
+    def renewed(self, null: Hypothesis) -> Hypothesis:
+        """Return the hypothesis without differences, both files at the likeliest nuisance parameters that are known."""
+        self._null = self.common, null
+        if self.simulated is None:
+            return null
+        self.common = self._familiar(with_nuisances(self.common, null.stacks, self.parts, self.simulated))
+        return self.null()
 
     def null(self) -> Hypothesis:
         """Return the hypothesis that only nuisances differ; it is fitted once for each common law."""
@@ -161,7 +176,8 @@ class Search:
         """
         pairs = zip(reversed(stacks), self.parts, strict=True)
         nats = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs])
-        prior = float(np.mean([stack.log_size_prior(self.common, effects) for stack in stacks]))
+        priors = [stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() for stack in stacks]
+        prior = float(np.mean(priors))
         if len(self.parts) == 1:
             prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
         return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
@@ -322,31 +338,10 @@ class Search:
         return min(close, key=lambda name: (len(self.keys([name])), -good[name]))
 
     def common_value(self, found: Hypothesis, name: str) -> Stack | None:
-        """Return the law of the simulation with an effect that it lacked; None where it has none of it.
-
-        The simulation's own readings decide whether it has the effect. Its value there is that of the recording too
-        where separate values gain no more than chance; if they do, the difference from it remains to be found.
-        """
+        """Return the law of the simulation with an effect that it lacked; None where it has none of it."""
         if self.simulated is None or name in self.shared:
             return None
-        keys = self.keys([name])
-        recorded = np.mean([[stack.get(key) for key in keys] for stack in found.stacks], axis=0)
-        start = self.common.put(keys, recorded)
-        own = self.fitted(start, (*keys, *SPREAD), self.simulated, 40)
-        if own.nats - float(log_likelihood(self.common, self.simulated).sum()) < self.least_gain:
-            return None
-        simulated = np.array([own.stack.get(key) for key in keys])
-        both = []
-        for step in STEPS:
-            values = simulated + step * (recorded - simulated)
-            pairs = [*zip((s.put(keys, values) for s in found.stacks), self.parts, strict=True)]
-            pairs.append((own.stack.put(keys, values), self.simulated))
-            both.append([float(log_likelihood(stack, part).sum()) for stack, part in pairs])
-        nats = np.array(both)
-        best = int(np.argmax(nats.sum(axis=1)))
-        separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
-        alike = separate - nats[best].sum() < self.least_gain
-        return own.stack.put(keys, simulated + STEPS[best] * (recorded - simulated)) if alike else own.stack
+        return with_effect(self.common, self.keys([name]), found.stacks, self.parts, self.simulated, self.least_gain)
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted anew on a changed common law."""
@@ -374,13 +369,12 @@ class Search:
         others = tuple(each for each in current.effects if each != name)
         if name == JITTER:
             return self.held_scatter(replace(current, effects=others) if others else self.null())
-        if not others:
-            return self.null()
         keys = [(name, p.name) for p in self.common.known[name].parameters]
         reset = [stack.put(keys, [self.common.get(key) for key in keys]) for stack in current.stacks]
         reset = [stack if name in self.common.values else stack.without(name) for stack in reset]
         free, pairs = (*self.keys(others), *self.nuisances), zip(reset, self.parts, strict=True)
-        return self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
+        found = self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
+        return found if others else max(self.null(), found, key=lambda each: each.value)
 
     def lacks_threshold(self) -> bool:
         """Return whether pings are silent although the law of the simulation hears everything."""
