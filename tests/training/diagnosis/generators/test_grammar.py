@@ -63,3 +63,19 @@ def test_no_bias_is_an_offset_a_scale_or_a_drift():
             assert np.abs(fit.T @ error).max() < 1e-6 * np.abs(fit.T @ np.abs(error)).max() + 1e-9
             found += 1
     assert found
+
+
+def test_a_bias_is_as_large_in_a_survey_of_another_order():
+    """In order of distance, distance and time are one, and no great weights of both may cancel."""
+    mixed = survey()
+    order = np.argsort(mixed.distance, kind="stable")
+    ping = Ping.of(mixed.distance[order], mixed.angle[order], reflectance=mixed.reflectance[order], time=mixed.time)
+    found = 0
+    for seed in range(200):
+        operators, words = draw_fault(ping, np.random.default_rng(seed), 0.5)
+        if words.startswith("bias") and len(operators) == 1 and "previous" not in words:
+            errors = [operators[0](p.distance.copy(), p, np.random.default_rng(1)) - p.distance for p in (ping, mixed)]
+            # the half of a line of distance that time stands for is at most as large as the fault
+            assert np.abs(errors[1]).max() < 3.0 * 2.0 * 0.5 * AT_ONE["bias"]
+            found += 1
+    assert found > 5
