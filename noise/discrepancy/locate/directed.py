@@ -95,12 +95,15 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
 def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
 
+    Where a parameter may change either way, the direction is from one change to the other: the expected ratio does then
+    not depend on how widely readings scatter, which careful and careless placement change.
+
     Args:
         law: describes both files.
         pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])
+    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])[back]
     names, ratios = [], []
     for name in CATALOGUE:
         # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
@@ -108,8 +111,11 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
         if CATALOGUE[name].by_clock or name == JITTER or not _shown(name, pairs[0][1]):
             continue
         every = changes(law, name)
-        nats = np.concatenate([log_prob_after(each, every, batch) for each, batch, _ in pairs], axis=1)
-        for ratio in np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[:, back]:
+        flat = [change for ends in every for change in ends]
+        nats = np.concatenate([log_prob_after(each, flat, batch) for each, batch, _ in pairs], axis=1)[:, back]
+        ends = np.split(nats, np.cumsum([len(each) for each in every])[:-1])
+        for each in ends:
+            ratio = np.clip(each[-1] - (each[0] if len(each) > 1 else base), -LIMIT_NATS, LIMIT_NATS)
             if np.ptp(ratio) > 1e-6:
                 names.append(name)
                 ratios.append(ratio)
@@ -123,24 +129,32 @@ def _shown(name: str, batch: Batch) -> bool:
     )
 
 
-def changes(law: Stack, name: str) -> list[dict[Key, float]]:
-    """Return parameter values of an effect at typical sizes: its first parameter varied, the others as they start."""
+def changes(law: Stack, name: str) -> list[list[dict[Key, float]]]:
+    """Return the changes of an effect to typical sizes: its first parameter varied, the others as they start.
+
+    Each is a pair where the parameter may be less and more, as little and as much, and a single one otherwise.
+    """
     first, *others = (law.parameter((name, p.name)) for p in CATALOGUE[name].parameters)
     beside = {(name, p.name): p.starts[0] if p.starts else p.null for p in others if not p.covariate}
     key = (name, first.name)
     if name in law.values:
         step = STEP_SHARE * (first.high - first.low)
-        values = [law.get(key) - step, law.get(key) + step]
+        groups = [[law.get(key) - step, law.get(key) + step]]
         beside = {key: law.get(key) for key in beside}
     elif first.typical > 0:
-        values = [first.null - 0.5 * first.typical, first.null + 0.5 * first.typical]
+        groups = [[first.null - 0.5 * first.typical, first.null + 0.5 * first.typical]]
     else:
-        values = [value for value in first.starts if value != first.null]
-    inside = [value for value in values if first.low <= value <= first.high]
+        groups = [[value] for value in first.starts if value != first.null]
+    inside = [[value for value in group if first.low <= value <= first.high] for group in groups]
+    inside = [group for group in inside if group]
+    out = [[{key: value, **beside} for value in group] for group in inside]
     places = [p for p in others if len(p.starts) > 1 and not p.covariate] if name not in law.values else []
-    out = [{key: value, **beside} for value in inside]
     for p in places[:1]:  # where a reflector may stand
-        out += [{key: value, **beside, (name, p.name): start} for value in inside for start in p.starts[1:]]
+        out += [
+            [{key: value, **beside, (name, p.name): start} for value in group]
+            for group in inside
+            for start in p.starts[1:]
+        ]
     return out
 
 
