@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise.effects import Stage
+from noise.effects import CATALOGUE, Parameter, Stage
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.likelihood import log_likelihood
@@ -34,8 +34,8 @@ def with_nuisances(common: Stack, recorded: Sequence[Stack], parts: Sequence[Bat
         return common
     keys = [key for key in NUISANCES if key != SIMULATION_CORRELATION]
     start = common.put(keys, np.mean([[stack.get(key) for key in keys] for stack in recorded], axis=0))
-    late = [name for name in common.effects if common.known[name].stage is Stage.SEQUENCE]
-    free = (*keys, *((name, p.name) for name in late for p in common.known[name].parameters))
+    late = [name for name in common.effects if CATALOGUE[name].stage is Stage.SEQUENCE]
+    free = (*keys, *((name, p.name) for name in late for p in _parameters(name)))
     found = maximise(replace(start, familiar={}), free, simulated, ITERATIONS).stack
     gain = _nats(found, simulated) - _nats(common, simulated)
     for stack, part in zip(recorded, parts, strict=True):
@@ -83,4 +83,11 @@ def with_effect(
     best = int(np.argmax(nats.sum(axis=1)))
     separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
     alike = separate - nats[best].sum() < least_gain
-    return own.stack.put(keys, here + STEPS[best] * (there - here)) if alike else own.stack
+    found = own.stack.put(keys, here + STEPS[best] * (there - here)) if alike else own.stack
+    # what stood for the effect so far is no longer needed, and would differ from the recording's
+    others = [(name, p.name) for name in common.effects if CATALOGUE[name].localised for p in _parameters(name)]
+    return maximise(found, (*(key for key in others if key not in keys), *NUISANCES), simulated, ITERATIONS).stack
+
+
+def _parameters(name: str) -> tuple[Parameter, ...]:
+    return CATALOGUE[name].parameters

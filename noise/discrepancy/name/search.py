@@ -274,7 +274,7 @@ class Search:
         common = self.common_value(tried[winner], winner)
         if common is None:
             return tried[winner]
-        self.common, self.shared = common, [*self.shared, winner]
+        self.common, self.shared = self._familiar(common), [*self.shared, winner]
         return self.rebased(current)
 
     def explains(self, found: Hypothesis, name: str) -> bool:
