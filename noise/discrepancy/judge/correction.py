@@ -5,8 +5,9 @@ better; where the recording's own readings under similar conditions predict bett
 model. A correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has
 not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
 that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
-than what small changes of the range gain, and for the law with causes it is enough that its log score, the more
-sensitive of the two, is beyond chance greater than that of the same law without them.
+than what small changes of the range gain, and so does what stands for the simulation. It is enough that the CRPS is
+less at all where causes or the empirical term gain beyond chance on the very law without them: causes in the log score,
+which is the more sensitive of the two, and the term in the CRPS.
 """
 
 from __future__ import annotations
@@ -123,10 +124,12 @@ class Options:
         best = min(laws, key=lambda option: option.crps, default=self.forest)
         if best is not self.forest and self.forest.is_better_than(best):
             best = self.forest
-        offered = next((each.model for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
-        if offered is None and self.with_causes is not None and self.causes_gain:
-            return self.with_causes.model if before.gain(*self.with_causes.scored).sum() > 0.0 else None
-        return offered
+        offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
+        if offered is None:
+            sure = [self.with_causes if self.causes_gain else None, self.with_term]
+            better = [each for each in sure if each is not None and before.gain(*each.scored).sum() > 0.0]
+            offered = min(better, key=lambda option: option.crps, default=None)
+        return None if offered is None else offered.model
 
 
 def gains(law: Option, emulator: SonarModel) -> bool:
