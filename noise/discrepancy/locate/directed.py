@@ -36,7 +36,7 @@ LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
 
 
-def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator) -> Greatest:
+def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, length: int = 1) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
 
     Both files are scored under one law, since the expected log-likelihood ratio depends on the law's own spread.
@@ -46,6 +46,8 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
         sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
         signs: of the sample's clusters in each draw of the bootstrap, (draws, clusters).
         rng: draws readings and folds.
+        length: number of neighbouring clusters over which errors of readings last. What the first pings of a visit have
+            shown is expected of the others, so that the ratios alone do not tell.
     """
     nothing = Greatest(PValue(1.0, len(signs), 0), np.empty(0))
     both, cluster = _thinned(law, sample, rng)
@@ -62,7 +64,7 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
         return nothing
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
-    every = dependence(both, ratios, np.ones(ratios.shape, dtype=bool), cluster, chains)
+    every = np.maximum(dependence(both, ratios, np.ones(ratios.shape, dtype=bool), cluster, chains), length)
     z, greatest = [], []
     for length in np.unique(every):
         part = psi[:, every == length]
