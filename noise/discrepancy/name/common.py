@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise.discrepancy.locate.trend import UNCOMPENSATED
 from noise.effects import CATALOGUE, Parameter, Stage
+from noise.effects.medium import TEMPERATURE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.likelihood import log_likelihood
@@ -45,6 +47,23 @@ def with_nuisances(common: Stack, recorded: Sequence[Stack], parts: Sequence[Bat
 
 def _nats(stack: Stack, batch: Batch) -> float:
     return float(log_likelihood(stack, batch).sum())
+
+
+def with_compensation(common: Stack, recorded: Sequence[Stack], simulated: Batch) -> Stack | None:
+    """Return the law of the simulation with the recording's compensation for temperature; None where it tells its own.
+
+    Where both files log the temperature, and the simulation's readings are as likely with the share of the logged
+    temperature that the recording's show, that share is no difference.
+
+    Args:
+        common: law of the simulation.
+        recorded: stacks with another sound speed, fitted to each part of the recording.
+        simulated: readings of the simulation.
+    """
+    if UNCOMPENSATED[0] in common.values or TEMPERATURE not in simulated.ping.covariates:
+        return None
+    law = common.at({UNCOMPENSATED: float(np.mean([stack.get(UNCOMPENSATED) for stack in recorded]))})
+    return law if _nats(law, simulated) > _nats(common, simulated) - ENOUGH else None
 
 
 def with_effect(

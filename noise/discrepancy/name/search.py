@@ -18,6 +18,7 @@ import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS
+from noise.discrepancy.locate.trend import UNCOMPENSATED
 from noise.discrepancy.name.candidates import (
     candidate_names,
     explains_nothing,
@@ -25,7 +26,7 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
-from noise.discrepancy.name.common import with_effect, with_nuisances
+from noise.discrepancy.name.common import with_compensation, with_effect, with_nuisances
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
@@ -341,6 +342,10 @@ class Search:
         """Return the law of the simulation with an effect that it lacked; None where it has none of it."""
         if self.simulated is None or name in self.shared:
             return None
+        if UNCOMPENSATED in self.keys([name]):
+            law = with_compensation(self.common, found.stacks, self.simulated)
+            if law is not None:
+                return law
         return with_effect(self.common, self.keys([name]), found.stacks, self.parts, self.simulated, self.least_gain)
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
