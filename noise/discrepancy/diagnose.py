@@ -190,12 +190,14 @@ def _prepared(
 
 
 def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
-    """Return the recording on the simulation's register where that has finer steps.
+    """Return the recording on a register as fine as the simulation's where that has finer steps.
 
-    Coarser steps are then a difference that quantisation explains, and not a property of the data.
+    Coarser steps are then a difference that quantisation explains, and not a property of the data. The fine steps
+    divide the coarse ones, so that each reading lies on one of them.
     """
     fine = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
-    return replace(batch, resolution=fine) if batch.resolution > COARSER * fine else batch
+    coarse = batch.resolution
+    return replace(batch, resolution=coarse / np.ceil(coarse / fine)) if coarse > COARSER * fine else batch
 
 
 def _alike(data: Data, recorded: Recording, tested: Tested, visible: tuple[Visible, ...]) -> Diagnosis:

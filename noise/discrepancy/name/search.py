@@ -28,12 +28,13 @@ from noise.discrepancy.name.candidates import (
 )
 from noise.discrepancy.name.common import with_compensation, with_effect, with_nuisances
 from noise.discrepancy.name.exchange import exchanged
+from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
-from noise.fitting.batch import Batch, share_without_echo
+from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
-from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
+from noise.fitting.likelihood import log_likelihood, log_likelihoods
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
@@ -46,8 +47,6 @@ ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
 MISSED = 3.0  # nats by which other nuisance parameters must predict better for a round to be repeated with them
-THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
-FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
 Tell = Callable[[str, float], None]
 
@@ -128,9 +127,8 @@ class Search:
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
-        none = current = self.renewed(self.null())
-        if self.lacks_threshold():
-            current = self.with_threshold(current)
+        none = self.renewed(self.null())
+        current = with_threshold(self, with_register(self, none))
         while len(current.effects) < MAX_CAUSES and (not current.effects or self.is_left(current)):
             self.tell(f"searching, {len(current.effects)} found", 0.2 + 0.1 * len(current.effects))
             found = self.round(current)
@@ -380,20 +378,3 @@ class Search:
         free, pairs = (*self.keys(others), *self.nuisances), zip(reset, self.parts, strict=True)
         found = self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
         return found if others else max(self.null(), found, key=lambda each: each.value)
-
-    def lacks_threshold(self) -> bool:
-        """Return whether pings are silent although the law of the simulation hears everything."""
-        known = THRESHOLD in self.common.values or THRESHOLD in self.without
-        return not known and share_without_echo(self.folds.first) > FEW_MISSED
-
-    def with_threshold(self, none: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with a threshold of the receiver, where that gains beyond chance.
-
-        What weakens an echo can silence it only near a threshold; one by one, neither would be found.
-        """
-        starts = starts_of(none.stacks[0], THRESHOLD, self.screen, self.parts[0], self.rng)
-        best = likeliest(starts, self.screen)
-        found = self.crossed(best, none, (THRESHOLD,), own_scatter=False)
-        gain = found.nats - none.nats
-        good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain))
-        return found if good else none
