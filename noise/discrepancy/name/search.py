@@ -46,6 +46,7 @@ N_SCREENED = 6  # candidates that are fitted, and cross-fitted unless they are f
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
+ROUNDS = 2 * MAX_CAUSES  # of a search, those that only change what both files have alike included
 MISSED = 3.0  # nats by which other nuisance parameters must predict better for a round to be repeated with them
 
 Tell = Callable[[str, float], None]
@@ -129,7 +130,9 @@ class Search:
         """Return the hypothesis without differences and the selected one."""
         none = self.renewed(self.null())
         current = with_threshold(self, with_register(self, none))
-        while len(current.effects) < MAX_CAUSES and (not current.effects or self.is_left(current)):
+        for _ in range(ROUNDS):
+            if len(current.effects) >= MAX_CAUSES or (current.effects and not self.is_left(current)):
+                break
             self.tell(f"searching, {len(current.effects)} found", 0.2 + 0.1 * len(current.effects))
             found = self.round(current)
             if found is None:
