@@ -110,8 +110,9 @@ def _function(name: str) -> Callable[[int], DriverPool]:
     sys.path.insert(0, os.getcwd())
     try:
         found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise SettingError(f"driver {name!r}: cannot be imported ({error})") from None
+    except (Exception, SystemExit) as error:  # of the user's module
+        reason = f"{type(error).__name__}: {error}"
+        raise SettingError(f"driver {name!r}: cannot be imported ({reason}); give module:callable") from None
     finally:
         sys.path.pop(0)
     if not callable(found):

@@ -178,6 +178,7 @@ def test_the_checksum_depends_on_streets_damage_and_models(monkeypatch):
     [
         (["nobody"], "agent 'nobody': no such name or folder"),
         (["no.such:thing"], "driver 'no.such:thing': cannot be imported"),
+        (["..:thing"], "driver '..:thing': cannot be imported"),
         (["training.agents.evaluate:FRAME_STEPS"], "is a int, expected a function of the number of cars"),
         (["nosuch.zip"], "nosuch.zip: is no file of a model"),
         (["scripted", "--name", "../x"], "--name '../x': it becomes a file: use letters"),
