@@ -13,6 +13,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -120,6 +121,17 @@ def _function(name: str) -> Callable[[int], DriverPool]:
     return found
 
 
+def _made(name: str, function: Callable[[int], DriverPool], count: int) -> DriverPool:
+    """Return what a user's function makes for a number of cars."""
+    try:
+        pool = function(count)
+    except Exception as error:
+        raise SettingError(f"driver {name!r}: fails for {count} cars ({type(error).__name__}: {error})") from None
+    if not (hasattr(pool, "reset") and hasattr(pool, "act")):
+        raise SettingError(f"driver {name!r}: makes a {type(pool).__name__}, expected a pool with reset and act")
+    return pool
+
+
 def check_driver(name: str) -> None:
     """Raise SonarError where a name is that of no driver."""
     if name == SCRIPTED:
@@ -142,7 +154,7 @@ def pool_by_name(name: str, algorithm: str) -> Callable[[int], DriverPool]:
     if name == SCRIPTED:
         return pool_of(SCRIPTED)
     if ":" in name:
-        return _function(name)
+        return partial(_made, name, _function(name))
     if name.endswith(".zip"):
         model = load_zip(Path(name), algorithm)
         return lambda count: ModelPool(model, count)
