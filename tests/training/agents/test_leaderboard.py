@@ -1,6 +1,7 @@
 """`sonar-gym leaderboard`: damage of the sonars, drivers, rows that cannot be changed, and the published table."""
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,26 @@ def test_pickled_settings_of_a_file_are_not_read(tmp_path):
     model.save(tmp_path / "pickled.zip")
     with pytest.raises(ModelError, match="policy_kwargs are pickled"):
         load_zip(tmp_path / "pickled.zip", "sac")
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        (0.5, "is no model of Stable-Baselines3"),
+        (None, "is no model of Stable-Baselines3"),
+        ({"nosuch": 1}, "its policy_kwargs are not those of ppo"),
+        ({"net_arch": "x"}, "its policy_kwargs are not those of ppo"),
+        ({"net_arch": [10**6, 10**6]}, "name a width of 1000000, expected at most 4096"),
+    ],
+)
+def test_a_damaged_model_in_a_file_is_named(tmp_path, kwargs, message):
+    model = PPO("MultiInputPolicy", SonarVecEnv(1, threads=1), n_steps=16, batch_size=16, device="cpu")
+    model.save(tmp_path / "whole.zip")
+    with zipfile.ZipFile(tmp_path / "whole.zip") as whole, zipfile.ZipFile(tmp_path / "bad.zip", "w") as bad:
+        bad.writestr("data", json.dumps({**json.loads(whole.read("data")), "policy_kwargs": kwargs}))
+        bad.writestr("policy.pth", whole.read("policy.pth"))
+    with pytest.raises(ModelError, match=message):
+        load_zip(tmp_path / "bad.zip", "ppo")
 
 
 class Counter:
