@@ -154,7 +154,7 @@ def _made(name: str, function: Callable[[int], DriverPool], count: int) -> Drive
     """Return what a user's function makes for a number of cars."""
     try:
         pool = function(count)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise SettingError(f"driver {name!r}: fails for {count} cars ({type(error).__name__}: {error})") from None
     if not (hasattr(pool, "reset") and hasattr(pool, "act")):
         raise SettingError(f"driver {name!r}: makes a {type(pool).__name__}, expected a pool with reset and act")

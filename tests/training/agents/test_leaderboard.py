@@ -202,6 +202,7 @@ def test_the_checksum_depends_on_streets_damage_and_models(monkeypatch):
         (["..:thing"], "driver '..:thing': cannot be imported"),
         (["training.agents.evaluate:FRAME_STEPS"], "is a int, expected a function of the number of cars"),
         (["builtins:list"], "driver 'builtins:list': fails for"),
+        (["sys:exit"], "driver 'sys:exit': fails for"),
         (["builtins:str"], "driver 'builtins:str': makes a str, expected a pool with reset and act"),
         (["nosuch.zip"], "nosuch.zip: is no file of a model"),
         (["scripted", "--name", "../x"], "--name '../x': it becomes a file: use letters"),
