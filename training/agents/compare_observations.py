@@ -93,7 +93,7 @@ def make(args: Args, arm: str, agent: int) -> None:
 def run(args: Args) -> pd.DataFrame:
     """Run or continue the experiment, agent by agent of all arms; returns one episode per row."""
     jobs = [(arm, agent) for agent, arm in product(range(args.agents), ARMS)]
-    workers = worker_processes(min(args.workers, len(jobs)), keep_one_thread)
+    workers = worker_processes(min(args.workers, len(jobs)), keep_one_thread, start=None)
     with workers as pool, bar("agents", len(jobs)) as update:
         for k, done in enumerate(as_completed([pool.submit(make, args, *job) for job in jobs])):
             done.result()

@@ -225,7 +225,7 @@ def run(args: Args) -> pd.DataFrame:
     """Run or continue the experiment; returns one episode per row."""
     prepare(args)
     jobs = jobs_of(args)
-    workers = worker_processes(min(args.workers, len(jobs)), keep_one_thread)
+    workers = worker_processes(min(args.workers, len(jobs)), keep_one_thread, start=None)
     with workers as pool, bar("agents", len(jobs)) as update:
         for k, done in enumerate(as_completed([pool.submit(make, args, job) for job in jobs])):
             done.result()

@@ -10,17 +10,21 @@ from multiprocessing import active_children, get_context
 
 
 @contextmanager
-def worker_processes(count: int, begin: Callable[[], object] | None = None) -> Iterator[ProcessPoolExecutor]:
+def worker_processes(
+    count: int, begin: Callable[[], object] | None = None, start: str | None = "spawn"
+) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of processes, which end with the block: at once where it raises, without what is still to be done.
 
-    Processes are started anew, since a copy of a process with threads is unsafe. In a terminal, Ctrl-C reaches all
-    processes of a command. The workers pass over it, so that only the first process answers, in one line.
+    In a terminal, Ctrl-C reaches all processes of a command. The workers pass over it, so that only the first process
+    answers, in one line.
 
     Args:
         count: number of processes.
         begin: called once in each.
+        start: how they are started, as `multiprocessing` names it: anew, since a copy of a process with threads is
+            unsafe; None for the default of the system.
     """
-    pool = ProcessPoolExecutor(count, get_context("spawn"), begin)
+    pool = ProcessPoolExecutor(count, get_context(start), begin)
     try:
         with _interrupts_held():  # what is started here holds them for ever
             for _ in range(count):
