@@ -15,7 +15,7 @@ import time
 from training.common.workers import worker_processes
 if __name__ == "__main__":
     with worker_processes(2) as pool:
-        jobs = [pool.submit(time.sleep, 300) for _ in range(5)]
+        jobs = [pool.submit(time.sleep, 3600) for _ in range(5)]
         print("begun", flush=True)
         try:
             jobs[0].result()
@@ -37,10 +37,8 @@ def test_an_interruption_ends_the_workers_at_once(tmp_path, to):
     assert process.stdout.readline() == "begun\n"
     time.sleep(1.0)
     to(process.pid, signal.SIGINT)
-    begin = time.monotonic()
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate()  # pytest's own limit of time is shorter than the jobs
     assert (process.returncode, error) == (130, "")
-    assert time.monotonic() - begin < 60.0
 
 
 def test_the_results_of_the_workers_are_those_of_their_jobs():
@@ -49,7 +47,7 @@ def test_the_results_of_the_workers_are_those_of_their_jobs():
 
 
 def fail(pool):
-    pool.submit(time.sleep, 300)
+    pool.submit(time.sleep, 3600)
     raise ZeroDivisionError
 
 
@@ -69,6 +67,6 @@ start.main()
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs signals")
 def test_an_interruption_of_the_start_shows_no_traceback():
-    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True)
     assert done.returncode in (-signal.SIGINT, 130)  # while packages are imported, or in the command
     assert "Traceback" not in done.stderr
