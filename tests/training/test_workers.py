@@ -11,9 +11,10 @@ import pytest
 from training.common.workers import worker_processes
 
 POOL = """
-import time
+import signal, time
 from training.common.workers import worker_processes
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts background jobs with SIGINT ignored
     with worker_processes(2) as pool:
         jobs = [pool.submit(time.sleep, 3600) for _ in range(5)]
         print("begun", flush=True)
@@ -59,6 +60,7 @@ def test_an_error_waits_for_no_worker():
 START = """
 import os, signal, sys, threading
 from training import start
+signal.signal(signal.SIGINT, signal.default_int_handler)
 threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
 sys.argv[1:] = ["effects"]
 start.main()
