@@ -52,8 +52,8 @@ def _modified(files: Iterable[Path]) -> list[float]:
 def use_temporary_cache() -> tempfile.TemporaryDirectory[str] | None:
     """Let Numba write its cache to a private temporary folder where it can write to no other, and warn.
 
-    The folder is new for each command, whose worker processes share it, and removed at its end: Numba runs what it finds
-    in its cache, so the folder must not be one that another user can prepare.
+    The folder is new for each command, whose worker processes share it, and removed at its end: Numba runs what it
+    finds in its cache, so the folder must not be one that another user can prepare.
 
     Returns:
         The folder, None if it is not needed.
