@@ -146,7 +146,7 @@ def diagnose(
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
     signs = signs_of(data.sample.cluster, data.rng("signs"))
     tested = on_any_compensation(own, other, data, "test", signs)
-    directed = directed_test(wider, data.sample, signs, data.rng("directed"), int(tested.length.max()))
+    directed = directed_test(wider, data.sample, signs, data.rng("directed"), bool((tested.length > 1).any()))
     whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
     found = [whole, *few_positions(own, other, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))

@@ -8,10 +8,11 @@ condition shows well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from acquisition import previous
@@ -25,18 +26,23 @@ from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
-from noise.fitting.likelihood import at_each
+from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, single_ping_law
 from noise.physical import PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
+LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
 
+After = Callable[[Stack, Sequence[dict[Key, float]], Batch], Floats]  # of each change of a law and reading, nats
 
-def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, length: int = 1) -> Greatest:
+
+def directed_test(
+    law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, lasting: bool = False
+) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
 
     Both files are scored under one law, since the expected log-likelihood ratio depends on the law's own spread.
@@ -46,8 +52,8 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
         sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
         signs: of the sample's clusters in each draw of the bootstrap, (draws, clusters).
         rng: draws readings and folds.
-        length: number of neighbouring clusters over which errors of readings last. What the first pings of a visit have
-            shown is expected of the others, so that the ratios alone do not tell.
+        lasting: whether errors of readings last longer than a cluster. What the first pings of a visit have shown is
+            expected of the others, so that the ratios of single pings tell how long.
     """
     nothing = Greatest(PValue(1.0, len(signs), 0), np.empty(0))
     both, cluster = _thinned(law, sample, rng)
@@ -59,12 +65,14 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
         for batch, part, start in zip(both.batches, both.left_out(law), start, strict=True)
         for k in np.unique(part)
     ]
-    names, ratios = directions(law, pairs)
-    if not names:
-        return nothing
+    names, ratios = directions(law, pairs, joint_log_prob_after)
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
-    every = np.maximum(dependence(both, ratios, np.ones(ratios.shape, dtype=bool), cluster, chains), length)
+    valid = np.ones(ratios.shape, dtype=bool)
+    every = dependence(both, ratios, valid, cluster, chains)
+    if lasting:
+        alone = directions(law, pairs, single_log_prob_after)[1]
+        every = np.maximum(every, dependence(both, alone, valid, cluster, chains))
     z, greatest = [], []
     for length in np.unique(every):
         part = psi[:, every == length]
@@ -94,7 +102,9 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
 
 
-def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[list[str], Floats]:
+def directions(
+    law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]], log_prob_after: After
+) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
 
     Where a parameter may change either way, the direction is from one change to the other: the expected ratio does then
@@ -103,6 +113,7 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
     Args:
         law: describes both files.
         pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
+        log_prob_after: `joint_log_prob_after` or `single_log_prob_after`.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
     base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])[back]
@@ -118,10 +129,9 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
         ends = np.split(nats, np.cumsum([len(each) for each in every])[:-1])
         for each in ends:
             ratio = np.clip(each[-1] - (each[0] if len(each) > 1 else base), -LIMIT_NATS, LIMIT_NATS)
-            if np.ptp(ratio) > 1e-6:
-                names.append(name)
-                ratios.append(ratio)
-    return names, np.stack(ratios, axis=1) if ratios else np.empty((len(base), 0))
+            names.append(name)
+            ratios.append(ratio)
+    return names, np.stack(ratios, axis=1)
 
 
 def _shown(name: str, batch: Batch) -> bool:
@@ -160,7 +170,7 @@ def changes(law: Stack, name: str) -> list[list[dict[Key, float]]]:
     return out
 
 
-def log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+def joint_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
     """Return the log probability of each reading, given those before it in its visit, after each change of a law, nats.
 
     What all pings of a visit share, such as an error of placement or a reflector that is there for the whole visit,
@@ -169,10 +179,20 @@ def log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) 
     Returns:
         Of each change and reading, (changes, n).
     """
+    return _after(law, every, lambda model, visits: log_prob(law_of(model, batch), visits, batch, exact=True))
+
+
+def single_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+    """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
 
     def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
-        return log_prob(law_of(model, batch), visits, batch, exact=True)
+        alone = single_ping_law(law_of(model, batch), visits)
+        return torch.log(torch.clamp(alone.probability_tensor(batch.reading), min=LEAST_PROBABILITY))
 
+    return _after(law, every, nats)
+
+
+def _after(law: Stack, every: Sequence[dict[Key, float]], nats: Measure) -> Floats:
     values = np.array([list(change.values()) for change in every], dtype=np.float64)
     return at_each(law, list(every[0]), values, nats)
 

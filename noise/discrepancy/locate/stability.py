@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from torch import Tensor
 
 from acquisition.arrays import Floats, Ints
+from noise.discrepancy.locate.directed import single_log_prob_after
 from noise.discrepancy.locate.orthogonal import Tested, compared
 from noise.discrepancy.moments.moments import one_weight
 from noise.discrepancy.moments.regressors import Regressor
@@ -23,15 +23,11 @@ from noise.discrepancy.moments.scores import BIAS, Scores, ping_law, scores_of_b
 from noise.discrepancy.result import Aspect, PValue
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch
-from noise.fitting.likelihood import at_each
 from noise.fitting.stack import Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, single_ping_law
-from noise.physical import PhysicalModel
 
 DRAWN = 10  # readings of each ping for the expected score under a law
 STEP = 1e-3  # of a parameter, as a share of its bounds: a derivative
 QUANTILE = 0.995  # of the scores of the recording, beyond which scores are winsorised: no reading decides
-LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
 SHARE = "share"  # parameter of effects that act in a part of the pings
 
 
@@ -145,9 +141,5 @@ def slope(law: Stack, batch: Batch, key: Key) -> Floats:
     p = law.parameter(key)
     step, value = STEP * (p.high - p.low), law.get(key)
     ends = np.clip([value - step, value + step], p.low, p.high)
-
-    def probability(model: PhysicalModel, visits: VisitEffects) -> Tensor:
-        return single_ping_law(law_of(model, batch), visits).probability_tensor(batch.reading)
-
-    low, high = np.log(np.maximum(at_each(law, [key], ends[:, None], probability), LEAST_PROBABILITY))
+    low, high = single_log_prob_after(law, [{key: float(end)} for end in ends], batch)
     return np.asarray((high - low) / (ends[1] - ends[0]))
