@@ -102,11 +102,12 @@ class _Items(_Kind):
     def admit(self, value: Any) -> Any:
         """Return the value as a tuple; raise SettingError if one item is of another class."""
         has_items = isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
-        items = tuple(value) if has_items and not isinstance(value, IOBase) else (value,)
-        for each in items:
+        items = []
+        for each in value if has_items and not isinstance(value, IOBase) else (value,):  # which may have no end
             if not isinstance(each, self.item):
                 raise SettingError(f"{self.name}: expected a list of {self.item.__name__}, got {shown(each)} in it")
-        return items
+            items.append(each)
+        return tuple(items)
 
 
 @functools.cache

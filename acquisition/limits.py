@@ -7,6 +7,7 @@ line, from a mapping or from Python. Pydantic reads the same annotations in the 
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import sys
 import types
@@ -115,7 +116,7 @@ def as_numbers(name: str, value: Any) -> Floats:
     """
     try:
         return np.asarray(value, dtype=np.float64)
-    except (OverflowError, RuntimeError, TypeError, ValueError):  # RuntimeError: of a tensor with a gradient
+    except (MemoryError, OverflowError, RuntimeError, TypeError, ValueError):  # as of a tensor with a gradient
         raise SettingError(f"{name}: expected numbers, got {shown(value)}") from None
 
 
@@ -233,10 +234,9 @@ def _check(name: str, value: Any, hint: Any) -> None:
 
 def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:
     _expect(is_list(value), name, "a list", value)
-    if items[-1] is Ellipsis:
-        items = (items[0],) * len(value)
-    _expect(len(value) == len(items), name, f"{len(items)} values", value)
-    for member, hint in zip(value, items, strict=True):
+    any_number = items[-1] is Ellipsis
+    _expect(any_number or len(value) == len(items), name, f"{len(items)} values", value)
+    for member, hint in zip(value, itertools.repeat(items[0]) if any_number else items, strict=False):
         _check(name, member, hint)
 
 

@@ -51,7 +51,7 @@ def _picked(name: str, index: Any) -> Any:
         return index
     try:
         rows = np.atleast_1d(np.asarray(index))
-    except (RuntimeError, ValueError):  # lists of unequal lengths, or a tensor with a gradient
+    except (MemoryError, RuntimeError, ValueError):  # lists of unequal lengths, or a tensor with a gradient
         rows = np.array([None])
     if rows.dtype.kind not in "iub" and rows.size:
         raise SettingError(f"{name}[...]: expected a mask, a slice or indices, got {shown(index)}")

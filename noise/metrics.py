@@ -196,7 +196,7 @@ def _clusters(cluster: ArrayLike, n: int) -> NDArray[np.int64]:
     try:
         found = np.asarray(cluster)
         number = np.unique(found, return_inverse=True)[1]
-    except (RuntimeError, TypeError, ValueError):  # rows of unequal lengths, or neither numbers nor names
+    except (MemoryError, RuntimeError, TypeError, ValueError):  # rows of unequal lengths, or neither numbers nor names
         found = number = np.array(None)
     if found.shape != (n,):
         raise SettingError(f"cluster: expected a number or name for each of {n} pings, got {shown(cluster)}")

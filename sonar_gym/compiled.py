@@ -7,6 +7,7 @@ than the newest source file with kernels is removed on import.
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 import warnings
@@ -51,8 +52,8 @@ def _modified(files: Iterable[Path]) -> list[float]:
 def use_temporary_cache() -> tempfile.TemporaryDirectory[str] | None:
     """Let Numba write its cache to a private temporary folder where it can write to no other, and warn.
 
-    The folder is new for each process and removed at its end: Numba runs what it finds in its cache, so the folder must
-    not be one that another user can prepare.
+    The folder is new for each command, whose worker processes share it, and removed at its end: Numba runs what it
+    finds in its cache, so the folder must not be one that another user can prepare.
 
     Returns:
         The folder, None if it is not needed.
@@ -62,6 +63,7 @@ def use_temporary_cache() -> tempfile.TemporaryDirectory[str] | None:
     except RuntimeError:  # "cannot cache function: no locator available"
         folder = tempfile.TemporaryDirectory(prefix="sonar-gym-numba-")
         config.CACHE_DIR = folder.name  # type: ignore[attr-defined]
+        os.environ["NUMBA_CACHE_DIR"] = folder.name  # for worker processes
         warnings.warn(
             f"neither {PACKAGE} nor the home folder can be written: kernels are compiled again at every start, which "
             "takes a minute; set NUMBA_CACHE_DIR to a folder of your own to keep them",

@@ -26,6 +26,7 @@ LIMITS = {
     "reflectance": (0.0, 1.0),
     "reading_mm": (0.0, 1000.0 * MAX_RANGE),
 }
+MAX_FAULTS = 500_000  # that are listed; a file with more is no recording
 MAX_COVARIATE = 1e15  # larger numbers are text: sums of their squares overflow in single precision
 
 
@@ -132,7 +133,10 @@ def convert(
         if name in CONDITION or is_reading(name):
             rows = np.flatnonzero(_invalid(name, number, empty))
             wanted = _expectation(name)
-            faults += [RowFault(file, int(r) + first_line, name, str(fields[name].iloc[r]), wanted) for r in rows]
+            listed = rows[: MAX_FAULTS + 1]
+            faults += [RowFault(file, int(r) + first_line, name, str(fields[name].iloc[r]), wanted) for r in listed]
+            if len(rows) > MAX_FAULTS:
+                raise RecordingError(f"{faults[-len(listed)]} (and {len(rows) - 1:,} more, too many to omit)")
             columns[name] = number
         else:
             is_text = _is_text(number, empty) if text is None else name in text

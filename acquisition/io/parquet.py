@@ -6,6 +6,7 @@ strings.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -19,10 +20,13 @@ from acquisition.errors import RecordingError
 from acquisition.extras import require
 from acquisition.io.columns import RowFault, convert
 from acquisition.io.files import is_file, write_atomic
+from acquisition.io.tables import MAX_COLUMNS
 
 MAGIC = b"PAR1"
 SUFFIX = ".parquet"
+INDEX = re.compile(r"__index_level_\d+__")  # column that pandas makes of an index without a name
 BATCH = 2**17  # rows that are read at once
+MAX_VALUES = 2**27  # of a file that is read whole: 1 GiB; a file of a few bytes can hold any number of equal ones
 
 
 def _arrow() -> tuple[Any, Any]:
@@ -54,8 +58,11 @@ def read_batches(path: Path, rows: int = BATCH) -> Iterator[pd.DataFrame]:
     """
     _, parquet = _arrow()
     with _readable(path), parquet.ParquetFile(path) as file:
+        if len(file.schema_arrow) > MAX_COLUMNS:
+            raise RecordingError(f"{path}: has more than {MAX_COLUMNS} columns; keep those that are needed")
         for batch in file.iter_batches(batch_size=rows, use_threads=False):
-            yield _fields(batch.to_pandas(self_destruct=True))
+            # what pandas notes beside the columns may rename them to anything, or hide some as an index
+            yield _fields(batch.to_pandas(self_destruct=True, ignore_metadata=True))
 
 
 def read_parquet(path: Path) -> tuple[pd.DataFrame, list[RowFault]]:
@@ -65,7 +72,13 @@ def read_parquet(path: Path) -> tuple[pd.DataFrame, list[RowFault]]:
         RecordingError: the file is damaged, or a required column is missing.
         MissingExtraError: pyarrow is not installed.
     """
-    parts = list(read_batches(path))
+    parts, n_values = list[pd.DataFrame](), 0
+    for part in read_batches(path):
+        parts, n_values = [*parts, part], n_values + part.size
+        if n_values > MAX_VALUES:
+            raise RecordingError(
+                f"{path}: has more than {MAX_VALUES // 10**6} million values; read it in parts (acquisition.io.chunks)"
+            )
     if not parts:
         raise RecordingError(f"{path}: has no rows, expected one row per ping")
     return convert(str(path), pd.concat(parts, ignore_index=True))
@@ -99,7 +112,8 @@ def _kind(arrow: Any, column: pd.Series) -> Any:
 
 
 def _fields(table: pd.DataFrame) -> pd.DataFrame:
-    """Return numbers as they are and anything else as text, empty where there is nothing."""
+    """Return numbers as they are and anything else as text, empty where there is nothing; an index is left out."""
+    table = table.drop(columns=[name for name in table.columns if INDEX.fullmatch(name)])
     others = [name for name in table.columns if not pd.api.types.is_numeric_dtype(table[name])]
     text = {name: table[name].astype(object).where(table[name].notna(), "").astype(str) for name in others}
     return table.assign(**text)

@@ -14,6 +14,7 @@ from acquisition.io.files import is_file, read_limited
 from acquisition.limits import shown
 
 MAX_DEPTH = 5  # names of a place in a message
+MAX_PARTS = 1_000_000  # lists, objects and texts of a file, each of which takes many times its length in memory
 
 
 class Schema(BaseModel):
@@ -37,7 +38,10 @@ def read_json(path: Path, schema: Any, error: type[SonarError] = ModelError) -> 
     """
     if not is_file(path):
         raise error(f"{path.parent}: contains no {path.name}; give the folder as it was saved")
-    return validated(read_limited(path, error, "a file of settings"), schema, str(path), error)
+    content = read_limited(path, error, "a file of settings")
+    if sum(map(content.count, (b"{", b"[", b'"'))) > 2 * MAX_PARTS:
+        raise error(f"{path}: holds more than {MAX_PARTS:,} lists, objects and texts; give a file of settings")
+    return validated(content, schema, str(path), error)
 
 
 def validated(content: bytes | dict[str, Any], schema: Any, place: str, error: type[SonarError]) -> dict[str, Any]:
@@ -65,8 +69,15 @@ def _not_finite(data: Any, *names: str) -> list[str] | None:
     """Return the names that lead to a NaN or infinity in plain data: a schema does not look into free fields."""
     if isinstance(data, float):
         return None if math.isfinite(data) else list(names)
+    if isinstance(data, list) and _holds_finite_numbers(data):  # the long ones
+        return None
     parts = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list | tuple) else ()
     return next(filter(None, (_not_finite(part, *names, str(name)) for name, part in parts)), None)
+
+
+def _holds_finite_numbers(data: list[Any]) -> bool:
+    kinds = set(map(type, data))
+    return kinds <= {int} or (kinds == {float} and all(map(math.isfinite, data)))
 
 
 def _shortened(names: list[str]) -> str:

@@ -24,11 +24,13 @@ from acquisition.errors import RecordingError, RecordingNotFoundError, SettingEr
 
 MAX_COLUMNS, MAX_FIELD = 1000, 100_000  # columns of a table, and characters of one field
 MAX_BYTES = 2**30  # of a table, decompressed
+MAX_EXPANSION, SMALL = 100, 2**26  # of gzip, beyond so many bytes; tables of measurements compress 5- to 20-fold
 GZIP, ZIP, XZ, UTF16 = b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", (b"\xff\xfe", b"\xfe\xff")
 FORMATS = ((ZIP, "a ZIP archive"), (XZ, "compressed by xz"), (b"SQLite format 3", "a database"), (b"\x89HDF", "HDF5"))
 HEADER_BYTES = 1_000_000
-MAX_ROW = MAX_COLUMNS * MAX_FIELD  # bytes
+MAX_ROW = 10 * 2**20  # bytes; the parser takes many times as much for a row of empty fields
 BLOCK = 2**24  # bytes of a file that is read in parts
+LONG_ROW = f"{{}}: a row of more than {MAX_ROW // 2**20} MiB; the file is damaged or no table"
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,12 @@ def read_bytes(path: Path) -> bytes:
         RecordingError: it is no file, cannot be read, or is too large.
     """
     with _opened(path) as file:
-        data = file.read(MAX_BYTES + 1)
+        data = file.read(SMALL + 1)
+        _check_expansion(path, len(data))
+        if len(data) > SMALL:
+            file.seek(0)
+            data = file.read(MAX_BYTES + 1)
+            _check_expansion(path, len(data))
     if len(data) > MAX_BYTES:
         raise RecordingError(
             f"{path}: has more than {MAX_BYTES // 2**20} MiB of text; read it in parts with acquisition.io.chunks"
@@ -98,10 +105,11 @@ def read_blocks(path: Path, size: int = BLOCK) -> Iterator[tuple[bytes, int]]:
         path: of a file as for `read_bytes`, of any length.
         size: of a block, bytes.
     """
-    header, rest, line = b"", b"", 2
+    header, rest, line, total = b"", b"", 2, 0
     with _opened(path) as file:
         while piece := file.read(size):
-            rest += piece
+            rest, total = rest + piece, total + len(piece)
+            _check_expansion(path, total)
             if not header:
                 header = rest[: rest.find(b"\n") + 1]
                 rest = rest[len(header) :]
@@ -109,12 +117,30 @@ def read_blocks(path: Path, size: int = BLOCK) -> Iterator[tuple[bytes, int]]:
             if cut:
                 yield header + rest[:cut], line
                 line, rest = line + rest.count(b"\n", 0, cut), rest[cut:]
-            if len(rest) > MAX_ROW:
-                raise RecordingError(
-                    f"{path}, line {line}: a row of more than {MAX_ROW // 10**6} MB; the file is damaged"
-                )
+            if len(rest) > max(MAX_ROW, size):
+                raise RecordingError(LONG_ROW.format(f"{path}, line {line}"))
     if rest or line == 2:
         yield header + rest, line
+
+
+def _check_expansion(path: Path, n_bytes: int) -> None:
+    """Raise RecordingError where a file gives so many bytes that its compression must be meant to fill memory."""
+    if n_bytes > SMALL and n_bytes > MAX_EXPANSION * path.stat().st_size:
+        raise RecordingError(
+            f"{path}: expands to more than {MAX_EXPANSION} times its size, as no table of measurements does; "
+            "decompress it, and give the result if it is one"
+        )
+
+
+def _check_rows(data: bytes, name: str) -> None:
+    """Raise RecordingError where a row is too long for the parser."""
+    at = 0
+    while len(data) - at > MAX_ROW:
+        end = max(data.rfind(end, at, at + MAX_ROW) for end in (b"\n", b"\r"))
+        if end < 0:
+            line = data.count(b"\n", 0, at) + 1
+            raise RecordingError(LONG_ROW.format(f"{name}, line {line}"))
+        at = end + 1
 
 
 def _row_end(data: bytes) -> int:
@@ -218,6 +244,7 @@ def _checked_beginning(data: bytes, name: str) -> str:
         found = "UTF-16 text"
     if found is not None:
         raise RecordingError(f"{name}: is {found}, expected a CSV file in UTF-8; export it as such")
+    _check_rows(data, name)
     decoder, held = getincrementaldecoder("utf-8-sig")(), 0
     for start in range(0, len(data), BLOCK):
         try:

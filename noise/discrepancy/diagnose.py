@@ -146,7 +146,7 @@ def diagnose(
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
     signs = signs_of(data.sample.cluster, data.rng("signs"))
     tested = on_any_compensation(own, other, data, "test", signs)
-    directed = directed_test(wider, data.sample, signs, data.rng("directed"))
+    directed = directed_test(wider, data.sample, signs, data.rng("directed"), bool((tested.length > 1).any()))
     whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
     found = [whole, *few_positions(own, other, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))
@@ -190,12 +190,14 @@ def _prepared(
 
 
 def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
-    """Return the recording on the simulation's register where that has finer steps.
+    """Return the recording on a register as fine as the simulation's where that has finer steps.
 
-    Coarser steps are then a difference that quantisation explains, and not a property of the data.
+    Coarser steps are then a difference that quantisation explains, and not a property of the data. The fine steps
+    divide the coarse ones, so that each reading lies on one of them.
     """
     fine = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
-    return replace(batch, resolution=fine) if batch.resolution > COARSER * fine else batch
+    coarse = batch.resolution
+    return replace(batch, resolution=coarse / np.ceil(coarse / fine)) if coarse > COARSER * fine else batch
 
 
 def _alike(data: Data, recorded: Recording, tested: Tested, visible: tuple[Visible, ...]) -> Diagnosis:
@@ -231,7 +233,8 @@ def _different(
         data.rng("judge"),
     )
     data.tell("correcting", 0.9)
-    options = Options.of(judged, search, data.forest, data.simulation, recorded.resolution, data.rng("term"))
+    emulator, step_m = data.baseline.emulator, recorded.resolution
+    options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, data.rng("term"))
     corrected = options.corrected(data.simulation)
     left = judged.rest
     left = replace(left, description=location_in_words(left.where[0]) if left.where else None)
@@ -241,7 +244,7 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
-    acting, left_out = difference(judged, search, options, data.baseline.emulator, recorded.resolution)
+    acting, left_out = difference(judged, search, options, emulator, step_m)
     return replace(
         diagnosis,
         difference=acting,

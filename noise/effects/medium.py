@@ -30,7 +30,7 @@ AIR_SD_K = 0.5  # standard deviation of an unmeasured air temperature, a heated 
 AIR_SCALE_SD = 0.5 * AIR_SD_K / (CELSIUS + ASSUMED_TEMPERATURE_C)  # resulting relative error of distances
 REFERENCE_C = 20.0  # logged temperature at which the air has the temperature `temperature_c`
 MAX_SCALE_ERROR = 0.1  # largest relative error of an echo of the target; chosen here
-N_PERIODS = 48  # number of periods in the search for an oscillation; chosen here
+N_PERIODS = 192  # number of periods in the search for an oscillation; chosen here
 MIN_LOG_RATIO = 0.5  # smallest logarithm of the ratio of two different periods; chosen here
 MIN_SPAN_K = 3.0  # a log with a smaller range is dominated by its error of 0.5 K; chosen here
 
@@ -192,12 +192,15 @@ class ThermalDrift(Effect):
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return the least-squares slope and oscillation at the periods that explain most."""
-        time, stretch = echoes.time, echoes.range / np.maximum(echoes.distance, 0.01) - 1.0
-        near = np.abs(stretch) < MAX_SCALE_ERROR
+        """Return the least-squares slope and oscillation at the periods that explain most.
+
+        A constant error and one of the scale, which are no drift, are fitted beside them.
+        """
+        time, distance, error = echoes.time, echoes.distance, echoes.range - echoes.distance
+        near = np.abs(error) < MAX_SCALE_ERROR * np.maximum(distance, 0.01)
         if near.sum() < 8 or not np.ptp(time[near]):
             return []
-        return _oscillations(time[near], -2.0 * (CELSIUS + ASSUMED_TEMPERATURE_C) * winsorised(stretch[near]))
+        return _oscillations(time[near], distance[near], winsorised(error[near]))
 
     def warming(self, time: Tensor) -> Tensor:
         """Return the change of the air temperature at a time in s, K, limited to +-50 K."""
@@ -214,19 +217,20 @@ class ThermalDrift(Effect):
         return f"The air temperature changed during the recording, by {change}: the scale of ranges changes with time."
 
 
-def _oscillations(time: Floats, warmer: Floats) -> list[dict[str, float]]:
-    """Return the best two oscillations of clearly different periods, and the best slope, fitted to temperatures."""
+def _oscillations(time: Floats, distance: Floats, error: Floats) -> list[dict[str, float]]:
+    """Return the best two oscillations of clearly different periods, and the best slope, fitted to errors of range."""
+    per_kelvin = -0.5 * distance / (CELSIUS + ASSUMED_TEMPERATURE_C)
     shortest, longest = 60.0, float(np.clip(2.0 * np.ptp(time), 120.0, 86400.0))
-    found = []
+    found, steady = [], [np.ones_like(time), distance, per_kelvin * time / 3600.0]
     for period in np.geomspace(shortest, longest, N_PERIODS):
         phase = 2.0 * np.pi * time / period
-        columns = np.stack([np.ones_like(time), time / 3600.0, np.sin(phase), np.cos(phase)], axis=1)
-        best, *_ = np.linalg.lstsq(columns, warmer, rcond=None)
-        left = float(np.sum((warmer - columns @ best) ** 2))
-        found.append((left, {"rate_k_per_h": best[1], "sine_k": best[2], "cosine_k": best[3], "period_s": period}))
+        columns = np.stack([*steady, per_kelvin * np.sin(phase), per_kelvin * np.cos(phase)], axis=1)
+        best, *_ = np.linalg.lstsq(columns, error, rcond=None)
+        left = float(np.sum((error - columns @ best) ** 2))
+        found.append((left, {"rate_k_per_h": best[2], "sine_k": best[3], "cosine_k": best[4], "period_s": period}))
     found.sort(key=lambda each: each[0])
     first = found[0][1]
     apart = [one for _, one in found if abs(np.log(one["period_s"] / first["period_s"])) > MIN_LOG_RATIO]
-    slope = float(np.polyfit(time / 3600.0, warmer, 1)[0])
+    slope = float(np.linalg.lstsq(np.stack(steady, axis=1), error, rcond=None)[0][2])
     alone = {"rate_k_per_h": slope, "sine_k": 0.0, "cosine_k": 0.0, "period_s": 3600.0}
     return [{name: float(value) for name, value in one.items()} for one in (first, *apart[:1], alone)]

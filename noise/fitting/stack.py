@@ -160,6 +160,10 @@ class Stack:
         ratios = [(self.get((name, p.name)) - base.get((name, p.name))) / p.typical for name, p in parameters]
         return -float(np.sum(np.log1p(np.square(ratios))))
 
+    def log_nuisance_prior(self) -> float:
+        """Return the log prior of the nuisance parameters as they are, nats."""
+        return float(self.log_prior(NUISANCES, number([self.get(key) for key in NUISANCES])))
+
     def is_the_target(self, name: str, batch: Batch) -> bool:
         """Return whether the fixed reading of an effect is that of the target in every ping: one that never moved."""
         fixed = self.known[name].fixed_range

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import IOBase
@@ -103,12 +104,13 @@ def layout(given: Layout) -> tuple[Mount, ...]:
     if not isinstance(given, Iterable) or isinstance(given, Mapping | IOBase):
         raise SettingError(f"sonar_layout: expected the name of a layout or a list of mounts, got {shown(given)}")
     try:
-        each = list(given)
+        each = list(itertools.islice(given, MAX_MOUNTS + 1))  # it may have no end
     except TypeError:  # an array without dimensions
         raise SettingError(f"sonar_layout: expected a list of mounts, got {shown(given)}") from None
     mounts = tuple(settings_of(Mount, mount, "sonar_layout") for mount in each)
     if not 1 <= len(mounts) <= MAX_MOUNTS:
-        raise SettingError(f"sonar_layout has {len(mounts)} mounts, expected 1 to {MAX_MOUNTS}")
+        more = "more than " if len(mounts) > MAX_MOUNTS else ""
+        raise SettingError(f"sonar_layout has {more}{min(len(mounts), MAX_MOUNTS)} mounts, expected 1 to {MAX_MOUNTS}")
     return mounts
 
 

@@ -30,7 +30,7 @@ def check_condition(name: str, given: Any) -> ConditionSetting:
     """Return a constant, a pair of limits or a key; raise SettingError for anything else."""
     if isinstance(given, str):
         return given
-    limits = tuple(given) if is_list(given) else (given, given)
+    limits = given if is_list(given) else (given, given)
     for number in limits:
         check_number(f"SonarObservation.{name}", number, CONDITION_LIMITS[name])
     if len(limits) != 2 or not limits[0] <= limits[1]:

@@ -1,5 +1,6 @@
 """Public functions: a wrong argument is rejected by an error of the project that names it."""
 
+import itertools
 import math
 import os
 import random
@@ -15,7 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition import Ping, Reading, SonarError
-from noise import IdealModel
+from noise import IdealModel, PhysicalModel
+from sonar_gym.sensing.mounts import layout
 from tests.fuzz.calls import calls
 from tests.fuzz.rule import FUZZ, limited
 
@@ -94,6 +96,20 @@ def test_what_only_looks_right_is_used_or_rejected(valid_calls, value):
     for function, valid in valid_calls.values():
         for argument in valid:
             check_used_or_rejected(function, {**valid, argument: value})
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda endless: Ping.of(range(10**15)),
+        lambda endless: Ping.of([1.0, 2.0])[range(10**15)],
+        lambda endless: layout(endless),
+        lambda endless: PhysicalModel(endless),
+    ],
+)
+def test_more_than_fits_into_memory_is_rejected(use):
+    with limited("endless"), pytest.raises(SonarError):
+        use(itertools.repeat(None))
 
 
 # a reward does not depend on `info`; what is indexed is named by its class

@@ -5,12 +5,14 @@ import gzip
 import json
 import shutil
 import struct
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from stable_baselines3 import PPO
 
 from acquisition import Recording, SonarError
 from acquisition.io.logs.bags import GroundTruthSource, import_bag
@@ -25,10 +27,12 @@ from noise.physical import PhysicalModel
 from noise.store import WEIGHTS
 from sonar_gym.agent import WEIGHTS as AGENTS
 from sonar_gym.agent import load_policy
+from sonar_gym.sb3 import SonarVecEnv
 from tests.acquisition.io.logs.test_bags import Bag
 from tests.fuzz.conftest import recording
 from tests.fuzz.rule import EXAMPLES, FUZZ, check_rejected, check_used_or_rejected, digests, limited
 from tests.fuzz.tables import csv_bytes
+from training.agents.drivers import load_zip
 from training.proof.chain import load as load_ledger
 
 VALUES = (None, True, -1, 0, 10**40, 1e308, "x", [], {}, [[]], {"x": 1}, [1e308], "\x00", [None])
@@ -197,6 +201,26 @@ def test_agents(tmp_path_factory, data):
     path = folder / "agent.json"
     path.write_text(data.draw(damaged(json.loads(path.read_text()))))
     load(load_policy, folder)
+
+
+@pytest.fixture(scope="module")
+def learner(tmp_path_factory):
+    """File of a model of Stable-Baselines3."""
+    path = tmp_path_factory.mktemp("learner") / "model.zip"
+    PPO("MultiInputPolicy", SonarVecEnv(1, threads=1), n_steps=16, batch_size=16, device="cpu").save(path)
+    return path
+
+
+@FUZZ
+@given(data=st.data())
+def test_models_of_stable_baselines(learner, tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("learner") / "model.zip"
+    settings = data.draw(damaged({"policy_kwargs": {"net_arch": [8], "optimizer_kwargs": {"eps": 1e-5}}}))
+    with zipfile.ZipFile(learner) as whole, zipfile.ZipFile(path, "w") as changed:
+        weights, cut = whole.read("policy.pth"), data.draw(st.sampled_from((None, None, 0, 100, -9)))
+        changed.writestr("data", settings)
+        changed.writestr("policy.pth", weights[:cut])
+    load(load_zip, path, data.draw(st.sampled_from(("ppo", "sac", "ppo_lstm"))))
 
 
 @pytest.fixture(scope="module")

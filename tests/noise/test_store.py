@@ -69,6 +69,7 @@ def test_the_error_for_an_unknown_name_lists_the_known_names():
             json.dumps({**PHYSICAL, "effects": {"spike": {"loud": 1}}}),
             "no parameter 'loud'",
         ),
+        ('{"format": 1, "about": [' + "{}," * 2_000_000, "holds more than 1,000,000 lists, objects and texts"),
     ],
 )
 def test_a_damaged_model_raises_with_its_path(tmp_path, text, message):

@@ -75,9 +75,10 @@ def test_a_source_from_the_future_removes_nothing(tmp_path):
 def test_where_no_cache_can_be_written_a_private_temporary_folder_is_used(monkeypatch):
     monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
     monkeypatch.setattr(config, "CACHE_DIR", "")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that it is restored
     with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR to a folder of your own"):
         folder = compiled.use_temporary_cache()
-    assert folder.name == config.CACHE_DIR
+    assert folder.name == config.CACHE_DIR == os.environ["NUMBA_CACHE_DIR"]
     assert Path(folder.name).stat().st_mode & 0o077 == 0
     folder.cleanup()
 

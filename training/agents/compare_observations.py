@@ -7,7 +7,7 @@ The agent is the unit of all intervals. To continue an interrupted experiment, g
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -27,6 +27,7 @@ from training.agents.leaderboard.tracks import TRACKS
 from training.common.progress import bar
 from training.common.statistics import AGENT_COLUMNS, AgentScores, agent_rows
 from training.common.tables import markdown_table
+from training.common.workers import worker_processes
 
 ARMS = {  # what an agent observes besides ranges: credence, echo
     "ranges": (False, False),
@@ -92,7 +93,8 @@ def make(args: Args, arm: str, agent: int) -> None:
 def run(args: Args) -> pd.DataFrame:
     """Run or continue the experiment, agent by agent of all arms; returns one episode per row."""
     jobs = [(arm, agent) for agent, arm in product(range(args.agents), ARMS)]
-    with ProcessPoolExecutor(args.workers, initializer=keep_one_thread) as pool, bar("agents", len(jobs)) as update:
+    workers = worker_processes(min(args.workers, len(jobs)), keep_one_thread, start=None)
+    with workers as pool, bar("agents", len(jobs)) as update:
         for k, done in enumerate(as_completed([pool.submit(make, args, *job) for job in jobs])):
             done.result()
             update(k + 1, len(jobs))

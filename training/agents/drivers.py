@@ -12,7 +12,8 @@ import json
 import os
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,7 +25,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 import sonar_gym
 from acquisition import ModelError, SettingError
 from acquisition.arrays import Ints, Singles
-from acquisition.limits import Loadable
+from acquisition.limits import Loadable, shown
 from sonar_gym.agent import DESCRIPTION, WEIGHTS, agent_names, load_policy
 from sonar_gym.parking.fleet import Observation
 from sonar_gym.sb3 import SonarVecEnv
@@ -32,6 +33,7 @@ from training.agents.evaluate import SCRIPTED, DriverPool, pool_of
 from training.agents.zoo.settings import ALGORITHMS, CLASSES
 from training.common.checksum import sha256_of_files
 
+MAX_MEMBER, MAX_WIDTH = 2**28, 4096  # bytes of a part of a model's file, and units of a layer
 PICKLED = ":serialized:"  # key under which Stable-Baselines3 stores pickled data; it is never read here
 SHOWN = {str(one): one for one in CLASSES.values()}  # classes that a model may name
 
@@ -80,10 +82,32 @@ def load_zip(path: Path, algorithm: str) -> BaseAlgorithm:
         ModelError: the file holds no such model for the parking environments.
     """
     kind: Any = ALGORITHMS[algorithm]
+    keywords, weights = _parts(path)
+    alias = next(name for name in kind.policy_aliases if name.startswith("MultiInput"))
+    memory = {"buffer_size": 1} if issubclass(kind, OffPolicyAlgorithm) else {}
+    try:
+        model: BaseAlgorithm = kind(alias, SonarVecEnv(1, threads=1), policy_kwargs=keywords, device="cpu", **memory)
+    except Exception as error:  # wrong keywords fail in many ways
+        raise ModelError(
+            f"{path}: its policy_kwargs are not those of {algorithm} ({error}); check --algorithm"
+        ) from None
+    try:
+        model.policy.load_state_dict(weights)
+    except (AttributeError, RuntimeError, TypeError, ValueError):
+        raise ModelError(
+            f"{path}: its networks are not those of {algorithm} for the observations of {sonar_gym.ENV_ID}; "
+            "check --algorithm"
+        ) from None
+    return model
+
+
+def _parts(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """Return the keywords of the policy and its weights, from the file of a model."""
     try:
         with zipfile.ZipFile(path) as archive:
-            keywords = json.loads(archive.read("data"))["policy_kwargs"]
-            weights = torch.load(io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True)
+            keywords = dict(json.loads(_member(archive, "data"))["policy_kwargs"])
+            _check_widths(keywords)
+            weights = torch.load(io.BytesIO(_member(archive, "policy.pth")), map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged file fails in many ways
         raise ModelError(f"{path}: is no model of Stable-Baselines3 ({type(error).__name__}: {error})") from None
     if PICKLED in keywords:  # the text of each value stands beside the pickled data
@@ -91,17 +115,23 @@ def load_zip(path: Path, algorithm: str) -> BaseAlgorithm:
         if any(isinstance(value, str) for value in given.values()):
             raise ModelError(f"{path}: its policy_kwargs are pickled, which is not read: score it as module:callable")
         keywords = given
-    alias = next(name for name in kind.policy_aliases if name.startswith("MultiInput"))
-    memory = {"buffer_size": 1} if issubclass(kind, OffPolicyAlgorithm) else {}
-    model: BaseAlgorithm = kind(alias, SonarVecEnv(1, threads=1), policy_kwargs=keywords, device="cpu", **memory)
-    try:
-        model.policy.load_state_dict(weights)
-    except RuntimeError:
-        raise ModelError(
-            f"{path}: its networks are not those of {algorithm} for the observations of {sonar_gym.ENV_ID}; "
-            "check --algorithm"
-        ) from None
-    return model
+    return keywords, weights
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    size = archive.getinfo(name).file_size
+    if size > MAX_MEMBER:
+        raise ValueError(f"{name} has {size} bytes, expected at most {MAX_MEMBER}")
+    return archive.read(name)
+
+
+def _check_widths(value: Any) -> None:
+    """Raise ValueError for a whole number in nested lists and dictionaries that no width of a layer should be."""
+    if isinstance(value, int) and value > MAX_WIDTH:
+        raise ValueError(f"policy_kwargs name a width of {shown(value)}, expected at most {MAX_WIDTH}")
+    if isinstance(value, list | dict):
+        for part in value.values() if isinstance(value, dict) else value:
+            _check_widths(part)
 
 
 def _function(name: str) -> Callable[[int], DriverPool]:
@@ -110,13 +140,25 @@ def _function(name: str) -> Callable[[int], DriverPool]:
     sys.path.insert(0, os.getcwd())
     try:
         found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise SettingError(f"driver {name!r}: cannot be imported ({error})") from None
+    except (Exception, SystemExit) as error:  # of the user's module
+        reason = f"{type(error).__name__}: {error}"
+        raise SettingError(f"driver {name!r}: cannot be imported ({reason}); give module:callable") from None
     finally:
         sys.path.pop(0)
     if not callable(found):
         raise SettingError(f"driver {name!r}: is a {type(found).__name__}, expected a function of the number of cars")
     return found
+
+
+def _made(name: str, function: Callable[[int], DriverPool], count: int) -> DriverPool:
+    """Return what a user's function makes for a number of cars."""
+    try:
+        pool = function(count)
+    except (Exception, SystemExit) as error:
+        raise SettingError(f"driver {name!r}: fails for {count} cars ({type(error).__name__}: {error})") from None
+    if not (hasattr(pool, "reset") and hasattr(pool, "act")):
+        raise SettingError(f"driver {name!r}: makes a {type(pool).__name__}, expected a pool with reset and act")
+    return pool
 
 
 def check_driver(name: str) -> None:
@@ -141,7 +183,7 @@ def pool_by_name(name: str, algorithm: str) -> Callable[[int], DriverPool]:
     if name == SCRIPTED:
         return pool_of(SCRIPTED)
     if ":" in name:
-        return _function(name)
+        return partial(_made, name, _function(name))
     if name.endswith(".zip"):
         model = load_zip(Path(name), algorithm)
         return lambda count: ModelPool(model, count)

@@ -9,7 +9,7 @@ continue it, give the same command again.
 from __future__ import annotations
 
 import json
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
@@ -43,6 +43,7 @@ from training.common.canvas import AFTER, INK, Axes, panels
 from training.common.progress import bar
 from training.common.statistics import AGENT_COLUMNS, AgentScores, agent_rows
 from training.common.tables import markdown_table
+from training.common.workers import worker_processes
 from training.diagnosis import diagnose
 from training.diagnosis.demo import record
 from training.noise import corpus
@@ -224,7 +225,8 @@ def run(args: Args) -> pd.DataFrame:
     """Run or continue the experiment; returns one episode per row."""
     prepare(args)
     jobs = jobs_of(args)
-    with ProcessPoolExecutor(args.workers, initializer=keep_one_thread) as pool, bar("agents", len(jobs)) as update:
+    workers = worker_processes(min(args.workers, len(jobs)), keep_one_thread, start=None)
+    with workers as pool, bar("agents", len(jobs)) as update:
         for k, done in enumerate(as_completed([pool.submit(make, args, job) for job in jobs])):
             done.result()
             update(k + 1, len(jobs))

@@ -7,4 +7,5 @@ commit      version of the code that made a file
 progress    progress bars
 statistics  comparison of paired proportions and of trained agents
 tables      Markdown tables
+workers     processes that end with their command
 """

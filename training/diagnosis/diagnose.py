@@ -94,7 +94,6 @@ def simulator_of(given: Path) -> Simulator | None:
 def _check_out(out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise SettingError(f"--out {out}: is a file, expected a folder; give another name")
-    out.mkdir(parents=True, exist_ok=True)
 
 
 @contextmanager

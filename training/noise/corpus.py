@@ -8,9 +8,7 @@ angles, walls, and none or beyond the range gate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from acquisition.bench.laboratory.setup import Bus
 from acquisition.bench.laboratory.shapes import Wall
 from acquisition.survey.plan import PLANS, SurveyPlan
 from noise.model import steps
+from training.common.workers import worker_processes
 
 DEG = np.pi / 180.0
 MIN_DISTANCE_M, MAX_DISTANCE_M, EMPTY_DISTANCE_M = 0.03, 6.0, 20.0  # the last is far beyond the range gate
@@ -246,7 +245,7 @@ def _tables(sessions: Sessions, jobs: int) -> Iterator[pd.DataFrame]:
     if jobs == 1:
         yield from (record_unit(sessions, serial) for serial in sessions.units)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+    with worker_processes(min(jobs, len(sessions.units))) as pool:
         yield from pool.map(record_unit, [sessions] * len(sessions.units), sessions.units)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import lzma
 import os
@@ -16,6 +17,7 @@ from acquisition.io.files import lock, read_limited, sync_folder
 from training.common.checksum import canonical, sha256
 
 MAX_LEDGER = 256 * 1024 * 1024  # bytes, decompressed; the last line of a longer one is cut short
+MAX_LINE = 16 * 1024 * 1024  # bytes of one line; that of a trial has some 40 kB
 BEGIN = b'{"'  # of every line
 FIRST = "0" * 64  # stands for the hash of the line before the first
 Line = dict[str, Any]
@@ -117,8 +119,8 @@ def parse(data: bytes, name: str) -> list[Line]:
     if data and not data.endswith(b"\n"):
         raise ProofError(f"{name}: the last line is cut short")
     before, lines = FIRST, []
-    for number, raw in enumerate(data.split(b"\n")[:-1], 1):
-        line = _line(raw)
+    for number, raw in enumerate(io.BytesIO(data), 1):
+        line = _line(raw[:-1]) if len(raw) <= MAX_LINE else None
         if line is None or line != linked(line["event"], _content(line), before):
             raise ProofError(f"{name}, line {number}: it was changed, or a line before it was changed or removed")
         before = line["hash"]

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from random import SystemRandom
 from typing import Annotated, Any
@@ -17,6 +15,7 @@ import tyro
 from acquisition.limits import Limit, Workers
 from noise.effects import CATALOGUE
 from training.common.commit import ROOT
+from training.common.workers import worker_processes
 from training.diagnosis.judging.tasks import case_of
 from training.proof.chain import Line, ProofError, load
 from training.proof.deck import cells_of, hashes
@@ -205,7 +204,7 @@ def regeneration_problems(
 def _mapped(function: Callable[..., str], jobs: Sequence[tuple[Any, ...]], workers: int) -> list[str]:
     if workers == 1 or len(jobs) < 2:
         return [function(*job) for job in jobs]
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with worker_processes(min(workers, len(jobs))) as pool:
         return list(pool.map(function, *zip(*jobs, strict=True), chunksize=4))
 
 

@@ -73,8 +73,9 @@ def diagnosed(files: Files, without: tuple[str, ...] = ()) -> tuple[Result, byte
             if file in files:
                 (folder / file).write_bytes(files[file])
         done = subprocess.run(
-            [sys.executable, *PROGRAM, *without], cwd=folder, env=environment(), capture_output=True, text=True
-        )
+            [sys.executable, *PROGRAM, *without], cwd=folder, env=environment(), capture_output=True, text=True,
+            start_new_session=True,  # Ctrl-C must not end a diagnosis, which would be recorded as its failure
+        )  # fmt: skip
         if not (folder / RESULT).is_file():
             words = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
             return {"verdict": None, "error": f"the process ended: {words[-1]}", "seconds": 0.0}, b""

@@ -2,9 +2,12 @@
 
 What no cause explains joins the corrected model as an empirical term, a local recalibration, where that predicts
 better; where the recording's own readings under similar conditions predict better than any law, they are the corrected
-model. A correction is offered only if its CRPS is less than that of the user's simulation beyond chance, on visits that
-the model has not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold,
-or by trees that lack them.
+model. A correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has
+not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
+that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
+than what small changes of the range gain, and so does what stands for the simulation. It is enough that the CRPS is
+less at all where causes or the empirical term gain beyond chance on the very law without them: causes in the log score,
+which is the more sensitive of the two, and the term in the CRPS.
 """
 
 from __future__ import annotations
@@ -60,12 +63,14 @@ class Options:
         with_term: the same, or the simulation's law, with an empirical term; None where none gains beyond chance.
         on_simulation: the causes on what stands for the simulation; None where that is the emulator.
         forest: a forest of the recording.
+        causes_gain: whether the law with causes predicts better than the emulator.
     """
 
     with_causes: Option | None
     with_term: Option | None
     on_simulation: Option | None
     forest: Option
+    causes_gain: bool
 
     @property
     def causes_only(self) -> SonarModel | None:
@@ -79,6 +84,7 @@ class Options:
         search: Search,
         forest: Grown,
         before: Simulation,
+        emulator: SonarModel,
         step_m: float,
         rng: np.random.Generator,
     ) -> Options:
@@ -89,14 +95,16 @@ class Options:
             search: readings and candidates.
             forest: of the recording.
             before: the user's simulation.
+            emulator: law that describes the simulation.
             step_m: step of the recording's register.
             rng: grows the trees of the empirical term.
         """
-        parts, with_causes, on_simulation = _parts(search), None, None
+        parts, with_causes, on_simulation, gain = _parts(search), None, None, False
         if judged.believed:
             laws = [offered(stack, step_m) for stack in (judged.final.single.stack, *reversed(judged.found.stacks))]
             nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))
             with_causes = replace(_scored(laws, parts), nats=nats)
+            gain = gains(with_causes, emulator)
             on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
         law = offered(judged.final.single.stack, step_m)
         term = recalibrated(law, search.folds.both, rng)
@@ -104,7 +112,7 @@ class Options:
         # the term is compared with the very law that it corrects, so that both were fitted to the same readings
         if with_term is not None and not with_term.is_better_than(_scored([law] * len(parts), parts)):
             with_term = None
-        return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts))
+        return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts), gain)
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.
@@ -116,7 +124,24 @@ class Options:
         best = min(laws, key=lambda option: option.crps, default=self.forest)
         if best is not self.forest and self.forest.is_better_than(best):
             best = self.forest
-        return next((each.model for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
+        offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
+        if offered is None:
+            sure = [self.with_causes if self.causes_gain else None, self.with_term]
+            better = [each for each in sure if each is not None and before.gain(*each.scored).sum() > 0.0]
+            offered = min(better, key=lambda option: option.crps, default=None)
+        return None if offered is None else offered.model
+
+
+def gains(law: Option, emulator: SonarModel) -> bool:
+    """Return whether a law predicts visits that it has not seen better than the emulator.
+
+    It does in the mean CRPS, and beyond chance in the log score.
+    """
+    batches = [batch for batch, _ in law.scored]
+    before = np.concatenate([crps_of_each(emulator, batch) for batch in batches])
+    nats = [own - log_score(emulator, batch) for own, batch in zip(law.nats, batches, strict=True)]
+    gain = np.concatenate([batch.visit_sums(each) for batch, each in zip(batches, nats, strict=True)])
+    return law.crps < float(before.mean()) and beyond_chance(gain)
 
 
 def offered(stack: Stack, step_m: float) -> SonarModel:

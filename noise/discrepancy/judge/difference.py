@@ -7,11 +7,8 @@ with the causes applied to them may be closer to the recording than any law, whe
 
 from __future__ import annotations
 
-import numpy as np
-
 from noise.composed import ComposedModel, with_differences
-from noise.discrepancy.judge.correction import Option, Options
-from noise.discrepancy.judge.held_out import beyond_chance, crps_of_each, log_score
+from noise.discrepancy.judge.correction import Options
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.stack import Stack
@@ -36,20 +33,11 @@ def difference(
         predicts the recording no better than the emulator: in the mean CRPS, and beyond chance in the log score, which
         is the more sensitive of the two where echoes are lost.
     """
-    if options.with_causes is None or not gains(options.with_causes, emulator):
+    if not options.causes_gain:
         return None, {}
     register = search.common.resolution
     replay = Replay(emulator, register, max(register, step_m))
     return _acting_on(replay, search.common, judged.final.single.stack, judged.believed)
-
-
-def gains(law: Option, emulator: SonarModel) -> bool:
-    """Return whether a law predicts visits that it has not seen better than the emulator."""
-    batches = [batch for batch, _ in law.scored]
-    before = np.concatenate([crps_of_each(emulator, batch) for batch in batches])
-    nats = [own - log_score(emulator, batch) for own, batch in zip(law.nats, batches, strict=True)]
-    gain = np.concatenate([batch.visit_sums(each) for batch, each in zip(batches, nats, strict=True)])
-    return law.crps < float(before.mean()) and beyond_chance(gain)
 
 
 def _acting_on(

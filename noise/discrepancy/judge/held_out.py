@@ -89,12 +89,14 @@ class Simulation:
                 estimated[asked == k] = False
         return out, estimated
 
+    def gain(self, *scored: tuple[Batch, Floats]) -> Floats:
+        """Return what other predictions of batches, with CRPS (n,), gain on each visit, m."""
+        return np.concatenate([batch.visit_sums(self._scored(batch)[0] - crps) for batch, crps in scored])
+
     def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
         """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
-        own = [self._scored(batch) for batch, _ in scored]
-        gain = np.concatenate([b.visit_sums(before[0] - crps) for before, (b, crps) in zip(own, scored, strict=True)])
-        n_estimated = sum(int(before[1].sum()) for before in own)
-        return beyond_chance(gain, n_estimated * self.excess[1])
+        n_estimated = sum(int(self._scored(batch)[1].sum()) for batch, _ in scored)
+        return beyond_chance(self.gain(*scored), n_estimated * self.excess[1])
 
 
 def beyond_chance(gain: Floats, error: float = 0.0) -> bool:

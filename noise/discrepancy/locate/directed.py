@@ -1,16 +1,18 @@
 """Directed test: the orthogonal test in the directions in which effects of the catalogue would change readings.
 
-The score of a direction is the log-likelihood ratio of a reading between the law with an effect at a typical size and
-the law itself. Its error under the law, which both files share, is a nuisance g(x), as in `orthogonal_test`; one
-statistic for each direction, over all pings, is sensitive to what no interval of one condition shows well.
+The score of a direction is the log-likelihood ratio of a reading, given those before it in its visit, between the law
+with an effect at a typical size and the law itself. Its error under the law, which both files share, is a nuisance
+g(x), as in `orthogonal_test`; one statistic for each direction, over all pings, is sensitive to what no interval of one
+condition shows well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from acquisition import previous
@@ -24,19 +26,23 @@ from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
-from noise.fitting.likelihood import at_each
+from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, single_ping_law
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, single_ping_law
 from noise.physical import PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
-LOWEST_LOG = float(np.log(1e-12))
+LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
 
+After = Callable[[Stack, Sequence[dict[Key, float]], Batch], Floats]  # of each change of a law and reading, nats
 
-def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator) -> Greatest:
+
+def directed_test(
+    law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, lasting: bool = False
+) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
 
     Both files are scored under one law, since the expected log-likelihood ratio depends on the law's own spread.
@@ -46,6 +52,8 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
         sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
         signs: of the sample's clusters in each draw of the bootstrap, (draws, clusters).
         rng: draws readings and folds.
+        lasting: whether errors of readings last longer than a cluster. What the first pings of a visit have shown is
+            expected of the others, so that the ratios of single pings tell how long.
     """
     nothing = Greatest(PValue(1.0, len(signs), 0), np.empty(0))
     both, cluster = _thinned(law, sample, rng)
@@ -57,12 +65,14 @@ def directed_test(law: Stack, sample: Sample, signs: Singles, rng: np.random.Gen
         for batch, part, start in zip(both.batches, both.left_out(law), start, strict=True)
         for k in np.unique(part)
     ]
-    names, ratios = directions(law, pairs)
-    if not names:
-        return nothing
+    names, ratios = directions(law, pairs, joint_log_prob_after)
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
-    every = dependence(both, ratios, np.ones(ratios.shape, dtype=bool), cluster, chains)
+    valid = np.ones(ratios.shape, dtype=bool)
+    every = dependence(both, ratios, valid, cluster, chains)
+    if lasting:
+        alone = directions(law, pairs, single_log_prob_after)[1]
+        every = np.maximum(every, dependence(both, alone, valid, cluster, chains))
     z, greatest = [], []
     for length in np.unique(every):
         part = psi[:, every == length]
@@ -92,15 +102,21 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
 
 
-def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[list[str], Floats]:
+def directions(
+    law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]], log_prob_after: After
+) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
+
+    Where a parameter may change either way, the direction is from one change to the other: the expected ratio does then
+    not depend on how widely readings scatter, which careful and careless placement change.
 
     Args:
         law: describes both files.
         pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
+        log_prob_after: `joint_log_prob_after` or `single_log_prob_after`.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])
+    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])[back]
     names, ratios = [], []
     for name in CATALOGUE:
         # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
@@ -108,12 +124,14 @@ def directions(law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]]) -> tuple[
         if CATALOGUE[name].by_clock or name == JITTER or not _shown(name, pairs[0][1]):
             continue
         every = changes(law, name)
-        nats = np.concatenate([log_prob_after(each, every, batch) for each, batch, _ in pairs], axis=1)
-        for ratio in np.clip(nats - base, -LIMIT_NATS, LIMIT_NATS)[:, back]:
-            if np.ptp(ratio) > 1e-6:
-                names.append(name)
-                ratios.append(ratio)
-    return names, np.stack(ratios, axis=1) if ratios else np.empty((len(base), 0))
+        flat = [change for ends in every for change in ends]
+        nats = np.concatenate([log_prob_after(each, flat, batch) for each, batch, _ in pairs], axis=1)[:, back]
+        ends = np.split(nats, np.cumsum([len(each) for each in every])[:-1])
+        for each in ends:
+            ratio = np.clip(each[-1] - (each[0] if len(each) > 1 else base), -LIMIT_NATS, LIMIT_NATS)
+            names.append(name)
+            ratios.append(ratio)
+    return names, np.stack(ratios, axis=1)
 
 
 def _shown(name: str, batch: Batch) -> bool:
@@ -123,35 +141,60 @@ def _shown(name: str, batch: Batch) -> bool:
     )
 
 
-def changes(law: Stack, name: str) -> list[dict[Key, float]]:
-    """Return parameter values of an effect at typical sizes: its first parameter varied, the others as they start."""
+def changes(law: Stack, name: str) -> list[list[dict[Key, float]]]:
+    """Return the changes of an effect to typical sizes: its first parameter varied, the others as they start.
+
+    Each is a pair where the parameter may be less and more, as little and as much, and a single one otherwise.
+    """
     first, *others = (law.parameter((name, p.name)) for p in CATALOGUE[name].parameters)
     beside = {(name, p.name): p.starts[0] if p.starts else p.null for p in others if not p.covariate}
     key = (name, first.name)
     if name in law.values:
         step = STEP_SHARE * (first.high - first.low)
-        values = [law.get(key) - step, law.get(key) + step]
+        groups = [[law.get(key) - step, law.get(key) + step]]
         beside = {key: law.get(key) for key in beside}
     elif first.typical > 0:
-        values = [first.null - 0.5 * first.typical, first.null + 0.5 * first.typical]
+        groups = [[first.null - 0.5 * first.typical, first.null + 0.5 * first.typical]]
     else:
-        values = [value for value in first.starts if value != first.null]
-    inside = [value for value in values if first.low <= value <= first.high]
+        groups = [[value] for value in first.starts if value != first.null]
+    inside = [[value for value in group if first.low <= value <= first.high] for group in groups]
+    inside = [group for group in inside if group]
+    out = [[{key: value, **beside} for value in group] for group in inside]
     places = [p for p in others if len(p.starts) > 1 and not p.covariate] if name not in law.values else []
-    out = [{key: value, **beside} for value in inside]
     for p in places[:1]:  # where a reflector may stand
-        out += [{key: value, **beside, (name, p.name): start} for value in inside for start in p.starts[1:]]
+        out += [
+            [{key: value, **beside, (name, p.name): start} for value in group]
+            for group in inside
+            for start in p.starts[1:]
+        ]
     return out
 
 
-def log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+def joint_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+    """Return the log probability of each reading, given those before it in its visit, after each change of a law, nats.
+
+    What all pings of a visit share, such as an error of placement or a reflector that is there for the whole visit,
+    says little of each ping once the first have shown it.
+
+    Returns:
+        Of each change and reading, (changes, n).
+    """
+    return _after(law, every, lambda model, visits: log_prob(law_of(model, batch), visits, batch, exact=True))
+
+
+def single_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
     """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
 
-    def probability(model: PhysicalModel, visits: VisitEffects) -> Tensor:
-        return single_ping_law(law_of(model, batch), visits).probability_tensor(batch.reading)
+    def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
+        alone = single_ping_law(law_of(model, batch), visits)
+        return torch.log(torch.clamp(alone.probability_tensor(batch.reading), min=LEAST_PROBABILITY))
 
+    return _after(law, every, nats)
+
+
+def _after(law: Stack, every: Sequence[dict[Key, float]], nats: Measure) -> Floats:
     values = np.array([list(change.values()) for change in every], dtype=np.float64)
-    return np.log(np.maximum(at_each(law, list(every[0]), values, probability), np.exp(LOWEST_LOG)))
+    return at_each(law, list(every[0]), values, nats)
 
 
 def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, n: int, rng: np.random.Generator) -> Floats:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from acquisition.arrays import Floats, Ints
-from noise.discrepancy.locate.directed import log_prob_after
+from noise.discrepancy.locate.directed import single_log_prob_after
 from noise.discrepancy.locate.orthogonal import Tested, compared
 from noise.discrepancy.moments.moments import one_weight
 from noise.discrepancy.moments.regressors import Regressor
@@ -141,5 +141,5 @@ def slope(law: Stack, batch: Batch, key: Key) -> Floats:
     p = law.parameter(key)
     step, value = STEP * (p.high - p.low), law.get(key)
     ends = np.clip([value - step, value + step], p.low, p.high)
-    low, high = log_prob_after(law, [{key: float(end)} for end in ends], batch)
+    low, high = single_log_prob_after(law, [{key: float(end)} for end in ends], batch)
     return np.asarray((high - low) / (ends[1] - ends[0]))

@@ -2,8 +2,9 @@
 
 A bootstrap over ten positions cannot reject at 1 % whatever they show. Here mean errors are regressed on a constant and
 one condition, with Student's t for either coefficient (Gosset 1908) and standard errors that allow for a scatter that
-varies (HC3; MacKinnon and White 1985). Only positions of both files are used: they are paired, so that what the law
-gets wrong for both cancels. The p-value is Bonferroni's over all coefficients.
+varies (HC3; MacKinnon and White 1985). Where the files share positions, only these are used: they are paired, so that
+what the law gets wrong for both cancels. Otherwise each file has its own constant and slope, and the scatter of both
+about their lines is the error. The p-value is Bonferroni's over all coefficients.
 """
 
 from __future__ import annotations
@@ -121,8 +122,21 @@ def _visit_means(scored: Scores, sample: Sample, a: int) -> tuple[Floats, Bits, 
     mean = np.bincount(sample.visit, natural * valid) / np.maximum(count, 1.0)
     first = np.unique(sample.visit, return_index=True)[1]
     place = np.unique(np.concatenate([positions(b) for b in sample.batches]), axis=0, return_inverse=True)[1].ravel()
-    seen = count > 0
+    seen = (count > 0) & _within_both(sample, first)
     return mean[seen], sample.is_recorded[first][seen], place[seen], first[seen]
+
+
+def _within_both(sample: Sample, first: Ints) -> Bits:
+    """Return which visits lie within the range of every condition in both files; beyond it the law is not known.
+
+    Conditions of the day, such as the temperature, need not overlap: the law says how they enter.
+    """
+    file = sample.is_recorded[first]
+    inside = np.ones(len(first), dtype=bool)
+    for value in (each[first] for name, each in sample.conditions.items() if name not in sample.of_the_day):
+        ends = [(value[rows].min(), value[rows].max()) for rows in (file, ~file) if rows.any()]
+        inside &= (value >= max(low for low, _ in ends)) & (value <= min(high for _, high in ends))
+    return inside
 
 
 def _line(error: Floats, recorded: Bits, place: Ints, x: Floats | None) -> _Line | None:
@@ -131,12 +145,19 @@ def _line(error: Floats, recorded: Bits, place: Ints, x: Floats | None) -> _Line
         return None
     columns = [error] if x is None else [error, (x - x.mean()) / max(float(x.std()), 1e-12)]
     files = [rows for rows in (recorded, ~recorded) if rows.any()]
-    shared = np.intersect1d(place[files[0]], place[files[-1]])
-    if len(shared) < MIN_PLACES:
+    known = [np.unique(place[rows]) for rows in files]
+    shared = np.intersect1d(known[0], known[-1])
+    if len(shared) >= MIN_PLACES:
+        means = [_means(columns, place, rows, shared) for rows in files]
+        y = means[0][0] - (means[1][0] if len(files) == 2 else 0.0)
+        return _least_squares(y, [np.ones(len(shared)), *means[0][1:]], len(columns))
+    if min(map(len, known)) < MIN_PLACES:
         return None
-    means = [_means(columns, place, rows, shared) for rows in files]
-    y = means[0][0] - (means[1][0] if len(files) == 2 else 0.0)
-    return _least_squares(y, [np.ones(len(shared)), *means[0][1:]], len(columns))
+    own = [_means(columns, place, rows, places) for rows, places in zip(files, known, strict=True)]
+    y, *slope = (np.concatenate(parts) for parts in zip(*own, strict=True))
+    both = [np.ones(len(y)), *slope]
+    is_first = np.arange(len(y)) < len(known[0])
+    return _least_squares(y, [*(is_first * each for each in both), *both], len(columns))
 
 
 def _means(values: Sequence[Floats], place: Ints, rows: Bits, wanted: Ints) -> list[Floats]:

@@ -12,7 +12,7 @@ from noise.discrepancy.result import Location, PValue, Visible
 
 DRAWS = 2000
 MIN_EFFECTIVE = 4.0  # clusters of equal size that its sum of squares is worth: no mismatch rests on one visit
-ROUNDING = 1e-10  # square of a cluster's sum, scores being of order one, below which it is rounding error
+LEAST_SUM = 1e-3  # root mean square of sums over clusters, scores being of order one; below, the register decides
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def studentised(
     square = sums**2
     total = square.sum(axis=0)
     effective = total**2 / np.maximum((square**2).sum(axis=0), 1e-300) / length
-    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > ROUNDING * len(psi))
+    enough = allowed & (effective >= MIN_EFFECTIVE) & (total > LEAST_SUM**2 * len(psi))
     root = np.sqrt(total[enough])
     z = np.full(psi.shape[1], np.nan)
     z[enough] = psi[:, enough].sum(axis=0) / root

@@ -9,10 +9,12 @@ import numpy as np
 
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import JITTER, SPREAD, STEPWISE, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
+INSIDE, NEEDED = 0.1, 3.0  # share of that width, and nats that a value so far inside loses where a bound is needed
 DESIGN = 2  # quasi-random starting points of an effect, a power of two
 WIDTH = "spread_m"  # of the echoes of another reflector
 
@@ -97,7 +99,8 @@ def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
     """Return whether an effect needs a bound that is neither its null nor the base's value: then it explains nothing.
 
     The ends of a share, 0 and 1, are no bounds in this sense, nor is a width within one step of the register, which is
-    none at all. Stepwise parameters have no derivative and stay at their starts.
+    none at all. Stepwise parameters have no derivative and stay at their starts. A parameter that the readings do not
+    tell, such as the level of what is heard anyway, may end at a bound without needing it.
     """
     for key in keys_of(stack, name, batch):
         p, value = stack.parameter(key), stack.get(key)
@@ -105,6 +108,14 @@ def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
             continue
         slack = AT_BOUND * (p.high - p.low)
         moved = abs(value - p.null) > slack and abs(value - base.get(key)) > slack
-        if moved and (value <= p.low + slack or value >= p.high - slack):
+        if moved and (value <= p.low + slack or value >= p.high - slack) and _needs(stack, key, batch):
             return True
     return False
+
+
+def _needs(stack: Stack, key: Key, batch: Batch) -> bool:
+    """Return whether readings are less likely with a parameter further inside its bounds than at the near one."""
+    p, value = stack.parameter(key), stack.get(key)
+    inside = value + INSIDE * (p.high - p.low) * (1.0 if value < 0.5 * (p.low + p.high) else -1.0)
+    lost = log_likelihood(stack, batch).sum() - log_likelihood(stack.at({key: inside}), batch).sum()
+    return bool(lost > NEEDED)

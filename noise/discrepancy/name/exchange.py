@@ -40,6 +40,8 @@ class Rounds(Protocol):
 
 def exchanged(search: Rounds, found: Hypothesis) -> Hypothesis:
     """Return the best of a hypothesis and those with another pair in the place of its last two effects."""
+    if len(found.effects) < 2:  # a pair in the place of a single effect would be one effect more
+        return found
     given, last = found.effects[:-2], set(found.effects[-2:])
     rivals = [pair for pair in promising(search, given, found.value) if set(pair) != last]
     fits = [_together(search, given, pair) for pair in rivals[:N_PAIRS]]

@@ -18,7 +18,7 @@ class Hypothesis:
         effects: effect ids, in the order in which they were added.
         stacks: fitted on each part.
         nats: log-likelihood of each recorded visit, by the fit of the other part.
-        prior: log prior of the sizes, less what an estimate gains on its own readings.
+        prior: log prior of the sizes and of the nuisance parameters, less what an estimate gains on its own readings.
     """
 
     effects: tuple[str, ...]

@@ -18,6 +18,7 @@ import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS
+from noise.discrepancy.locate.trend import UNCOMPENSATED
 from noise.discrepancy.name.candidates import (
     candidate_names,
     explains_nothing,
@@ -25,13 +26,15 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
+from noise.discrepancy.name.common import with_compensation, with_effect, with_nuisances
 from noise.discrepancy.name.exchange import exchanged
+from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
-from noise.fitting.batch import Batch, share_without_echo
+from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
-from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
+from noise.fitting.likelihood import log_likelihood, log_likelihoods
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
@@ -43,9 +46,8 @@ N_SCREENED = 6  # candidates that are fitted, and cross-fitted unless they are f
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
-STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
-THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
-FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
+ROUNDS = 2 * MAX_CAUSES  # of a search, those that only change what both files have alike included
+MISSED = 3.0  # nats by which other nuisance parameters must predict better for a round to be repeated with them
 
 Tell = Callable[[str, float], None]
 
@@ -126,18 +128,33 @@ class Search:
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
-        none = current = self.null()
-        if self.lacks_threshold():
-            current = self.with_threshold(current)
-        while len(current.effects) < MAX_CAUSES and (not current.effects or self.is_left(current)):
+        none = self.renewed(self.null())
+        current = with_threshold(self, with_register(self, none))
+        for _ in range(ROUNDS):
+            if len(current.effects) >= MAX_CAUSES or (current.effects and not self.is_left(current)):
+                break
             self.tell(f"searching, {len(current.effects)} found", 0.2 + 0.1 * len(current.effects))
             found = self.round(current)
             if found is None:
                 break
             if found.effects == current.effects:  # an effect joined the common law
+                none, current = self.null(), found
+                continue
+            without = self.left_out(found, found.effects[-1])
+            if without.value > current.value + MISSED:  # the effect only led to other nuisance parameters
+                current = without if without.effects else self.renewed(without)
                 none = self.null()
+                continue
             current = self.pruned(exchanged(self, self.polished(found)))
         return none, self.with_scatter(current)
+
+    def renewed(self, null: Hypothesis) -> Hypothesis:
+        """Return the hypothesis without differences, both files at the likeliest nuisance parameters that are known."""
+        self._null = self.common, null
+        if self.simulated is None:
+            return null
+        self.common = self._familiar(with_nuisances(self.common, null.stacks, self.parts, self.simulated))
+        return self.null()
 
     def null(self) -> Hypothesis:
         """Return the hypothesis that only nuisances differ; it is fitted once for each common law."""
@@ -161,7 +178,8 @@ class Search:
         """
         pairs = zip(reversed(stacks), self.parts, strict=True)
         nats = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs])
-        prior = float(np.mean([stack.log_size_prior(self.common, effects) for stack in stacks]))
+        priors = [stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() for stack in stacks]
+        prior = float(np.mean(priors))
         if len(self.parts) == 1:
             prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
         return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
@@ -258,7 +276,7 @@ class Search:
         common = self.common_value(tried[winner], winner)
         if common is None:
             return tried[winner]
-        self.common, self.shared = common, [*self.shared, winner]
+        self.common, self.shared = self._familiar(common), [*self.shared, winner]
         return self.rebased(current)
 
     def explains(self, found: Hypothesis, name: str) -> bool:
@@ -322,31 +340,14 @@ class Search:
         return min(close, key=lambda name: (len(self.keys([name])), -good[name]))
 
     def common_value(self, found: Hypothesis, name: str) -> Stack | None:
-        """Return the law of the simulation with an effect that it lacked; None where it has none of it.
-
-        The simulation's own readings decide whether it has the effect. Its value there is that of the recording too
-        where separate values gain no more than chance; if they do, the difference from it remains to be found.
-        """
+        """Return the law of the simulation with an effect that it lacked; None where it has none of it."""
         if self.simulated is None or name in self.shared:
             return None
-        keys = self.keys([name])
-        recorded = np.mean([[stack.get(key) for key in keys] for stack in found.stacks], axis=0)
-        start = self.common.put(keys, recorded)
-        own = self.fitted(start, (*keys, *SPREAD), self.simulated, 40)
-        if own.nats - float(log_likelihood(self.common, self.simulated).sum()) < self.least_gain:
-            return None
-        simulated = np.array([own.stack.get(key) for key in keys])
-        both = []
-        for step in STEPS:
-            values = simulated + step * (recorded - simulated)
-            pairs = [*zip((s.put(keys, values) for s in found.stacks), self.parts, strict=True)]
-            pairs.append((own.stack.put(keys, values), self.simulated))
-            both.append([float(log_likelihood(stack, part).sum()) for stack, part in pairs])
-        nats = np.array(both)
-        best = int(np.argmax(nats.sum(axis=1)))
-        separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
-        alike = separate - nats[best].sum() < self.least_gain
-        return own.stack.put(keys, simulated + STEPS[best] * (recorded - simulated)) if alike else own.stack
+        if UNCOMPENSATED in self.keys([name]):
+            law = with_compensation(self.common, found.stacks, self.simulated)
+            if law is not None:
+                return law
+        return with_effect(self.common, self.keys([name]), found.stacks, self.parts, self.simulated, self.least_gain)
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted anew on a changed common law."""
@@ -374,27 +375,9 @@ class Search:
         others = tuple(each for each in current.effects if each != name)
         if name == JITTER:
             return self.held_scatter(replace(current, effects=others) if others else self.null())
-        if not others:
-            return self.null()
         keys = [(name, p.name) for p in self.common.known[name].parameters]
         reset = [stack.put(keys, [self.common.get(key) for key in keys]) for stack in current.stacks]
         reset = [stack if name in self.common.values else stack.without(name) for stack in reset]
         free, pairs = (*self.keys(others), *self.nuisances), zip(reset, self.parts, strict=True)
-        return self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
-
-    def lacks_threshold(self) -> bool:
-        """Return whether pings are silent although the law of the simulation hears everything."""
-        known = THRESHOLD in self.common.values or THRESHOLD in self.without
-        return not known and share_without_echo(self.folds.first) > FEW_MISSED
-
-    def with_threshold(self, none: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with a threshold of the receiver, where that gains beyond chance.
-
-        What weakens an echo can silence it only near a threshold; one by one, neither would be found.
-        """
-        starts = starts_of(none.stacks[0], THRESHOLD, self.screen, self.parts[0], self.rng)
-        best = likeliest(starts, self.screen)
-        found = self.crossed(best, none, (THRESHOLD,), own_scatter=False)
-        gain = found.nats - none.nats
-        good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain))
-        return found if good else none
+        found = self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
+        return found if others else max(self.null(), found, key=lambda each: each.value)

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from acquisition import Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
-from acquisition.io import chunks, tables
+from acquisition.io import chunks, columns, parquet, tables
 from acquisition.io.chunks import read_chunks, sample_visits, write_chunks
 from acquisition.io.columns import convert, read_columns
 from acquisition.io.tables import parse_table, read_blocks
@@ -209,3 +209,38 @@ def test_what_cannot_be_read_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "MAX_ROW", 50)
     with pytest.raises(RecordingError, match="line 2: a row of more than"):
         list(read_blocks(tmp_path / "row.csv", 20))
+
+
+def test_a_parquet_file_has_the_columns_that_it_holds_whatever_pandas_notes_beside_them(tmp_path):
+    table = survey().table.iloc[::2]
+    table.to_parquet(tmp_path / "part.parquet")
+    assert "__index_level_0__" not in Recording.load(tmp_path / "part.parquet").table
+    for k, names in enumerate((range(3), pd.MultiIndex.from_product([["a"], ["x", "y", "z"]]))):
+        pd.DataFrame(np.ones((2, 3)), columns=names).to_parquet(tmp_path / f"{k}.parquet")
+        with pytest.raises(RecordingError, match=r"column distance_mm is missing.*found"):
+            Recording.load(tmp_path / f"{k}.parquet")
+
+
+def test_what_is_made_to_fill_memory_is_rejected(tmp_path, monkeypatch):
+    header, path = b"distance_mm,angle_deg,reading_mm\n", tmp_path / "bomb.csv"
+    monkeypatch.setattr(tables, "SMALL", 10_000)
+    path.write_bytes(gzip.compress(header + b"500,0,501\n" * 10**5))
+    for read in (Recording.load, lambda path: list(read_chunks(path))):
+        with pytest.raises(RecordingError, match=r"bomb\.csv: expands to more than 100 times its size"):
+            read(path)
+    path.write_bytes(header + b"500,0,501\n" + b"," * 2 * tables.MAX_ROW)
+    with pytest.raises(RecordingError, match=r"bomb\.csv, line 3: a row of more than 10 MiB"):
+        Recording.load(path)
+    monkeypatch.setattr(parquet, "MAX_VALUES", 100)
+    with pytest.raises(RecordingError, match="million values; read it in parts"):
+        Recording.load(survey().save(tmp_path / "r.parquet"))
+    monkeypatch.setattr(parquet, "MAX_COLUMNS", 3)
+    with pytest.raises(RecordingError, match="has more than 3 columns"):
+        list(read_chunks(tmp_path / "r.parquet"))
+
+
+def test_a_file_of_faults_is_no_recording_with_bad_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr(columns, "MAX_FAULTS", 5)
+    (tmp_path / "r.csv").write_text("distance_mm,angle_deg,reading_mm\n" + "500,0,x\n" * 6)
+    with pytest.raises(RecordingError, match=r"line 2, column reading_mm: 'x', .* \(and 5 more, too many to omit\)"):
+        Recording.load(tmp_path / "r.csv", skip_bad_rows=True)

@@ -1,6 +1,7 @@
 """`sonar-gym leaderboard`: damage of the sonars, drivers, rows that cannot be changed, and the published table."""
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,26 @@ def test_pickled_settings_of_a_file_are_not_read(tmp_path):
         load_zip(tmp_path / "pickled.zip", "sac")
 
 
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        (0.5, "is no model of Stable-Baselines3"),
+        (None, "is no model of Stable-Baselines3"),
+        ({"nosuch": 1}, "its policy_kwargs are not those of ppo"),
+        ({"net_arch": "x"}, "its policy_kwargs are not those of ppo"),
+        ({"net_arch": [10**6, 10**6]}, "name a width of 1000000, expected at most 4096"),
+    ],
+)
+def test_a_damaged_model_in_a_file_is_named(tmp_path, kwargs, message):
+    model = PPO("MultiInputPolicy", SonarVecEnv(1, threads=1), n_steps=16, batch_size=16, device="cpu")
+    model.save(tmp_path / "whole.zip")
+    with zipfile.ZipFile(tmp_path / "whole.zip") as whole, zipfile.ZipFile(tmp_path / "bad.zip", "w") as bad:
+        bad.writestr("data", json.dumps({**json.loads(whole.read("data")), "policy_kwargs": kwargs}))
+        bad.writestr("policy.pth", whole.read("policy.pth"))
+    with pytest.raises(ModelError, match=message):
+        load_zip(tmp_path / "bad.zip", "ppo")
+
+
 class Counter:
     """A recurrent model whose action is the number of observations since its episode began."""
 
@@ -178,7 +199,11 @@ def test_the_checksum_depends_on_streets_damage_and_models(monkeypatch):
     [
         (["nobody"], "agent 'nobody': no such name or folder"),
         (["no.such:thing"], "driver 'no.such:thing': cannot be imported"),
+        (["..:thing"], "driver '..:thing': cannot be imported"),
         (["training.agents.evaluate:FRAME_STEPS"], "is a int, expected a function of the number of cars"),
+        (["builtins:list"], "driver 'builtins:list': fails for"),
+        (["sys:exit"], "driver 'sys:exit': fails for"),
+        (["builtins:str"], "driver 'builtins:str': makes a str, expected a pool with reset and act"),
         (["nosuch.zip"], "nosuch.zip: is no file of a model"),
         (["scripted", "--name", "../x"], "--name '../x': it becomes a file: use letters"),
         ([], "no rows; give a driver to score"),

@@ -102,7 +102,7 @@ def test_an_invalid_recording_is_an_error_message_of_one_line(tmp_path, capsys, 
     assert stop.value.code == 2
     assert len(error.splitlines()) == 1
     assert message in error
-    assert not (tmp_path / "out" / "verdict.json").exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_exit_code_of_an_error_is_2_without_a_traceback(tmp_path):

@@ -92,6 +92,16 @@ def test_what_was_written_is_read(tmp_path_factory, contents):
     assert load(packed) == chain.lines
 
 
+def test_a_line_that_is_too_long_is_not_parsed(tmp_path, monkeypatch):
+    path = tmp_path / "ledger.jsonl"
+    chain = Chain.open(path)
+    chain.append(("one", {"n": "x" * 100}))
+    chain.close()
+    monkeypatch.setattr("training.proof.chain.MAX_LINE", 100)
+    with pytest.raises(ProofError, match="line 1: it was changed"):
+        load(path)
+
+
 def test_a_line_that_was_cut_short_is_removed_and_others_are_kept(tmp_path):
     path = tmp_path / "ledger.jsonl"
     chain = Chain.open(path)

@@ -125,6 +125,7 @@ def test_a_deck_can_be_published_before_it_is_run(tmp_path, capsys):
 SPY = """
 import json, os, sys
 seen = {"files": sorted(os.listdir()), "env": dict(os.environ), "arguments": sys.argv[1:], "cwd": os.getcwd()}
+seen["group"] = os.getpgid(0) if hasattr(os, "getpgid") else -1
 json.dump({"verdict": seen, "error": None, "seconds": 0.0}, open("result.json", "w"))
 open("diagnosis.json", "wb").close()
 """
@@ -142,6 +143,7 @@ def test_the_diagnosing_process_sees_two_files_and_nothing_else(monkeypatch):
     assert seen["arguments"] == []
     assert not Path(seen["cwd"]).exists()
     assert Path(seen["cwd"]) != Path(os.getcwd())
+    assert seen["group"] != getattr(os, "getpgid", lambda _: 0)(0)  # Ctrl-C reaches all processes of a group
 
 
 def test_files_do_not_name_their_trial():

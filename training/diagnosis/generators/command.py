@@ -5,9 +5,7 @@ Each trial is a folder with `simulated.csv`, `recorded.csv`, three fresh recordi
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +16,7 @@ from acquisition import SettingError
 from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, OneOf, Seed, Workers
 from training.common.progress import bar
+from training.common.workers import worker_processes
 from training.diagnosis.generators.ensemble import FAMILIES, KINDS, kinds_of, make_trial
 from training.diagnosis.generators.trial import save
 
@@ -70,9 +69,7 @@ def main(args: Args) -> None:
     """Write the trials and print where they are."""
     pairs = mix(args.families, args.kinds)
     columns = zip(*((args.out, k, *pairs[k % len(pairs)], args.pings, args.seed) for k in range(args.n)), strict=True)
-    # forking a process with threads is unsafe
-    pool = ProcessPoolExecutor(args.workers, get_context("spawn"))
-    with pool, bar("trials", args.n) as update:
+    with worker_processes(min(args.workers, args.n)) as pool, bar("trials", args.n) as update:
         for done, _ in enumerate(pool.map(write, *columns), 1):
             update(done, args.n)
     print(f"{args.n} trials in {args.out}, each with simulated.csv, recorded.csv, fresh recordings and answer.json")

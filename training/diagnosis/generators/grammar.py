@@ -38,6 +38,7 @@ AT_ONE = {
     "steps": 0.06,
 }
 MAX_SHARE = 0.9
+COLLINEAR = 0.2  # ratio of singular values below which columns of unit variance are taken for one
 MIN_CONTRAST = 0.15  # standard deviation of a function over the pings, which lies between 0 and 1
 
 
@@ -138,12 +139,18 @@ def _function(names: list[str], given: dict[str, Floats], rng: Rng) -> Function:
 
 
 def _bias(function: Function, amount: float, ping: Ping) -> Operator:
-    """Return a bias from which offset, scale and drift, fitted over the recording's pings, are subtracted."""
+    """Return a bias from which offset, scale and drift, fitted over the recording's pings, are subtracted.
+
+    In a survey in order of distance, distance and time are one: then each has half of the line, since two great weights
+    that cancel would not do so in a survey in another order.
+    """
+    columns = (ping.distance, ping.time)
+    middle, width = np.mean(columns, axis=1), np.maximum(np.std(columns, axis=1), 1e-9)
 
     def basis(p: Ping) -> Floats:
-        return np.stack([np.ones(len(p)), p.distance, p.time], axis=1)
+        return np.c_[np.ones(len(p)), (np.stack([p.distance, p.time], axis=1) - middle) / width]
 
-    weight = np.linalg.lstsq(basis(ping), function(inputs(ping, ping.distance)), rcond=None)[0]
+    weight = np.linalg.lstsq(basis(ping), function(inputs(ping, ping.distance)), rcond=COLLINEAR)[0]
 
     def operator(value: Floats, p: Ping, rng: Rng) -> Floats:
         return shifted(value, 2.0 * amount * (function(inputs(p, value)) - basis(p) @ weight))

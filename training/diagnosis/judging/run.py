@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -14,6 +13,7 @@ from pydantic import ValidationError
 from acquisition import RecordingError
 from acquisition.limits import shown
 from training.common.progress import bar
+from training.common.workers import worker_processes
 from training.diagnosis.judging.record import Record, record_of
 from training.diagnosis.judging.schema import check_line
 from training.diagnosis.judging.tasks import Task
@@ -46,7 +46,7 @@ def _records(tasks: list[Task], workers: int, judge: Callable[[Task], Record]) -
     if workers == 1:
         yield from map(judge, tasks)
         return
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:  # forking a process with threads is unsafe
+    with worker_processes(min(workers, max(len(tasks), 1))) as pool:
         for future in as_completed([pool.submit(judge, task) for task in tasks]):
             yield future.result()
 

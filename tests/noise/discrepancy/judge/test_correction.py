@@ -27,18 +27,31 @@ def parts():
 def test_the_law_that_made_the_readings_is_offered(parts):
     unseen, seen, forest = parts
     laws = (option(model_of(MOVED), unseen, seen), option(model_of(LOUD), unseen, seen))
-    assert Options(*laws, None, forest).corrected(Simulation(model_of(LOUD))) is laws[0].model
+    assert Options(*laws, None, forest, True).corrected(Simulation(model_of(LOUD))) is laws[0].model
 
 
 def test_nothing_beats_a_simulation_that_is_right(parts):
     unseen, seen, forest = parts
     law = option(model_of({**MOVED, "zero_offset": {"offset_m": 0.032}}), unseen, seen)
-    assert Options(law, None, None, forest).corrected(Simulation(model_of(MOVED))) is None
+    assert Options(law, None, None, forest, True).corrected(Simulation(model_of(MOVED))) is None
+
+
+@pytest.mark.parametrize("certain", [True, False])
+def test_a_gain_too_small_for_the_crps_counts_where_the_log_score_is_certain_of_it(parts, certain):
+    seen, forest = parts[1], parts[2]
+    before = Simulation(model_of({**MOVED, "zero_offset": {"offset_m": 0.0285}}))
+    few = seen.thin(12)
+    law = option(model_of(MOVED), few)
+    assert before.gain(*law.scored).sum() > 0.0
+    assert not before.is_beaten(*law.scored)
+    worse = Option(forest.model, tuple((batch, 2.0 * crps) for batch, crps in law.scored))
+    found = Options(law, None, None, worse, certain).corrected(before)
+    assert found is (law.model if certain else None)
 
 
 def test_without_a_law_the_forest_is_offered(parts):
     forest = parts[2]
-    assert Options(None, None, None, forest).corrected(Simulation(model_of(LOUD))) is forest.model
+    assert Options(None, None, None, forest, False).corrected(Simulation(model_of(LOUD))) is forest.model
 
 
 def test_an_offered_law_has_the_coarser_register():

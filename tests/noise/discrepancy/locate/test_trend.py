@@ -17,11 +17,11 @@ from noise.fitting.visit_effects import placement_scatter
 MARKS = np.linspace(0.3, 1.5, 10)
 
 
-def marks(seed, offset=0.0, scale=0.0, placement=0.002, scatter=0.003, pings=30, marks=MARKS):
-    """Return readings of targets at ruler marks, each placed once."""
+def marks(seed, offset=0.0, scale=0.0, placement=0.002, scatter=0.003, pings=30, marks=MARKS, bend=0.0):
+    """Return readings of targets at ruler marks, each placed once; `bend` is an error per square metre."""
     rng = np.random.default_rng(seed)
     place = np.repeat(marks + rng.normal(0.0, placement, len(marks)), pings)
-    value = place * (1.0 + scale) + offset + rng.normal(0.0, scatter, len(place))
+    value = place * (1.0 + scale) + bend * place**2 + offset + rng.normal(0.0, scatter, len(place))
     ping = Ping.of(distance=np.repeat(marks, pings))
     ping = replace(ping, time=np.arange(len(place), dtype=float))
     return Batch.of(Recording.of(ping, Reading.of(np.round(value, 3))))
@@ -62,8 +62,21 @@ def test_readings_without_any_error_in_reach_have_no_trend(law):
 
 
 def test_what_the_law_lacks_at_positions_of_one_file_alone_is_no_difference(law):
-    bent = [marks(seed, scale=0.03 * at.mean(), marks=at) for seed, at in ((5, MARKS), (6, MARKS + 0.2))]
+    bent = [marks(seed, bend=0.03, marks=at) for seed, at in ((5, MARKS), (6, MARKS + 0.2))]
     assert p_value(law, *bent) > 0.01
+
+
+@pytest.mark.parametrize(("offset", "scale"), [(0.012, 0.0), (0.0, 0.02)])
+def test_marks_need_not_be_shared(law, offset, scale):
+    between = MARKS + 0.07
+    assert p_value(law, marks(1, offset, scale), marks(2, marks=between)) < 1e-3
+    p = [p_value(law, marks(2 * k), marks(2 * k + 1, marks=between)) for k in range(60)]
+    assert kstest(p, "uniform", alternative="greater").pvalue > 0.01
+
+
+def test_beyond_the_marks_of_the_simulation_its_law_is_not_known(law):
+    beyond = MARKS + 1.3
+    assert p_value(law, marks(1, 0.05, marks=beyond), marks(2)) == 1.0
 
 
 def in_air_of(batch, temperature_c):

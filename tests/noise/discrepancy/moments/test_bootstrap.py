@@ -44,3 +44,11 @@ def test_the_least_of_independent_p_values_is_adjusted_to_a_uniform_one():
     p = [any_of(*(PValue(float(each), 10**6) for each in rng.random(3))).value for _ in range(2000)]
     assert kstest(p, "uniform").pvalue > 0.01
     assert any_of(PValue(0.01, 2000), PValue(1.0, 0, 0)).value == pytest.approx(0.01)  # without statistics, no test
+
+
+def test_sums_of_scores_that_a_register_decides_are_not_tested():
+    """Under a coarse register a score is a millionth in all visits, and its least change would be certain."""
+    sums = np.full((40, 1), 1e-6)
+    allowed = np.ones(1, dtype=bool)
+    assert np.isnan(studentised(sums, allowed)[0]).all()
+    assert studentised(1e6 * sums, allowed)[0] > 6.0

@@ -182,12 +182,21 @@ def test_effects_of_time_need_times():
 
 
 def test_ring_down_with_its_least_decay_explains_nothing():
-    batch = batch_of()
+    batch = batch_of({"fixed_clutter": {"presence": 0.1, "range_m": 0.7, "spread_m": 0.001}})
     base = with_sampled_bounds(law_of(), batch)
     values = {("ring_down", "probability"): 0.08, ("ring_down", "range_m"): 0.7}
     decay = next(p for p in CATALOGUE["ring_down"].parameters if p.name == "decay_m")
     assert at_bound(base.at({**values, ("ring_down", "decay_m"): decay.low}), base, "ring_down", batch)
     assert not at_bound(base.at({**values, ("ring_down", "decay_m"): 0.05}), base, "ring_down", batch)
+
+
+def test_the_level_of_what_is_heard_anyway_may_end_at_its_bound():
+    behind = {"presence": 0.9, "behind_m": 0.4, "loss_db": 0.0, "follow": 0.0}
+    batch = batch_of({"background_reflector": behind})
+    loss = next(p for p in CATALOGUE["background_reflector"].parameters if p.name == "loss_db")
+    stack = law_of().at({("background_reflector", name): value for name, value in behind.items()})
+    loudest = stack.at({("background_reflector", "loss_db"): loss.low})
+    assert not at_bound(loudest, law_of(), "background_reflector", batch)
 
 
 def test_few_conditions_are_one_part_and_each_parameter_costs_what_it_gains_by_chance():

@@ -63,3 +63,19 @@ def test_no_bias_is_an_offset_a_scale_or_a_drift():
             assert np.abs(fit.T @ error).max() < 1e-6 * np.abs(fit.T @ np.abs(error)).max() + 1e-9
             found += 1
     assert found
+
+
+def test_a_bias_is_as_large_in_a_survey_of_another_order():
+    """In order of distance, distance and time are one, and no great weights of both may cancel."""
+    time, marks = np.arange(400) * 0.1, np.linspace(0.3, 3.0, 40)
+    mixed = np.random.default_rng(0).permutation(marks)
+    surveys = [Ping.of(np.repeat(each, 10), time=time) for each in (marks, mixed)]
+    found = 0
+    for seed in range(200):
+        operators, words = draw_fault(surveys[0], np.random.default_rng(seed), 0.5)
+        if words.startswith("bias") and len(operators) == 1 and "previous" not in words:
+            there = operators[0](surveys[1].distance.copy(), surveys[1], np.random.default_rng(1))
+            # half of a line that time stands for is at most as large as the fault, whose ends are twice its amount
+            assert np.abs(there - surveys[1].distance).max() < 2.0 * 2.0 * 0.5 * AT_ONE["bias"]
+            found += 1
+    assert found > 5

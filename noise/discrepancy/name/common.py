@@ -1,0 +1,112 @@
+"""What both files have alike: the law of the simulation in the light of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from noise.discrepancy.locate.trend import UNCOMPENSATED
+from noise.effects import CATALOGUE, Parameter, Stage
+from noise.effects.medium import TEMPERATURE
+from noise.fitting.batch import Batch
+from noise.fitting.fit import maximise
+from noise.fitting.likelihood import log_likelihood
+from noise.fitting.stack import NUISANCES, SIMULATION_CORRELATION, SPREAD, Key, Stack
+
+STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
+ITERATIONS = 40
+ENOUGH = 3.0  # nats: odds of 20 to 1
+
+
+def with_nuisances(common: Stack, recorded: Sequence[Stack], parts: Sequence[Batch], simulated: Batch) -> Stack:
+    """Return the law of the simulation at that of two maxima which both files together prefer.
+
+    Readings of a visit that agree follow from slow noise, from repeated readings, or from a register that is stale, and
+    a fit ends at one of these. Where the two files ended at different ones, they would seem to differ.
+
+    Args:
+        common: law of the simulation.
+        recorded: the same law with the nuisance parameters of each part of the recording.
+        parts: of the recording.
+        simulated: readings of the simulation.
+    """
+    if min(stack.log_nuisance_prior() for stack in recorded) > -ENOUGH:
+        return common
+    keys = [key for key in NUISANCES if key != SIMULATION_CORRELATION]
+    start = common.put(keys, np.mean([[stack.get(key) for key in keys] for stack in recorded], axis=0))
+    late = [name for name in common.effects if CATALOGUE[name].stage is Stage.SEQUENCE]
+    free = (*keys, *((name, p.name) for name in late for p in _parameters(name)))
+    found = maximise(replace(start, familiar={}), free, simulated, ITERATIONS).stack
+    gain = _nats(found, simulated) - _nats(common, simulated)
+    for stack, part in zip(recorded, parts, strict=True):
+        gain += _nats(stack, part) - _nats(maximise(common, SPREAD, part, ITERATIONS, ENOUGH).stack, part)
+    return replace(found, familiar=common.familiar) if gain > ENOUGH else common
+
+
+def _nats(stack: Stack, batch: Batch) -> float:
+    return float(log_likelihood(stack, batch).sum())
+
+
+def with_compensation(common: Stack, recorded: Sequence[Stack], simulated: Batch) -> Stack | None:
+    """Return the law of the simulation with the recording's compensation for temperature; None where it tells its own.
+
+    Where both files log the temperature, and the simulation's readings are as likely with the share of the logged
+    temperature that the recording's show, that share is no difference.
+
+    Args:
+        common: law of the simulation.
+        recorded: stacks with another sound speed, fitted to each part of the recording.
+        simulated: readings of the simulation.
+    """
+    if UNCOMPENSATED[0] in common.values or TEMPERATURE not in simulated.ping.covariates:
+        return None
+    law = common.at({UNCOMPENSATED: float(np.mean([stack.get(UNCOMPENSATED) for stack in recorded]))})
+    return law if _nats(law, simulated) > _nats(common, simulated) - ENOUGH else None
+
+
+def with_effect(
+    common: Stack,
+    keys: Sequence[Key],
+    recorded: Sequence[Stack],
+    parts: Sequence[Batch],
+    simulated: Batch,
+    least_gain: float,
+) -> Stack | None:
+    """Return the law of the simulation with an effect that it lacked; None where it has none of it.
+
+    The simulation's own readings decide whether it has the effect. Its value there is that of the recording too where
+    separate values gain no more than chance; if they do, the difference from it remains to be found.
+
+    Args:
+        common: law of the simulation.
+        keys: parameters of the effect.
+        recorded: stacks with the effect, fitted to each part of the recording.
+        parts: of the recording.
+        simulated: readings of the simulation.
+        least_gain: gain that is beyond chance, nats.
+    """
+    there = np.mean([[stack.get(key) for key in keys] for stack in recorded], axis=0)
+    own = maximise(common.put(keys, there), (*keys, *SPREAD), simulated, ITERATIONS, 1.0)
+    if own.nats - _nats(common, simulated) < least_gain:
+        return None
+    here = np.array([own.stack.get(key) for key in keys])
+    both = []
+    for step in STEPS:
+        values = here + step * (there - here)
+        pairs = [*zip((s.put(keys, values) for s in recorded), parts, strict=True)]
+        pairs.append((own.stack.put(keys, values), simulated))
+        both.append([_nats(stack, part) for stack, part in pairs])
+    nats = np.array(both)
+    best = int(np.argmax(nats.sum(axis=1)))
+    separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
+    alike = separate - nats[best].sum() < least_gain
+    found = own.stack.put(keys, here + STEPS[best] * (there - here)) if alike else own.stack
+    # what stood for the effect so far is no longer needed, and would differ from the recording's
+    others = [(name, p.name) for name in common.effects if CATALOGUE[name].localised for p in _parameters(name)]
+    return maximise(found, (*(key for key in others if key not in keys), *NUISANCES), simulated, ITERATIONS).stack
+
+
+def _parameters(name: str) -> tuple[Parameter, ...]:
+    return CATALOGUE[name].parameters

@@ -1,0 +1,87 @@
+"""What is fitted before effects compete: a coarser register, and a threshold of the receiver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from noise.discrepancy.locate.few import COARSER
+from noise.discrepancy.name.candidates import starts_of
+from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
+from noise.fitting.batch import Batch, share_without_echo
+from noise.fitting.fit import Fit
+from noise.fitting.likelihood import likeliest
+from noise.fitting.stack import Key, Stack
+from noise.fitting.starts import nuisance_starts
+
+REGISTERS, STEP = ("quantisation", "truncation"), "step_m"
+THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
+FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
+
+
+class Fits(Protocol):
+    """Readings, candidates and fits of a search; see `noise.discrepancy.name.search.Search`."""
+
+    common: Stack
+    folds: Folds
+    parts: tuple[Batch, ...]
+    screen: Batch
+    names: tuple[str, ...]
+    without: tuple[str, ...]
+    rng: np.random.Generator
+
+    @property
+    def nuisances(self) -> tuple[Key, ...]:
+        """Nuisance parameters that are free on each fold."""
+
+    @property
+    def least_gain(self) -> float:
+        """Gain, nats, that is beyond chance."""
+
+    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
+        """Return the local maximum from a start."""
+
+    def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
+        """Return a hypothesis fitted on both folds."""
+
+    def best(
+        self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit], effects: Sequence[str]
+    ) -> Hypothesis:
+        """Return the hypothesis of some effects of the best fit to each part."""
+
+
+def with_register(search: Fits, none: Hypothesis) -> Hypothesis:
+    """Return the hypothesis of a coarser register, where all readings lie on its steps.
+
+    That they do is a fact, and needs no fit. Readings on coarse steps repeat each other; a law without the steps takes
+    them for repeated, and from there no small step leads to one with them.
+    """
+    grid, fine = search.folds.both.grid_m, search.common.resolution
+    names = [name for name in REGISTERS if name in search.names] if grid > COARSER * fine else []
+    found = [none]
+    for name in names:
+        law, pairs = search.common.at({(name, STEP): grid}), zip(none.stacks, search.parts, strict=True)
+        starts = [[near.at({(name, STEP): grid}), *nuisance_starts(law, part)] for near, part in pairs]
+        found.append(search.best(starts, lambda start, part: search.fitted(start, search.nuisances, part, 40), (name,)))
+    best = max(found, key=lambda each: each.value)
+    return best if best.value > none.value + search.least_gain else none
+
+
+def with_threshold(search: Fits, current: Hypothesis) -> Hypothesis:
+    """Return the hypothesis with a threshold of the receiver, where that gains beyond chance.
+
+    What weakens an echo can silence it only near a threshold; one by one, neither would be found. It is sought where
+    pings are silent although the law of the simulation hears everything.
+    """
+    known = THRESHOLD in search.common.values or THRESHOLD in search.without
+    if known or share_without_echo(search.folds.first) <= FEW_MISSED:
+        return current
+    starts = starts_of(current.stacks[0], THRESHOLD, search.screen, search.parts[0], search.rng)
+    best = likeliest(starts, search.screen)
+    found = search.crossed(best, current, (*current.effects, THRESHOLD), own_scatter=False)
+    gain = found.nats - current.nats
+    good = gain.sum() > max(search.least_gain, 2.0 * standard_error(gain))
+    return found if good else current

@@ -1,0 +1,50 @@
+"""What both files have alike is no difference between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition import Ping, Recording
+from noise.discrepancy.locate.trend import UNCOMPENSATED
+from noise.discrepancy.name.common import with_compensation, with_nuisances
+from noise.fitting.batch import Batch
+from noise.fitting.stack import NUISANCES
+from noise.model import simulate
+from tests.noise.discrepancy.made import batch_of, law_of, model_of
+
+
+def in_air(low_c, high_c, seed=0):
+    """Return readings of a sensor that allows for the logged temperature of its air."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.uniform(0.5, 3.0, 60), 6)
+    ping = Ping.of(distance=distance, time=np.arange(360.0), temperature_c=np.repeat(rng.uniform(low_c, high_c, 60), 6))
+    return Batch.of(Recording.of(ping, simulate(model_of(), ping, rng)))
+
+
+@pytest.mark.parametrize(("low_c", "high_c", "tells"), [(19.9, 20.1, False), (0.0, 40.0, True)])
+def test_the_recording_tells_the_compensation_unless_the_simulation_does(low_c, high_c, tells):
+    recorded = law_of().at({UNCOMPENSATED: 0.9})
+    found = with_compensation(law_of(), [recorded, recorded], in_air(low_c, high_c))
+    if tells:
+        assert found is None
+    else:
+        assert found is not None
+        assert found.get(UNCOMPENSATED) == pytest.approx(0.9)
+
+
+def test_nuisance_parameters_that_are_alike_are_left_as_they_are():
+    batch = batch_of()
+    common = replace(law_of(), familiar={key: law_of().get(key) for key in NUISANCES})
+    assert with_nuisances(common, [common], [batch], batch) is common
+
+
+def test_both_files_have_the_likelier_mode_of_the_nuisance_parameters():
+    """A law that takes readings that agree for repeated ones gives way to one that takes them for precise."""
+    simulated, recorded = batch_of(seed=1), batch_of(seed=2)
+    wrong = {("travel_time_jitter", "sigma_m"): 0.02, ("visits", "urn_weight"): 2.0}
+    common = law_of().at(wrong)
+    common = replace(common, familiar={key: common.get(key) for key in NUISANCES})
+    found = with_nuisances(common, [replace(law_of(), familiar=common.familiar)], [recorded], simulated)
+    assert found.get(("travel_time_jitter", "sigma_m")) == pytest.approx(0.002, abs=0.0005)
+    assert found.get(("visits", "urn_weight")) < 0.1

@@ -1,0 +1,52 @@
+"""A register with coarser steps is a fact, whatever else is wrong."""
+
+import numpy as np
+import pytest
+
+from acquisition import Reading, Recording
+from noise.discrepancy.baseline.sources import Baseline
+from noise.discrepancy.diagnose import on_register_of
+from noise.discrepancy.name.first import REGISTERS, with_register
+from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.search import Search
+from noise.fitting.batch import Batch
+from tests.noise.discrepancy.made import law_of, model_of, recording_of
+
+
+def truncated(step_m, changed=None):
+    """Return a recording whose readings are truncated to whole steps."""
+    fine = recording_of(changed, seed=5)
+    count = np.maximum(np.floor(fine.reading.range / step_m + 1e-9), 1.0)
+    return Recording.of(fine.ping, Reading.of(np.where(fine.reading.echo, count * step_m, 0.0)))
+
+
+def on_fine_register(recording):
+    law = law_of()
+    return on_register_of(Baseline(law, None, model_of(), model_of(), None), Batch.of(recording))
+
+
+@pytest.mark.parametrize("step_m", [0.0225, 0.0254, 0.0333])
+def test_fine_steps_divide_the_coarse_ones(step_m):
+    """A reading half way between two steps would lie on one of them by rounding, and its law on the other."""
+    batch = on_fine_register(truncated(step_m))
+    count = batch.reading.range / batch.resolution
+    assert np.abs(count - np.rint(count)).max() < 1e-6
+    assert 0.0 < law_of().resolution - batch.resolution < 0.1 * law_of().resolution
+
+
+@pytest.mark.parametrize("changed", [{}, {"zero_offset": {"offset_m": 0.04}}])
+def test_a_coarse_register_is_found_before_other_effects(changed):
+    batch = on_fine_register(truncated(0.0225, changed))
+    search = Search(law_of(), Folds.of(batch, np.random.default_rng(0)), None, np.random.default_rng(0))
+    assert with_register(search, search.null()).effects[0] in REGISTERS
+    same = Batch.of(recording_of(changed, seed=5))
+    search = Search(law_of(), Folds.of(same, np.random.default_rng(0)), None, np.random.default_rng(0))
+    assert with_register(search, search.null()).effects == ()
+
+
+def test_a_register_that_is_known_not_to_differ_is_left_out():
+    batch = on_fine_register(truncated(0.0225))
+    folds = Folds.of(batch, np.random.default_rng(0))
+    search = Search(law_of(), folds, None, np.random.default_rng(0), ("truncation", "quantisation"))
+    none = search.null()
+    assert with_register(search, none) is none

@@ -1,0 +1,16 @@
+"""Entry point of the console command `sonar-gym`."""
+
+from __future__ import annotations
+
+import signal
+
+
+def main() -> None:
+    """Run the command line. Ctrl-C while its packages are imported ends it without a traceback."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # not where a shell has begun a background job that ignores it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from training.cli import main as run
+
+    signal.signal(signal.SIGINT, before)
+    run()
