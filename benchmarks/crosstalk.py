@@ -75,7 +75,7 @@ def figure(found: dict[Key, ClusterMean]) -> bytes:
             share = [100.0 * found[order, count, interval].mean for interval in INTERVALS_S]
             error = [196.0 * found[order, count, interval].error for interval in INTERVALS_S]
             axes.errorbar(1e3 * np.array(INTERVALS_S), share, error, color=COLOURS[order], marker="o", label=order)
-        axes.set(title=f"{count} sonars", xlabel="interval, ms", ylabel="wrong echoes, %", ylim=(0, 100))
+        axes.set(title=f"{count} sonars", xlabel="interval (ms)", ylabel="wrong echoes (%)", ylim=(0, 100))
         if count == COUNTS[0]:
             axes.legend()
 

@@ -98,7 +98,7 @@ def draw(row: Row, axes: Axes) -> None:
     axes.plot(millions, 100.0 * row.curves.T, color=SOFT, linewidth=0.8)
     axes.fill_between(millions, 100.0 * low, 100.0 * high, color=AFTER, alpha=0.2, linewidth=0.0)
     axes.plot(millions, [100.0 * one.centre for one in middle], color=AFTER, linewidth=2.5)
-    axes.set(title=row.title, xlabel="million steps", ylabel="parked, %", ylim=(-2.0, 102.0))
+    axes.set(title=row.title, xlabel="million steps", ylabel="parked (%)", ylim=(-2.0, 102.0))
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ def commands() -> str:
         "\n".join(
             [
                 f"## {title.capitalize()}\n",
-                "| command | |",
+                "| command | what it does |",
                 "|---|---|",
                 *(_row(name, group[name][1]) for name in group),
             ]
@@ -82,5 +82,5 @@ def _mathml(tag: str, latex: str) -> str:
     if tag == "span":
         return convert(latex)
     return (
-        f'<div class="formula" tabindex="0" role="region" aria-label="formula">{convert(latex, display="block")}</div>'
+        f'<div class="formula" tabindex="0" role="group" aria-label="formula">{convert(latex, display="block")}</div>'
     )

@@ -11,6 +11,12 @@ estimates. effects: the catalogue of effects. learned: networks. fitting: maximu
 
 import lazy_loader as lazy
 
+import acquisition
+
+if not hasattr(acquisition, "SonarError"):  # said here, since nothing of the package that is hidden can say it
+    raise ImportError(
+        f"`import acquisition` finds {acquisition.__file__}, not sonar-gym: rename it, since Python finds it first"
+    )
 from acquisition.extras import require
 from acquisition.version import __version__ as __version__
 

@@ -8,6 +8,12 @@ from typing import Any
 
 import lazy_loader
 
+import acquisition
+
+if not hasattr(acquisition, "SonarError"):  # said here, since nothing of the package that is hidden can say it
+    raise ImportError(
+        f"`import acquisition` finds {acquisition.__file__}, not sonar-gym: rename it, since Python finds it first"
+    )
 from acquisition.extras import require
 from acquisition.name_check import check_names
 from acquisition.version import __version__ as __version__

@@ -10,6 +10,13 @@ def main() -> None:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not where a shell has begun a background job that ignores it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    import acquisition
+
+    if not hasattr(acquisition, "SonarError"):  # said here, since nothing of the package that is hidden can say it
+        raise SystemExit(
+            f"sonar-gym: `import acquisition` finds {acquisition.__file__}, not sonar-gym: "
+            "rename it, since Python finds it first"
+        )
     from training.cli import main as run
 
     signal.signal(signal.SIGINT, before)

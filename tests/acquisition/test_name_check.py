@@ -32,6 +32,15 @@ def test_a_file_of_the_users_is_named(tmp_path):
     assert f"rename {tmp_path / 'noise.py'}, since Python finds it first" in done.stderr
 
 
+@pytest.mark.parametrize("code", ["import noise", "import sonar_gym", "from training.start import main; main()"])
+def test_a_file_that_hides_the_base_package_is_named(tmp_path, code):
+    (tmp_path / "acquisition.py").write_text("x = 1\n", encoding="utf-8")
+    path = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; {code}"
+    done = subprocess.run([sys.executable, "-c", path], capture_output=True, text=True, cwd=tmp_path)
+    assert f"finds {tmp_path / 'acquisition.py'}, not sonar-gym: rename it" in done.stderr
+    assert done.returncode == 1
+
+
 def test_another_distribution_is_uninstalled():
     assert remedy("noise", Path("/env/lib/site-packages/noise/__init__.py")).startswith("run `pip uninstall noise`")
 

@@ -347,7 +347,7 @@ def _draw_rates(imitated: float, points: Points, ax: Axes) -> None:
         errors = np.abs(np.array(wilson(np.rint(share * ended), ended)) - share)
         ax.errorbar(steps, 100 * share, yerr=100 * errors, color=colour, marker="o", ms=4, capsize=3, label=label)
     _shade(imitated, ax)
-    ax.set(title="During training, with exploration", ylabel="episodes, %", ylim=(-3, 103))
+    ax.set(title="During training, with exploration", ylabel="episodes (%)", ylim=(-3, 103))
     ax.legend(loc="center right")
 
 
@@ -355,7 +355,7 @@ def _draw_lengths(imitated: float, points: Points, ax: Axes) -> None:
     lengths = [one["seconds_an_episode"] for _, one in points]
     ax.plot([at for at, _ in points], lengths, color=SOFT, marker="o", ms=4)
     _shade(imitated, ax)
-    ax.set(title="Length of an episode", ylabel="s", ylim=(0, None))
+    ax.set(title="Length of an episode", ylabel="duration (s)", ylim=(0, None))
 
 
 def _shade(imitated: float, ax: Axes) -> None:

@@ -270,7 +270,7 @@ def _draw(scores: dict[str, AgentScores], title: str, axes: Axes) -> None:
     axes.set_xticks(range(len(scores)), list(scores), rotation=25, ha="right", rotation_mode="anchor")
     axes.set_ylim(-3, 103)
     axes.set_title(title)
-    axes.set_ylabel("parked, %", color=INK)
+    axes.set_ylabel("parked (%)", color=INK)
 
 
 def main(args: Args) -> None:

@@ -14,6 +14,7 @@ from noise import PhysicalModel, simulate
 from noise.effects import CATALOGUE, Effect, Parameter, Stage
 from noise.effects.interping import RANGE_RATE
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
+from training.common.commit import commit
 from training.common.progress import bar
 from training.common.tables import markdown_table
 from training.pages.examples import EXAMPLES, Axis, Example
@@ -25,8 +26,6 @@ null values changes nothing. In formulas, $d$ is the true distance, $s$ half the
 register, $L$ the level above the threshold in dB, $t$ the time, $P$ a probability, $\\theta$ the incidence and $\\beta$
 the bearing; primes mark values with the effect. Figures show errors of readings without the effect (orange) and with it
 (blue); marks at the bottom are pings without an echo.
-
-Written by `sonar-gym effects --out docs/reference/effects`.
 """
 PAGES = {
     Stage.CONDITION: ("mounting", "Mounting: geometry of the ping"),
@@ -37,10 +36,10 @@ PAGES = {
     Stage.SEQUENCE: ("link", "Link: replacement of readings"),
 }
 AXES: dict[Axis, tuple[Floats, str]] = {
-    "distance": (np.linspace(0.2, 6.0, 240), "distance, mm"),
-    "angle": (np.radians(np.linspace(-45.0, 45.0, 240)), "bearing, degrees"),
+    "distance": (np.linspace(0.2, 6.0, 240), "true distance (mm)"),
+    "angle": (np.radians(np.linspace(-45.0, 45.0, 240)), "bearing (deg)"),
     "reflectance": (np.linspace(0.02, 1.0, 240), "reflectance"),
-    "time": (np.linspace(0.0, 3600.0, 240), "time, s"),
+    "time": (np.linspace(0.0, 3600.0, 240), "time (s)"),
 }
 AT_M = 2.0  # distance of the reflector where another condition varies
 SHOWN = {"distance": 1000.0, "angle": 180.0 / np.pi, "reflectance": 1.0, "time": 1.0}  # axis -> factor to its unit
@@ -61,9 +60,9 @@ def main(args: Args) -> None:
     if args.out is None:
         print("\n".join(f"{name:<24}{effect.summary}" for name, effect in CATALOGUE.items()))
         return
-    write_text(args.out / "index.md", index())
-    for stage, (name, _) in PAGES.items():
-        write_text(args.out / f"{name}.md", page(stage))
+    pages = {"index": index(), **{name: page(stage) for stage, (name, _) in PAGES.items()}}
+    for name, text in pages.items():
+        write_text(args.out / f"{name}.md", text)
     with bar("drawing", len(CATALOGUE)) as progress:
         for k, name in enumerate(CATALOGUE):
             write_bytes(args.out / "images" / f"{name}.png", picture(name))
@@ -76,7 +75,11 @@ def index() -> str:
         [f"[{PAGES[stage][1]}]({PAGES[stage][0]}.md)", ", ".join(_link(stage, effect.name) for effect in _of(stage))]
         for stage in Stage
     ]
-    return "\n".join([HEAD, markdown_table(["stage", "effects"], rows), ""])
+    return "\n".join([HEAD, f"{_made()}\n", markdown_table(["stage", "effects"], rows), ""])
+
+
+def _made() -> str:
+    return f"Made by `sonar-gym effects --out docs/reference/effects` at commit {commit()}."
 
 
 def _link(stage: Stage, name: str) -> str:
@@ -85,7 +88,7 @@ def _link(stage: Stage, name: str) -> str:
 
 def page(stage: Stage) -> str:
     """Return the page of the effects of a stage."""
-    return "\n".join([f"# {PAGES[stage][1]}\n", *map(_entry, _of(stage))])
+    return "\n".join([f"# {PAGES[stage][1]}\n", f"{_made()}\n", *map(_entry, _of(stage))])
 
 
 def _of(stage: Stage) -> list[type[Effect]]:
@@ -124,7 +127,7 @@ def draw(axes: Axes, example: Example, without: PhysicalModel, with_it: Physical
         error = MM * (reading.range - ping.distance)
         axes.plot(x[reading.echo], error[reading.echo], ".", color=colour, markersize=4, label=label)
         _mark_silence(axes, x[~reading.echo], 0.02 + 0.05 * k, colour)
-    axes.set(xlabel=AXES[example.axis][1], ylabel="reading - distance, mm")
+    axes.set(xlabel=AXES[example.axis][1], ylabel="reading − distance (mm)")
     axes.margins(y=0.15)
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -MIN_MM), max(high, MIN_MM))

@@ -212,7 +212,7 @@ def draw_accuracy(axes: Axes, records: Sequence[Record]) -> None:
     axes.set(
         xlim=(-0.5, len(names) - 0.5),
         ylim=(-0.02, 1.02),
-        xlabel="separation of fresh readings, nats",
+        xlabel="separation of fresh readings (nats)",
         title="Single causes",
     )
     axes.legend()

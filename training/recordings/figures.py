@@ -252,7 +252,7 @@ def _errors(axes: Axes, recording: Recording, time: Floats, shown: Ints) -> None
         if len(x):
             axes.plot(x, np.full(len(x), low - place * room), "|", ms=5, color=colour, label=label, rasterized=True)
     axes.axhline(0.0, color=SOFT, lw=0.8)
-    axes.set(ylabel="reading - truth (mm)", ylim=(low - 2.1 * room, high + 1.1 * room))
+    axes.set(ylabel="reading − truth (mm)", ylim=(low - 2.1 * room, high + 1.1 * room))
     axes.set_title("error of each reading; outliers are drawn at the edge", fontsize=9)
     if axes.get_legend_handles_labels()[1]:
         axes.legend(loc="upper right", fontsize=8)
@@ -260,7 +260,7 @@ def _errors(axes: Axes, recording: Recording, time: Floats, shown: Ints) -> None
 
 def _temperature(axes: Axes, recording: Recording, time: Floats, shown: Ints) -> None:
     axes.plot(time[shown], recording.table["temperature_c"].to_numpy(np.float64)[shown], ".", ms=2.5, color=BEFORE)
-    axes.set(ylabel="temperature (degC)")
+    axes.set(ylabel="temperature (°C)")
 
 
 def _clock(recording: Recording) -> tuple[Floats, str]:
