@@ -1,4 +1,4 @@
-"""Record an episode of the scripted controller as a GIF: python examples/record_gif.py parking.gif."""
+"""Record an episode of the scripted controller as a GIF, or an image of it: python examples/record_gif.py parking.gif."""
 
 import os
 import sys
@@ -14,8 +14,11 @@ def main(path: str = "parking.gif", sonar: str = "gaussian", seed: int = 3, ever
     env = gymnasium.make("SonarParking-v0", sonar=sonar, render_mode="rgb_array")
     episode = run_episode(env, ParkingDriver(), seed=seed, every=every)
     env.close()
-    temporary = Path(path).with_suffix(".part.gif")
-    iio.imwrite(temporary, episode.frames, duration=100 * every, loop=0)
+    temporary = Path(path).with_suffix(f".part{Path(path).suffix}")
+    if temporary.suffix == ".gif":
+        iio.imwrite(temporary, episode.frames, duration=100 * every, loop=0)
+    else:
+        iio.imwrite(temporary, episode.frames[len(episode.frames) * 4 // 5])  # backing into the space
     os.replace(temporary, path)
     print(f"{path}: {len(episode.frames)} images, parked: {episode.success}")
 

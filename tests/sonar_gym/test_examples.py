@@ -61,6 +61,13 @@ def test_gif_is_complete(tmp_path, monkeypatch, capsys):
     assert [p.name for p in tmp_path.iterdir()] == ["parking.gif"]
 
 
+def test_an_image_is_one_of_the_episode(tmp_path, capsys):
+    path = tmp_path / "parking.png"
+    runpy.run_path(str(EXAMPLES / "record_gif.py"))["main"](str(path), every=20)
+    assert iio.imread(path).shape == (660, 1000, 3)
+    assert [p.name for p in tmp_path.iterdir()] == ["parking.png"]
+
+
 def test_highway_example_trains_all_arms_and_draws_them(tmp_path, capsys):
     path = tmp_path / "highway.png"
     results = runpy.run_path(str(EXAMPLES / "train_highway.py"))["main"](100, 1, 2, str(path))
