@@ -15,7 +15,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from acquisition import SettingError
-from acquisition.limits import SEEDS, check_value
+from acquisition.limits import SEEDS, check_value, shown
 from sonar_gym.checks import check_options
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.parking.goal import LENGTH, relative_pose
@@ -29,6 +29,14 @@ SETTABLE = ("max_episode_steps", "render_mode", "pictured", "street_settings")
 OUTCOMES = ("is_success", "collision", "left_street")
 NEAR_M = 0.3  # m; ranges below it are resolved best
 EGO_SCALE = (1.0, 1.0, 1.0, 3.0, 2.0, 4.0, 1.0)  # of the sine of the heading and of the odometry, which are small
+
+
+def _check_space(name: str, space: Any, parts: Sequence[str]) -> None:
+    missing = [part for part in parts if not isinstance(space, spaces.Dict) or part not in space.spaces]
+    if missing:
+        raise SettingError(
+            f"{name}.observation_space: expected a Dict space with {', '.join(parts)}, got {shown(space)}"
+        )
 
 
 class SonarExtractor(BaseFeaturesExtractor):
@@ -45,6 +53,7 @@ class SonarExtractor(BaseFeaturesExtractor):
     ego_scale: torch.Tensor
 
     def __init__(self, observation_space: spaces.Dict) -> None:
+        _check_space("SonarExtractor", observation_space, ("ranges", "credence", "echo", "age", "ego"))
         count = spaces.utils.flatdim(observation_space) + spaces.utils.flatdim(observation_space["ranges"])
         super().__init__(observation_space, count)
         self.register_buffer("ego_scale", torch.tensor(EGO_SCALE))
@@ -70,6 +79,7 @@ class GoalExtractor(BaseFeaturesExtractor):
     """
 
     def __init__(self, observation_space: spaces.Dict) -> None:
+        _check_space("GoalExtractor", observation_space, ("observation", "achieved_goal", "desired_goal"))
         n = (spaces.utils.flatdim(observation_space["observation"]) - len(EGO_SCALE)) // 4
         self.sizes = {"age": n, "credence": n, "echo": n, "ego": len(EGO_SCALE), "ranges": n}  # in order
         own = spaces.Dict({name: spaces.Box(-np.inf, np.inf, (size,)) for name, size in self.sizes.items()})

@@ -18,7 +18,8 @@ from noise.statistics import robust_std
 
 WEAK_DB, STRONG_DB = 1.0, 4.0  # scatter of the level of visits where fits begin
 MIN_SCATTER_M = 5e-4  # of a starting point; chosen here
-NEAR_FACTOR, NEAR_SHARE = 3.0, 0.05  # change of a parameter that a law has: of a probability, or of the bounds' width
+# changes of a parameter that a law has: of a probability, by factors, or a share of the bounds' width
+NEAR_FACTORS, NEAR_SHARE = (1.3, 3.0), 0.05
 MIN_SHIFT_M = 1e-3  # of the target's echo between the bounds of a parameter that is estimated from it; chosen here
 
 
@@ -81,7 +82,8 @@ def _near(stack: Stack, keys: Sequence[Key]) -> list[list[float]]:
     for j, key in enumerate(keys):
         p, step = stack.parameter(key), NEAR_SHARE * (stack.parameter(key).high - stack.parameter(key).low)
         one_sided = p.null in (p.low, p.high) and p.null == 0.0
-        moved = (here[j] / NEAR_FACTOR, here[j] * NEAR_FACTOR) if one_sided else (here[j] - step, here[j] + step)
+        factors = (factor for each in NEAR_FACTORS for factor in (1.0 / each, each))
+        moved = [here[j] * factor for factor in factors] if one_sided else [here[j] - step, here[j] + step]
         out += [[*here[:j], value, *here[j + 1 :]] for value in moved if p.low < value < p.high]
     return out
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquisition import SettingError
 from acquisition.arrays import Bits, Floats, Ints, Singles
-from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value, is_list
+from acquisition.limits import SEEDS, Limit, as_numbers, check_choice, check_number, check_value, is_list, shown
 from sonar_gym.checks import check_options, settings_of
 from sonar_gym.parking.environment import SonarParkingEnv, check_render_mode
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
@@ -138,10 +138,12 @@ class SonarParkingVectorEnv(VectorEnv[Observation, Singles, NDArray[Any]]):
         elif name == "render_mode":
             check_render_mode(value)
         elif name == "pictured":
-            check_value(name, value, tuple[int, ...])
-            if not all(0 <= i < self.num_envs for i in value):
+            few = value[: self.num_envs + 1] if is_list(value) else value  # a range may be endless in practice
+            check_value(name, few, tuple[int, ...])
+            if len(few) > self.num_envs or not all(0 <= i < self.num_envs for i in few):
                 raise SettingError(
-                    f"pictured must contain numbers of environments below {self.num_envs}, got {list(value)}"
+                    f"pictured: expected at most {self.num_envs} numbers of environments below {self.num_envs}, "
+                    f"got {shown(value)}"
                 )
         super().__setattr__(name, value)
 

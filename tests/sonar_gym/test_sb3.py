@@ -126,6 +126,13 @@ def test_the_extractor_makes_a_policy_of_ppo(sonar_layout):
     assert model.learn(16).num_timesteps == 16
 
 
+@pytest.mark.parametrize("extractor", [sonar_gym.SonarExtractor, sonar_gym.GoalExtractor])
+@pytest.mark.parametrize("space", [range(3), gymnasium.spaces.Discrete(2), gymnasium.spaces.Dict({})])
+def test_an_extractor_names_the_space_that_it_needs(extractor, space):
+    with pytest.raises(SettingError, match=f"{extractor.__name__}.observation_space: expected a Dict space with"):
+        extractor(space)
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-3.0, 3.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
 def test_features_of_a_goal_depend_on_its_pose_relative_to_the_car_alone(x, y, turn):

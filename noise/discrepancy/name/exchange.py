@@ -11,14 +11,10 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import Protocol
 
-import numpy as np
-
-from acquisition.arrays import Floats
-from noise.discrepancy.name.hypothesis import Hypothesis
+from noise.discrepancy.name.hypothesis import Hypothesis, alike
 from noise.fitting.stack import Key, Stack
 
 N_PAIRS = 3  # that are fitted
-ALIKE = 0.9  # correlation of two gains over visits from which they are one explanation
 
 
 class Rounds(Protocol):
@@ -59,12 +55,8 @@ def promising(search: Rounds, given: tuple[str, ...], value: float) -> list[tupl
     better = (
         pair for pair, total in sums.items() if base.value + total > value and min(gain[name] for name in pair) > 0.0
     )
-    apart = [pair for pair in better if not _alike(*(tried[name].nats - base.nats for name in pair))]
+    apart = [pair for pair in better if not alike(*(tried[name].nats - base.nats for name in pair))]
     return sorted(apart, key=lambda pair: -sums[pair])
-
-
-def _alike(one: Floats, other: Floats) -> bool:
-    return bool(np.corrcoef(one, other)[0, 1] > ALIKE)
 
 
 def _together(search: Rounds, given: tuple[str, ...], pair: tuple[str, str]) -> Hypothesis:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.arrays import Floats
 from noise.fitting.stack import Stack
+
+ALIKE = 0.9  # correlation of two gains over visits from which they are one explanation
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,3 +38,21 @@ class Hypothesis:
 def standard_error(per_visit: Floats) -> float:
     """Return the standard error of a sum over independent visits."""
     return float(np.sqrt(len(per_visit)) * np.std(per_visit)) if len(per_visit) > 1 else float("inf")
+
+
+def alike(one: Floats, other: Floats) -> bool:
+    """Return whether two gains of visits, (n,) each, are those of one explanation."""
+    return bool(min(np.ptp(one), np.ptp(other)) > 0.0 and np.corrcoef(one, other)[0, 1] > ALIKE)
+
+
+def first_kinds(gains: Mapping[str, Floats], n: int) -> list[str]:
+    """Return the first effects of a mapping to gains of visits, as many as hold n kinds that do not gain alike."""
+    kinds: list[Floats] = []
+    out = []
+    for name, gain in gains.items():
+        if not any(alike(gain, other) for other in kinds):
+            kinds.append(gain)
+        if len(kinds) > n:
+            break
+        out.append(name)
+    return out

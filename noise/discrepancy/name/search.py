@@ -30,7 +30,7 @@ from noise.discrepancy.name.common import with_compensation, with_effect, with_n
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
@@ -42,7 +42,7 @@ from noise.fitting.starts import nuisance_starts
 SCREEN_PINGS, SIMULATED_PINGS = 800, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
-N_SCREENED = 6  # candidates that are fitted, and cross-fitted unless they are far behind, in a round
+N_SCREENED = 6  # kinds of candidates that are fitted, and cross-fitted unless they are far behind, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
@@ -140,13 +140,20 @@ class Search:
             if found.effects == current.effects:  # an effect joined the common law
                 none, current = self.null(), found
                 continue
+            found = self.polished(found)
             without = self.left_out(found, found.effects[-1])
             if without.value > current.value + MISSED:  # the effect only led to other nuisance parameters
-                current = without if without.effects else self.renewed(without)
-                none = self.null()
+                current, none = self.without_any(without, none), self.null()
                 continue
-            current = self.pruned(exchanged(self, self.polished(found)))
+            current = self.pruned(exchanged(self, found))
         return none, self.with_scatter(current)
+
+    def without_any(self, found: Hypothesis, none: Hypothesis) -> Hypothesis:
+        """Return the hypothesis without differences, if it is likelier at the nuisances of another, or that."""
+        null = found
+        for name in found.effects:
+            null = self.left_out(null, name)
+        return self.renewed(null) if null.value > none.value + MISSED else found
 
     def renewed(self, null: Hypothesis) -> Hypothesis:
         """Return the hypothesis without differences, both files at the likeliest nuisance parameters that are known."""
@@ -294,7 +301,7 @@ class Search:
                 # a second start is worth a fit where a few readings cannot tell it from the best
                 close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
                 points[name] = scored[best[0]], [starts[k] for k in close]
-        order = sorted(points, key=lambda name: -points[name][0])[:N_SCREENED]
+        order = first_kinds(self._gains_of(points, stack), N_SCREENED)
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         fits, n_pings = {}, sum(len(part) for part in self.parts)
         for name in order:
@@ -307,6 +314,12 @@ class Search:
         )
         near = self._near(best_names, fits)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
+
+    def _gains_of(self, points: Mapping[str, tuple[float, list[Stack]]], stack: Stack) -> dict[str, Floats]:
+        """Return what the starts of effects gain on each visit of the screen over a stack, the greatest gain first."""
+        nats = self.screen.visit_sums(log_likelihood(stack, self.screen))
+        order = sorted(points, key=lambda name: -points[name][0])
+        return {n: self.screen.visit_sums(log_likelihood(points[n][1][0], self.screen)) - nats for n in order}
 
     def _refined(self, start: Stack, current: Hypothesis, name: str, iterations: int) -> Fit:
         """Return one more effect fitted to the screen together with those before it."""

@@ -55,7 +55,8 @@ OPTIONS = {
 UNFIT = [
     ("max_episode_steps", -1, "max_episode_steps: expected .*, got -1"),
     ("render_mode", "film", "render_mode 'film': expected None"),
-    ("pictured", [2], r"pictured must contain numbers of environments below 2, got \[2\]"),
+    ("pictured", [2], r"pictured: expected at most 2 numbers of environments below 2, got \[2\]"),
+    ("pictured", range(10**15), r"pictured: expected at most 2 numbers .* got range\(0, 1000000000000000\)"),
     ("street_settings", 3, "street_settings: expected StreetSettings or a mapping of its fields, got 3"),
 ]
 

@@ -325,7 +325,7 @@ def test_actions_beyond_the_limits_are_clipped():
 def test_invalid_arguments_raise_an_error():
     with pytest.raises(SettingError, match=r"num_envs: expected a whole number from 1 .*, got 0"):
         SonarParkingVectorEnv(0)
-    with pytest.raises(SettingError, match="pictured must contain numbers of environments below 2"):
+    with pytest.raises(SettingError, match="pictured: expected at most 2 numbers of environments below 2"):
         SonarParkingVectorEnv(2, pictured=[2])
     with pytest.raises(ValueError, match="autoreset_mode: expected one of"):
         SonarParkingVectorEnv(2, autoreset_mode="never")
