@@ -1,4 +1,4 @@
-"""Record an episode of the scripted controller as a GIF, or an image of it: python examples/record_gif.py parking.gif."""
+"""Record an episode of the scripted controller as a GIF, or one image of it: python examples/record_gif.py a.gif."""
 
 import os
 import sys

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import softmax
 
-from noise.discrepancy.name.hypothesis import Hypothesis
-from noise.discrepancy.name.search import Search
+from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
+from noise.discrepancy.name.search import BEHIND, Search
 from noise.discrepancy.thresholds import LISTED
 from noise.fitting.stack import Stack
 
@@ -41,21 +41,28 @@ class Place:
 def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     """Return the effects in the place of a selected one, each cross-fitted given the other selected effects.
 
-    They are those that came nearest when the effect was selected; where others were selected after it, they are fitted
-    again beside these.
+    They are those that came nearest when the effect was selected. They are fitted again where others were selected
+    after it, or where the law of the simulation has changed; those that are not far behind have all nuisance parameters
+    free at last, as the selected effects had.
     """
     given = next((effects for effects, tried in search.tried.items() if name in tried), None)
     if given is None:  # added first or last, without others in its place
         return Place(name, {name: 1.0}, np.inf, {name: found.stacks[0]})
     others = tuple(each for each in found.effects if each != name)
     fits = {other: hypothesis for other, hypothesis in search.tried[given].items() if other not in found.effects}
-    if set(given) != set(others):
+    if set(given) != set(others) or search.base[given][0] is not search.common:
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
+    fits = {other: search.polished(fit) if _is_near(search, found, fit) else fit for other, fit in fits.items()}
     inside = {other: fit for other, fit in fits.items() if search.explains(fit, other)}
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)
     return Place(name, weights(every, search.rng), lead, {each: fit.stacks[0] for each, fit in every.items()})
+
+
+def _is_near(search: Search, found: Hypothesis, fit: Hypothesis) -> bool:
+    chance = BEHIND * standard_error(found.nats - fit.nats)
+    return found.value - fit.value < max(search.least_gain, chance)
 
 
 def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:

@@ -20,7 +20,9 @@ ITERATIONS = 40
 ENOUGH = 3.0  # nats: odds of 20 to 1
 
 
-def with_nuisances(common: Stack, recorded: Sequence[Stack], parts: Sequence[Batch], simulated: Batch) -> Stack:
+def with_nuisances(
+    common: Stack, keys: Sequence[Key], recorded: Sequence[Stack], parts: Sequence[Batch], simulated: Batch
+) -> Stack:
     """Return the law of the simulation at that of two maxima which both files together prefer.
 
     Readings of a visit that agree follow from slow noise, from repeated readings, or from a register that is stale, and
@@ -28,20 +30,22 @@ def with_nuisances(common: Stack, recorded: Sequence[Stack], parts: Sequence[Bat
 
     Args:
         common: law of the simulation.
-        recorded: the same law with the nuisance parameters of each part of the recording.
+        keys: parameters in which the recording differs.
+        recorded: the same law with these and with the nuisance parameters of each part of the recording.
         parts: of the recording.
         simulated: readings of the simulation.
     """
     if min(stack.log_nuisance_prior() for stack in recorded) > -ENOUGH:
         return common
-    keys = [key for key in NUISANCES if key != SIMULATION_CORRELATION]
-    start = common.put(keys, np.mean([[stack.get(key) for key in keys] for stack in recorded], axis=0))
+    shared = [key for key in NUISANCES if key != SIMULATION_CORRELATION]
+    start = common.put(shared, np.mean([[stack.get(key) for key in shared] for stack in recorded], axis=0))
     late = [name for name in common.effects if CATALOGUE[name].stage is Stage.SEQUENCE]
-    free = (*keys, *((name, p.name) for name in late for p in _parameters(name)))
+    free = (*shared, *((name, p.name) for name in late for p in _parameters(name)))
     found = maximise(replace(start, familiar={}), free, simulated, ITERATIONS).stack
     gain = _nats(found, simulated) - _nats(common, simulated)
     for stack, part in zip(recorded, parts, strict=True):
-        gain += _nats(stack, part) - _nats(maximise(common, SPREAD, part, ITERATIONS, ENOUGH).stack, part)
+        as_common = common.put(keys, [stack.get(key) for key in keys])
+        gain += _nats(stack, part) - _nats(maximise(as_common, (*keys, *SPREAD), part, ITERATIONS, ENOUGH).stack, part)
     return replace(found, familiar=common.familiar) if gain > ENOUGH else common
 
 
@@ -49,7 +53,7 @@ def _nats(stack: Stack, batch: Batch) -> float:
     return float(log_likelihood(stack, batch).sum())
 
 
-def with_compensation(common: Stack, recorded: Sequence[Stack], simulated: Batch) -> Stack | None:
+def with_compensation(common: Stack, keys: Sequence[Key], recorded: Sequence[Stack], simulated: Batch) -> Stack | None:
     """Return the law of the simulation with the recording's compensation for temperature; None where it tells its own.
 
     Where both files log the temperature, and the simulation's readings are as likely with the share of the logged
@@ -57,10 +61,11 @@ def with_compensation(common: Stack, recorded: Sequence[Stack], simulated: Batch
 
     Args:
         common: law of the simulation.
-        recorded: stacks with another sound speed, fitted to each part of the recording.
+        keys: parameters in which the recording differs; the compensation may be one of them.
+        recorded: stacks with these, fitted to each part of the recording.
         simulated: readings of the simulation.
     """
-    if UNCOMPENSATED[0] in common.values or TEMPERATURE not in simulated.ping.covariates:
+    if UNCOMPENSATED not in keys or UNCOMPENSATED[0] in common.values or TEMPERATURE not in simulated.ping.covariates:
         return None
     law = common.at({UNCOMPENSATED: float(np.mean([stack.get(UNCOMPENSATED) for stack in recorded]))})
     return law if _nats(law, simulated) > _nats(common, simulated) - ENOUGH else None

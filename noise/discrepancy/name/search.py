@@ -18,7 +18,6 @@ import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS
-from noise.discrepancy.locate.trend import UNCOMPENSATED
 from noise.discrepancy.name.candidates import (
     candidate_names,
     explains_nothing,
@@ -137,31 +136,36 @@ class Search:
             found = self.round(current)
             if found is None:
                 break
-            if found.effects == current.effects:  # an effect joined the common law
-                none, current = self.null(), found
-                continue
-            found = self.polished(found)
-            without = self.left_out(found, found.effects[-1])
-            if without.value > current.value + MISSED:  # the effect only led to other nuisance parameters
-                current, none = self.without_any(without, none), self.null()
-                continue
-            current = self.pruned(exchanged(self, found))
+            if found.effects != current.effects:  # else an effect joined the common law
+                found = self.renewed(self.accepted(self.polished(found), current))
+            none, current = self.null(), found
         return none, self.with_scatter(current)
 
-    def without_any(self, found: Hypothesis, none: Hypothesis) -> Hypothesis:
-        """Return the hypothesis without differences, if it is likelier at the nuisances of another, or that."""
-        null = found
-        for name in found.effects:
-            null = self.left_out(null, name)
-        return self.renewed(null) if null.value > none.value + MISSED else found
+    def accepted(self, found: Hypothesis, before: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with what its last effect makes needless left out: others, or that effect itself.
 
-    def renewed(self, null: Hypothesis) -> Hypothesis:
-        """Return the hypothesis without differences, both files at the likeliest nuisance parameters that are known."""
-        self._null = self.common, null
+        An effect that only led to other nuisance parameters is left out, and what was found without these parameters
+        too, where no effect at all is better with them.
+        """
+        without = self.left_out(found, found.effects[-1])
+        if without.value <= before.value + MISSED:
+            return self.pruned(exchanged(self, found))
+        null = without
+        for name in without.effects:
+            null = self.left_out(null, name)
+        return null if null.value > self.null().value + MISSED else without
+
+    def renewed(self, found: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with both files at the likeliest nuisance parameters that are known."""
+        if not found.effects:
+            self._null = self.common, found
         if self.simulated is None:
-            return null
-        self.common = self._familiar(with_nuisances(self.common, null.stacks, self.parts, self.simulated))
-        return self.null()
+            return found
+        law = with_nuisances(self.common, self.keys(found.effects), found.stacks, self.parts, self.simulated)
+        if law is self.common:
+            return found
+        self.common = self._familiar(law)
+        return self.polished(self.rebased(found)) if found.effects else self.null()
 
     def null(self) -> Hypothesis:
         """Return the hypothesis that only nuisances differ; it is fitted once for each common law."""
@@ -170,11 +174,11 @@ class Search:
         return self._null[1]
 
     def _fitted_null(self) -> Hypothesis:
-        """Fit the nuisances on each fold, from their values under the common law before where there is one."""
+        """Fit the nuisances on each fold, from their values on both under the common law before where there is one."""
         starts = [nuisance_starts(self.common, part) for part in self.parts]
         if self._null is not None:
             known = [[stack.get(key) for key in self.nuisances] for stack in self._null[1].stacks]
-            starts = [[self.common.put(self.nuisances, values)] for values in known]
+            starts = [[self.common.put(self.nuisances, values) for values in known]] * len(self.parts)
         return self.best(starts, lambda start, part: self.fitted(start, self.nuisances, part, 40))
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
@@ -212,8 +216,8 @@ class Search:
     def polished(self, found: Hypothesis) -> Hypothesis:
         """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
         free = (*self.keys(found.effects), *self.nuisances)
-        pairs = zip(found.stacks, self.parts, strict=True)
-        return self.scored(found.effects, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
+        starts = [found.stacks] * len(self.parts)
+        return self.best(starts, lambda start, part: self.fitted(start, free, part, 40), found.effects)
 
     def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
         """Return the local maximum from a start; the scales of nuisances are measured once for each batch."""
@@ -248,9 +252,11 @@ class Search:
     def best(
         self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit], effects: Sequence[str] = ()
     ) -> Hypothesis:
-        """Return the hypothesis of some effects of the best fit to each part, given starts for each."""
-        pairs = zip(starts, self.parts, strict=True)
-        return self.scored(effects, [highest(fit(start, part) for start in each).stack for each, part in pairs])
+        """Return the likeliest hypothesis of some effects: the best fit to each part, or those from the same start."""
+        fits = [[fit(start, part) for start in each] for each, part in zip(starts, self.parts, strict=True)]
+        alike = [[each.stack for each in row] for row in zip(*fits, strict=True)]
+        every = [self.scored(effects, stacks) for stacks in ([highest(each).stack for each in fits], *alike)]
+        return max(every, key=lambda each: each.value)
 
     def nothing(self, found: Hypothesis) -> Hypothesis:
         """Return the hypothesis that nothing differs of what a hypothesis says may differ."""
@@ -356,11 +362,9 @@ class Search:
         """Return the law of the simulation with an effect that it lacked; None where it has none of it."""
         if self.simulated is None or name in self.shared:
             return None
-        if UNCOMPENSATED in self.keys([name]):
-            law = with_compensation(self.common, found.stacks, self.simulated)
-            if law is not None:
-                return law
-        return with_effect(self.common, self.keys([name]), found.stacks, self.parts, self.simulated, self.least_gain)
+        keys, simulated = self.keys([name]), self.simulated
+        law = with_compensation(self.common, keys, found.stacks, simulated)
+        return law or with_effect(self.common, keys, found.stacks, self.parts, simulated, self.least_gain)
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted anew on a changed common law."""

@@ -25,7 +25,7 @@ def in_air(low_c, high_c, seed=0):
 @pytest.mark.parametrize(("low_c", "high_c", "tells"), [(19.9, 20.1, False), (0.0, 40.0, True)])
 def test_the_recording_tells_the_compensation_unless_the_simulation_does(low_c, high_c, tells):
     recorded = law_of().at({UNCOMPENSATED: 0.9})
-    found = with_compensation(law_of(), [recorded, recorded], in_air(low_c, high_c))
+    found = with_compensation(law_of(), [UNCOMPENSATED], [recorded, recorded], in_air(low_c, high_c))
     if tells:
         assert found is None
     else:
@@ -36,7 +36,7 @@ def test_the_recording_tells_the_compensation_unless_the_simulation_does(low_c, 
 def test_nuisance_parameters_that_are_alike_are_left_as_they_are():
     batch = batch_of()
     common = replace(law_of(), familiar={key: law_of().get(key) for key in NUISANCES})
-    assert with_nuisances(common, [common], [batch], batch) is common
+    assert with_nuisances(common, [], [common], [batch], batch) is common
 
 
 def test_both_files_have_the_likelier_mode_of_the_nuisance_parameters():
@@ -45,6 +45,19 @@ def test_both_files_have_the_likelier_mode_of_the_nuisance_parameters():
     wrong = {("travel_time_jitter", "sigma_m"): 0.02, ("visits", "urn_weight"): 2.0}
     common = law_of().at(wrong)
     common = replace(common, familiar={key: common.get(key) for key in NUISANCES})
-    found = with_nuisances(common, [replace(law_of(), familiar=common.familiar)], [recorded], simulated)
+    found = with_nuisances(common, [], [replace(law_of(), familiar=common.familiar)], [recorded], simulated)
     assert found.get(("travel_time_jitter", "sigma_m")) == pytest.approx(0.002, abs=0.0005)
     assert found.get(("visits", "urn_weight")) < 0.1
+
+
+def test_modes_are_compared_with_what_differs_at_its_value():
+    """A recording that is 30 mm long does not keep the wrong mode because the law without the offset fits no better."""
+    offset = ("zero_offset", "offset_m")
+    simulated, recorded = batch_of(seed=1), batch_of({"zero_offset": {"offset_m": 0.03}}, seed=2)
+    wrong = {("travel_time_jitter", "sigma_m"): 0.02, ("visits", "urn_weight"): 2.0}
+    common = law_of().at(wrong)
+    common = replace(common, familiar={key: common.get(key) for key in NUISANCES})
+    right = replace(law_of().at({offset: 0.03}), familiar=common.familiar)
+    found = with_nuisances(common, [offset], [right], [recorded], simulated)
+    assert found.get(("travel_time_jitter", "sigma_m")) == pytest.approx(0.002, abs=0.0005)
+    assert found.get(offset) == common.get(offset)
