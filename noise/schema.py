@@ -91,6 +91,7 @@ class Term(Schema):
     beta: dict[str, Any]
     tails_m: Annotated[Numbers, MinLen(2), MaxLen(2)]
     placement_m: float
+    level_sd_db: float
 
 
 class Kind(Schema):

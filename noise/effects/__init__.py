@@ -8,7 +8,7 @@ from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.interping import AsynchronousCrosstalk, Latency, PreviousPing, SynchronousCrosstalk
 from noise.effects.link import CorruptedByte, DroppedReading, NoiseBurst, Spike, StaleRepeat, Stuck
 from noise.effects.medium import AirAbsorption, Scintillation, SoundSpeed, ThermalDrift
-from noise.effects.mounting import BaselineParallax, BeamWidth, Boresight, PivotOffset
+from noise.effects.mounting import BaselineParallax, BeamWidth, Boresight, PivotOffset, RayCone
 from noise.effects.receiver import (
     ClockScale,
     CycleSlip,
@@ -45,6 +45,7 @@ CATALOGUE: dict[str, type[Effect]] = {
     "boresight": Boresight,
     "pivot_offset": PivotOffset,
     "baseline_parallax": BaselineParallax,
+    "ray_cone": RayCone,
     "zero_offset": ZeroOffset,
     "reflectance_loss": ReflectanceLoss,
     "specular_loss": SpecularLoss,

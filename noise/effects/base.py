@@ -126,6 +126,7 @@ class Effect(ABC):
     remembers: bool = False  # whether it depends on the previous reading
     needs_time: ClassVar[bool] = False  # whether it can be told only from logged times
     by_clock: ClassVar[bool] = False  # whether it follows the clock of the day and not what the sonar measures
+    of_simulators: ClassVar[bool] = False  # whether simulators have it, and no sonar
     localised: ClassVar[bool] = False  # whether it changes some visits or pings clearly and leaves the others unchanged
     by_ping: ClassVar[bool] = False  # whether it affects single pings independently of their condition
     coarsest_step_m: ClassVar[float] = math.inf  # not observable with a register of coarser steps

@@ -16,6 +16,9 @@ from noise.effects.state import Path, State
 
 HALF_AMPLITUDE = 2.215  # x at which 2 J1(x) / x = 1/2, the edge of a quoted -6 dB beam
 LEAK = 0.01  # amplitude of leakage by housing and side lobes at any bearing; chosen here
+RADIANS = math.pi / 180.0
+EDGE_DB_PER_RAD = 20.0 / RADIANS  # loss beyond the edge of a field of view, which is sharp; finite for its derivative
+LEAST_COSINE = 0.05  # of a ray to the perpendicular of a face; beyond 87 deg a path has no end
 SMALL = 1e-2  # x below which three terms of the power series are exact to 1e-14
 
 
@@ -151,3 +154,47 @@ class BaselineParallax(Effect):
         error = math.hypot(0.1, spacing / 2) - 0.1
         apart = f"Transmitter and receiver are {1000 * spacing:.0f} mm apart"
         return f"{apart}: near readings are too long, by {1000 * error:.1f} mm at 100 mm."
+
+
+class RayCone(Effect):
+    """A simulator casts rays over its field of view and returns the shortest that meets a flat face.
+
+    The ray is that nearest to the perpendicular, at bearing psi = beta - theta, within the field of view and the face:
+    s = d cos(theta) / cos(bearing - psi). No ray, or one that meets the face too obliquely, is no echo.
+    """
+
+    name = "ray_cone"
+    stage = Stage.PATHS
+    of_simulators = True
+    summary = "Rays over a field of view are read as the shortest that meets the face"
+    parameters = (
+        Parameter("half_deg", "deg", 180.0, 2.0, 180.0, "half the field of view; chosen here", (12.0, 25.0)),
+        Parameter("half_width_m", "m", 0.0, 0.0, 2.0, "half the width of the face; chosen here", (0.1, 0.3)),
+        Parameter(
+            "steepest_deg", "deg", 90.0, 10.0, 90.0, "incidence of the last ray that is returned; chosen here", (60.0,)
+        ),
+    )
+    half_deg: Tensor
+    half_width_m: Tensor
+    steepest_deg: Tensor
+
+    def apply(self, state: State) -> State:
+        """Move the direct path to the nearest visible point of the face, and lose it where there is none."""
+        c = state.conditions
+        normal, view = c.angle - c.incidence, self.half_deg * RADIANS
+        along, across = self.half_width_m * torch.sin(c.incidence), self.half_width_m * torch.cos(c.incidence)
+        low = torch.maximum(c.angle - torch.atan2(across, c.distance - along), -view)
+        high = torch.minimum(c.angle + torch.atan2(across, c.distance + along), view)
+        ray = torch.maximum(low, torch.minimum(normal, high))
+        steep = (ray - normal).abs()
+        outside = torch.relu(low - high) + torch.relu(steep - self.steepest_deg * RADIANS)
+        length = c.distance * torch.cos(c.incidence) / torch.clamp(torch.cos(steep), min=LEAST_COSINE)
+        length = torch.where(low <= high, length, c.distance)
+        level = state.direct.level_db - EDGE_DB_PER_RAD * outside
+        return state.with_direct(
+            replace(state.direct, length=state.direct.length - c.distance + length, level_db=level)
+        )
+
+    def statement(self) -> str:
+        """Return a sentence with the full field of view."""
+        return f"{self.summary}, over {2 * self.values['half_deg']:.0f} deg."

@@ -139,6 +139,7 @@ class Smooth(Effect):
         beta: weights of the level's kernel by aspect, (l,) each.
         tails_m: mean lengths of the early and the late tail, m.
         placement_m: scatter of the placement, m, which the factor of the spread scales too.
+        level_sd_db: scatter of the level of visits, dB, in whose units detection is certain and is corrected.
     """
 
     name = "smooth"
@@ -155,18 +156,20 @@ class Smooth(Effect):
         beta: Mapping[str, Tensor],
         tails_m: tuple[float, float],
         placement_m: float,
+        level_sd_db: float = 0.0,
     ) -> None:
         super().__init__()
         self.inputs, self.centres, self.level_centres = inputs, centres, level_centres
         self.alpha, self.beta = dict(alpha), dict(beta)
-        self.tails_m, self.placement_m = tails_m, placement_m
+        self.tails_m, self.placement_m, self.level_sd_db = tails_m, placement_m, level_sd_db
         self.remembers = any(name in MEMORY for name in inputs.names)
         self._recent: list[tuple[tuple[Tensor, ...], Tensor]] = []
 
     def without_tails(self) -> Self:
         """Return the correction of the direct echo alone, without early and late readings."""
         alpha, beta = ({k: v for k, v in each.items() if k not in (EARLY, LATE)} for each in (self.alpha, self.beta))
-        return type(self)(self.inputs, self.centres, alpha, self.level_centres, beta, self.tails_m, self.placement_m)
+        sizes = self.tails_m, self.placement_m, self.level_sd_db
+        return type(self)(self.inputs, self.centres, alpha, self.level_centres, beta, *sizes)
 
     def apply(self, state: State) -> State:
         """Correct the direct echo."""
@@ -202,8 +205,9 @@ class Smooth(Effect):
         """
         path = state.direct
         if DETECTION in heads:
-            probit = torch.clamp(path.level_db / state.width_db, -CERTAIN, CERTAIN) + heads[DETECTION]
-            path = replace(path, level_db=probit * state.width_db)
+            width_db = torch.sqrt(state.width_db**2 + self.level_sd_db**2)
+            probit = torch.clamp(path.level_db / width_db, -CERTAIN, CERTAIN) + heads[DETECTION]
+            path = replace(path, level_db=probit * width_db)
         if SHIFT in heads:
             stretch = path.length / torch.clamp(state.conditions.distance, min=1e-3)
             path = replace(path, length=path.length + stretch * heads[SHIFT])
@@ -250,6 +254,7 @@ class Smooth(Effect):
             "beta": {head: weight.tolist() for head, weight in self.beta.items()},
             "tails_m": list(self.tails_m),
             "placement_m": self.placement_m,
+            "level_sd_db": self.level_sd_db,
         }
 
 
@@ -270,7 +275,8 @@ def term_of(data: Mapping[str, Any]) -> Smooth:
             raise ValueError("its parts do not fit together")
         if data["term"] != Smooth.name:
             raise ValueError(f"a term {data['term']!r} is not known")
-        return Smooth(inputs, centres, alpha, level, beta, (early, late), float(data["placement_m"]))
+        sizes = float(data["placement_m"]), float(data["level_sd_db"])
+        return Smooth(inputs, centres, alpha, level, beta, (early, late), *sizes)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"smooth term: cannot be built from its parameters ({error}); it may be damaged") from None
 

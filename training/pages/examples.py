@@ -62,6 +62,12 @@ EXAMPLES = {
     ),
     "pivot_offset": Example(r"d' = d + e (1 - \cos \beta) + f \sin \beta", {"axial_m": 0.3}, "angle"),
     "baseline_parallax": Example(r"s = \sqrt{d^2 + (b / 2)^2}", {"spacing_m": 0.2}),
+    "ray_cone": Example(
+        r"s = \min_{|\alpha| \leq \alpha_0} \frac{d \cos\theta}{\cos(\alpha - \beta + \theta)}",
+        {"half_deg": 15.0, "half_width_m": 0.3},
+        "angle",
+        facing=True,
+    ),
     "zero_offset": Example(r"r' = r + b", {"offset_m": 0.05}),
     "reflectance_loss": Example(r"L' = L + k \, 20 \log_{10} R", {"strength": 1.0}, "reflectance", weak(45.0)),
     "specular_loss": Example(

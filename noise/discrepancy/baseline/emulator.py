@@ -8,7 +8,7 @@ rest where there are readings.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +44,20 @@ HEARING: dict[Key, tuple[float, float]] = {
     ("specular_loss", "strength"): (0.0, 2.0),
     ("beam_width", "ka"): (0.0, 8.0),
     ("reflectance_loss", "strength"): (0.0, 1.5),
+}
+# ranges of a simulator of rays, which hears whatever is in its field of view
+CONE: dict[Key, tuple[float, float]] = {
+    ("ray_cone", "half_deg"): (5.0, 45.0),
+    ("ray_cone", "half_width_m"): (0.0, 0.5),
+    ("ray_cone", "steepest_deg"): (20.0, 90.0),
+}
+NEARBY = 0.3  # share of these ranges
+LOUD: dict[Key, float] = {
+    ("sensitivity", "loss_db"): 0.0,
+    ("specular_loss", "strength"): 0.0,
+    ("beam_width", "ka"): 0.0,
+    ("time_walk", "scale"): 0.0,
+    ("reflectance_loss", "strength"): 0.0,
 }
 N_DESIGN = 32  # a power of two; evaluated at once
 # centres of priors: units and placements differ by 3 to 6 dB, and targets are placed within 1 to 5 mm. Without them, a
@@ -127,12 +141,24 @@ def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
     sonar = replace(Stack.of(PhysicalModel((), batch.resolution)), familiar=FAMILIAR)
     bare = [stack.at(START) for stack in nuisance_starts(sonar, batch)]
     few = batch.thin(SCREEN_PINGS)
-    groups = [[stack] for stack in bare]
     # from a law in which the target is never missed no small step leads to a reflector that answers wherever it is
-    groups.append([bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)])
-    near = [_nearest(_designed(group, rng), few) for group in groups if group]
+    behind = [bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)]
+    groups = [_designed([stack], HEARING, rng) for stack in bare]
+    groups += [_designed(behind, HEARING, rng)] if behind else []
+    groups += [_designed([stack.at(LOUD) for stack in (bare[0], *behind)], CONE, rng)]
+    near = [_nearest(group, few) for group in groups]
+    near[-1] = _other_cone(near[-1], few, rng)
     fits = [maximise(stack, (*_free(stack), *NUISANCES), batch, ITERATIONS, 0.5) for stack in near]
     return max(fits, key=lambda fit: fit.nats + fit.stack.log_size_prior(bare[0], [name for name, _ in START])).stack
+
+
+def _other_cone(stack: Stack, few: Batch, rng: np.random.Generator) -> Stack:
+    """Return the best fit from fields of view nearby: every edge that crosses a position is a maximum apart."""
+    ranges = {}
+    for key, (low, high) in CONE.items():
+        here, half = np.clip(stack.get(key), low, high), NEARBY * (high - low)
+        ranges[key] = max(low, here - half), min(high, here + half)
+    return _nearest(_designed([stack], ranges, rng), few)
 
 
 def _nearest(stacks: Sequence[Stack], few: Batch) -> Stack:
@@ -143,11 +169,13 @@ def _nearest(stacks: Sequence[Stack], few: Batch) -> Stack:
     return highest(fits).stack
 
 
-def _designed(stacks: Sequence[Stack], rng: np.random.Generator) -> list[Stack]:
-    """Return stacks as they are, and with quasi-random values of what decides who is heard."""
-    low, high = np.transpose(list(HEARING.values()))
-    points = qmc.scale(qmc.Sobol(len(HEARING), rng=rng).random(N_DESIGN), low, high)
-    return [*stacks, *(stack.put(list(HEARING), point) for stack in stacks for point in points)]
+def _designed(
+    stacks: Sequence[Stack], ranges: Mapping[Key, tuple[float, float]], rng: np.random.Generator
+) -> list[Stack]:
+    """Return stacks as they are, and with quasi-random values within ranges."""
+    low, high = np.transpose(list(ranges.values()))
+    points = qmc.scale(qmc.Sobol(len(ranges), rng=rng).random(N_DESIGN), low, high)
+    return [*stacks, *(stack.put(list(ranges), point) for stack in stacks for point in points)]
 
 
 def _reflectors(length_m: float) -> tuple[dict[Key, float], dict[Key, float]]:

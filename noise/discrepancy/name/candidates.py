@@ -21,7 +21,8 @@ WIDTH = "spread_m"  # of the echoes of another reflector
 
 def shows(effect: type[Effect], batch: Batch) -> bool:
     """Return whether the sampling of a recording shows an effect at all."""
-    return (batch.timed or not effect.needs_time) and batch.grid_m <= effect.coarsest_step_m
+    fine = batch.grid_m <= effect.coarsest_step_m
+    return (batch.timed or not effect.needs_time) and fine and not effect.of_simulators
 
 
 def sampled_bounds(batch: Batch) -> dict[Key, Parameter]:

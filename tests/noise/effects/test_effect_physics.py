@@ -87,6 +87,32 @@ def test_parallax_of_25_mm_is_two_and_a_half_millimetres_at_30_mm():
     assert median([parallax], distance=0.5) == pytest.approx(0.50016, abs=2e-5)
 
 
+def test_a_ray_cone_reads_the_shortest_ray_that_meets_the_face():
+    """The reading is that of a fan of 20,001 rays, each intersected with a plate by its end points."""
+    rng = np.random.default_rng(1)
+    half, width, steepest = np.radians(18.0), 0.25, np.radians(50.0)
+    distance, angle, incidence = rng.uniform(0.4, 4.0, 300), rng.uniform(-0.7, 0.7, 300), rng.uniform(-0.9, 0.9, 300)
+    ray = np.linspace(-half, half, 20_001)
+    expected = np.full(300, np.inf)
+    for k in range(300):
+        centre, along = distance[k] * np.exp(1j * angle[k]), 1j * np.exp(1j * (angle[k] - incidence[k]))
+        turned = np.exp(-1j * ray)  # into the frame of each ray, where it is the real axis
+        first, last = (centre - width * along) * turned, (centre + width * along) * turned
+        share = first.imag / (first.imag - last.imag)
+        reach = first.real + share * (last.real - first.real)
+        steep = np.abs(ray - angle[k] + incidence[k])
+        met = (share >= 0.0) & (share <= 1.0) & (reach > 0.0) & (steep < steepest)
+        expected[k] = reach[met].min() if met.any() else np.inf
+    cone = CATALOGUE["ray_cone"](half_deg=18.0, half_width_m=width, steepest_deg=50.0)
+    state = PhysicalModel([cone]).state(Conditions.of(Ping.of(distance=distance, angle=angle, incidence=incidence)))
+    lost_db = level([], distance=distance) - state.direct.level_db[0].numpy()
+    met = np.isfinite(expected)
+    assert 100 < met.sum() < 250
+    np.testing.assert_allclose(state.direct.length.numpy()[met], expected[met], rtol=1e-3)
+    assert lost_db[met].max() < 0.1  # a fan has gaps
+    assert lost_db[~met].min() > 0.0
+
+
 def test_specular_loss_is_that_of_a_plate():
     lost = CATALOGUE["specular_loss"](strength=1.0, half_width_m=0.1)
     angle = np.radians([0.0, 5.0, 10.0, 15.0, 20.0])
