@@ -189,7 +189,6 @@ class RayCone(Effect):
         steep = (ray - normal).abs()
         outside = torch.relu(low - high) + torch.relu(steep - self.steepest_deg * RADIANS)
         length = c.distance * torch.cos(c.incidence) / torch.clamp(torch.cos(steep), min=LEAST_COSINE)
-        length = torch.where(low <= high, length, c.distance)
         level = state.direct.level_db - EDGE_DB_PER_RAD * outside
         return state.with_direct(
             replace(state.direct, length=state.direct.length - c.distance + length, level_db=level)
