@@ -16,8 +16,9 @@ from scipy.stats import qmc
 
 from acquisition.arrays import Floats
 from noise.effects import CATALOGUE
+from noise.effects.mounting import RayCone
 from noise.fitting.batch import Batch
-from noise.fitting.fit import Scales, highest, maximise
+from noise.fitting.fit import Fit, Scales, highest, maximise
 from noise.fitting.learn_smooth import learn_smooth
 from noise.fitting.likelihood import log_likelihood, log_likelihoods
 from noise.fitting.smooth import DETECTION, HEADS, MIRRORED, SHIFT
@@ -145,14 +146,16 @@ def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
     behind = [bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)]
     groups = [_designed([stack], HEARING, rng) for stack in bare]
     groups += [_designed(behind, HEARING, rng)] if behind else []
-    groups += [_designed([stack.at(LOUD) for stack in (bare[0], *behind)], CONE, rng)]
+    if np.ptp(batch.ping.angle) > 0.0 or np.ptp(batch.ping.incidence) > 0.0:
+        groups += [_designed([stack.at(LOUD) for stack in (bare[0], *behind)], CONE, rng)]
     near = [_nearest(group, few) for group in groups]
-    near[-1] = _other_cone(near[-1], few, rng)
-    fits = [maximise(stack, (*_free(stack), *NUISANCES), batch, ITERATIONS, 0.5) for stack in near]
+    if RayCone.name in highest(near).stack.values:
+        near[-1] = _other_cone(near[-1].stack, few, rng)
+    fits = [maximise(fit.stack, (*_free(fit.stack), *NUISANCES), batch, ITERATIONS, 0.5) for fit in near]
     return max(fits, key=lambda fit: fit.nats + fit.stack.log_size_prior(bare[0], [name for name, _ in START])).stack
 
 
-def _other_cone(stack: Stack, few: Batch, rng: np.random.Generator) -> Stack:
+def _other_cone(stack: Stack, few: Batch, rng: np.random.Generator) -> Fit:
     """Return the best fit from fields of view nearby: every edge that crosses a position is a maximum apart."""
     ranges = {}
     for key, (low, high) in CONE.items():
@@ -161,12 +164,12 @@ def _other_cone(stack: Stack, few: Batch, rng: np.random.Generator) -> Stack:
     return _nearest(_designed([stack], ranges, rng), few)
 
 
-def _nearest(stacks: Sequence[Stack], few: Batch) -> Stack:
+def _nearest(stacks: Sequence[Stack], few: Batch) -> Fit:
     """Return the best of the likeliest stacks after a few steps: the likelihood of a start says little of its basin."""
     likeliest = np.argsort(-log_likelihoods(stacks, few), kind="stable")[:BASINS]
     starts, scales = [stacks[k] for k in likeliest], Scales()
     fits = (maximise(each, (*_free(each), *NUISANCES), few, SHORT, MIN_GAIN_NATS, scales) for each in starts)
-    return highest(fits).stack
+    return highest(fits)
 
 
 def _designed(
