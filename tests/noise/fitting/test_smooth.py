@@ -62,6 +62,18 @@ def test_without_aspects_the_law_is_unchanged():
     assert np.array_equal(*(EmpiricalModel(e).law(ping()).arrival(z) for e in ([JITTER], [JITTER, none])))
 
 
+def test_a_corrected_loud_echo_is_heard_whatever_the_level_scatters_between_visits():
+    scatter = PlacementScatter(level_sd_db=9.0)
+    zero = Smooth(*_parts(term()), (0.1, 0.2), 0.003, level_sd_db=9.0)
+    plain, smooth = (EmpiricalModel(effects).law(ping()).echo for effects in ([scatter], [scatter, zero]))
+    assert plain.min() > 0.999
+    assert smooth.min() > 0.999
+
+
+def _parts(of):
+    return of.inputs, of.centres, of.alpha, of.level_centres, of.beta
+
+
 def test_zero_weights_change_no_probability_by_more_than_the_floor_of_the_tails():
     z = np.linspace(0.1, 5.0, 40)
     plain, smooth = (EmpiricalModel(e).law(ping()).arrival(z) for e in ([JITTER], [JITTER, term()]))
