@@ -185,9 +185,10 @@ class RayCone(Effect):
         along, across = self.half_width_m * torch.sin(c.incidence), self.half_width_m * torch.cos(c.incidence)
         low = torch.maximum(c.angle - torch.atan2(across, c.distance - along), -view)
         high = torch.minimum(c.angle + torch.atan2(across, c.distance + along), view)
-        ray = torch.maximum(low, torch.minimum(normal, high))
+        apart = torch.relu(low - high)  # of the view and the face, whose middle stands for a ray
+        ray = torch.maximum(low - 0.5 * apart, torch.minimum(normal, high + 0.5 * apart))
         steep = (ray - normal).abs()
-        outside = torch.relu(low - high) + torch.relu(steep - self.steepest_deg * RADIANS)
+        outside = apart + torch.relu(steep - self.steepest_deg * RADIANS)
         length = c.distance * torch.cos(c.incidence) / torch.clamp(torch.cos(steep), min=LEAST_COSINE)
         level = state.direct.level_db - EDGE_DB_PER_RAD * outside
         return state.with_direct(

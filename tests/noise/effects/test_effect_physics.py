@@ -111,6 +111,10 @@ def test_a_ray_cone_reads_the_shortest_ray_that_meets_the_face():
     np.testing.assert_allclose(state.direct.length.numpy()[met], expected[met], rtol=1e-3)
     assert lost_db[met].max() < 0.1  # a fan has gaps
     assert lost_db[~met].min() > 0.0
+    mirrored = PhysicalModel([cone]).state(
+        Conditions.of(Ping.of(distance=distance, angle=-angle, incidence=-incidence))
+    )
+    np.testing.assert_allclose(mirrored.direct.length.numpy(), state.direct.length.numpy(), rtol=1e-12)
 
 
 def test_specular_loss_is_that_of_a_plate():
