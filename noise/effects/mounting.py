@@ -16,8 +16,9 @@ from noise.effects.state import Path, State
 
 HALF_AMPLITUDE = 2.215  # x at which 2 J1(x) / x = 1/2, the edge of a quoted -6 dB beam
 LEAK = 0.01  # amplitude of leakage by housing and side lobes at any bearing; chosen here
-RADIANS = math.pi / 180.0
-EDGE_DB_PER_RAD = 20.0 / RADIANS  # loss beyond the edge of a field of view, which is sharp; finite for its derivative
+EDGE_DB_PER_RAD = math.degrees(
+    20.0
+)  # loss beyond the edge of a field of view, which is sharp; finite for its derivative
 LEAST_COSINE = 0.05  # of a ray to the perpendicular of a face; beyond 87 deg a path has no end
 SMALL = 1e-2  # x below which three terms of the power series are exact to 1e-14
 
@@ -92,7 +93,7 @@ class Boresight(Effect):
 
     def apply(self, state: State) -> State:
         """Rotate the bearings."""
-        turned = state.conditions.angle - self.yaw_deg * (math.pi / 180.0)
+        turned = state.conditions.angle - torch.deg2rad(self.yaw_deg)
         return state.facing(replace(state.conditions, angle=turned))
 
     def statement(self) -> str:
@@ -181,14 +182,14 @@ class RayCone(Effect):
     def apply(self, state: State) -> State:
         """Move the direct path to the nearest visible point of the face, and lose it where there is none."""
         c = state.conditions
-        normal, view = c.angle - c.incidence, self.half_deg * RADIANS
+        normal, view = c.angle - c.incidence, torch.deg2rad(self.half_deg)
         along, across = self.half_width_m * torch.sin(c.incidence), self.half_width_m * torch.cos(c.incidence)
         low = torch.maximum(c.angle - torch.atan2(across, c.distance - along), -view)
         high = torch.minimum(c.angle + torch.atan2(across, c.distance + along), view)
         apart = torch.relu(low - high)  # of the view and the face, whose middle stands for a ray
         ray = torch.maximum(low - 0.5 * apart, torch.minimum(normal, high + 0.5 * apart))
         steep = (ray - normal).abs()
-        outside = apart + torch.relu(steep - self.steepest_deg * RADIANS)
+        outside = apart + torch.relu(steep - torch.deg2rad(self.steepest_deg))
         length = c.distance * torch.cos(c.incidence) / torch.clamp(torch.cos(steep), min=LEAST_COSINE)
         level = state.direct.level_db - EDGE_DB_PER_RAD * outside
         return state.with_direct(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import softmax
 
-from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
-from noise.discrepancy.name.search import BEHIND, Search
+from noise.discrepancy.name.hypothesis import Hypothesis, may_lead
+from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
 from noise.fitting.stack import Stack
 
@@ -61,8 +61,7 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
 
 
 def _is_near(search: Search, found: Hypothesis, fit: Hypothesis) -> bool:
-    chance = BEHIND * standard_error(found.nats - fit.nats)
-    return found.value - fit.value < max(search.least_gain, chance)
+    return may_lead(found.value - fit.value, found.nats - fit.nats, search.least_gain)
 
 
 def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:

@@ -10,6 +10,7 @@ import numpy as np
 from acquisition.arrays import Floats
 from noise.fitting.stack import Stack
 
+BEHIND = 3.0  # standard errors by which what trails is out of reach
 ALIKE = 0.9  # correlation of two gains over visits from which they are one explanation
 
 
@@ -38,6 +39,17 @@ class Hypothesis:
 def standard_error(per_visit: Floats) -> float:
     """Return the standard error of a sum over independent visits."""
     return float(np.sqrt(len(per_visit)) * np.std(per_visit)) if len(per_visit) > 1 else float("inf")
+
+
+def may_lead(lag: float, behind: Floats, least: float) -> bool:
+    """Return whether what trails the best may lead on other visits.
+
+    Args:
+        lag: by how much it trails, nats.
+        behind: the same on each visit, nats, (n,).
+        least: what counts for nothing, nats.
+    """
+    return lag < max(least, BEHIND * standard_error(behind))
 
 
 def alike(one: Floats, other: Floats) -> bool:

@@ -29,7 +29,7 @@ from noise.discrepancy.name.common import with_compensation, with_effect, with_n
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
@@ -43,7 +43,6 @@ NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
 CLOSE = 3.0  # nats on the grid
 N_SCREENED = 6  # kinds of candidates that are fitted, and cross-fitted unless they are far behind, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
-BEHIND = 3.0  # standard errors by which a candidate must trail the best one on the screen to be left out
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
 ROUNDS = 2 * MAX_CAUSES  # of a search, those that only change what both files have alike included
 MISSED = 3.0  # nats by which other nuisance parameters must predict better for a round to be repeated with them
@@ -335,7 +334,7 @@ class Search:
         """Return the effects that may lead on unseen visits, of those sorted by their fit to the screen."""
         nats = {name: self.screen.visit_sums(log_likelihood(fits[name].stack, self.screen)) for name in names}
         behind = {name: nats[names[0]] - nats[name] for name in names}
-        return [n for n in names if behind[n].sum() < max(self.least_gain, BEHIND * standard_error(behind[n]))]
+        return [n for n in names if may_lead(behind[n].sum(), behind[n], self.least_gain)]
 
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
         """Return one more effect, cross-fitted from the present scatter; from its own where it explains outliers."""
