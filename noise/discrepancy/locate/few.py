@@ -1,8 +1,9 @@
 """Tests for recordings of few positions, in which a bootstrap over positions has no power.
 
-Between positions: careful placement scatters by at most `MAX_PLACEMENT_M`, and the error of the law shows in the
-simulation. Where the mean errors of the recorded positions scatter more than both, in an F test without the greatest of
-them, the sonar differs: one target may have been misplaced.
+Between positions: careful placement scatters by at most `MAX_PLACEMENT_M`, two recordings of one sonar differ by the
+tolerances in shares of readings and scatter, and the error of the law shows in the simulation. Where the means of the
+recorded positions scatter more than both, in an F test without the greatest of them, the sonar differs: one target may
+have been misplaced, and one visit disturbed.
 
 Within positions: pings of one position are comparable with each other, whatever is wrong with the position. Scores and
 regressors lose their mean there, so that regressors of time, order and history remain. The statistic of a regressor is
@@ -13,6 +14,7 @@ neighbours are not correlated in the simulation.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -24,18 +26,24 @@ from noise.discrepancy.moments.bootstrap import NOTHING, Found, exceeded, levera
 from noise.discrepancy.moments.moments import bin_sums
 from noise.discrepancy.moments.regressors import Column, Form, columns_of
 from noise.discrepancy.moments.sample import Sample, positions
-from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores_of_both
+from noise.discrepancy.moments.scores import ASPECTS, BIAS, LIMIT, Scores, scores, scores_of_both
 from noise.discrepancy.result import Aspect, Interval, Location, PValue
-from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M
+from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M, SHARE_TOLERANCE, SPREAD_TOLERANCE
 from noise.fitting.batch import Batch
-from noise.fitting.stack import Stack
+from noise.fitting.stack import PLACEMENT, Stack
 
+SPREAD = ASPECTS.index(Aspect.SPREAD)
 COARSER = 1.5  # ratio of the steps of two registers that differ
 LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong
 KNOWN = 1e9  # degrees of freedom where nothing is estimated
 MIN_PLACES = 5  # positions of each file for an F test
 MIN_PER_PLACE = 3  # blocks of a position, on average
 MAX_BLOCKS = 200  # of a file; more do not improve the variance estimates
+TOLERANCES = {  # by which means of one position differ between two recordings of one sonar
+    Aspect.BIAS: MAX_PLACEMENT_M,
+    Aspect.SPREAD: SPREAD_TOLERANCE,
+    **dict.fromkeys((Aspect.DETECTION, Aspect.EARLY, Aspect.LATE, Aspect.REPEAT), SHARE_TOLERANCE),
+}
 CORRELATED = 1.64  # standard errors of a correlation at the 5 % level, one-sided
 
 
@@ -52,54 +60,100 @@ def register_test(recorded: Batch) -> Found:
 
 
 def placement_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
-    """Test whether the mean errors of recorded positions scatter more than placement and the law's error allow.
+    """Test whether means of recorded positions scatter more than two recordings of one sonar and the law's error allow.
+
+    The p-value is Bonferroni's over the aspects.
 
     Args:
         law_recorded: law of the recording.
         law_simulated: law that describes the simulation.
         sample: readings.
     """
-    scored = scores_of_both(law_recorded, law_simulated, sample)
-    files = [_means(scored, sample, rows) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
-    if min(len(mean) for mean, _, _ in files) < MIN_PLACES:
+    scored = _spread_within(scores_of_both(law_recorded, law_simulated, sample), law_recorded, law_simulated, sample)
+    found = [each for aspect in TOLERANCES if (each := _of_aspect(scored, sample, aspect)) is not None]
+    if not found:
         return NOTHING
+    least = min(found, key=lambda each: each.p)
+    p_value = PValue(min(1.0, least.p * len(found)), 0, len(found), len(found))
+    return Found(p_value, (least.largest(p_value),) if p_value.value < FALSE_ALARM else ())
+
+
+def _spread_within(scored: Scores, law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
+    """Return scores with the spread about the mean of a position, which does not depend on where the target stands."""
+    laws = [law_recorded.at({PLACEMENT: 0.0}), law_simulated.at({PLACEMENT: 0.0})]
+    pairs = zip(laws, sample.batches, sample.left_out(law_simulated), strict=False)
+    sigma = np.concatenate([scores(law, batch, part).sigma for law, batch, part in pairs])
+    place, valid = _places(sample), scored.valid[:, SPREAD]
+    count = np.bincount(place, valid)[place]
+    error = _within(scored.natural[:, BIAS], valid, place) / sigma
+    square = np.clip(error, -LIMIT, LIMIT) ** 2 * count / np.maximum(count - 1.0, 1.0)
+    natural, several = scored.natural.copy(), valid & (count > 1)
+    natural[:, SPREAD] = 0.5 * (square - 1.0)  # as in `scores`
+    both = scored.valid.copy()
+    both[:, SPREAD] = several
+    return replace(scored, natural=natural, valid=both)
+
+
+@dataclass(frozen=True, eq=False)
+class _Positions:
+    """Means of an aspect at the recorded positions.
+
+    Attributes:
+        aspect: what differs.
+        mean: of each position, (positions,), in the unit of the aspect.
+        variance: of the means, what two recordings of one sonar differ by included.
+        distance: of each position, m.
+        p: p-value of the F test.
+    """
+
+    aspect: Aspect
+    mean: Floats
+    variance: Floats
+    distance: Floats
+    p: float
+
+    def largest(self, p_value: PValue) -> Location:
+        """Return the interval of distances in which the mean is most significant, less log n for each of its ends."""
+        order = np.argsort(self.distance)
+        mean, variance, distance = self.mean[order], self.variance[order], self.distance[order]
+        runs = [(k, j) for k in range(len(mean)) for j in range(k + 1, len(mean) + 1)]
+        whole = (0, len(mean))
+
+        def gain(run: tuple[int, int]) -> float:
+            ends = (run[0] > whole[0]) + (run[1] < whole[1])
+            part = slice(*run)
+            return float(mean[part].sum() ** 2 / variance[part].sum() - ends * np.log(len(mean)))
+
+        best = max(runs, key=gain)
+        part = slice(*best)
+        error = TWO_SIDED * float(np.sqrt(variance[part].sum())) / (best[1] - best[0])
+        value = float(mean[part].mean())
+        region = {} if best == whole else {"distance": (float(distance[part][0]), float(distance[part][-1]))}
+        return Location(self.aspect, region, Interval(value, value - error, value + error, self.aspect.unit), p_value)
+
+
+def _of_aspect(scored: Scores, sample: Sample, aspect: Aspect) -> _Positions | None:
+    """Return the F test of the means of an aspect; None where positions are too few, or all means alike."""
+    files = [_means(scored, sample, rows, aspect) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
+    if min(len(mean) for mean, _, _ in files) < MIN_PLACES:
+        return None
     (mean, variance, distance), others = files[0], files[1:]
-    variance = variance + MAX_PLACEMENT_M**2 + sum(float(np.mean(other**2)) for other, _, _ in others)
+    variance = variance + TOLERANCES[aspect] ** 2 + sum(float(np.mean(other**2)) for other, _, _ in others)
     ratio = np.sort(mean**2 / variance)[:-1]
     p = float(fisher.sf(ratio.mean(), len(ratio), len(others[0][0]) if others else KNOWN))
-    p_value = PValue(p, 0, 1, 1)
-    return Found(p_value, (_largest(mean, variance, distance, p_value),) if p < FALSE_ALARM else ())
+    return _Positions(aspect, mean, variance, distance, p)
 
 
-def _means(scored: Scores, sample: Sample, rows: Bits) -> tuple[Floats, Floats, Floats]:
-    """Return mean error, m, its variance, m^2, and distance, m, of each position of a file, (positions,) each."""
-    rows = rows & scored.valid[:, BIAS]
-    error, every = scored.natural[rows, BIAS], np.concatenate([batch.ping.distance for batch in sample.batches])
+def _means(scored: Scores, sample: Sample, rows: Bits, aspect: Aspect) -> tuple[Floats, Floats, Floats]:
+    """Return the mean of an aspect, its variance, and the distance, m, of each position of a file, (positions,)."""
+    a = ASPECTS.index(aspect)
+    rows = rows & scored.valid[:, a]
+    value, every = scored.natural[rows, a], np.concatenate([batch.ping.distance for batch in sample.batches])
     place = np.unique(_places(sample)[rows], return_inverse=True)[1]
     count = np.bincount(place)
-    mean = np.bincount(place, error) / count
-    within = np.bincount(place, (error - mean[place]) ** 2) / np.maximum(count - 1, 1)
-    return mean, within / count, np.bincount(place, every[rows]) / count
-
-
-def _largest(mean: Floats, variance: Floats, distance: Floats, p_value: PValue) -> Location:
-    """Return the interval of distances in which the mean error is most significant, less log n for each of its ends."""
-    order = np.argsort(distance)
-    mean, variance, distance = mean[order], variance[order], distance[order]
-    runs = [(k, j) for k in range(len(mean)) for j in range(k + 1, len(mean) + 1)]
-    whole = (0, len(mean))
-
-    def gain(run: tuple[int, int]) -> float:
-        ends = (run[0] > whole[0]) + (run[1] < whole[1])
-        part = slice(*run)
-        return float(mean[part].sum() ** 2 / variance[part].sum() - ends * np.log(len(mean)))
-
-    best = max(runs, key=gain)
-    part = slice(*best)
-    error = TWO_SIDED * float(np.sqrt(variance[part].sum())) / (best[1] - best[0])
-    value = float(mean[part].mean())
-    region = {} if best == whole else {"distance": (float(distance[part][0]), float(distance[part][-1]))}
-    return Location(Aspect.BIAS, region, Interval(value, value - error, value + error, "m"), p_value)
+    mean = np.bincount(place, value) / np.maximum(count, 1)
+    within = np.bincount(place, (value - mean[place]) ** 2) / np.maximum(count - 1, 1)
+    return mean, within / np.maximum(count, 1), np.bincount(place, every[rows]) / np.maximum(count, 1)
 
 
 def _places(sample: Sample) -> Ints:

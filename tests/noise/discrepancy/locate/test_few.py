@@ -36,6 +36,13 @@ def marks(seed, at_mark=0.0, within=0.0, placement=0.002, memory=0.0, step=0.001
     return Batch.of(Recording.of(ping, Reading.of(np.round(np.round(value / step) * step, 4))))
 
 
+def with_early(batch, share, seed):
+    """Return readings of which a share at each mark, (marks,), comes from half the distance."""
+    early = np.random.default_rng(seed).random((len(MARKS), PINGS)) < np.broadcast_to(share, len(MARKS))[:, None]
+    ranges = np.where(early.ravel(), 0.5 * batch.ping.distance, batch.reading.range)
+    return replace(batch, reading=Reading.of(ranges))
+
+
 def between(law, recorded, simulated):
     return placement_test(law, law, Sample(recorded, simulated))
 
@@ -52,7 +59,7 @@ def test_marks_that_scatter_as_targets_are_placed_do_not_differ(law):
 def test_errors_of_several_centimetres_at_marks_are_found_although_they_follow_no_line(law):
     wave = 0.03 * np.sin(np.arange(len(MARKS)))
     found = between(law, marks(1, wave), marks(2))
-    assert found.p_value.value < 1e-3
+    assert found.p_value.value < 0.01
     (place,) = found.where
     inside = (place.region["distance"][0] - 1e-6 <= MARKS) & (place.region["distance"][1] + 1e-6 >= MARKS)
     assert place.aspect is Aspect.BIAS
@@ -63,6 +70,31 @@ def test_errors_of_several_centimetres_at_marks_are_found_although_they_follow_n
 
 def test_one_misplaced_target_is_no_difference(law):
     assert between(law, marks(1, np.where(np.arange(len(MARKS)) == 4, 0.06, 0.0)), marks(2)).p_value.value > 0.01
+
+
+def test_early_echoes_at_four_marks_of_ten_are_found_where_they_are(law):
+    share = np.where((np.arange(len(MARKS)) >= 1) & (np.arange(len(MARKS)) < 5), 0.4, 0.0)
+    found = between(law, with_early(marks(1), share, 3), marks(2))
+    assert found.p_value.value < 0.01
+    (place,) = found.where
+    assert place.aspect is Aspect.EARLY
+    assert place.region["distance"] == pytest.approx((MARKS[1], MARKS[4]))
+    assert place.size.low < 0.4 < place.size.high
+
+
+@pytest.mark.parametrize("simulated", [0.0, 0.3])
+def test_early_echoes_that_both_files_have_at_other_marks_are_no_difference(law, simulated):
+    rng = np.random.default_rng(5)
+    shares = [simulated * (rng.random(len(MARKS)) < 0.5) for _ in range(2)]
+    files = [with_early(marks(10 + k), each, k) for k, each in enumerate(shares)]
+    assert between(law, *files).p_value.value > 0.01
+
+
+def test_one_disturbed_visit_is_no_difference_and_shares_within_the_tolerance_are_none(law):
+    one = np.where(np.arange(len(MARKS)) == 4, 0.5, 0.0)
+    assert between(law, with_early(marks(1), one, 1), marks(2)).p_value.value > 0.01
+    p = [between(law, with_early(marks(k), 0.02, k), marks(1000 + k)).p_value.value for k in range(40)]
+    assert min(p) > 0.01
 
 
 def test_a_known_law_needs_no_simulated_readings(law):
