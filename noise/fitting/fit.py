@@ -13,12 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from torch import Tensor
 
 from acquisition import Recording
 from acquisition.arrays import Floats
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import likeliest, log_likelihood
-from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, VISITS, Key, Stack
+from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, STEPWISE, VISITS, Key, Stack
 from noise.fitting.starts import nuisance_start
 from noise.fitting.visit_effects import law_of, log_prob
 from noise.physical import PhysicalModel
@@ -71,14 +72,23 @@ class Objective:
 
     def _evaluate(self, x: Floats) -> tuple[float, Floats]:
         numbers = torch.tensor(x, dtype=torch.float64, requires_grad=True)
+        total = self._total(numbers)
+        return float(total.detach()), _gradient(total, numbers)
+
+    def _total(self, numbers: Tensor, exact: bool = False) -> Tensor:
         model, visits = self.stack.build(self.free, numbers)
-        total = -log_prob(law_of(model, self.batch), visits, self.batch).sum()
-        total = total - self.stack.log_prior(self.free, numbers)
-        if not total.requires_grad:  # a stack of stepwise effects, such as rounding, has no gradient
-            return float(total), np.zeros(len(x))
-        (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
-        gradient = torch.zeros_like(numbers) if gradient is None else gradient
-        return float(total.detach()), np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0)
+        total = -log_prob(law_of(model, self.batch), visits, self.batch, exact).sum()
+        return total - self.stack.log_prior(self.free, numbers)
+
+    def gradients(self, points: Floats) -> Floats:
+        """Return the gradient at each of k points, (k, p); all at once where the law is continuous in them.
+
+        The exact form of the likelihood differs by rounding, so that gradients are to be compared among themselves.
+        """
+        if any(key[1] in STEPWISE for key in self.free):
+            return np.stack([self(x)[1] for x in points])
+        numbers = torch.tensor(points, dtype=torch.float64, requires_grad=True)
+        return _gradient(torch.vmap(lambda x: self._total(x, exact=True))(numbers).sum(), numbers)
 
     def is_flat(self, x: Floats) -> bool:
         """Return whether no parameter has a descent direction within its bounds."""
@@ -128,15 +138,24 @@ class Objective:
         width = high - low
         out = np.array([(known or {}).get(key, np.nan) for key in self.free])
         unknown = np.flatnonzero(np.isnan(out))
-        base = self(x)[1] if len(unknown) else out
-        for j in unknown:
-            step = 1e-4 * width[j] if x[j] < low[j] + 0.5 * width[j] else -1e-4 * width[j]
-            moved = x.copy()
-            moved[j] += step
-            gradient = self(moved)[1][j]
-            curvature = max(abs(gradient - base[j]) / abs(step), 0.1 * abs(base[j]) / width[j])
-            out[j] = 1.0 / np.sqrt(max(curvature, 1e-300))
+        if len(unknown):
+            step = np.where(x < low + 0.5 * width, 1e-4, -1e-4)[unknown] * width[unknown]
+            moved = np.tile(x, (len(unknown) + 1, 1))
+            moved[np.arange(len(unknown)) + 1, unknown] += step
+            base, *slopes = self.gradients(moved)
+            change = np.abs(np.array([slope[j] - base[j] for slope, j in zip(slopes, unknown, strict=True)]))
+            curvature = np.maximum(change / np.abs(step), 0.1 * np.abs(base[unknown]) / width[unknown])
+            out[unknown] = 1.0 / np.sqrt(np.maximum(curvature, 1e-300))
         return _limit(out, width)
+
+
+def _gradient(total: Tensor, numbers: Tensor) -> Floats:
+    """Return the derivatives of a value, 0 where it has none: stepwise effects, such as rounding, have no gradient."""
+    if not total.requires_grad:
+        return np.zeros(numbers.shape)
+    (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
+    gradient = torch.zeros_like(numbers) if gradient is None else gradient
+    return np.asarray(np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def maximise(

@@ -20,6 +20,7 @@ The prediction combines, in this order:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +74,12 @@ class VisitEffects(Effect):
     urn_width_m: Tensor
     level_sd_db: Tensor
     simulation_correlation: Tensor
+    one_level: bool  # whether all visits have the same level, and will have: its scatter is fixed at zero
+
+    def _set(self, values: Mapping[str, float | Tensor]) -> None:
+        super()._set(values)
+        scatter = values.get("level_sd_db", 0.0)
+        self.one_level = not isinstance(scatter, Tensor) and scatter == 0.0
 
     def apply(self, state: State) -> State:
         """Return the state unchanged."""
@@ -210,7 +217,7 @@ def outcome_probability(law: PhysicalLaw, batch: Batch, exact: bool = False) -> 
 def outcome_given_visit(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool = False) -> Tensor:
     """Return the probability of each ping's outcome, echo or no echo, given the earlier ones of its visit, (n,)."""
     sd = visits.level_sd_db
-    if float(sd.detach()) == 0.0 and not sd.requires_grad:
+    if visits.one_level:
         return outcome_probability(law, batch, exact)
     silent = _silent_by_level(law, sd * LEVEL_NODES)
     always, never = torch.zeros_like(silent[:1]), torch.ones_like(silent[:1])
