@@ -129,15 +129,18 @@ def test_every_autoreset_mode_agrees_with_gymnasium(mode):
     "settings",
     [
         {"sonar": Repeating(sigma=0.05)},
-        {"sonar": lstm()},
+        pytest.param({"sonar": lstm()}, marks=pytest.mark.slow),
         {"sonar": lstm(), "sonar_layout": "eight in turn"},
         {"sonar": Faulty(GaussianModel(), [Constant(rate=0.2, value=0.5), Short(rate=0.1, span=3.0)])},
         {"sonar": "gaussian", "sonar_layout": "eight in turn"},
         {"sonar": "ideal", "odometry": "worn"},
-        {
-            "sonar": "srf08-mlp",
-            "sonar_layout": [{"name": "a", "x": 0.3, "y": 0.0, "heading_deg": 0.0, "period_s": 0.3}],
-        },
+        pytest.param(
+            {
+                "sonar": "srf08-mlp",
+                "sonar_layout": [{"name": "a", "x": 0.3, "y": 0.0, "heading_deg": 0.0, "period_s": 0.3}],
+            },
+            marks=pytest.mark.slow,
+        ),
         {"sonar": "gaussian", "difficulty": "hard", "street": {"decoys": [3, 4]}},
     ],
     ids=["past", "memory", "memory in turn", "faults", "in turn", "odometry", "slow", "hard"],

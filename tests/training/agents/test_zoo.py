@@ -56,13 +56,16 @@ def stop():
     raise Stopped
 
 
+OFF_POLICY = ("SonarParkingGoal-v0", {"learning_starts": 1600, "batch_size": 16, "buffer_size": 4000})
+
+
 @pytest.mark.parametrize(
     ("algorithm", "env_id", "faster"),
     [
         ("ppo", "SonarParkingManoeuvre-v0", {"n_steps": 16, "batch_size": 256}),
         ("ppo_lstm", "SonarParking-v0", {"n_steps": 8, "batch_size": 256, "n_epochs": 1}),
-        ("sac", "SonarParkingGoal-v0", {"learning_starts": 1600, "batch_size": 16, "buffer_size": 4000}),
-        ("tqc", "SonarParkingGoal-v0", {"learning_starts": 1600, "batch_size": 16, "buffer_size": 4000}),
+        pytest.param("sac", *OFF_POLICY, marks=pytest.mark.slow),  # the buffer and the learner of the last one
+        ("tqc", *OFF_POLICY),
     ],
 )
 @one_thread()

@@ -139,7 +139,7 @@ def test_who_is_heard_is_learned_from_a_few_dozen_positions():
     assert right.mean() > 0.9
 
 
-@pytest.mark.parametrize("seed", [21, 41])
+@pytest.mark.parametrize("seed", [21, pytest.param(41, marks=pytest.mark.slow)])
 def test_the_threshold_is_found_from_starts_in_other_basins(seed):
     """A likelier start may lead to a sonar that loses readings by chance instead of beyond its range."""
     found = baseline_of(IdealModel(), recording(SONAR, seed + 1), recording(SONAR, seed), np.random.default_rng(0))
