@@ -57,7 +57,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
     the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, and the
     probability of lost readings are those of the difference: what the law of the simulation has, and what its own
-    readings would add, are subtracted.
+    readings would add, are subtracted. Where the curvature says nothing, the likelihood itself gives the interval.
     """
     fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
     errors: dict[Key, float] = {}
@@ -75,12 +75,13 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
         value = float(np.clip(value - base, p.low, p.high))
         spread = Z * float(np.hypot(error, own_error))
         low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
-        out[key] = Interval(value, low, high, p.unit)
+        says_nothing = low <= p.low and high >= p.high  # no curvature: the likelihood is flat within a register step
+        out[key] = profiled(final.single.stack, key, final.batch) if says_nothing else Interval(value, low, high, p.unit)
     return out
 
 
 def profiled(stack: Stack, key: Key, batch: Batch) -> Interval:
-    """Return the likelihood interval of a parameter in which the likelihood jumps, others as they are.
+    """Return the likelihood interval of a parameter in which the likelihood jumps or is flat, others as they are.
 
     Steps away from the estimate double until the readings exclude the value.
     """

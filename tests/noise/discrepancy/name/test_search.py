@@ -122,6 +122,23 @@ def test_what_jumps_does_not_blur_what_is_smooth():
     assert widths[1] < 2.0 * widths[0]
 
 
+def test_a_range_within_one_step_of_the_register_is_known_to_about_a_step():
+    changed = {
+        "fixed_clutter": {"presence": 0.9, "range_m": 0.731, "spread_m": 0.001},
+        "quantisation": {"step_m": 0.043},
+    }
+    search = search_of(changed)
+    none, keys = search.null(), [(name, p) for name, values in changed.items() for p in values]
+    start = none.stacks[0].put(keys, [changed[name][p] for name, p in keys])
+    found = search.crossed(start, none, tuple(changed), own_scatter=False)
+    known = intervals(search, conclude(search, found))
+    place, presence = known[("fixed_clutter", "range_m")], known[("fixed_clutter", "presence")]
+    assert place.low <= 0.731 <= place.high
+    assert place.high - place.low < 2 * 0.043
+    assert presence.low <= 0.9 <= presence.high
+    assert presence.high - presence.low < 0.2
+
+
 @pytest.mark.parametrize("step_m", [0.0128, 0.0341])
 def test_a_step_of_the_register_is_known_to_a_share_of_itself(step_m):
     search = search_of({"quantisation": {"step_m": step_m}})
