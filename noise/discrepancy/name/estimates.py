@@ -75,8 +75,9 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
         value = float(np.clip(value - base, p.low, p.high))
         spread = Z * float(np.hypot(error, own_error))
         low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
-        says_nothing = low <= p.low and high >= p.high  # no curvature: the likelihood is flat within a register step
-        out[key] = profiled(final.single.stack, key, final.batch) if says_nothing else Interval(value, low, high, p.unit)
+        out[key] = Interval(value, low, high, p.unit)
+        if low <= p.low and high >= p.high:  # no curvature: the likelihood is flat within a step of the register
+            out[key] = profiled(final.single.stack, key, final.batch)
     return out
 
 
