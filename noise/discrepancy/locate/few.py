@@ -133,7 +133,7 @@ class _Positions:
 
 
 def _of_aspect(scored: Scores, sample: Sample, aspect: Aspect) -> _Positions | None:
-    """Return the F test of the means of an aspect; None where positions are too few, or all means alike."""
+    """Return the F test of the means of an aspect; None where positions are too few."""
     files = [_means(scored, sample, rows, aspect) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
     if min(len(mean) for mean, _, _ in files) < MIN_PLACES:
         return None
