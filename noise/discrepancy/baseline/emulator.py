@@ -67,7 +67,7 @@ N_DESIGN = 32  # a power of two; evaluated at once
 FAMILIAR: dict[Key, float] = {LEVEL_SD: 3.0, PLACEMENT: 0.003}
 PHYSICS_PINGS, SCREEN_PINGS, SMOOTH_PINGS = 1200, 600, 2000  # readings of each step, which bound the time
 BASINS, SHORT = 4, 20  # starts of each kind that are followed, and steps after which the best goes on
-BEHIND = 50.0  # nats after these steps from which a kind is not followed; of 24 simulations none led from there
+MAX_LAG_NATS = 50.0  # after these steps, from which a kind is not followed; of 24 simulations none led from there
 DESIGN = 2  # starting points of a quasi-random design for each candidate effect
 CANDIDATES, ROUNDS = 3, 4  # effects that are fitted in a round, and rounds
 MIN_GAIN_NATS = 3.0  # of a fit: odds of 20 to 1
@@ -153,7 +153,7 @@ def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
     if RayCone.name in highest(near).stack.values:
         near[-1] = _other_cone(near[-1].stack, few, rng)
     best = highest(near).nats
-    good = [fit.stack for fit in near if fit.nats > best - BEHIND]
+    good = [fit.stack for fit in near if fit.nats > best - MAX_LAG_NATS]
     fits = [maximise(each, (*_free(each), *NUISANCES), batch, ITERATIONS, 0.5) for each in good]
     return max(fits, key=lambda fit: fit.nats + fit.stack.log_size_prior(bare[0], [name for name, _ in START])).stack
 
