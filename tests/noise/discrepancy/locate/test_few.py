@@ -59,7 +59,7 @@ def test_marks_that_scatter_as_targets_are_placed_do_not_differ(law):
 def test_errors_of_several_centimetres_at_marks_are_found_although_they_follow_no_line(law):
     wave = 0.03 * np.sin(np.arange(len(MARKS)))
     found = between(law, marks(1, wave), marks(2))
-    assert found.p_value.value < 0.01
+    assert found.p_value.value < 1e-3
     (place,) = found.where
     inside = (place.region["distance"][0] - 1e-6 <= MARKS) & (place.region["distance"][1] + 1e-6 >= MARKS)
     assert place.aspect is Aspect.BIAS
