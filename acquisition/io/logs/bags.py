@@ -27,6 +27,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
 from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.extras import require
+from acquisition.io.memory import memory_limited
 from acquisition.io.recording import Recording
 from acquisition.io.tables import read_text_table
 
@@ -52,6 +53,7 @@ TRUTH_COLUMNS: Mapping[str, tuple[str, float]] = {
     "reflectance": ("reflectance", 1.0),
 }
 TIME_COLUMNS = ("time_s", "stamp_s")
+MAX_MEMORY, MEMORY_PER_BYTE = 2**30, 20  # bytes, at least and for each of the file; more is meant to fill the memory
 Progress = Callable[[int, int], None]
 
 
@@ -116,6 +118,12 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
+def size_of(path: Path) -> int:
+    """Return the number of bytes of a file, or of the files in a folder; 0 for neither."""
+    files = [each for each in (path, *path.glob("*")) if each.is_file()]
+    return sum(each.stat().st_size for each in files)
+
+
 @checked
 def import_bag(
     path: Path,
@@ -142,7 +150,7 @@ def import_bag(
     truth, constants = truth or GroundTruthSource(), dict(constants or {})
     if not (truth.topic or truth.table or "distance_mm" in constants):
         raise SettingError(f"{path}: a bag has no true distance; give a constant distance_mm, a topic or a table")
-    with _Bag(path) as bag:
+    with memory_limited(max(MAX_MEMORY, MEMORY_PER_BYTE * size_of(path))), _Bag(path) as bag:
         chosen = bag.sonars(topics, truth.topic)
         pings = pd.concat([bag.pings(topic, progress) for topic in chosen], ignore_index=True)
         known = bag.true_distances(truth) if truth.topic else None
@@ -245,7 +253,12 @@ class _Bag:
             return work()
         except RecordingError:
             raise
-        except Exception as error:  # also MemoryError, as a damaged length can be anything
+        except MemoryError as error:  # a damaged length can be anything, and a small chunk can claim to expand to it
+            raise RecordingError(
+                f"{self.path}: not a readable bag: it takes more than {MAX_MEMORY // 2**20} MiB of memory "
+                f"and {MEMORY_PER_BYTE} times its size"
+            ) from error
+        except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise RecordingError(f"{self.path}: not a readable bag: {reason}") from error
 

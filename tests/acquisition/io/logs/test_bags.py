@@ -209,6 +209,23 @@ def test_a_corrupt_bag_is_a_recording_error(tmp_path, kind):
     assert len(recording) == 200  # the lost bytes hold no message
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit of the address space")
+def test_a_bag_that_expands_without_end_takes_bounded_memory(tmp_path, monkeypatch):
+    import resource
+
+    bag = Bag(tmp_path)
+    bag.writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
+    with bag:
+        bag.range("/sonar", BEGAN, 1.0, frame="x" * 2**25)
+    assert bag.path.stat().st_size < 2**20
+    assert len(import_bag(bag.path, constants={"distance_mm": 1000.0}).recording) == 1
+    monkeypatch.setattr("acquisition.io.logs.bags.MAX_MEMORY", 2**24)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    with pytest.raises(RecordingError, match="not a readable bag: it takes more than"):
+        import_bag(bag.path, constants={"distance_mm": 1000.0})
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
 def test_a_bag_without_sonars_is_an_error(tmp_path):
     with pytest.raises(RecordingNotFoundError, match="no such bag"):
         import_bag(tmp_path / "no.bag", constants={"distance_mm": 1.0})
