@@ -188,7 +188,8 @@ class CorruptedByte(Effect):
         places = torch.cat([centre + power, centre - power])
         sigma = torch.sqrt(state.direct.spread**2 + (self.unit_m / 2.0) ** 2)
         allowed = (places > 0).to(torch.float64)
-        share = allowed / allowed.sum(dim=0)
+        more, less = allowed.chunk(2)
+        share = allowed / (self.bits * (more + less).tile(2, *[1] * (more.ndim - 1)))
 
         def cdf(edge: Tensor) -> Tensor:
             edge = edge.unsqueeze(-2)
@@ -198,6 +199,13 @@ class CorruptedByte(Effect):
 
         zero = number(0.0)
         return state.with_atom(Atom(self.probability, cdf, zero, zero))
+
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return the step on whose multiples all readings lie: a wrong bit changes the count of the same register."""
+        share, unit = cls.parameters
+        known = unit.low <= echoes.grid_m <= unit.high
+        return [{share.name: share.starts[0], unit.name: echoes.grid_m}] if known else []
 
     def statement(self) -> str:
         """Return a sentence with the probability."""

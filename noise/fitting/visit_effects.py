@@ -38,7 +38,7 @@ CARELESS = 0.1  # share of visits with such a target; chosen here
 MIN_PLACEMENT_M = 5e-4  # smallest placement error, whatever a few visits suggest; chosen here
 BANKS = ((1.0, 1.0 - CARELESS), (WIDE, CARELESS))
 FLOOR = 3e-4  # probability of an arbitrary reading, and of an arbitrary silence, in every law; chosen here
-MIN_PROBABILITY = 1e-250  # smallest divisor
+MIN_PROBABILITY = 1e-150  # smallest divisor, whose square, in the gradient, is a number
 RARE_ECHO = 1e-6  # probability of an echo below which 1 - P(no echo) has lost its digits
 N_LEVELS = 9  # nodes of the level of a visit: a quarter of its deviation apart in the middle
 
@@ -195,8 +195,9 @@ def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool) -> T
     """Return the probability of each reading under both banks, (banks, n), given the echoes before it in its visit."""
     banks = all_banks(law, visits, batch)
     echo, place = torch.from_numpy(batch.reading.echo), banks.echo_tensor(banks.step(batch.reading.range))
-    given_echo = place / torch.clamp(outcome_probability(banks, batch, exact), min=MIN_PROBABILITY)
-    return torch.where(echo, given_echo, 1.0) * outcome_given_visit(law, visits, batch, exact)
+    # 1 where there is no echo: what is not used there would still make the gradient NaN
+    likely = torch.where(echo, torch.clamp(outcome_probability(banks, batch, exact), min=MIN_PROBABILITY), 1.0)
+    return torch.where(echo, place / likely, 1.0) * outcome_given_visit(law, visits, batch, exact)
 
 
 def outcome_probability(law: PhysicalLaw, batch: Batch, exact: bool = False) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition import Ping, Recording
+from acquisition import Ping, Reading, Recording
 from noise.effects import CATALOGUE, EchoSample
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
@@ -105,3 +105,17 @@ def test_a_parameter_that_the_law_has_also_starts_a_little_beside_it(name, param
     starts = {start.get((name, parameter)) for start in starting_points(law, name, batch, np.random.default_rng(0))}
     assert any(value < start <= 4.0 * value for start in starts)
     assert any(value > start >= value / 4.0 for start in starts)
+
+
+@pytest.mark.parametrize("step", [0.001, 0.01, 0.0254])
+def test_wrong_bits_are_those_of_the_register(step):
+    rng = np.random.default_rng(0)
+    plain = batch_of(visits=60)
+    count = np.maximum(np.rint(plain.reading.range / step).astype(np.int64), 1)
+    wrong = np.where(rng.random(len(plain)) < 0.3, count ^ (1 << rng.integers(0, 16, len(plain))), count)
+    batch = Batch.of(Recording.of(plain.ping, Reading.of(wrong * step)))
+    starts = starting_points(nuisance_start(Stack.of(PhysicalModel()), batch), "corrupted_byte", batch, rng, 2)
+    best = max(starts, key=lambda stack: log_likelihood(stack, batch).sum())
+    found = maximise(best, (("corrupted_byte", "probability"), *NUISANCES), batch).stack
+    assert found.get(("corrupted_byte", "unit_m")) == pytest.approx(step)
+    assert found.get(("corrupted_byte", "probability")) == pytest.approx(0.3, abs=0.1)

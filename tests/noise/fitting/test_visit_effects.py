@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Reading, Recording
+from noise.discrepancy.name.candidates import keys_of
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
+from noise.fitting.stack import NUISANCES, Stack
+from noise.fitting.starts import nuisance_starts, starting_points
 from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
 from noise.physical import PhysicalModel
 
@@ -125,3 +128,21 @@ def test_a_misplaced_target_counts_about_once():
     each = log_prob(law_of(jittering(0.005), batch), VisitEffects(placement_m=0.002), batch).numpy()
     right = log_prob(law_of(jittering(0.005), batch), VisitEffects(placement_m=0.06), batch).numpy()
     assert each.sum() > right.sum() - 20.0
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_gradients_are_numbers_where_a_law_that_misses_nothing_meets_silence(name):
+    rng = np.random.default_rng(0)
+    distance = np.repeat(rng.uniform(0.3, 5.0, 24), 5)
+    ping = Ping.of(distance=distance, angle=np.repeat(rng.uniform(-0.5, 0.5, 24), 5), time=np.arange(120) * 10.0)
+    read = np.round(distance + rng.normal(0.0, 0.005, 120), 3)
+    batch = Batch.of(Recording.of(ping, Reading.of(np.where(rng.random(120) < 0.1, 0.0, read))))
+    for near in nuisance_starts(Stack.of(PhysicalModel()), batch):
+        for start in starting_points(near, name, batch, rng, 2):
+            free = [*keys_of(start, name, batch), *NUISANCES]
+            numbers = torch.tensor([start.get(key) for key in free], dtype=torch.float64, requires_grad=True)
+            model, visits = start.build(free, numbers)
+            nats = log_prob(law_of(model, batch), visits, batch).sum()
+            (gradient,) = torch.autograd.grad(nats, numbers)
+            assert torch.isfinite(nats)
+            assert torch.isfinite(gradient).all()
