@@ -126,8 +126,7 @@ class Search:
 
     def run(self) -> tuple[Hypothesis, Hypothesis]:
         """Return the hypothesis without differences and the selected one."""
-        none = self.renewed(self.null())
-        current = with_threshold(self, with_register(self, none))
+        current = with_threshold(self, with_register(self, self.renewed(self.null())))
         for _ in range(ROUNDS):
             if len(current.effects) >= MAX_CAUSES or (current.effects and not self.is_left(current)):
                 break
@@ -135,10 +134,9 @@ class Search:
             found = self.round(current)
             if found is None:
                 break
-            if found.effects != current.effects:  # else an effect joined the common law
-                found = self.renewed(self.accepted(self.polished(found), current))
-            none, current = self.null(), found
-        return none, self.with_scatter(current)
+            joined = found.effects == current.effects  # an effect joined the common law
+            current = found if joined else self.renewed(self.accepted(self.polished(found), current))
+        return self.null(), self.with_scatter(current)
 
     def accepted(self, found: Hypothesis, before: Hypothesis) -> Hypothesis:
         """Return a hypothesis with what its last effect makes needless left out: others, or that effect itself.
@@ -164,7 +162,7 @@ class Search:
         if law is self.common:
             return found
         self.common = self._familiar(law)
-        return self.polished(self.rebased(found)) if found.effects else self.null()
+        return self.rebased(found)
 
     def null(self) -> Hypothesis:
         """Return the hypothesis that only nuisances differ; it is fitted once for each common law."""
@@ -314,10 +312,8 @@ class Search:
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
             if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
-        best_names = sorted(
-            fits, key=lambda name: -fits[name].nats - fits[name].stack.log_size_prior(self.common, [name])
-        )
-        near = self._near(best_names, fits)
+        value = {name: fit.nats + fit.stack.log_size_prior(self.common, [name]) for name, fit in fits.items()}
+        near = self._near(sorted(fits, key=lambda name: -value[name]), fits)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
 
     def _gains_of(self, points: Mapping[str, tuple[float, list[Stack]]], stack: Stack) -> dict[str, Floats]:
@@ -366,11 +362,15 @@ class Search:
         return law or with_effect(self.common, keys, found.stacks, self.parts, simulated, self.least_gain)
 
     def rebased(self, current: Hypothesis) -> Hypothesis:
-        """Return a hypothesis fitted anew on a changed common law."""
-        none = self.null()
+        """Return a hypothesis fitted anew on a changed common law, from its own nuisances and from those of none."""
+        none, keys = self.null(), self.keys(current.effects)
         if not current.effects:
             return none
-        return self.crossed(current.stacks[0], none, current.effects, own_scatter=False)
+        free = (*keys, *self.nuisances)
+        own = [self.common.put(free, [stack.get(key) for key in free]) for stack in current.stacks]
+        effects = [[stack.get(key) for key in keys] for stack in current.stacks]
+        starts = [[law.put(keys, each), *own] for law, each in zip(none.stacks, effects, strict=True)]
+        return self.best(starts, lambda start, part: self.fitted(start, free, part, 40), current.effects)
 
     def pruned(self, current: Hypothesis) -> Hypothesis:
         """Return the hypothesis without the effects that a later one made needless, or a trifle beside it."""
