@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from acquisition.arrays import Floats
+from noise.discrepancy.name.hypothesis import may_lead
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit
 from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import JITTER, SPREAD, STEPWISE, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
@@ -84,6 +87,26 @@ def starts_of(stack: Stack, name: str, grid: Batch, whole: Batch, rng: np.random
         return points
     values = [{key: point.get(key) for key in keys_of(stack, name, whole)} for point in points]
     return [*points, *(narrow.at(value) for value in values)]
+
+
+def gains_of(points: Mapping[str, tuple[float, list[Stack]]], stack: Stack, screen: Batch) -> dict[str, Floats]:
+    """Return what the best starts of effects gain on each visit over a stack, nats, the greatest gain first.
+
+    Args:
+        points: log-likelihood of the best start of each effect, and its starts, the best first.
+        stack: without the effects.
+        screen: readings.
+    """
+    nats = screen.visit_sums(log_likelihood(stack, screen))
+    order = sorted(points, key=lambda name: -points[name][0])
+    return {name: screen.visit_sums(log_likelihood(points[name][1][0], screen)) - nats for name in order}
+
+
+def leading(names: Sequence[str], fits: Mapping[str, Fit], screen: Batch, least_gain: float) -> list[str]:
+    """Return the effects that may lead on other visits, of those sorted by their fit to a screen."""
+    nats = {name: screen.visit_sums(log_likelihood(fits[name].stack, screen)) for name in names}
+    behind = {name: nats[names[0]] - nats[name] for name in names}
+    return [name for name in names if may_lead(behind[name].sum(), behind[name], least_gain)]
 
 
 def narrowed(stack: Stack, batch: Batch) -> Stack:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,6 @@ from noise.discrepancy.name.candidates import starts_of
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.fitting.batch import Batch, share_without_echo
-from noise.fitting.fit import Fit
 from noise.fitting.likelihood import likeliest
 from noise.fitting.stack import Key, Stack
 from noise.fitting.starts import nuisance_starts
@@ -41,15 +40,10 @@ class Fits(Protocol):
     def least_gain(self) -> float:
         """Gain, nats, that is beyond chance."""
 
-    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
-        """Return the local maximum from a start."""
-
     def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
         """Return a hypothesis fitted on both folds."""
 
-    def best(
-        self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit], effects: Sequence[str]
-    ) -> Hypothesis:
+    def best(self, starts: Sequence[Sequence[Stack]], free: Sequence[Key], effects: Sequence[str]) -> Hypothesis:
         """Return the hypothesis of some effects of the best fit to each part."""
 
 
@@ -65,7 +59,7 @@ def with_register(search: Fits, none: Hypothesis) -> Hypothesis:
     for name in names:
         law, pairs = search.common.at({(name, STEP): grid}), zip(none.stacks, search.parts, strict=True)
         starts = [[near.at({(name, STEP): grid}), *nuisance_starts(law, part)] for near, part in pairs]
-        found.append(search.best(starts, lambda start, part: search.fitted(start, search.nuisances, part, 40), (name,)))
+        found.append(search.best(starts, search.nuisances, (name,)))
     best = max(found, key=lambda each: each.value)
     return best if best.value > none.value + search.least_gain else none
 

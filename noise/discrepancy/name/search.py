@@ -11,7 +11,7 @@ value there is a difference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +21,9 @@ from noise.discrepancy.baseline.forest import MAX_PINGS
 from noise.discrepancy.name.candidates import (
     candidate_names,
     explains_nothing,
+    gains_of,
     keys_of,
+    leading,
     starts_of,
     with_sampled_bounds,
 )
@@ -29,7 +31,7 @@ from noise.discrepancy.name.common import with_compensation, with_effect, with_n
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
@@ -176,7 +178,7 @@ class Search:
         if self._null is not None:
             known = [[stack.get(key) for key in self.nuisances] for stack in self._null[1].stacks]
             starts = [[self.common.put(self.nuisances, values) for values in known]] * len(self.parts)
-        return self.best(starts, lambda start, part: self.fitted(start, self.nuisances, part, 40))
+        return self.best(starts, self.nuisances)
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
         """Return a fitted hypothesis with its log-likelihood on the other folds.
@@ -213,8 +215,20 @@ class Search:
     def polished(self, found: Hypothesis) -> Hypothesis:
         """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
         free = (*self.keys(found.effects), *self.nuisances)
-        starts = [found.stacks] * len(self.parts)
-        return self.best(starts, lambda start, part: self.fitted(start, free, part, 40), found.effects)
+        pairs = zip(found.stacks, self.parts, strict=True)
+        starts = [[*found.stacks, *self.shared_first(stack, found.effects, part)] for stack, part in pairs]
+        return self.best(starts, free, found.effects)
+
+    def shared_first(self, stack: Stack, effects: Sequence[str], batch: Batch) -> list[Stack]:
+        """Return effects fitted with the nuisances of the simulation, which a recording shares by default.
+
+        In a fit of all at once an effect may come to stand for the scatter of most readings, or seem to gain little
+        beside nuisances that stand for it. Empty where no simulated readings tell them, or the stack's are like theirs.
+        """
+        if self.simulated is None or stack.log_nuisance_prior() > -MISSED:
+            return []
+        begin = stack.put(self.nuisances, [self.common.get(key) for key in self.nuisances])
+        return [self.fitted(begin, self.keys(effects), batch, LONG).stack]
 
     def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
         """Return the local maximum from a start; the scales of nuisances are measured once for each batch."""
@@ -242,15 +256,12 @@ class Search:
         values = [self.common.get(key) for key in held]
         pairs = zip(found.stacks, self.parts, strict=True)
         starts = [[near] if found.effects else [near, *nuisance_starts(self.common, p)] for near, p in pairs]
-        return self.best(
-            starts, lambda start, part: self.fitted(start.put(held, values), free, part, 40), found.effects
-        )
+        return self.best([[start.put(held, values) for start in each] for each in starts], free, found.effects)
 
-    def best(
-        self, starts: Sequence[Sequence[Stack]], fit: Callable[[Stack, Batch], Fit], effects: Sequence[str] = ()
-    ) -> Hypothesis:
+    def best(self, starts: Sequence[Sequence[Stack]], free: Sequence[Key], effects: Sequence[str] = ()) -> Hypothesis:
         """Return the likeliest hypothesis of some effects: the best fit to each part, or those from the same start."""
-        fits = [[fit(start, part) for start in each] for each, part in zip(starts, self.parts, strict=True)]
+        pairs = zip(starts, self.parts, strict=True)
+        fits = [[self.fitted(start, free, part, 40) for start in each] for each, part in pairs]
         alike = [[each.stack for each in row] for row in zip(*fits, strict=True)]
         every = [self.scored(effects, stacks) for stacks in ([highest(each).stack for each in fits], *alike)]
         return max(every, key=lambda each: each.value)
@@ -304,7 +315,7 @@ class Search:
                 # a second start is worth a fit where a few readings cannot tell it from the best
                 close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
                 points[name] = scored[best[0]], [starts[k] for k in close]
-        order = first_kinds(self._gains_of(points, stack), N_SCREENED)
+        order = first_kinds(gains_of(points, stack, self.screen), N_SCREENED)
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         fits, n_pings = {}, sum(len(part) for part in self.parts)
         for name in order:
@@ -313,31 +324,23 @@ class Search:
             if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
                 fits[name] = fit
         value = {name: fit.nats + fit.stack.log_size_prior(self.common, [name]) for name, fit in fits.items()}
-        near = self._near(sorted(fits, key=lambda name: -value[name]), fits)
+        near = leading(sorted(fits, key=lambda name: -value[name]), fits, self.screen, self.least_gain)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
-
-    def _gains_of(self, points: Mapping[str, tuple[float, list[Stack]]], stack: Stack) -> dict[str, Floats]:
-        """Return what the starts of effects gain on each visit of the screen over a stack, the greatest gain first."""
-        nats = self.screen.visit_sums(log_likelihood(stack, self.screen))
-        order = sorted(points, key=lambda name: -points[name][0])
-        return {n: self.screen.visit_sums(log_likelihood(points[n][1][0], self.screen)) - nats for n in order}
 
     def _refined(self, start: Stack, current: Hypothesis, name: str, iterations: int) -> Fit:
         """Return one more effect fitted to the screen together with those before it."""
         return self.fitted(start, (*self.keys([*current.effects, name]), *SPREAD), self.screen, iterations)
 
-    def _near(self, names: Sequence[str], fits: Mapping[str, Fit]) -> list[str]:
-        """Return the effects that may lead on unseen visits, of those sorted by their fit to the screen."""
-        nats = {name: self.screen.visit_sums(log_likelihood(fits[name].stack, self.screen)) for name in names}
-        behind = {name: nats[names[0]] - nats[name] for name in names}
-        return [n for n in names if may_lead(behind[n].sum(), behind[n], self.least_gain)]
-
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
         """Return one more effect, cross-fitted from the present scatter; from its own where it explains outliers."""
+        effects = (*current.effects, name)
         narrow = self.common.known[name].localised and any(
             fit.stack.get(key) < NARROWED * current.stacks[0].get(key) for key in (SPREAD[0], SPREAD[2])
         )
-        return self.crossed(fit.stack, current, (*current.effects, name), narrow)
+        found = [self.crossed(fit.stack, current, effects, narrow)]
+        others = self.shared_first(fit.stack, effects, self.screen)
+        found += [self.crossed(each, current, effects, own_scatter=True) for each in others]
+        return max(found, key=lambda each: each.value)
 
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis], gains: dict[str, Floats]) -> str | None:
         """Return the effect of greatest gain beyond chance, the simplest of those as good within chance."""
@@ -370,7 +373,7 @@ class Search:
         own = [self.common.put(free, [stack.get(key) for key in free]) for stack in current.stacks]
         effects = [[stack.get(key) for key in keys] for stack in current.stacks]
         starts = [[law.put(keys, each), *own] for law, each in zip(none.stacks, effects, strict=True)]
-        return self.best(starts, lambda start, part: self.fitted(start, free, part, 40), current.effects)
+        return self.best(starts, free, current.effects)
 
     def pruned(self, current: Hypothesis) -> Hypothesis:
         """Return the hypothesis without the effects that a later one made needless, or a trifle beside it."""
