@@ -29,7 +29,7 @@ demo: $(STAMP)  ## record, diagnose, correct and drive; leaves demo/report.html 
 	$(BIN)/sonar-gym demo --out demo
 
 test: $(STAMP) check  ## lint, types, import contracts, and every test that is not slow
-	$(BIN)/python -m pytest -n 2 --dist loadfile -q
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -q
 
 docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an error
 	NO_MKDOCS_2_WARNING=1 SONAR_GYM_URL=$(URL) $(BIN)/mkdocs build --quiet

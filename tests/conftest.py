@@ -1,6 +1,7 @@
 """Shared options and fixtures of the tests: real hardware, real recordings, published networks."""
 
 import contextlib
+import gc
 import os
 from pathlib import Path
 
@@ -20,6 +21,11 @@ SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "sh
 def pytest_addoption(parser):
     parser.addoption("--hardware", metavar="PORT", help="also test a real sonar at PORT, with a wall 0.3 to 3 m away")
     parser.addoption("--sonar", metavar="NAME", default="srf08", help="driver for `--hardware`")
+
+
+def pytest_collection_finish():
+    """Spare the garbage collector the modules and tests, which stay to the end and are many."""
+    gc.freeze()
 
 
 def shared_folder(name: str, content: str) -> Path:

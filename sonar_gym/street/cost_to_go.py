@@ -162,12 +162,10 @@ def pose_of(cell: int, cells: tuple[int, int, int], low: Floats, step: Floats, p
 
 
 @compiled
-def moved(pose: Floats, travel: float, curvature: float, body: Floats, wide: Floats, outline: Floats) -> float:
-    """Move a pose along an arc, and return the cost per metre, infinite if the car touches something on the way."""
-    for _ in range(2):
-        pose[0], pose[1], pose[2] = roll(pose, 0.5 * travel, curvature)
-        if touches(pose, body, outline) != NO_HIT:
-            return math.inf
+def price(middle: Floats, pose: Floats, body: Floats, wide: Floats, outline: Floats) -> float:
+    """Return the cost per metre of an arc by its middle and its end, infinite if the car touches something there."""
+    if touches(middle, body, outline) != NO_HIT or touches(pose, body, outline) != NO_HIT:
+        return math.inf
     return 1.0 if touches(pose, wide, outline) == NO_HIT else NEAR_FACTOR
 
 
@@ -192,7 +190,7 @@ def search(
     """
     count, length = cells[0] * cells[1] * cells[2], 2.0 * step[0]
     cost, arrival = np.full((count, 2), UNREACHED, np.float32), np.empty((count, 2, 3), np.float32)
-    done, pose = np.zeros((count, 2), np.bool_), np.empty(3)
+    done, middle, pose = np.zeros((count, 2), np.bool_), np.empty(3), np.empty(3)
     queue = [(0.0, 0)]
     queue.clear()
     for cell in range(count):
@@ -210,11 +208,16 @@ def search(
         for to in (FORWARD, BACKWARD):
             change = CHANGE_M if to != way and now > 0.0 else 0.0
             for bend in (-1.0, 0.0, 1.0):
+                half = step[0] if to == FORWARD else -step[0]
                 pose[:] = arrival[cell, way]
-                travel = length if to == FORWARD else -length
-                total = now + change + length * moved(pose, travel, bend / radius, body, wide, outline)
-                other = cell_of(pose, cells, low, step) if total < math.inf else -1
-                if other >= 0 and total < cost[other, to] - TIE_M:
+                middle[0], middle[1], middle[2] = roll(pose, half, bend / radius)
+                pose[0], pose[1], pose[2] = roll(middle, half, bend / radius)
+                other = cell_of(pose, cells, low, step)
+                # most ways end where a shorter one ended, which is known before it is known what they touch
+                if other < 0 or now + change + length >= cost[other, to] - TIE_M:
+                    continue
+                total = now + change + length * price(middle, pose, body, wide, outline)
+                if total < cost[other, to] - TIE_M:
                     cost[other, to], arrival[other, to] = total, pose
                     heapq.heappush(queue, (total, 2 * other + to))
     return cost

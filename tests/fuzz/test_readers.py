@@ -20,7 +20,6 @@ from acquisition.io.tables import MAX_COLUMNS
 from acquisition.survey.planfile import KEYS, find_plan
 from noise import load_model, save_model
 from noise.composed import ComposedModel
-from noise.discrepancy import diagnose
 from noise.faults import Faulty, Short
 from noise.model import GaussianModel, IdealModel
 from noise.physical import PhysicalModel
@@ -29,9 +28,9 @@ from sonar_gym.agent import WEIGHTS as AGENTS
 from sonar_gym.agent import load_policy
 from sonar_gym.sb3 import SonarVecEnv
 from tests.acquisition.io.logs.test_bags import Bag
-from tests.fuzz.conftest import recording
 from tests.fuzz.rule import EXAMPLES, FUZZ, check_rejected, check_used_or_rejected, digests, limited
 from tests.fuzz.tables import csv_bytes
+from tests.training.diagnosis.conftest import SITUATIONS
 from training.agents.drivers import load_zip
 from training.proof.chain import load as load_ledger
 
@@ -226,7 +225,7 @@ def test_models_of_stable_baselines(learner, tmp_path_factory, data):
 @pytest.fixture(scope="module")
 def verdict(tmp_path_factory):
     """Content of a verdict.json."""
-    return diagnose(IdealModel(), recording(48)).verdict.to_dict()
+    return SITUATIONS["scale"]().verdict.to_dict()
 
 
 @FUZZ

@@ -1,4 +1,4 @@
-"""The console command as a process: output and exit code."""
+"""The console command, also as a process: output and exit code."""
 
 import os
 import sqlite3
@@ -43,10 +43,11 @@ def test_a_shell_completes_commands_and_options(shell, capsys):
     assert "--range-register" in text
 
 
-def test_an_unknown_shell_is_named():
-    done = sonar_gym("completion", "dos")
-    assert done.returncode == 2
-    assert "expected one shell of bash, zsh, fish, got 'dos'" in done.stderr
+def test_an_unknown_shell_is_named(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["completion", "dos"])
+    assert stop.value.code == 2
+    assert "expected one shell of bash, zsh, fish, got 'dos'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -65,8 +66,10 @@ def test_an_unknown_command_is_one_line_and_exit_code_2():
     assert "'diagnos' is not a command; did you mean diagnose?" in done.stderr
 
 
-def test_a_name_like_no_other_lists_the_commands():
-    assert "'qqq' is not a command; commands: demo, record" in sonar_gym("qqq").stderr
+def test_a_name_like_no_other_lists_the_commands(capsys):
+    with pytest.raises(SystemExit):
+        main(["qqq"])
+    assert "'qqq' is not a command; commands: demo, record" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -150,13 +153,12 @@ def test_a_name_that_the_terminal_cannot_show_is_spelled_out(tmp_path):
     assert out.is_file()
 
 
-def test_a_real_log_is_imported(real_recordings, tmp_path):
+def test_a_real_log_is_imported(real_recordings, tmp_path, capsys):
     out = tmp_path / "calibration.csv"
     columns = ["distance_mm=true_cm:cm", "reading_mm=measured_cm:cm", "session=source_file", "temperature_c=temp1_c"]
     source = real_recordings / "hcsr04-calibration" / "readings.csv"
-    done = sonar_gym("import", source, "--out", out, "--columns", *columns, "--constants", "angle_deg=0")
-    assert done.returncode == 0, done.stderr
-    assert "3150 pings in 45 conditions and 20 runs" in done.stdout
+    main(["import", str(source), "--out", str(out), "--columns", *columns, "--constants", "angle_deg=0"])
+    assert "3150 pings in 45 conditions and 20 runs" in capsys.readouterr().out
     assert out.is_file()
 
 

@@ -16,7 +16,7 @@ from sonar_gym.bridges.opendlv.car import CarOptions, Controls, SessionCar
 from sonar_gym.bridges.opendlv.messages import FRAME, KINEMATICS, PEDAL, READING, STEERING
 from sonar_gym.bridges.opendlv.session import Session, seconds_of, time_of
 from sonar_gym.bridges.opendlv.wire import Envelope
-from sonar_gym.parking.environment import STEP_S, SonarParkingEnv
+from sonar_gym.parking.environment import MAX_STEPS, STEP_S, SonarParkingEnv
 
 SEED = 0
 QUIET_STREET = 4  # seed of a street in which some sonars hear nothing at first
@@ -59,7 +59,7 @@ class LossyLink:
         self.link.close()
 
 
-def drive_with_agent(env, car_session, agent_session, seeds=(SEED,)):
+def drive_with_agent(env, car_session, agent_session, seeds=(SEED,), max_steps=MAX_STEPS):
     agent = SessionAgent(agent_session, options=AgentOptions(patience_s=3.0))
 
     def work():
@@ -69,7 +69,8 @@ def drive_with_agent(env, car_session, agent_session, seeds=(SEED,)):
     worker = threading.Thread(target=work, daemon=True)
     worker.start()
     car = SessionCar(car_session, env, LOCK_STEP)
-    outcomes = [car.drive(seed) for seed in seeds]
+    outcomes = [car.drive(seed, max_steps) for seed in seeds]
+    agent_session.close()  # ends the agent, which would wait for another Frame
     worker.join(10.0)
     return outcomes
 
@@ -84,7 +85,7 @@ def test_the_agent_parks_our_car_through_the_session_as_it_does_without(env, dir
 
 def test_lost_and_doubled_datagrams_do_not_stop_the_drive(env, pair):
     one, two = (Session(LossyLink(session.link, k)) for k, session in enumerate(pair))
-    (outcome,) = drive_with_agent(env, one, two)
+    (outcome,) = drive_with_agent(env, one, two, max_steps=100)
     assert outcome.steps > 30  # without readings it may park or not, but it drives
 
 

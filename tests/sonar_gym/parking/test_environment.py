@@ -154,7 +154,7 @@ def test_ideal_sonar_reads_the_truth_up_to_its_resolution():
 
 
 def test_noise_has_the_standard_deviation_of_the_model():
-    env = gymnasium.make("SonarParking-v0", sonar=GaussianModel(sigma=0.02, sigma_per_metre=0.0))
+    env = gymnasium.make("SonarParking-v0", sonar=GaussianModel(sigma=0.02, sigma_per_metre=0.0), credence_driver=None)
     error = []
     for seed in range(5):
         for observation, info in drive(env, seed):

@@ -153,7 +153,7 @@ def test_texture_reduces_the_incidence_given_to_the_model():
 def test_info_has_the_cause_of_every_reading():
     sonar = Faulty(GaussianModel(sigma=1e-4, sigma_per_metre=0.0, miss=0.3), [Constant(rate=0.25, value=0.5)])
     narrow = [{**nose()[0], "name": str(k), "heading_deg": 45.0 * k} for k in range(8)]  # at most one reflector each
-    env, readings = SonarParkingEnv(sonar=sonar, sonar_layout=narrow), []
+    env, readings = SonarParkingEnv(sonar=sonar, sonar_layout=narrow, credence_driver=None), []
     observation, info = env.reset(seed=0)
     for _ in range(300):
         readings += [(env.causes[k], float(r)) for k, r in zip(info["cause"], observation["ranges"], strict=True)]

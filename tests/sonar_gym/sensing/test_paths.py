@@ -103,7 +103,7 @@ def test_the_path_detected_most_often_is_last():
 def wall_with_kerbs(sonar, episodes=600):
     """Return the share of readings of the wall at 2 m, with kerbs beside the lane, and by the law alone."""
     nose = [{"name": "nose", "x": 0.36, "y": 0.0, "heading_deg": 0.0}]
-    env = SonarParkingEnv(sonar=sonar, sonar_layout=nose)
+    env = SonarParkingEnv(sonar=sonar, sonar_layout=nose, credence_driver=None)
     boxes = [{"begin": 0.6, "length": 0.3}, {"begin": 2.2, "length": 0.3}]
     # the wall stands 1 m behind the last box, at x = 3.5 m; its reflectance is that of the kerbs
     start = {"boxes": boxes, "start": [3.5 - 2.0 - 0.36, 0.38, 0.0], "street": {"recess": (0.0, 0.0)}}

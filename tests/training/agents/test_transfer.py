@@ -52,7 +52,7 @@ def test_a_shifted_law_reads_longer_and_counts_credence_from_the_origin():
 def test_the_environment_observes_credence_of_the_assumed_model():
     assumed = GaussianModel(sigma=0.1)
     sonars = (MismatchedModel(IdealModel(), assumed), assumed)
-    envs = [SonarParkingVectorEnv(2, sonar=sonar, threads=1) for sonar in sonars]
+    envs = [SonarParkingVectorEnv(2, sonar=sonar, threads=1, credence_driver=None) for sonar in sonars]
     tables = [env.fleet.sonar.tables for env in envs]
     assert np.array_equal(*tables)
     for env in envs:

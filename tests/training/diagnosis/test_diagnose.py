@@ -65,7 +65,7 @@ def test_the_corrected_model_loads_and_runs_in_the_environment(finished):
     assert str(out / "corrected") in text
     middle = load_model(out / "corrected").law(Ping.of(distance=[1.0, 2.0])).quantile(0.5)
     assert np.allclose(middle, [1.0152, 2.0304], atol=0.002)
-    environment = gymnasium.make("SonarParking-v0", sonar=str(out / "corrected"))
+    environment = gymnasium.make("SonarParking-v0", sonar=str(out / "corrected"), credence_driver=None)
     environment.reset(seed=0)
     environment.step(environment.action_space.sample())
     environment.close()
