@@ -262,7 +262,7 @@ class Search:
         """Return the likeliest hypothesis of some effects: the best fit to each part, or those from the same start."""
         pairs = zip(starts, self.parts, strict=True)
         fits = [[self.fitted(start, free, part, 40) for start in each] for each, part in pairs]
-        alike = [[each.stack for each in row] for row in zip(*fits, strict=True)]
+        alike = [[each.stack for each in row] for row in zip(*fits, strict=False)]  # a part may have more starts
         every = [self.scored(effects, stacks) for stacks in ([highest(each).stack for each in fits], *alike)]
         return max(every, key=lambda each: each.value)
 
