@@ -15,7 +15,7 @@ import tyro.extras
 from acquisition import MissingExtraError, SettingError
 from acquisition.io.places import check_places
 from acquisition.limits import check_settings, near, shown
-from acquisition.name_check import check_names
+from acquisition.name_check import ForeignNameError, check_names, foreign
 from acquisition.version import __version__
 from training.common.door import door, parsing
 
@@ -152,6 +152,8 @@ def _load(name: str) -> Any:  # a module with Args and main
     try:
         return importlib.import_module(f"training.{COMMANDS[name][0]}")
     except ModuleNotFoundError as error:
+        if (reason := foreign()) is not None:
+            raise ForeignNameError(reason) from None
         hint = "pip install 'sonar-gym[all]'"
         raise MissingExtraError(f"`sonar-gym {name}` needs the package {error.name!r}: {hint}") from None
 
