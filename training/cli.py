@@ -39,7 +39,7 @@ GROUPS = {
         "dataset": ("agents.dataset", "write episodes of drivers as datasets of Minari for offline learning"),
         "sweep": ("agents.sweep", "train agents with many seeds and settings on Ray Tune"),
         "effects": ("pages.effects", "list the effects that a diagnosis can name"),
-        "view": ("pages.view", "show a folder of results as a page in the browser"),
+        "view": ("pages.view", "write a page of a folder of results, for the browser"),
     },
     "other programs": {
         "bridge": ("bridges.bridge", "connect to OpenDLV, ROS and Webots: sonars, a car, an agent, files"),
@@ -108,8 +108,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 def overview() -> str:
     """Return the help text: one line per command, by group."""
     head = "sonar-gym: realistic sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]"
+    width = max(map(len, COMMANDS))
     blocks = [
-        "\n".join([f"{title}:", *(f"  {name:<19} {summary}" for name, (_, summary) in group.items())])
+        "\n".join([f"{title}:", *(f"  {name:<{width}}  {summary}" for name, (_, summary) in group.items())])
         for title, group in GROUPS.items()
     ]
     return "\n\n".join([head, *blocks, FOOT])
