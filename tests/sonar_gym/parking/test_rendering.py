@@ -112,6 +112,6 @@ def test_words_do_not_overlap(monkeypatch, cause):
     width = image().shape[1]
     panel = [box for box in boxes if box[3] > HEIGHT - FOOTER]
     assert len(panel) > 2 * 8
-    assert all(0 <= left and right <= width for _, left, right, *_ in panel)
+    assert all(left >= 0 and right <= width for _, left, right, *_ in panel)
     pairs = [(a, b) for a, b in itertools.combinations(panel, 2) if a[1] < b[2] and b[1] < a[2]]
     assert [(a[0], b[0]) for a, b in pairs if a[3] + 4 < b[4] and b[3] + 4 < a[4]] == []  # 4: above and below letters
