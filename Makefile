@@ -34,9 +34,17 @@ test: $(STAMP) check  ## lint, types, import contracts, and every test that is n
 docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an error
 	NO_MKDOCS_2_WARNING=1 SONAR_GYM_URL=$(URL) $(BIN)/mkdocs build --quiet
 
-figures: $(STAMP)  ## make the pictures of the docs again: effects, film, tutorials (a quarter of an hour)
+figures: $(STAMP)  ## make the pictures of the docs again, but those of experiments: their pages state the command (a quarter of an hour)
 	$(BIN)/sonar-gym effects --out docs/reference/effects
 	$(BIN)/sonar-gym demo --out demo && cp demo/parking.gif docs/images/parking.gif
+	$(BIN)/python examples/record_gif.py docs/images/parking.png srf08-mlp
+	rm -rf runs/figures && mkdir -p runs/figures
+	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 11 --range-register 139 --out runs/figures/thesis.csv
+	$(BIN)/sonar-gym plot runs/figures/thesis.csv --out runs/figures/thesis
+	cp runs/figures/thesis/credence-plane.png docs/images/credence-plane.png
+	$(BIN)/sonar-gym record --driver rig --plan vertical --gain 31 --out runs/figures/vertical.csv
+	$(BIN)/sonar-gym plot runs/figures/vertical.csv --bearing pitch_deg --out runs/figures/vertical
+	cp runs/figures/vertical/credence-polar.png docs/images/vertical.png
 	for book in docs/tutorials/*.ipynb; do folder=$$(mktemp -d) && cp $$book $$folder \
 		&& PATH=$(CURDIR)/$(BIN):$$PATH env -u MPLBACKEND TTY_COMPATIBLE=0 $(BIN)/jupyter nbconvert --to notebook --execute --inplace \
 		--ExecutePreprocessor.coalesce_streams=True --ExecutePreprocessor.record_timing=False $$folder/*.ipynb \

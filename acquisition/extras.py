@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol
 
 from acquisition.errors import MissingExtraError
-from acquisition.name_check import check_names
+from acquisition.name_check import ForeignNameError, check_names, foreign
 
 
 class FigureLike(Protocol):
@@ -32,7 +32,11 @@ def load_extra(module: str, extra: str) -> Any:
     check_names(module.partition(".")[0])
     try:
         return importlib.import_module(module)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
+        if (reason := foreign()) is not None:
+            raise ForeignNameError(reason) from None
+        if not isinstance(error, ModuleNotFoundError):
+            raise
         raise _missing(error.name, extra) from None
 
 

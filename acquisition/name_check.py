@@ -9,6 +9,10 @@ from acquisition.errors import SonarError
 
 # package -> a module that no other package of that name has
 OURS = {"noise": "law.py", "sonar_gym": "wrappers", "training": "cli.py"}
+THEIRS = (  # packages of others that this project needs; each is a folder, so a file of that name is the user's
+    "gymnasium", "matplotlib", "numba", "numpy", "pandas", "pydantic", "rich", "scipy", "stable_baselines3", "torch",
+    "tyro",
+)  # fmt: skip
 
 
 class ForeignNameError(SonarError, ImportError):
@@ -33,10 +37,24 @@ def check_names(*names: str) -> None:
             )
 
 
+def foreign() -> str | None:
+    """Return what to do about a file of the user's that shadows a package of `THEIRS`; None if there is none."""
+    specs = [spec for spec in map(find_spec, THEIRS) if spec is not None]
+    found = next((spec for spec in specs if spec.submodule_search_locations is None), None)
+    if found is None:
+        return None
+    return f"`import {found.name}` finds {found.origin}, not the package {found.name}: {renamed(found.origin)}"
+
+
 def remedy(name: str, origin: Path | None) -> str:
     """Return what to do about a package that shadows one of this project."""
     if origin is not None and "site-packages" not in origin.parts:
         found = origin if origin.name != "__init__.py" else origin.parent
-        return f"rename {found}, since Python finds it first"
+        return renamed(found)
     uninstall = "" if origin is None else f"run `pip uninstall {name}`, then "
     return f"{uninstall}`pip install --force-reinstall --no-deps sonar-gym`"
+
+
+def renamed(path: Path | str | None) -> str:
+    """Return what to do about a file or a folder of the user's."""
+    return f"rename {path}, since Python finds it first"

@@ -58,3 +58,10 @@ def test_every_room_is_on_its_package_page():
     for page in PACKAGES:
         rooms = {p.parent.name for p in (ROOT / page.stem).glob("*/__init__.py")}
         assert rooms <= set(re.findall(r"`(\w+)/`", page.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES[1:] if "![" in page.read_text()], ids=lambda page: page.stem)
+def test_a_page_with_figures_states_commit_and_command(page):
+    text = page.read_text(encoding="utf-8")
+    assert re.search(r"\b(?:commit|at) [0-9a-f]{7,40}\b", text, re.IGNORECASE)
+    assert re.search(r"(?:sonar-gym|python -m|make) [\w-]+|examples/\w+\.py", text)

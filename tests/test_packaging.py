@@ -71,7 +71,8 @@ def test_the_archives_hold_weights_types_and_templates(built):
         "training/pages/templates/view.html",
     ):
         assert member in names
-    assert {name.split("/")[0] for name in names} - {"acquisition", "noise", "sonar_gym", "training"} == {
+    own = {"acquisition", "noise", "sonar_gym", "training", "sonar_gym_command.py"}
+    assert {name.split("/")[0] for name in names} - own == {
         next(name.split("/")[0] for name in names if ".dist-info" in name)
     }
     with tarfile.open(sdist) as archive:

@@ -15,7 +15,7 @@ import tyro.extras
 from acquisition import MissingExtraError, SettingError
 from acquisition.io.places import check_places
 from acquisition.limits import check_settings, near, shown
-from acquisition.name_check import check_names
+from acquisition.name_check import ForeignNameError, check_names, foreign
 from acquisition.version import __version__
 from training.common.door import door, parsing
 
@@ -39,7 +39,7 @@ GROUPS = {
         "dataset": ("agents.dataset", "write episodes of drivers as datasets of Minari for offline learning"),
         "sweep": ("agents.sweep", "train agents with many seeds and settings on Ray Tune"),
         "effects": ("pages.effects", "list the effects that a diagnosis can name"),
-        "view": ("pages.view", "show a folder of results as a page in the browser"),
+        "view": ("pages.view", "write a page of a folder of results, for the browser"),
     },
     "other programs": {
         "bridge": ("bridges.bridge", "connect to OpenDLV, ROS and Webots: sonars, a car, an agent, files"),
@@ -108,8 +108,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 def overview() -> str:
     """Return the help text: one line per command, by group."""
     head = "sonar-gym: realistic sonar for simulated robots\n\nusage: sonar-gym COMMAND [options]"
+    width = max(map(len, COMMANDS))
     blocks = [
-        "\n".join([f"{title}:", *(f"  {name:<19} {summary}" for name, (_, summary) in group.items())])
+        "\n".join([f"{title}:", *(f"  {name:<{width}}  {summary}" for name, (_, summary) in group.items())])
         for title, group in GROUPS.items()
     ]
     return "\n\n".join([head, *blocks, FOOT])
@@ -152,6 +153,8 @@ def _load(name: str) -> Any:  # a module with Args and main
     try:
         return importlib.import_module(f"training.{COMMANDS[name][0]}")
     except ModuleNotFoundError as error:
+        if (reason := foreign()) is not None:
+            raise ForeignNameError(reason) from None
         hint = "pip install 'sonar-gym[all]'"
         raise MissingExtraError(f"`sonar-gym {name}` needs the package {error.name!r}: {hint}") from None
 

@@ -288,21 +288,21 @@ def _bars(brush: Brush, world: WorldView, top: float) -> None:
 
 
 def _bar(brush: Brush, world: WorldView, i: int, name: str, x: float, y: float) -> None:
-    readings, hits, start, span = world.readings, world.hits, x + 88, 120.0
+    readings, hits, start, span = world.readings, world.hits, x + 80, 100.0
     brush.text(name, (x, y), 14)
     brush.panel(start, y - 5, span, 10, drawing.HAIRLINE, 5)
     if readings.reading.echo[i]:
         share = min(readings.reading.range[i] / BAR_SPAN, 1.0)
         brush.panel(start, y - 5, max(share * span, 6), 10, drawing.credence_colour(readings.credence[i]), 5)
-        brush.text(f"{readings.reading.range[i]:.2f} m", (start + span + 8, y), 14)
+        brush.text(f"{readings.reading.range[i]:.2f} m", (start + span + 6, y), 14)
     else:
         answered = bool(readings.reading.answered[i])
-        brush.text("no echo" if answered else "no answer", (start + span + 8, y), 14, drawing.FAINT)
+        brush.text("no echo" if answered else "no answer", (start + span + 6, y), 14, drawing.FAINT)
     if hits.in_cone[i]:
         at = start + min(hits.distance[i] / BAR_SPAN, 1.0) * span
         brush.line([(at, y - 8), (at, y + 8)], drawing.INK, 2)
     if world.causes[i] not in UNLABELLED_CAUSES:
-        brush.text(world.causes[i], (start + span + 68, y), 14, drawing.BAD)
+        brush.text(world.causes[i], (start + span + 66, y), 14, drawing.BAD)
 
 
 def _legend(brush: Brush, top: float) -> None:

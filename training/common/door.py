@@ -22,6 +22,7 @@ from concurrent.futures import BrokenExecutor
 from importlib.metadata import PackageNotFoundError, version
 
 from acquisition import SonarError
+from acquisition.name_check import foreign
 
 USAGE_ERROR, CRASHED, INTERRUPTED = 2, 1, 130
 QUOTED = re.compile(r"'[^']{61,}'")
@@ -90,6 +91,8 @@ def reason_of(error: BaseException) -> str | None:
     """Return what the user is told about a foreseeable failure; None for any other."""
     if isinstance(error, SonarError):
         return str(error)
+    if isinstance(error, ImportError | AttributeError) and (hidden := foreign()) is not None:
+        return hidden
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"needs the package {error.name!r}: pip install 'sonar-gym[{EXTRAS[error.name]}]'"
     if isinstance(error, MemoryError):

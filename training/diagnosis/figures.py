@@ -102,9 +102,9 @@ def scores(axes: Axes, verdict: Verdict, corrected: bool) -> None:
     """Draw mean prediction errors on unseen visits as bars."""
     test = verdict.held_out
     rows = [(BEFORE_LABEL, test.before.crps_m, BEFORE)]
-    rows += [("emulator of it", test.emulator.crps_m, SOFT)] if test.emulator != test.before else []
+    rows += [("emulator", test.emulator.crps_m, SOFT)] if test.emulator != test.before else []
     rows += [(AFTER_LABEL, test.after.crps_m, AFTER)] if corrected else []
-    rows += [("recording repeated", test.repeatability_m, INK)]
+    rows += [("own nearest positions", test.repeatability_m, INK)]
     rows = [row for row in rows if np.isfinite(row[1])][::-1]
     size = [1000.0 * row[1] for row in rows]
     axes.barh([row[0] for row in rows], size, color=[row[2] for row in rows], height=0.62)

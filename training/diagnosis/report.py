@@ -137,9 +137,9 @@ def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         return [
             ("Mean prediction error", before, "of your simulation on this recording"),
             (
-                "Predicted from its own visits",
+                "Predicted from its own nearest positions",
                 quantity(test.repeatability_m, "m"),
-                "by the nearest other positions of the recording",
+                "by the recording itself",
             ),
             ("Pings", f"{len(diagnosis.recorded):,}", "in the recording"),
         ]
@@ -153,9 +153,9 @@ def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         ("Mean prediction error", before + after, f"{note}, on {test.n_pings:,} unseen pings"),
         (shown[0], quantity(shown[1], "1"), "of the difference"),
         (
-            "Predicted from its own visits",
+            "Predicted from its own nearest positions",
             quantity(test.repeatability_m, "m"),
-            "by the nearest other positions of the recording",
+            "by the recording itself",
         ),
     ]
 
@@ -166,7 +166,7 @@ def fit_rows(test: HeldOut, offered: bool) -> list[tuple[str, str, str]]:
     rows += [("emulator of your simulation", test.emulator)] if test.emulator != test.before else []
     rows += [("corrected model", test.after)] if offered else []
     table = [(name, quantity(each.crps_m, "m"), plain(each.log_likelihood_per_ping, 3)) for name, each in rows]
-    return [*table, ("the recording's nearest other visits", quantity(test.repeatability_m, "m"), "")]
+    return [*table, ("the recording's own nearest positions", quantity(test.repeatability_m, "m"), "")]
 
 
 def visible_row(each: Visible) -> tuple[str, str]:

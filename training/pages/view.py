@@ -162,7 +162,7 @@ def _recording(path: Path, base: Path) -> Item:
         return Item("", f"more than {MAX_BYTES // 1_000_000} MB: `sonar-gym plot` draws it", links)
     recording = Recording.load(path)
     text = recording.summary().removeprefix(f"{path}: ")
-    return Item("", text, links, [_drawn(readings(recording), "readings over true distance")])
+    return Item("", text, links, [_drawn(readings(recording, columns=1), "readings over true distance")])
 
 
 def _model(path: Path, base: Path) -> Item:

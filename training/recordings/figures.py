@@ -192,10 +192,11 @@ def _along(axes: Axes, part: Part, share: Floats) -> None:
     axes.set(xlabel="true distance (m)", ylabel="share of pings with an echo", ylim=(-0.05, 1.05))
 
 
-def readings(recording: Recording) -> bytes:
+def readings(recording: Recording, columns: int = MAX_PANELS) -> bytes:
     """Return a figure of readings against true distance; pings without echo or answer are marked below."""
     draws = _each(recording, _readings)
-    return panels(draws, (5.4 * len(draws), 4.0), share_y=True)
+    columns = min(columns, len(draws))
+    return panels(draws, (5.4 * columns, 4.0 * -(-len(draws) // columns)), columns, share_y=True)
 
 
 def _readings(axes: Axes, part: Part) -> None:

@@ -1,5 +1,7 @@
 """Rendering: format and content of images; no display is needed."""
 
+import itertools
+
 import gymnasium
 import numpy as np
 import pytest
@@ -8,6 +10,9 @@ from acquisition import Reading
 from noise import GaussianModel, IdealModel
 from sonar_gym.parking import drawing
 from sonar_gym.parking.drawing import Brush, Camera, credence_colour
+from sonar_gym.parking.rendering import FOOTER, HEIGHT
+from sonar_gym.parking.world import WorldView
+from sonar_gym.sensing.records import CAUSES
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -90,3 +95,23 @@ def test_ghosts_are_marked_and_labelled(monkeypatch):
     diagonals = [p for p in lines if len(p) == 2 and np.allclose(np.abs(np.subtract(*p)), 10.0)]
     assert len(diagonals) == 2 * 4  # two lines and their outlines, at the ghost and in the legend
     assert texts.count("ghost") == 1
+
+
+@pytest.mark.parametrize("cause", [*CAUSES, "SHORT", "CONSTANT", "NOISE"])
+def test_words_do_not_overlap(monkeypatch, cause):
+    boxes, draw_text = [], Brush.text
+
+    def measured(self, text, pixel, size, colour=drawing.INK, at="w"):
+        width, height = (length / self.detail for length in self._font(size).size(text))
+        left = pixel[0] - {"w": 0.0, "e": width, "c": width / 2}[at]
+        boxes.append((text, left, left + width, pixel[1] - height / 2, pixel[1] + height / 2))
+        draw_text(self, text, pixel, size, colour, at)
+
+    monkeypatch.setattr(Brush, "text", measured)
+    monkeypatch.setattr(WorldView, "causes", property(lambda self: (cause,) * len(self.mounts)))
+    width = image().shape[1]
+    panel = [box for box in boxes if box[3] > HEIGHT - FOOTER]
+    assert len(panel) > 2 * 8
+    assert all(left >= 0 and right <= width for _, left, right, *_ in panel)
+    pairs = [(a, b) for a, b in itertools.combinations(panel, 2) if a[1] < b[2] and b[1] < a[2]]
+    assert [(a[0], b[0]) for a, b in pairs if a[3] + 4 < b[4] and b[3] + 4 < a[4]] == []  # 4: above and below letters

@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.result import Aspect, Interval, Kind, Location, PValue
 from noise.fitting.batch import Batch
-from training.diagnosis.figures import Compared, overview
+from training.diagnosis.diagnose import summary
+from training.diagnosis.figures import Compared, overview, scores
 from training.diagnosis.prediction import Prediction, along, binned, column, observed, thinned
-from training.diagnosis.report import p_text, render, tiles, worst_pings
+from training.diagnosis.report import fit_rows, p_text, render, tiles, worst_pings
 
 NAMES = ["none", "scale", "clutter", "dropped", "unexplained", "partly", "too_little", "drift", "silent", "robot"]
 P = PValue(1 / 2001, 2000)
@@ -147,6 +148,24 @@ def test_the_worst_pings_are_those_that_the_simulation_excludes(situations):
     reading = table["header"].index("reading (mm)")
     assert len(table["rows"]) == 10
     assert all(680 < float(row[reading]) < 720 for row in table["rows"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_terminal_states_stands_on_the_page(situations, pages, name, tmp_path):
+    page = text_of(pages[name])
+    said = " ".join(summary(situations[name], tmp_path)[:-1])  # the last line names files
+    assert [value for value in re.findall(r"[\d.,]+ (?:mm|m|%|pings)(?!\w)", said) if value not in page] == []
+
+
+@pytest.mark.parametrize("name", ["scale", "unexplained", "partly"])
+def test_bars_and_table_of_scores_use_the_same_words(situations, name):
+    made = situations[name]
+    axes = Figure().add_subplot()
+    scores(axes, made.verdict, made.corrected is not None)
+    bars = [label.get_text() for label in axes.get_yticklabels()][::-1]
+    rows = [row[0] for row in fit_rows(made.verdict.held_out, made.corrected is not None)]
+    assert len(bars) == len(rows)
+    assert all(bar in row for bar, row in zip(bars, rows, strict=True))
 
 
 def test_the_column_is_the_most_restricted_one_that_varies():

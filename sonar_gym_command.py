@@ -1,4 +1,4 @@
-"""Entry point of the console command `sonar-gym`."""
+"""Entry point of the console command `sonar-gym`: in no package, so that it can tell which package is shadowed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,17 @@ def main() -> None:
             f"sonar-gym: `import acquisition` finds {acquisition.__file__}, not sonar-gym: "
             "rename it, since Python finds it first"
         )
-    from training.cli import main as run
+    from acquisition.name_check import ForeignNameError, check_names, foreign
+
+    try:
+        check_names("training")
+        from training.cli import main as run
+    except ForeignNameError as error:
+        raise SystemExit(f"sonar-gym: {error}") from None
+    except (ImportError, AttributeError):
+        if (reason := foreign()) is None:
+            raise
+        raise SystemExit(f"sonar-gym: {reason}") from None
 
     signal.signal(signal.SIGINT, before)
     run()
