@@ -345,10 +345,9 @@ class Search:
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis], gains: dict[str, Floats]) -> str | None:
         """Return the effect of greatest gain beyond chance, the simplest of those as good within chance."""
         good = {}
-        for name, gain in gains.items():
+        for name in gains:
             value = tried[name].value - current.value
-            repeated = not current.effects or gain.sum() > 2.0 * standard_error(gain)
-            if self.explains(tried[name], name) and value > self.worthwhile(current) and repeated:
+            if self.explains(tried[name], name) and value > self.worthwhile(current):
                 good[name] = value
         if not good:
             return None
