@@ -344,11 +344,8 @@ class Search:
 
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis], gains: dict[str, Floats]) -> str | None:
         """Return the effect of greatest gain beyond chance, the simplest of those as good within chance."""
-        good = {}
-        for name in gains:
-            value = tried[name].value - current.value
-            if self.explains(tried[name], name) and value > self.worthwhile(current):
-                good[name] = value
+        needed, value = self.worthwhile(current), {name: tried[name].value - current.value for name in gains}
+        good = {name: v for name, v in value.items() if v > needed and self.explains(tried[name], name)}
         if not good:
             return None
         best = max(good, key=lambda name: good[name])
