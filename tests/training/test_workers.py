@@ -59,11 +59,11 @@ def test_an_error_waits_for_no_worker():
 
 START = """
 import os, signal, sys, threading
-from training import start
+import sonar_gym_command
 signal.signal(signal.SIGINT, signal.default_int_handler)
 threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
 sys.argv[1:] = ["effects"]
-start.main()
+sonar_gym_command.main()
 """
 
 
