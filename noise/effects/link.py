@@ -189,7 +189,8 @@ class CorruptedByte(Effect):
         sigma = torch.sqrt(state.direct.spread**2 + (self.unit_m / 2.0) ** 2)
         allowed = (places > 0).to(torch.float64)
         more, less = allowed.chunk(2)
-        share = allowed / (self.bits * torch.clamp(more + less, min=1.0).tile(2, *[1] * (more.ndim - 1)))
+        per_bit = allowed / torch.clamp(more + less, min=1.0).tile(2, *[1] * (more.ndim - 1))
+        share = per_bit / per_bit.sum(dim=0)
 
         def cdf(edge: Tensor) -> Tensor:
             edge = edge.unsqueeze(-2)

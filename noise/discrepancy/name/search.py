@@ -332,7 +332,7 @@ class Search:
         return self.fitted(start, (*self.keys([*current.effects, name]), *SPREAD), self.screen, iterations)
 
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
-        """Return one more effect, cross-fitted from the present scatter; from its own where it explains outliers."""
+        """Return one more effect, cross-fitted from the present scatter, a narrower one, or that of the simulation."""
         effects = (*current.effects, name)
         narrow = self.common.known[name].localised and any(
             fit.stack.get(key) < NARROWED * current.stacks[0].get(key) for key in (SPREAD[0], SPREAD[2])

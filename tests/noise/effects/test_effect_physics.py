@@ -349,6 +349,14 @@ def test_a_wrong_bit_changes_the_count_by_a_power_of_two():
     assert len(moved) / len(drawn) == pytest.approx(0.5 * 9 / 16, abs=0.04)
 
 
+@pytest.mark.parametrize("offset_m", [0.0, -0.1])
+def test_a_wrong_bit_leads_somewhere_wherever_the_count_is(offset_m):
+    """The law of the effect is one of probability also where the echo itself would be read at or below zero."""
+    effects = [CATALOGUE["zero_offset"](offset_m=offset_m), CATALOGUE["corrupted_byte"](probability=0.5, unit_m=1e-3)]
+    law = PhysicalModel(effects, 0.001, 11.0).law(Ping.of(distance=np.linspace(0.02, 3.0, 50)))
+    np.testing.assert_allclose(law.cdf_step(np.full(50, law.last_step)) + law.no_echo + law.no_answer, 1.0, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "values"),
     [
