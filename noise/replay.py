@@ -35,6 +35,14 @@ def with_simulated(ping: Ping, simulated: Reading) -> Ping:
     return replace(ping, covariates={**ping.covariates, **dict(zip(SIMULATED, values, strict=True))})
 
 
+def given_readings(ping: Ping) -> Reading | None:
+    """Return the simulator's readings that stand beside n pings, (n,); None where there are none."""
+    if not set(SIMULATED) <= ping.covariates.keys():
+        return None
+    range_, status = (ping.covariates[name] for name in SIMULATED)
+    return Reading.of(range_, status.astype(np.uint8))
+
+
 class ReplayLaw(EchoLaw):
     """Given readings.
 
@@ -84,11 +92,8 @@ class Replay:
     @checked
     def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
         """Return the law of n pings; that of the other model where no reading of the simulator is given."""
-        other = self.other.law(ping, past)
-        if not set(SIMULATED) <= ping.covariates.keys():
-            return other
-        range_, status = (ping.covariates[name] for name in SIMULATED)
-        return ReplayLaw(Reading.of(range_, status.astype(np.uint8)), self.step, other, self.resolution)
+        given, other = given_readings(ping), self.other.law(ping, past)
+        return other if given is None else ReplayLaw(given, self.step, other, self.resolution)
 
     def to_dict(self) -> dict[str, object]:
         """Return the model as plain data."""

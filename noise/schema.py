@@ -252,6 +252,14 @@ class Replay(Kind):
     resolution: Resolution
 
 
+class Transport(Kind):
+    """See `noise.discrepancy.baseline.transport.Transport`."""
+
+    kind: Literal["transport"]
+    own: Model
+    model: Model
+
+
 Model = Annotated[
     Ideal
     | Gaussian
@@ -265,12 +273,14 @@ Model = Annotated[
     | Faulty
     | Composed
     | Replay
+    | Transport
     | Recalibrated,
     Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()
 Composed.model_rebuild()
 Replay.model_rebuild()
+Transport.model_rebuild()
 Recalibrated.model_rebuild()
 
 

@@ -42,6 +42,7 @@ KINDS = {
     "faulty": ("noise.faults", "Faulty"),
     "composed": ("noise.composed", "ComposedModel"),
     "replay": ("noise.replay", "Replay"),
+    "transport": ("noise.discrepancy.baseline.transport", "Transport"),
     "lstm": ("noise.learned.recurrent", "LstmModel"),
 }
 
@@ -89,7 +90,7 @@ def _of_kind(folder: Path, data: Any) -> SonarModel:
         raise ModelError(f"{folder / 'model.json'}: the model is of kind {kind!r}, expected {', '.join(KINDS)}")
     module, attribute = KINDS[kind]
     cls = getattr(importlib.import_module(module), attribute)
-    if kind in ("faulty", "composed", "replay", "recalibrated"):
+    if kind in ("faulty", "composed", "replay", "transport", "recalibrated"):
         return cls.load(folder, data, _of_kind)
     return cls.load(folder, data) if hasattr(cls, "load") else cls.from_dict(data)
 

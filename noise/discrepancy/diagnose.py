@@ -17,9 +17,10 @@ from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import Grown, grown
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
+from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.correction import Options
-from noise.discrepancy.judge.difference import difference
+from noise.discrepancy.judge.difference import difference, is_carried
 from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import judge
 from noise.discrepancy.judge.shares import Rest
@@ -244,7 +245,13 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
+    acting: SonarModel | None
     acting, left_out = difference(judged, search, options, emulator, step_m)
+    # a forest of the recording says nothing of other conditions, under which readings are to be corrected too
+    if corrected is not None and corrected is not data.forest.model:
+        carrying = Transport(emulator, corrected)
+        if is_carried(data.simulation, acting, carrying, data.folds.unseen, data.rng("transport")):
+            acting, left_out = carrying, {}
     return replace(
         diagnosis,
         difference=acting,

@@ -7,13 +7,20 @@ with the causes applied to them may be closer to the recording than any law, whe
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from noise.composed import ComposedModel, with_differences
+from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.correction import Options
+from noise.discrepancy.judge.held_out import Simulation
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
+from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.model import SonarModel
-from noise.replay import Replay
+from noise.replay import Replay, with_simulated
 
 
 def difference(
@@ -49,3 +56,33 @@ def _acting_on(
     causes = {name: recorded.effects[name] for name in believed}
     composed, left_out = with_differences(model, common.effects, causes, shared)
     return composed if len(left_out) < len(causes) else None, left_out
+
+
+def is_carried(
+    simulation: Simulation, acting: SonarModel | None, carrying: Transport, unseen: Batch, rng: np.random.Generator
+) -> bool:
+    """Return whether readings carried from one law to the other predict better beyond chance than the causes do.
+
+    Without conditions that both files have, they are carried where no cause acts: the other law has been found better.
+
+    Args:
+        simulation: the user's simulation.
+        acting: the causes, acting on its readings; None where there are none, and the readings remain.
+        carrying: carries readings from the law of the simulation to that of the recording.
+        unseen: visits of the recording that no estimate used.
+        rng: draws the readings.
+    """
+    if simulation.readings is None:
+        return False
+    if not simulation.has_any_of(unseen):
+        return acting is None
+    known = simulation if acting is None else _applied(acting, simulation, rng)
+    return _applied(carrying, simulation, rng).is_better_than(known, unseen)
+
+
+def _applied(model: SonarModel, simulation: Simulation, rng: np.random.Generator) -> Simulation:
+    """Return a simulation with a model applied to its readings."""
+    readings = simulation.readings
+    assert readings is not None
+    law = model.law(with_simulated(readings.ping, readings.reading), readings.past)
+    return replace(simulation, readings=replace(readings, reading=law.sample(rng)))

@@ -1,0 +1,101 @@
+"""Readings of a simulator carried from the law of the simulation to that of the recording.
+
+A reading keeps its rank: it lies at the same share of the one law as before of the other (optimal transport in one
+dimension; Villani 2003, section 2.2), with no echo as the greatest value. What has no name, and what no effect can do
+to a given reading, is carried too. A reading that is no part of the simulation's law has no rank there, and remains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquisition import EchoStatus, Ping, Reading
+from acquisition.arguments import checked
+from acquisition.arrays import Floats
+from acquisition.brief import brief
+from noise.discrepancy.baseline.recalibration import RARE, transforms
+from noise.law import EchoLaw
+from noise.model import SonarModel
+from noise.replay import given_readings
+
+ALIEN = 1e-4  # share of a law's echoes at each end from which a rank is a guess; chosen here
+
+
+class TransportLaw(EchoLaw):
+    """The part of a law at which given readings lie in another.
+
+    Attributes:
+        given: readings, (n,).
+        low, high: probability up to the lower and upper end of the step of each, or of its silence, (n,).
+        alien: which are no part of the law that they come from, (n,).
+        law: law of the readings that they become.
+    """
+
+    uniform_per_ping = True
+
+    def __init__(self, given: Reading, own: EchoLaw, law: EchoLaw) -> None:
+        super().__init__(law.distance, law.resolution, law.max_range)
+        self.given, self.law = given, law
+        self.low, self.high = transforms(own, given)
+        echo = np.maximum(own.echo / np.maximum(1.0 - own.no_answer, RARE), RARE)
+        place = 0.5 * (self.low + self.high) / echo
+        self.alien = given.echo & ((place < ALIEN) | (place > 1.0 - ALIEN))
+        self._width = np.maximum(self.high - self.low, RARE)
+
+    def _arrival(self, z: Floats) -> Floats:
+        share = self.law._arrival(z) / np.maximum(1.0 - self.law.no_answer, RARE)
+        within = np.clip((share - self.low) / self._width, 0.0, 1.0)
+        return (1.0 - self.no_answer) * np.where(self.alien, z >= self.given.range, within)
+
+    @property
+    def no_answer(self) -> Floats:
+        """P(the sensor does not answer): 1 where the simulator gave no answer, (n,)."""
+        return (self.given.status == EchoStatus.NO_ANSWER).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Transport:
+    """A model that carries a simulator's readings, which stand beside the conditions, from one law to another.
+
+    Args:
+        own: model of the simulator's readings.
+        model: model of the readings that they become; also of pings without a reading of the simulator.
+    """
+
+    own: SonarModel
+    model: SonarModel
+
+    __repr__ = brief
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.model.resolution
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a law depends on the previous reading."""
+        return self.own.remembers or self.model.remembers
+
+    @checked
+    def law(self, ping: Ping, past: Reading | None = None) -> EchoLaw:
+        """Return the law of n pings; that of `model` where no reading of the simulator is given."""
+        given, law = given_readings(ping), self.model.law(ping, past)
+        return law if given is None else TransportLaw(given, self.own.law(ping, past), law)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as plain data."""
+        own: Any = self.own
+        model: Any = self.model
+        return {"kind": "transport", "own": own.to_dict(), "model": model.to_dict()}
+
+    @classmethod
+    @checked
+    def load(cls, folder: Path, data: dict[str, Any], load_kind: Callable[[Path, object], SonarModel]) -> Transport:
+        """Load a saved model; `load_kind` loads the inner models."""
+        return cls(load_kind(folder, data["own"]), load_kind(folder, data["model"]))
