@@ -10,6 +10,7 @@ from scipy import stats
 from acquisition import Recording, SettingError
 from training.diagnosis.generators.ensemble import FAMILIES, catalogue_of, kinds_of, make_trial
 from training.diagnosis.generators.trial import RECORDINGS, load, save
+from training.diagnosis.generators.world import STEPS_M, Register
 
 PAIRS = [(family, kind) for family in FAMILIES for kind in kinds_of(family)]
 ASPECTS = {"bias", "spread", "skew", "detection", "early", "late", "repeat", "memory", "coincidence"}
@@ -246,3 +247,9 @@ def test_what_is_not_known_is_refused_with_a_remedy():
         trial_of("rig", "single", cause="latency")
     with pytest.raises(SettingError, match="at least 20"):
         trial_of("rig", "same", pings=3)
+
+
+def test_a_register_of_16_bits_holds_no_more_than_that_after_any_faults():
+    for step_m in STEPS_M.values():
+        register, count = Register(step_m), np.array([0.0, 1.0, 65_535.0, 65_536.0, 1e9])
+        np.testing.assert_allclose(register(count * step_m) / step_m, [0.0, 1.0, 65_535.0, 65_535.0, 65_535.0])
