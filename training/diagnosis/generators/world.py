@@ -15,8 +15,8 @@ Rng = np.random.Generator
 Operator = Callable[[Floats, Ping, Rng], Floats]  # on readings, m, 0 for no echo, given what is logged
 Region = Mapping[str, tuple[float, float]]
 FULL_SCALE_M = 11.0  # largest reading of the sonars modelled here: 64 ms of listening
-MAX_COUNT = 2**16 - 1  # of a register
 STEPS_M = {"mm": 0.001, "cm": 0.01, "inch": 0.0254, "us": 0.01 / 58.0}  # register units, 58 us per cm
+LARGEST_M = (2**16 - 1) * STEPS_M["inch"]  # reading that 16 bits hold in the coarsest unit
 
 
 class Sonar(Protocol):
@@ -45,9 +45,9 @@ class Register:
         return cls(STEPS_M[str(rng.choice(list(STEPS_M)))], bool(rng.random() < 0.5))
 
     def __call__(self, value: Floats) -> Floats:
-        """Return readings, m, as a register of 16 bits holds them; an echo reads at least one step."""
+        """Return readings, m, as the register holds them; an echo reads at least one step."""
         count = np.floor(value / self.step_m + 1e-9) if self.truncated else np.rint(value / self.step_m)
-        return np.where(value > 0.0, np.clip(count, 1.0, MAX_COUNT) * self.step_m, 0.0)
+        return np.where(value > 0.0, np.clip(count, 1.0, LARGEST_M // self.step_m) * self.step_m, 0.0)
 
 
 @dataclass(frozen=True)

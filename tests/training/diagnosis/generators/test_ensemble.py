@@ -5,12 +5,14 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
-from acquisition import Recording, SettingError
+from acquisition import Reading, Recording, SettingError
 from training.diagnosis.generators.ensemble import FAMILIES, catalogue_of, kinds_of, make_trial
 from training.diagnosis.generators.trial import RECORDINGS, load, save
-from training.diagnosis.generators.world import STEPS_M, Register
+from training.diagnosis.generators.world import Register
 
 PAIRS = [(family, kind) for family in FAMILIES for kind in kinds_of(family)]
 ASPECTS = {"bias", "spread", "skew", "detection", "early", "late", "repeat", "memory", "coincidence"}
@@ -249,7 +251,8 @@ def test_what_is_not_known_is_refused_with_a_remedy():
         trial_of("rig", "same", pings=3)
 
 
-def test_a_register_of_16_bits_holds_no_more_than_that_after_any_faults():
-    for step_m in STEPS_M.values():
-        register, count = Register(step_m), np.array([0.0, 1.0, 65_535.0, 65_536.0, 1e9])
-        np.testing.assert_allclose(register(count * step_m) / step_m, [0.0, 1.0, 65_535.0, 65_535.0, 65_535.0])
+@given(st.floats(1e-4, 0.1), st.floats(0.0, 1e9), st.booleans())
+def test_a_register_holds_readings_only_whatever_the_link_adds(step_m, value, truncated):
+    reading = Register(step_m, truncated)(np.array([value]))
+    assert Reading.of(reading).echo[0] == (value > 0.0)
+    assert reading[0] == pytest.approx(value, abs=step_m) or value > 1600.0
