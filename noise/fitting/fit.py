@@ -6,6 +6,7 @@ L-BFGS-B, in coordinates scaled by the curvature; `noise.fitting.starts` provide
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -150,12 +151,18 @@ class Objective:
 
 
 def _gradient(total: Tensor, numbers: Tensor) -> Floats:
-    """Return the derivatives of a value, 0 where it has none: stepwise effects, such as rounding, have no gradient."""
+    """Return the derivatives of a value, 0 where it has none: stepwise effects, such as rounding, have no gradient.
+
+    One that is no number is a defect of a law. The fit goes on as if it were 0, but the warning does not let it pass.
+    """
     if not total.requires_grad:
         return np.zeros(numbers.shape)
-    (gradient,) = torch.autograd.grad(total, numbers, allow_unused=True)
-    gradient = torch.zeros_like(numbers) if gradient is None else gradient
-    return np.asarray(np.nan_to_num(gradient.numpy(), nan=0.0, posinf=0.0, neginf=0.0))
+    (slope,) = torch.autograd.grad(total, numbers, allow_unused=True)
+    gradient = np.zeros(numbers.shape) if slope is None else slope.numpy()
+    if np.isfinite(gradient).all():
+        return np.asarray(gradient)
+    warnings.warn("a law of the fit has a derivative that is no number; please report it", RuntimeWarning, stacklevel=2)
+    return np.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def maximise(
