@@ -245,13 +245,9 @@ def _different(
     diagnosis = _diagnosis(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
-    acting: SonarModel | None
     acting, left_out = difference(judged, search, options, emulator, step_m)
-    # a forest of the recording says nothing of other conditions, under which readings are to be corrected too
-    if corrected is not None and corrected is not data.forest.model:
-        carrying = Transport(emulator, corrected)
-        if is_carried(data.simulation, acting, carrying, data.folds.unseen, data.rng("transport")):
-            acting, left_out = carrying, {}
+    carrying = transport(data, corrected, acting)
+    acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
     return replace(
         diagnosis,
         difference=acting,
@@ -259,6 +255,16 @@ def _different(
         evidence=judged.evidence,
         likely={p.effect: p.likely for p in judged.places},
     )
+
+
+def transport(data: Data, corrected: SonarModel | None, acting: SonarModel | None) -> Transport | None:
+    """Return what carries readings of the simulation to the corrected law; None where the causes predict as well."""
+    # a forest of the recording says nothing of other conditions, under which readings are to be corrected too
+    if corrected is None or corrected is data.forest.model:
+        return None
+    carrying = Transport(data.baseline.emulator, corrected)
+    better = is_carried(data.simulation, acting, carrying, data.folds.unseen, data.rng("transport"))
+    return carrying if better else None
 
 
 def against(data: Data, search: Search, law: Stack) -> Tested:

@@ -25,7 +25,7 @@ from noise.replay import Replay, with_simulated
 
 def difference(
     judged: Judged, search: Search, options: Options, emulator: SonarModel, step_m: float
-) -> tuple[ComposedModel | None, dict[str, str]]:
+) -> tuple[SonarModel | None, dict[str, str]]:
     """Return the believed causes, acting on given readings.
 
     Args:
