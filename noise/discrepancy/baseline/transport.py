@@ -1,8 +1,10 @@
 """Readings of a simulator carried from the law of the simulation to that of the recording.
 
-A reading keeps its rank: it lies at the same share of the one law as before of the other (optimal transport in one
-dimension; Villani 2003, section 2.2), with no echo as the greatest value. What has no name, and what no effect can do
-to a given reading, is carried too. A reading that is no part of the simulation's law has no rank there, and remains.
+An echo keeps its rank: it lies at the same share of the echoes of the one law as before of the other (quantile mapping,
+optimal transport in one dimension; Villani 2003, section 2.2). It is lost, and silence becomes an echo, as often as the
+probabilities of an echo differ. What has no name, and what no effect can do to a given reading, is carried too. Where
+an echo is no part of the simulation's law, that law is wrong there, and so is the other, which rests on it: the echo
+moves by the difference of their medians, in which the error cancels.
 """
 
 from __future__ import annotations
@@ -27,13 +29,15 @@ ALIEN = 1e-4  # share of a law's echoes at each end from which a rank is a guess
 
 
 class TransportLaw(EchoLaw):
-    """The part of a law at which given readings lie in another.
+    """What given readings of one law become under another.
 
     Attributes:
         given: readings, (n,).
-        low, high: probability up to the lower and upper end of the step of each, or of its silence, (n,).
-        alien: which are no part of the law that they come from, (n,).
         law: law of the readings that they become.
+        low, high: share of the echoes of the first law up to the lower and upper end of the step of each echo, (n,).
+        alien: which echoes are no part of the first law, (n,).
+        moved: what those become, m, (n,).
+        heard: probability that each reading becomes an echo, (n,).
     """
 
     uniform_per_ping = True
@@ -41,16 +45,20 @@ class TransportLaw(EchoLaw):
     def __init__(self, given: Reading, own: EchoLaw, law: EchoLaw) -> None:
         super().__init__(law.distance, law.resolution, law.max_range)
         self.given, self.law = given, law
-        self.low, self.high = transforms(own, given)
-        echo = np.maximum(own.echo / np.maximum(1.0 - own.no_answer, RARE), RARE)
-        place = 0.5 * (self.low + self.high) / echo
+        before, after = (each.echo / np.maximum(1.0 - each.no_answer, RARE) for each in (own, law))
+        self.low, self.high = (each / np.maximum(before, RARE) for each in transforms(own, given))
+        place = 0.5 * (self.low + self.high)
         self.alien = given.echo & ((place < ALIEN) | (place > 1.0 - ALIEN))
-        self._width = np.maximum(self.high - self.low, RARE)
+        self.moved = given.range + law.quantile(0.5) - own.quantile(0.5)
+        kept = after / np.maximum(before, RARE)
+        gained = (after - before) / np.maximum(1.0 - before, RARE)
+        self.heard = np.clip(np.where(given.echo, kept, gained), 0.0, 1.0)
 
     def _arrival(self, z: Floats) -> Floats:
-        share = self.law._arrival(z) / np.maximum(1.0 - self.law.no_answer, RARE)
-        within = np.clip((share - self.low) / self._width, 0.0, 1.0)
-        return (1.0 - self.no_answer) * np.where(self.alien, z >= self.given.range, within)
+        share = self.law._arrival(z) / np.maximum(self.law.echo, RARE)
+        within = np.clip((share - self.low) / np.maximum(self.high - self.low, RARE), 0.0, 1.0)
+        carried = np.where(self.alien, z >= self.moved, np.where(self.given.echo, within, share))
+        return (1.0 - self.no_answer) * self.heard * carried
 
     @property
     def no_answer(self) -> Floats:

@@ -45,14 +45,23 @@ def test_carried_readings_have_the_mean_and_spread_of_the_other_law_in_the_order
     expected = drawn(after, seed=2).range
     assert found.range.mean() == pytest.approx(expected.mean(), abs=4 * 0.008 * np.sqrt(2 / N))
     assert found.range.std() == pytest.approx(expected.std(), rel=0.08)
-    assert np.all(np.diff(found.range[np.argsort(reading.range, kind="stable")]) >= -0.0031)  # of one step: any order
+    order = np.argsort(reading.range, kind="stable")[10:-10]  # beyond, ranks are guesses
+    assert np.all(np.diff(found.range[order]) >= -0.0031)  # those of one step come in any order
 
 
 def test_silence_becomes_as_frequent_as_under_the_other_law():
     before, after = GaussianModel(0.005, 0.0, miss=0.1), GaussianModel(0.005, 0.0, miss=0.4)
     found = carried(Transport(before, after), drawn(before))
     assert found.echo.mean() == pytest.approx(0.6, abs=4 * np.sqrt(2 * 0.24 / N))
-    assert np.median(found.range[found.echo]) == pytest.approx(2.0, abs=0.001)
+    assert found.range[found.echo].mean() == pytest.approx(2.0, abs=0.001)  # near and far echoes are lost alike
+
+
+def test_an_error_that_both_laws_share_cancels():
+    """Both expect echoes 0.15 m short of where the simulator hears them, and one 30 mm behind the other."""
+    wrong = {**LOUD, "zero_offset": {"offset_m": -0.07}}
+    before, after = model_of(wrong), model_of({**LOUD, "zero_offset": {"offset_m": -0.04}})
+    reading = drawn(model_of({**LOUD, "zero_offset": {"offset_m": 0.1}}))
+    np.testing.assert_allclose(carried(Transport(before, after), reading).range - reading.range, 0.03, atol=0.0021)
 
 
 def test_a_ping_without_a_reading_of_the_simulator_has_the_other_law():
