@@ -104,6 +104,7 @@ Metres = Annotated[float, Limit(0.0, 1000.0, "m")]
 PositiveMetres = Annotated[float, Limit(0.0, 1000.0, "m", open_low=True)]
 WHOLE = int | np.integer
 REAL = WHOLE | float | np.floating  # not a fraction: compiled code knows none
+MAX_VALUES = 1_000_000  # of a setting: checking more would take seconds, and a range may be endless in practice
 NO_NUMBER = bool | np.timedelta64  # which are also integers
 ANY_NUMBER, SEEDS = Limit(), Limit(0, 2**63 - 1)
 
@@ -132,16 +133,22 @@ def as_whole(name: str, numbers: Floats) -> Ints:
 
 
 def is_list(value: Any) -> bool:
-    """Return whether a value is a sequence or an array, and not text, bytes or an array without dimensions.
+    """Return whether a value is an array with dimensions or a sequence of a countable length, and not text or bytes.
 
-    >>> [is_list(each) for each in ([1], np.zeros(2), "x", b"x", np.array(1.0))]
-    [True, True, False, False, False]
+    >>> [is_list(each) for each in ([1], np.zeros(2), "x", b"x", np.array(1.0), range(10**30))]
+    [True, True, False, False, False, False]
     """
     return value.ndim > 0 if isinstance(value, np.ndarray) else _is_sequence(value)
 
 
 def _is_sequence(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray)
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes | bytearray):
+        return False
+    try:
+        len(value)
+    except OverflowError:  # a range may be longer than a length can be
+        return False
+    return True
 
 
 def check_number(name: str, value: Any, limit: Limit = ANY_NUMBER, whole: bool = False) -> None:
@@ -236,6 +243,7 @@ def _check_tuple(name: str, value: Any, items: tuple[Any, ...]) -> None:
     _expect(is_list(value), name, "a list", value)
     any_number = items[-1] is Ellipsis
     _expect(any_number or len(value) == len(items), name, f"{len(items)} values", value)
+    _expect(len(value) <= MAX_VALUES, name, f"at most {MAX_VALUES} values", value)
     for member, hint in zip(value, itertools.repeat(items[0]) if any_number else items, strict=False):
         _check(name, member, hint)
 

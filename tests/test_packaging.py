@@ -1,5 +1,6 @@
 """Wheel and sdist: built, and installed beside nothing else in fresh environments."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -12,12 +13,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-def runs(python):
-    """Return whether an interpreter exists and runs; a version manager may leave names that do not."""
-    return shutil.which(python) is not None and subprocess.run([python, "-c", ""], capture_output=True).returncode == 0
+@pytest.fixture(params=["python3.11", "python3.12", "python3.13"])
+def python(request):
+    """Path of an interpreter that runs: a name of pyenv on PATH does not where another version is chosen."""
+    installed = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob(f"versions/*/bin/{request.param}")
+    for path in filter(None, (shutil.which(request.param), *sorted(installed))):
+        if subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
+            return path
+    pytest.skip(f"no {request.param} runs, neither from PATH nor of pyenv: install it to test the wheel with it")
 
 
-PYTHONS = [name for name in ("python3.11", "python3.13") if runs(name)]
 CORE = (
     "import sys; from training.cli import main; "
     "main(['record', '--driver', 'rig', '--pings', '1', '--out', 'rec.csv']); "
@@ -86,13 +91,11 @@ def run_fresh(python, tmp_path, what, code):
     return subprocess.run([own, "-c", code], check=True, cwd=tmp_path, capture_output=True, text=True).stdout
 
 
-@pytest.mark.parametrize("python", PYTHONS)
 def test_the_wheel_runs_the_environment(built, tmp_path, python):
     (wheel,) = built.glob("*.whl")
     assert run_fresh(python, tmp_path, f"{wheel}[noise,gym]", DRIVE).strip()
 
 
-@pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("extra", COMMANDS)
 def test_the_wheel_runs_the_commands_of_an_extra(built, tmp_path, python, extra):
     (wheel,) = built.glob("*.whl")

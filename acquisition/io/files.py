@@ -18,6 +18,7 @@ from acquisition.limits import shown
 
 MAX_BYTES = 64 * 1024 * 1024  # of a file of settings
 TEXT: dict[str, Any] = {"encoding": "utf-8", "errors": "backslashreplace", "newline": ""}  # a name may not be UTF-8
+UNFINISHED: set[str] = set()  # files that this process is writing, which nobody else will remove
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -43,6 +44,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
     check_path(path, "file")
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    UNFINISHED.add(temporary)
     try:
         with _named(path), os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
             write(file)
@@ -52,6 +54,7 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
         os.replace(temporary, path)
     finally:
         Path(temporary).unlink(missing_ok=True)
+        UNFINISHED.discard(temporary)
     return path
 
 

@@ -198,7 +198,7 @@ class Fleet:
             timing=self.sensing.timing,
             grids=self._costs.grids,
             costs=self._costs.values,
-            weights=np.array(astuple(self.reward_weights)),
+            weights=np.array(astuple(self.reward_weights), dtype=np.float64),
             scale=np.array([car.max_speed, car.max_steering, *ODOMETRY_SPAN, MAX_STEPS]),
             limits=np.array([PARKED_SPEED, PARKED_ANGLE, PARKED_OVERHANG, -BEHIND]),
             detection=detection,

@@ -116,13 +116,13 @@ def layout(given: Layout) -> tuple[Mount, ...]:
 
 def mount_arrays(mounts: Sequence[Mount]) -> tuple[Floats, Floats]:
     """Return poses in the frame of the car, m, m, rad, (s, 3), and half opening angles, rad, (s,)."""
-    poses = np.array([[m.x, m.y, np.radians(m.heading_deg)] for m in mounts])
-    return poses, np.radians([0.5 * m.cone_deg for m in mounts])
+    poses = np.array([[m.x, m.y, np.radians(m.heading_deg)] for m in mounts], dtype=np.float64)
+    return poses, np.radians([0.5 * float(m.cone_deg) for m in mounts])
 
 
 def heights(mounts: Sequence[Mount]) -> Floats:
     """Return the heights of sonars above the floor, m, (s,); 0 for those that do not hear it."""
-    return np.array([mount.height_m or 0.0 for mount in mounts])
+    return np.array([mount.height_m or 0.0 for mount in mounts], dtype=np.float64)
 
 
 def times_of(mounts: Sequence[Mount]) -> Times:

@@ -163,7 +163,7 @@ class Sonar:
         shared = resolve(model)
         self.model = listener(shared)
         self.count, self.copies = count, copies
-        self.max_range = max_range
+        self.max_range = max_range = float(max_range)  # kernels are compiled for each type of number
         if tables is None:
             tables = np.tile(broad_table(shared, max_range).values, (count, 1))
         self.edges, self.tables = bin_edges(max_range), tables

@@ -29,6 +29,7 @@ CHANGE_M = 0.3  # cost of a change of direction, m
 NEAR_M, NEAR_FACTOR = 0.06, 5.0  # distance that is close, m, and the cost of a metre there, m
 NEAR_OF_SPARE = 1.0 / 6.0  # what is close at the most, relative to the length that a space exceeds the car by
 BEHIND_M, BEYOND_M, SIDE_M = 0.3, 1.3, 0.15  # extent of a table: before the space, from its begin on, left of the lane
+DEEPEST_M = 2.0  # greatest extent into the space
 MAX_TURN = math.radians(70.0)
 CELLS_OF_SPARE = 9.0  # cells in the length that a space exceeds the car by
 FINEST_M, COARSEST_M = 0.006, 0.015  # m; limits of the length of a cell
@@ -108,9 +109,10 @@ def tabulated(gap: float, shortest: float, car: CarSettings) -> float:
 def grid_of(space: Space) -> Grid:
     """Return the cells of a table; the less room there is, the smaller they are."""
     size = min(max(space.spare / CELLS_OF_SPARE, FINEST_M), COARSEST_M)
-    lowest = -space.line - min(space.depth, 2.0 * space.car.length) + 0.5 * space.car.width
+    lowest = -space.line - min(space.depth, 2.0 * space.car.length, DEEPEST_M) + 0.5 * space.car.width
     half_turn = math.ceil(MAX_TURN / (TURN_PER_M * size))
-    cells = math.ceil((BEHIND_M + BEYOND_M) / size), math.ceil((SIDE_M - lowest) / size), 2 * half_turn + 1
+    rows = max(1, math.ceil((SIDE_M - lowest) / size))  # a car may be wider than all that is tabulated
+    cells = math.ceil((BEHIND_M + BEYOND_M) / size), rows, 2 * half_turn + 1
     low = np.array([-BEHIND_M, lowest + 0.25 * size, -half_turn * TURN_PER_M * size])
     return Grid(cells, low, np.array([size, size, TURN_PER_M * size]))
 

@@ -57,13 +57,13 @@ class CarSettings:
     def body(self) -> Floats:
         """Rectangle of the body in the frame of the car: rear, right, front, left, m, (4,)."""
         front = self.length - self.rear_overhang
-        return np.array([-self.rear_overhang, -0.5 * self.width, front, 0.5 * self.width])
+        return np.array([-self.rear_overhang, -0.5 * self.width, front, 0.5 * self.width], dtype=np.float64)
 
     @cached_property
     def dynamics(self) -> Floats:
         """Wheelbase, steering rate, steering lag, acceleration, speed lag, maximum steering and speed, (7,)."""
         lags = (self.steering_rate, self.steering_lag, self.acceleration, self.speed_lag)
-        return np.array([self.wheelbase, *lags, self.max_steering, self.max_speed])
+        return np.array([self.wheelbase, *lags, self.max_steering, self.max_speed], dtype=np.float64)
 
 
 @dataclass(frozen=True)

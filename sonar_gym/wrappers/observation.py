@@ -33,15 +33,18 @@ GOAL_REWARD = "compute_reward"
 ONE = np.zeros(1, dtype=np.int64)  # row index of a single environment
 
 
+def as_text(path: Any) -> Any:
+    """Return a path as text, and anything else as it is."""
+    return os.fspath(path) if isinstance(path, os.PathLike) else path
+
+
 def json_value(value: Any) -> Any:
-    """Return a setting in a form that JSON can store: paths as text, mounts as mappings, arrays as lists."""
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
+    """Return a valid setting in a form that JSON can store: paths as text, mounts as mappings, arrays as lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return asdict(value) if type(value).__module__.startswith("sonar_gym") else value
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return [json_value(item) for item in value] if isinstance(value, (list, tuple, range)) else value
+    return [json_value(item) for item in value] if isinstance(value, (list, tuple, range)) else as_text(value)
 
 
 def observed_sonars(
@@ -152,7 +155,7 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
             raise SettingError(f"SonarObservation.env: expected a gymnasium.Env, got {shown(env)}")
         sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
-        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=as_text(sonar), **recorded)
         gymnasium.Wrapper.__init__(self, env)
         self.fleet = fleet_of(env.unwrapped, sonar_settings, sonar)
         if self.fleet is None:
@@ -240,7 +243,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
             raise SettingError(f"SonarVectorObservation.env: expected a gymnasium.vector.VectorEnv, got {shown(env)}")
         sonar_settings: SonarSettings = settings_of(SonarSettings, settings)
         recorded = {name: json_value(value) for name, value in settings.items()}
-        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=json_value(sonar), **recorded)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, sonar=as_text(sonar), **recorded)
         VectorWrapper.__init__(self, env)
         base = env.unwrapped
         inner = getattr(base, "envs", [base])[0].unwrapped

@@ -207,7 +207,10 @@ def calls_of_environments():
     yield "load_agent", sonar_gym.load_agent, {"name": "parking"}
     episode = {"env": gymnasium.make(**parking), "driver": Standing(), "seed": 0, "every": 1}
     yield "run_episode", sonar_gym.run_episode, episode
-    wrapper = {"env": gymnasium.make(**parking), "period_s": 0.0, "incidence": (0.0, 0.4), "sonar_layout": None}
+    wrapper = {
+        "env": gymnasium.make(**parking), "sonar": "ideal", "indices": None, "period_s": 0.0, "incidence": (0.0, 0.4),
+        "sonar_layout": None,
+    }  # fmt: skip
     yield "SonarObservation", sonar_gym.SonarObservation, wrapper
     yield "SonarVectorObservation", sonar_gym.SonarVectorObservation, {"env": sonar_gym.SonarParkingVectorEnv(2)}
     for cls in (sonar_gym.SonarParkingEnv, sonar_gym.SonarParkingVectorEnv):

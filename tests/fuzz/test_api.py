@@ -51,6 +51,8 @@ BAD = (
     1j,
     True,
     [math.nan],
+    range(10**15),
+    range(10**30),
     (1, 2, 3, 4, 5),
     np.nan,
 )

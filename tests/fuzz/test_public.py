@@ -88,6 +88,8 @@ TREACHEROUS = {
     "more pings": Ping.of([1.0, 2.0, 3.0]),
     "a tensor with a gradient": torch.tensor([1.0], requires_grad=True),
     "a memory, which is a scalar": memoryview(b"abc"),
+    "a range, which is endless in practice": range(10**15),
+    "a range that is longer than a length can be": range(10**30),
 }
 
 

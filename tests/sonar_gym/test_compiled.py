@@ -6,13 +6,17 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba import config
 from numba.core import caching
+from numba.core.dispatcher import Dispatcher
 
 import sonar_gym
 from sonar_gym import compiled
 from sonar_gym.compiled import drop_stale
+from sonar_gym.sensing.mounts import Mount
+from sonar_gym.street.vehicle import CarSettings
 
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner():\n    return {}\n"
 OUTER = "from numba import njit\nfrom inner import inner\n@njit(cache=True)\ndef outer():\n    return inner()\n"
@@ -85,3 +89,33 @@ def test_where_no_cache_can_be_written_a_private_temporary_folder_is_used(monkey
 
 def test_a_cache_that_can_be_written_is_kept():
     assert compiled.use_temporary_cache() is None
+
+
+def compiled_types():
+    """Return the types of arguments for which each kernel of the package is compiled or loaded."""
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith("sonar_gym.")]
+    kernels = [each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)]
+    assert len(kernels) > 20
+    return {id(kernel): list(kernel.signatures) for kernel in kernels}
+
+
+def drive(number):
+    """Drive with settings that are numbers of a type, each a whole number."""
+    mounts = [Mount(str(k), *map(number, (k, 0, 90)), cone_deg=number(30), height_m=number(1)) for k in range(8)]
+    env = sonar_gym.SonarParkingEnv(
+        sonar_layout=mounts,
+        reward=dict.fromkeys(("potential", "discount", "time", "parked", "crashed", "crash_distance"), number(1)),
+        car=CarSettings(rear_overhang=number(1), wheelbase=number(3), length=number(5), width=number(2)),
+        street={"reflectance": (number(1), number(1)), "gap": (number(10), number(10))},
+    )
+    env = sonar_gym.SonarObservation(env, max_range=number(3), reflectance=number(1), period_s=number(1))
+    env.reset(seed=0)
+    env.step(np.array([0, 1]))
+
+
+def test_kernels_are_compiled_once_whatever_the_type_of_a_setting():
+    drive(float)
+    before = compiled_types()
+    drive(int)
+    drive(np.float32)
+    assert compiled_types() == before

@@ -113,6 +113,18 @@ def test_a_fault_of_the_program_is_one_line_and_a_crash_file(monkeypatch, capsys
     assert "packages: sonar-gym" in text
 
 
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [((), "all files written so far are complete"), (("r.csv: 1 of 2 conditions",), "r.csv: 1 of 2 conditions")],
+)
+def test_ctrl_c_is_one_line_and_exit_code_130(monkeypatch, capsys, said, line):
+    monkeypatch.setattr("training.cli.overview", lambda: (_ for _ in ()).throw(KeyboardInterrupt(*said)))
+    with pytest.raises(SystemExit) as left:
+        main([])
+    assert left.value.code == 130
+    assert capsys.readouterr().err == f"sonar-gym: interrupted; {line}\n"
+
+
 def test_debug_shows_the_traceback(monkeypatch):
     monkeypatch.setattr("training.pages.effects.main", lambda args: [][0])
     with pytest.raises(IndexError):

@@ -12,11 +12,17 @@ from training.common.workers import worker_processes
 
 POOL = """
 import signal, time
+from pathlib import Path
+from acquisition.io.files import write_atomic
 from training.common.workers import worker_processes
+def write(name):
+    write_atomic(Path(name), lambda file: time.sleep(3600))
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts background jobs with SIGINT ignored
     with worker_processes(2) as pool:
-        jobs = [pool.submit(time.sleep, 3600) for _ in range(5)]
+        jobs = [pool.submit(write, f"{k}.txt") for k in range(5)]
+        while len(list(Path(".").glob("*.part"))) < 2:
+            time.sleep(0.01)
         print("begun", flush=True)
         try:
             jobs[0].result()
@@ -32,7 +38,7 @@ def test_an_interruption_ends_the_workers_at_once(tmp_path, to):
     path.write_text(POOL)
     command = [sys.executable, str(path)]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
     assert process.stdout.readline() == "begun\n"
@@ -40,6 +46,7 @@ def test_an_interruption_ends_the_workers_at_once(tmp_path, to):
     to(process.pid, signal.SIGINT)
     _, error = process.communicate()  # pytest's own limit of time is shorter than the jobs
     assert (process.returncode, error) == (130, "")
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_results_of_the_workers_are_those_of_their_jobs():

@@ -84,7 +84,7 @@ def _leave(error: BaseException) -> None:
     if isinstance(error, BrokenPipeError):  # of `sonar-gym effects | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # or Python reports the same error when it flushes stdout
         raise SystemExit(CRASHED) from None
-    stop("interrupted; all files written so far are complete", INTERRUPTED)
+    stop(f"interrupted; {str(error) or 'all files written so far are complete'}", INTERRUPTED)
 
 
 def reason_of(error: BaseException) -> str | None:

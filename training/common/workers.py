@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import active_children, get_context
+from pathlib import Path
+
+from acquisition.io.files import UNFINISHED
 
 
 @contextmanager
@@ -24,7 +29,7 @@ def worker_processes(
         start: how they are started, as `multiprocessing` names it: anew, since a copy of a process with threads is
             unsafe; None for the default of the system.
     """
-    pool = ProcessPoolExecutor(count, get_context(start), begin)
+    pool = ProcessPoolExecutor(count, get_context(start), partial(_begin, begin))
     try:
         with _interrupts_held():  # what is started here holds them for ever
             for _ in range(count):
@@ -36,6 +41,20 @@ def worker_processes(
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _begin(begin: Callable[[], object] | None) -> None:
+    """Begin in a worker."""
+    signal.signal(signal.SIGTERM, _end)
+    if begin is not None:
+        begin()
+
+
+def _end(number: int, _: object) -> None:
+    """End a worker at once, without the files that it has not finished."""
+    for path in UNFINISHED:
+        Path(path).unlink(missing_ok=True)
+    os._exit(128 + number)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,8 +120,7 @@ def measure(session: Session, progress: Callable[[int, int], None]) -> None:
     except DeviceError as error:
         raise type(error)(f"{error}; {_on_disk(session)}") from None
     except KeyboardInterrupt:
-        print(f"sonar-gym: {session.path}: {_on_disk(session)}", file=sys.stderr)
-        raise
+        raise KeyboardInterrupt(f"{session.path}: {_on_disk(session)}") from None
 
 
 def _on_disk(session: Session) -> str:

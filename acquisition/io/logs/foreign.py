@@ -204,5 +204,6 @@ def _column(text: pd.Series, mapping: ColumnMap, no_echo: float | None) -> pd.Se
 
 def _seconds(text: pd.Series) -> pd.Series:
     """Return dates as seconds since 1970, UTC without a time zone; NaN for invalid dates."""
-    moment = pd.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
+    known = text.where(text.str.match(r"\s*(1[7-9]|2[01])\d\d"), "")  # years that pandas counts in nanoseconds
+    moment = pd.to_datetime(known, errors="coerce", format="ISO8601", utc=True)
     return (moment - pd.Timestamp(0, tz="UTC")).dt.total_seconds()

@@ -7,7 +7,7 @@ zigzag-encoded. Ids and fields: opendlv.standard-message-set 0.9.10, <https://gi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from acquisition import SettingError
-from acquisition.limits import Limit, check_choice, check_number, shown
+from acquisition.limits import Limit, check_choice, check_number, is_list, shown
 
 Time = tuple[int, int]  # seconds and microseconds since 1970, UTC
 HEADER = b"\x0d\xa4"
@@ -147,7 +147,7 @@ def _known(message: str, fields: Mapping[str, float]) -> int:
 
 
 def _check_time(name: str, time: Any) -> None:
-    if not (isinstance(time, Sequence) and len(time) == len(_TIMES)):
+    if not (is_list(time) and len(time) == len(_TIMES)):
         raise SettingError(f"OpenDLV {name}: expected seconds and microseconds, got {shown(time)}")
     for (part, _), value in zip(_TIMES, time, strict=True):
         check_number(f"OpenDLV {name} {part}", value, SIGNED, whole=True)

@@ -15,6 +15,7 @@ from sonar_gym.street.cost_to_go import (
     CostTables,
     Space,
     cost_to_go,
+    grid_of,
     stands_in,
     tabulated,
 )
@@ -94,6 +95,17 @@ def test_the_gaps_of_a_level_have_few_tables():
 def test_a_space_that_no_car_fits_in_has_no_cost():
     streets = StreetSettings(depth=0.05, line=0.3)
     assert costs_of(Space.of(streets, CAR))(-1.0, 0.0, 0.0) == pytest.approx(0.7)  # the distance to the table
+
+
+@pytest.mark.parametrize("width", [1.0, 2.0, 50.0])
+def test_a_car_that_is_wider_than_the_table_is_at_the_distance_to_it(width):
+    cost = costs_of(Space.of(StreetSettings(), CarSettings(width=width)))(-1.0, 0.0, 0.0)
+    assert 0.7 - 1e-6 <= cost <= 0.7 + width
+
+
+def test_the_table_of_a_large_space_is_not_larger():
+    space = Space.of(StreetSettings(gap=(90.0, 90.0), depth=100.0), CarSettings(length=80.0))
+    assert np.prod(grid_of(space).cells) < 3e6
 
 
 def least_ahead(cost, space, pose, arcs):

@@ -91,10 +91,11 @@ def test_a_unit_that_is_given_replaces_that_of_a_logger_file(tmp_path):
         (lambda text: text.replace('"TS",', ""), "TOA5 without its lines"),
         (lambda text: text.replace(",152,", ",152,1,2,3,"), "more fields than the header"),
         (lambda text: text.replace("1.946", "abc"), r"line 2, column reading_mm: 'abc'"),
+        (lambda text: text.replace("2022-05-21 00:20:00.5", "8022-05-21 00:00:0.0+05:00"), r"line 4, .*: '8022-05-21"),
     ],
 )
 def test_a_damaged_logger_file_is_named(tmp_path, damage, reason):
     path = tmp_path / "snow.dat"
     path.write_text(damage(TOA5))
     with pytest.raises(RecordingError, match=f"snow.dat.*{reason}"):
-        import_table(path, maps("reading_mm=TCDT", "distance_mm=Pole"), {"angle_deg": 0.0})
+        import_table(path, maps("time_s=TIMESTAMP", "reading_mm=TCDT", "distance_mm=Pole"), {"angle_deg": 0.0})
