@@ -34,11 +34,17 @@ test: $(STAMP) check  ## lint, types, import contracts, and every test that is n
 docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an error
 	NO_MKDOCS_2_WARNING=1 SONAR_GYM_URL=$(URL) $(BIN)/mkdocs build --quiet
 
-figures: $(STAMP)  ## make the pictures of the docs again, but those of experiments: their pages state the command (a quarter of an hour)
+figures: $(STAMP)  ## make all pictures of the docs again, those of long experiments from their records (a quarter of an hour)
 	$(BIN)/sonar-gym effects --out docs/reference/effects
 	$(BIN)/sonar-gym demo --out demo && cp demo/parking.gif docs/images/parking.gif
 	$(BIN)/python examples/record_gif.py docs/images/parking.png srf08-mlp
+	$(BIN)/python -m benchmarks.redraw
 	rm -rf runs/figures && mkdir -p runs/figures
+	tar -xJf benchmarks/records/thesis-networks.tar.xz -C runs/figures  # networks that exist are not trained again
+	$(BIN)/sonar-gym record --driver rig --plan thesis --seed 1 --out runs/figures/14.csv
+	$(BIN)/sonar-gym compare-optimizers runs/figures/14.csv --out runs/figures/gain-14 && cp runs/figures/gain-14/*.png docs/explanation/thesis
+	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 31 --seed 1 --out runs/figures/31.csv
+	$(BIN)/sonar-gym compare-optimizers runs/figures/31.csv --out runs/figures/gain-31 --seeds 3 && cp runs/figures/gain-31/*.png docs/explanation/thesis/gain-31
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 11 --range-register 139 --out runs/figures/thesis.csv
 	$(BIN)/sonar-gym plot runs/figures/thesis.csv --out runs/figures/thesis
 	cp runs/figures/thesis/credence-plane.png docs/images/credence-plane.png
