@@ -305,7 +305,7 @@ def _lags(record: Record, axes: Axes) -> None:
         axes.plot(one["lags"], form, color=colour, label=name, markersize=4)
     axes.set_xticks(range(len(MOVED_M)), [f"{1000.0 * np.mean(limits):.0f}" for limits in MOVED_M.values()])
     axes.set(title="Autocorrelation of errors", xlabel="way of the car (mm)", ylim=(-0.1, 1.05))
-    axes.legend(loc="center right")
+    axes.legend(loc="center left")
 
 
 def main() -> None:
