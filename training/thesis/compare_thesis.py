@@ -222,8 +222,8 @@ def figure(lines: Lines) -> bytes:
 def _panel(lines: Lines, credence: str, row: int) -> Draw:
     def draw(axes: Axes) -> None:
         thesis = np.array(lines[THESIS][credence])[:, row]
-        axes.fill_between(ANGLES_DEG, thesis.min(axis=0), thesis.max(axis=0), color=SOFT, alpha=0.35, lw=0)
-        axes.plot(ANGLES_DEG, thesis.mean(axis=0), color=INK, lw=2.0, label="thesis")
+        axes.fill_between(SHOWN_DEG, thesis.min(axis=0), thesis.max(axis=0), color=SOFT, alpha=0.35, lw=0)
+        axes.plot(SHOWN_DEG, thesis.mean(axis=0), color=INK, lw=2.0, label="thesis")
         for name, one in lines.items():
             if name != THESIS:
                 _plot_rig(axes, name, one[credence][row])
@@ -242,6 +242,6 @@ def _plot_rig(axes: Axes, name: str, values: Sequence[float]) -> None:
     colour = AFTER if f"gain {FULL_GAIN}" in rig else BEFORE
     marker, line = ("o", "-") if rig.endswith("tuned") else ("x", ":")
     if name == rig:
-        axes.plot(ANGLES_DEG, values, marker, color=colour, ms=4, label=f"rig, {name}")
+        axes.plot(SHOWN_DEG, values, marker, color=colour, ms=4, label=f"rig, {name}")
     else:
-        axes.plot(ANGLES_DEG, values, line, color=colour, lw=1.1)
+        axes.plot(SHOWN_DEG, values, line, color=colour, lw=1.1)
