@@ -35,7 +35,9 @@ def test_make_figures_makes_every_figure(made):
 
 
 def test_a_missing_record_is_measured_by_make():
-    assert [name for name in DRAWN if name not in RECORDED and f"docs/{name[:-3]}json: |" not in MAKEFILE] == []
+    rules = [line for line in MAKEFILE.splitlines() if line.endswith(": | $(STAMP)")]
+    missing = [f"docs/{name[:-3]}json" for name in DRAWN if name not in RECORDED]
+    assert [record for record in missing if not any(record in line for line in rules)] == []
 
 
 @pytest.mark.parametrize("name", RECORDED)
