@@ -9,7 +9,9 @@ FUZZ_SECONDS ?= 600
 EXAMPLES ?= 20
 ANNOUNCED := benchmarks/records/proof/announced.txt
 
-NETWORKS := benchmarks/records/thesis-networks.tar.xz
+NETWORKS := $(foreach gain,14 31,benchmarks/records/thesis-networks-$(gain).tar.xz)
+SEEDS_14 := 5
+SEEDS_31 := 3
 RECORDS := $(addprefix docs/images/,cross-talk.json calibration.json fidelity.json highway.json curves.json) \
 	docs/explanation/images/noise-credence.json $(NETWORKS)
 
@@ -44,11 +46,11 @@ figures: $(STAMP) $(RECORDS)  ## make all pictures of the docs again, those of e
 	$(BIN)/python examples/record_gif.py docs/images/parking.png srf08-mlp
 	$(BIN)/python -m benchmarks.redraw
 	rm -rf runs/figures && mkdir -p runs/figures
-	tar -xJf $(NETWORKS) -C runs/figures  # networks that exist are not trained again
-	$(BIN)/sonar-gym record --driver rig --plan thesis --seed 1 --out runs/figures/14.csv
-	$(BIN)/sonar-gym compare-optimizers runs/figures/14.csv --out runs/figures/gain-14 && cp runs/figures/gain-14/*.png docs/explanation/thesis
+	for archive in $(NETWORKS); do tar -xJf $$archive -C runs/figures || exit 1; done  # networks that exist are not trained again
+	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 14 --seed 1 --out runs/figures/14.csv
+	$(BIN)/sonar-gym compare-optimizers runs/figures/14.csv --out runs/figures/14 && cp runs/figures/14/*.png docs/explanation/thesis
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 31 --seed 1 --out runs/figures/31.csv
-	$(BIN)/sonar-gym compare-optimizers runs/figures/31.csv --out runs/figures/gain-31 --seeds 3 && cp runs/figures/gain-31/*.png docs/explanation/thesis/gain-31
+	$(BIN)/sonar-gym compare-optimizers runs/figures/31.csv --out runs/figures/31 --seeds 3 && cp runs/figures/31/*.png docs/explanation/thesis/gain-31
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 11 --range-register 139 --out runs/figures/thesis.csv
 	$(BIN)/sonar-gym plot runs/figures/thesis.csv --out runs/figures/thesis
 	cp runs/figures/thesis/credence-plane.png docs/images/credence-plane.png
@@ -76,12 +78,11 @@ docs/images/curves.json: | $(STAMP)
 		"PPO, manoeuvre=runs/curves/manoeuvre" "SAC with hindsight=runs/curves/sac"
 docs/explanation/images/noise-credence.json: | $(STAMP)
 	$(BIN)/sonar-gym noise-report
-$(NETWORKS): | $(STAMP)
+$(NETWORKS): benchmarks/records/thesis-networks-%.tar.xz: | $(STAMP)
 	mkdir -p runs/thesis
-	$(BIN)/sonar-gym compare-optimizers runs/thesis/14.csv --out runs/thesis/gain-14
-	test -f runs/thesis/31.csv || $(BIN)/sonar-gym record --driver rig --plan thesis --gain 31 --seed 1 --out runs/thesis/31.csv
-	$(BIN)/sonar-gym compare-optimizers runs/thesis/31.csv --out runs/thesis/gain-31 --seeds 3
-	tar -cJf $@ -C runs/thesis gain-14/networks gain-31/networks
+	test -f runs/thesis/$*.csv || $(BIN)/sonar-gym record --driver rig --plan thesis --gain $* --seed 1 --out runs/thesis/$*.csv
+	$(BIN)/sonar-gym compare-optimizers runs/thesis/$*.csv --out runs/thesis/$* --seeds $(SEEDS_$*)
+	tar -cJf $@ -C runs/thesis $*/networks
 
 release: $(STAMP)  ## check what a release needs: make release VERSION=0.2.0
 	PYTHON=$(BIN)/python .ci/release $(VERSION)
