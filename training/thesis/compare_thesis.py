@@ -205,11 +205,12 @@ def _millimetres(value: float) -> str:
 
 
 def lines_of(study: RigStudy) -> Lines:
-    """Return the silent distances by line of the figure and credence; of the thesis those of each network."""
-    lines = {THESIS: {c: np.array([getattr(one, c) for one in study.predictions.values()]).tolist() for c in CREDENCES}}
+    """Return the silent distances of the tables by line and credence; of the thesis those of each network."""
+    shown, every = np.isin(ANGLES_DEG, SHOWN_DEG), study.predictions.values()
+    lines = {THESIS: {c: [getattr(one, c)[:, shown].tolist() for one in every] for c in CREDENCES}}
     for variant in study.variants:
         for name, one in ((variant.name, variant.silence), (variant.name + PREDICTED, variant.predicted_silence)):
-            lines[name] = {c: getattr(one, c).tolist() for c in CREDENCES}
+            lines[name] = {c: getattr(one, c)[:, shown].tolist() for c in CREDENCES}
     return lines
 
 
