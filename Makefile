@@ -9,6 +9,12 @@ FUZZ_SECONDS ?= 600
 EXAMPLES ?= 20
 ANNOUNCED := benchmarks/records/proof/announced.txt
 
+NETWORKS := $(foreach gain,14 31,benchmarks/records/thesis-networks-$(gain).tar.xz)
+SEEDS_14 := 5
+SEEDS_31 := 3
+RECORDS := $(addprefix docs/images/,cross-talk.json calibration.json fidelity.json highway.json curves.json) \
+	docs/explanation/images/noise-credence.json $(NETWORKS)
+
 URL ?=  # of the project, for the site and the release
 
 .PHONY: help demo test docs figures release check audit fuzz install benchmarks judge proof firmware clean
@@ -34,11 +40,17 @@ test: $(STAMP) check  ## lint, types, import contracts, and every test that is n
 docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an error
 	NO_MKDOCS_2_WARNING=1 SONAR_GYM_URL=$(URL) $(BIN)/mkdocs build --quiet
 
-figures: $(STAMP)  ## make the pictures of the docs again, but those of experiments: their pages state the command (a quarter of an hour)
+figures: $(STAMP) $(RECORDS)  ## make all pictures of the docs again, those of experiments from their records (half an hour; hours where a record is missing)
 	$(BIN)/sonar-gym effects --out docs/reference/effects
 	$(BIN)/sonar-gym demo --out demo && cp demo/parking.gif docs/images/parking.gif
 	$(BIN)/python examples/record_gif.py docs/images/parking.png srf08-mlp
+	$(BIN)/python -m benchmarks.redraw
 	rm -rf runs/figures && mkdir -p runs/figures
+	for archive in $(NETWORKS); do tar -xJf $$archive -C runs/figures || exit 1; done  # networks that exist are not trained again
+	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 14 --seed 1 --out runs/figures/14.csv
+	$(BIN)/sonar-gym compare-optimizers runs/figures/14.csv --out runs/figures/14 && cp runs/figures/14/*.png docs/explanation/thesis
+	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 31 --seed 1 --out runs/figures/31.csv
+	$(BIN)/sonar-gym compare-optimizers runs/figures/31.csv --out runs/figures/31 --seeds 3 && cp runs/figures/31/*.png docs/explanation/thesis/gain-31
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 11 --range-register 139 --out runs/figures/thesis.csv
 	$(BIN)/sonar-gym plot runs/figures/thesis.csv --out runs/figures/thesis
 	cp runs/figures/thesis/credence-plane.png docs/images/credence-plane.png
@@ -49,6 +61,28 @@ figures: $(STAMP)  ## make the pictures of the docs again, but those of experime
 		&& PATH=$(CURDIR)/$(BIN):$$PATH env -u MPLBACKEND TTY_COMPATIBLE=0 $(BIN)/jupyter nbconvert --to notebook --execute --inplace \
 		--ExecutePreprocessor.coalesce_streams=True --ExecutePreprocessor.record_timing=False $$folder/*.ipynb \
 		&& cp $$folder/*.ipynb docs/tutorials || exit 1; done
+
+# records of experiments: those that are missing are measured, which takes minutes to hours
+docs/images/cross-talk.json: | $(STAMP)
+	$(BIN)/python -m benchmarks.crosstalk
+docs/images/calibration.json docs/images/fidelity.json: docs/images/%.json: | $(STAMP)
+	$(BIN)/python -m benchmarks.$*
+docs/images/highway.json: | $(STAMP)
+	$(BIN)/python -c "from examples.train_highway import main; main(path='docs/images/highway.png')"
+docs/images/curves.json: | $(STAMP)
+	for k in 0 1 2 3 4 5 6 7 8 9; do for sonar in ideal srf08-mlp; do \
+		$(BIN)/sonar-gym zoo ppo --env SonarParking-v0 --sonar $$sonar --seed $$k --out runs/curves/$$sonar/$$k || exit 1; done; done
+	$(BIN)/sonar-gym zoo ppo --env SonarParkingManoeuvre-v0 --steps 4571136 --out runs/curves/manoeuvre
+	$(BIN)/sonar-gym zoo sac --env SonarParkingGoal-v0 --out runs/curves/sac
+	$(BIN)/python -m benchmarks.curves "PPO, ideal=runs/curves/ideal/*" "PPO, srf08-mlp=runs/curves/srf08-mlp/*" \
+		"PPO, manoeuvre=runs/curves/manoeuvre" "SAC with hindsight=runs/curves/sac"
+docs/explanation/images/noise-credence.json: | $(STAMP)
+	$(BIN)/sonar-gym noise-report
+$(NETWORKS): benchmarks/records/thesis-networks-%.tar.xz: | $(STAMP)
+	mkdir -p runs/thesis
+	test -f runs/thesis/$*.csv || $(BIN)/sonar-gym record --driver rig --plan thesis --gain $* --seed 1 --out runs/thesis/$*.csv
+	$(BIN)/sonar-gym compare-optimizers runs/thesis/$*.csv --out runs/thesis/$* --seeds $(SEEDS_$*)
+	tar -cJf $@ -C runs/thesis $*/networks
 
 release: $(STAMP)  ## check what a release needs: make release VERSION=0.2.0
 	PYTHON=$(BIN)/python .ci/release $(VERSION)

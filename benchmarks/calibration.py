@@ -5,7 +5,8 @@
 Cars drive on streets that no table of credence was counted on. Of all echoes, the credence that was observed is
 compared with the share of right readings: within 10 % of the distance of the face that answered, or would have if the
 echo is that of another sonar's burst. Prints Markdown for
-docs/explanation/realism.md and writes docs/images/calibration.png.
+docs/explanation/realism.md and writes docs/images/calibration.png with its
+record.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.arrays import Floats
+from acquisition.io.files import write_bytes
 from noise.law import CREDENCE_TOLERANCE
 from sonar_gym.parking.prior import DRIVERS, driver_of
 from sonar_gym.parking.vector import SonarParkingVectorEnv
@@ -24,6 +26,8 @@ from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.paths import DISTANCE, OBSTACLE
 from sonar_gym.sensing.records import RANGE
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
+from training.common.commit import commit
+from training.common.records import write_record
 
 MODELS = ("gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
 SEED = 6_000_000  # of streets used nowhere else
@@ -31,6 +35,9 @@ SEED = 6_000_000  # of streets used nowhere else
 # slowly, so more streets and whole episodes are needed
 COURSES = {"agent": (256, 240), "scripted": (128, 240), "random": (512, 400)}
 BINS = 10  # of credence, equally wide
+LEAST = 200  # readings of a bin that is drawn
+COLOURS = (SOFT, AFTER, BEFORE, INK)
+Record = dict[str, dict[str, list[list[float]]]]  # points by driver and model
 
 
 def outcomes(model: str, driver: str) -> Floats:
@@ -74,29 +81,40 @@ def table(results: dict[tuple[str, str], Floats]) -> str:
     return "\n".join(lines)
 
 
-def _diagram(results: dict[tuple[str, str], Floats], driver: str, axes: Axes) -> None:
-    axes.plot([0.0, 1.0], [0.0, 1.0], color=INK, linewidth=1.0)
-    chosen = {model: total.sum(axis=1) for (model, kind), total in results.items() if kind == driver}
-    for colour, (model, (number, credence, right)) in zip((SOFT, AFTER, BEFORE, INK), chosen.items(), strict=False):
-        some = number >= 200
-        axes.plot(credence[some] / number[some], right[some] / number[some], "o-", color=colour, label=model)
-    axes.set_title(f"driver: {driver}")
-    axes.set_xlabel("credence")
-    axes.set_ylabel("share of right readings")
-    axes.legend()
+def figure(record: Record) -> bytes:
+    """Return a diagram for each driver, as PNG."""
+    return panels([partial(_diagram, record, driver) for driver in record], (3.2 * len(record), 3.4), share_y=True)
+
+
+def _diagram(record: Record, driver: str, axes: Axes) -> None:
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=SOFT, linewidth=1.0)
+    for colour, (model, points) in zip(COLOURS, record[driver].items(), strict=False):
+        axes.plot(*np.transpose(points), "o-", color=colour, markersize=4, label=model)
+    axes.set(title=f"driver: {driver}", xlabel="credence")
+    if driver == next(iter(record)):
+        axes.set_ylabel("share of right readings")
+        axes.legend()
+
+
+def points(total: Floats) -> Floats:
+    """Return mean credence and share of right readings of each bin with enough readings, (b, 2)."""
+    number, credence, right = total.sum(axis=1)
+    some = number >= LEAST
+    return np.stack([credence[some], right[some]], axis=1) / number[some, None]
 
 
 def main() -> None:
-    """Measure, print the table and write the figure."""
+    """Measure, print the table, write the record and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--figure", type=Path, default=Path("docs/images/calibration.png"))
     parser.add_argument("--models", nargs="*", default=MODELS)
     parser.add_argument("--drivers", nargs="*", default=list(DRIVERS))
-    options = parser.parse_args()
+    options, made_by = parser.parse_args(), commit()
     results = {(model, driver): outcomes(model, driver) for driver in options.drivers for model in options.models}
     print(table(results))
-    diagrams = [partial(_diagram, results, driver) for driver in options.drivers]
-    options.figure.write_bytes(panels(diagrams, (4.4 * len(diagrams), 4.0), share_y=True))
+    plain = {d: {model: points(results[model, d]) for model in options.models} for d in options.drivers}
+    record = write_record(options.figure, made_by, "python -m benchmarks.calibration", plain)
+    write_bytes(options.figure, figure(record))
 
 
 if __name__ == "__main__":

@@ -4,11 +4,12 @@
 
 Sonars 50 mm apart face the thesis's mirror. The first is read; the others' bursts reach it by way of the reflector.
 They fire at once, in turn, or each by a clock of its own. Prints Markdown for docs/explanation/cross-talk.md and writes
-docs/images/cross-talk.png.
+docs/images/cross-talk.png with its record.
 """
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,8 @@ from acquisition.io.files import write_bytes
 from noise.law import CREDENCE_TOLERANCE
 from noise.metrics import ClusterMean
 from training.common.canvas import AFTER, BEFORE, INK, Axes, panels
+from training.common.commit import commit
+from training.common.records import write_record
 from training.common.tables import markdown_table
 
 GAP_M, QUIET_DB = 0.05, -300.0  # between sonars; their housings block the direct path
@@ -31,7 +34,6 @@ CLOCK_STEP = 0.013  # relative difference of the clocks of neighbouring sonars t
 ORDERS = ("at once", "in turn", "own clocks")
 COLOURS = dict(zip(ORDERS, (BEFORE, AFTER, INK), strict=True))
 IMAGE = Path("docs/images/cross-talk.png")
-Key = tuple[str, int, float]
 
 
 def others(order: str, count: int, interval_s: float) -> tuple[float, tuple[Neighbour, ...]]:
@@ -67,37 +69,44 @@ def wrong(order: str, count: int, interval_s: float) -> ClusterMean:
     return ClusterMean.of(np.concatenate(shares), unit)
 
 
-def figure(found: dict[Key, ClusterMean]) -> bytes:
-    """Return the share of wrong echoes over the interval, one panel for each number of sonars, as PNG."""
+def figure(record: dict[str, dict[str, list[list[float]]]]) -> bytes:
+    """Return the share of wrong echoes over the interval, one panel for each number of sonars, as PNG.
 
-    def draw(count: int, axes: Axes) -> None:
+    Args:
+        record: percent and half width of its interval at each interval, by number of sonars and order.
+    """
+
+    def draw(count: str, axes: Axes) -> None:
         for order in ORDERS:
-            share = [100.0 * found[order, count, interval].mean for interval in INTERVALS_S]
-            error = [196.0 * found[order, count, interval].error for interval in INTERVALS_S]
+            share, error = np.transpose(record[count][order])
             axes.errorbar(1e3 * np.array(INTERVALS_S), share, error, color=COLOURS[order], marker="o", label=order)
-        axes.set(title=f"{count} sonars", xlabel="interval (ms)", ylabel="wrong echoes (%)", ylim=(0, 100))
-        if count == COUNTS[0]:
+        axes.set(title=f"{count} sonars", xlabel="interval (ms)", ylim=(-2, 100))
+        if count == next(iter(record)):
+            axes.set_ylabel("wrong echoes (%)")
             axes.legend()
 
-    return panels([partial(draw, count) for count in COUNTS], (10.0, 3.4), share_y=True)
+    return panels([partial(draw, count) for count in record], (8.0, 3.2), share_y=True)
 
 
 def main() -> None:
-    """Measure all combinations, print the table and draw the figure."""
-    found: dict[Key, ClusterMean] = {}
-    for order in ORDERS:
-        for count in COUNTS:
-            for interval in INTERVALS_S:
-                found[order, count, interval] = wrong(order, count, interval)
+    """Measure all combinations, print the table, write the record and draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--figure", type=Path, default=IMAGE)
+    options, made_by = parser.parse_args(), commit()
+    found = {
+        str(count): {order: [wrong(order, count, interval) for interval in INTERVALS_S] for order in ORDERS}
+        for count in COUNTS
+    }
     alone = wrong("at once", 1, INTERVALS_S[-1])
     header = ("order", "sonars", *(f"{1e3 * interval:.0f} ms" for interval in INTERVALS_S))
-    rows = [
-        (order, count, *(_percent(found[order, count, interval]) for interval in INTERVALS_S))
-        for order in ORDERS
-        for count in COUNTS
-    ]
+    rows = [(order, n, *map(_percent, each[order])) for order in ORDERS for n, each in found.items()]
     print(f"alone: {_percent(alone)} %\n\n{markdown_table(header, rows)}")
-    write_bytes(IMAGE, figure(found))
+    plain = {
+        n: {order: [(100.0 * one.mean, 196.0 * one.error) for one in some] for order, some in each.items()}
+        for n, each in found.items()
+    }
+    record = write_record(options.figure, made_by, "python -m benchmarks.crosstalk", plain)
+    write_bytes(options.figure, figure(record))
 
 
 def _percent(share: ClusterMean) -> str:

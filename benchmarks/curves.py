@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,9 +23,12 @@ import numpy as np
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from acquisition.arrays import Floats
+from acquisition.io.files import write_bytes
 from training.agents.evaluate import Rate
 from training.agents.zoo.command import BOARD, RESULT
 from training.common.canvas import AFTER, SOFT, Axes, panels
+from training.common.commit import commit
+from training.common.records import write_record
 from training.common.statistics import AgentScores
 from training.common.tables import markdown_table
 
@@ -90,26 +94,34 @@ def curve(folder: Path, steps: Floats) -> Floats:
     return np.interp(steps, [one.step for one in events], [one.value for one in events], left=0.0)
 
 
-def draw(row: Row, axes: Axes) -> None:
-    """Draw the curves of a row."""
-    rng, millions = np.random.default_rng(0), row.steps / 1e6
-    middle = [AgentScores(one) for one in row.curves.T]
+def figure(record: list[dict[str, Any]]) -> bytes:
+    """Return the curves of each row, as PNG."""
+    return panels([partial(draw, row) for row in record], (8.0, 3.1 * -(-len(record) // 2)), columns=2)
+
+
+def draw(row: dict[str, Any], axes: Axes) -> None:
+    """Draw the curves of a row: its title, the last step, and the success rate of each seed."""
+    rng, curves = np.random.default_rng(0), np.array(row["curves"])
+    millions = np.linspace(0.0, row["steps"], POINTS) / 1e6
+    middle = [AgentScores(one) for one in curves.T]
     low, high = np.transpose([one.interval(rng) for one in middle])
-    axes.plot(millions, 100.0 * row.curves.T, color=SOFT, linewidth=0.8)
+    axes.plot(millions, 100.0 * curves.T, color=SOFT, linewidth=0.8)
     axes.fill_between(millions, 100.0 * low, 100.0 * high, color=AFTER, alpha=0.2, linewidth=0.0)
     axes.plot(millions, [100.0 * one.centre for one in middle], color=AFTER, linewidth=2.5)
-    axes.set(title=row.title, xlabel="million steps", ylabel="parked (%)", ylim=(-2.0, 102.0))
+    axes.set(title=row["title"], xlabel="million steps", ylabel="parked (%)", ylim=(-2.0, 102.0))
 
 
 def main() -> None:
-    """Read the rows, print the table and write the figure."""
+    """Read the rows, print the table, write the record and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rows", nargs="+")
     parser.add_argument("--figure", type=Path, default=Path("docs/images/curves.png"))
-    options = parser.parse_args()
+    options, made_by = parser.parse_args(), commit()
     rows = [Row.of(text) for text in options.rows]
     print(markdown_table(HEADER, (row.cells() for row in rows)))
-    options.figure.write_bytes(panels([partial(draw, row) for row in rows], (4.5 * len(rows), 3.2)))
+    plain = [{"title": row.title, "steps": row.steps[-1], "curves": row.curves} for row in rows]
+    command = shlex.join(["python", "-m", "benchmarks.curves", *options.rows])
+    write_bytes(options.figure, figure(write_record(options.figure, made_by, command, plain)))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 The same cars drive the same streets; their sonars are simulated by the rig, with several units, and drawn from each
 model. Every score of a model is set against the same score between one unit of the rig and the others, the best that a
 law can do which does not know the unit. Prints Markdown for docs/explanation/realism.md and
-writes docs/images/fidelity.png.
+writes docs/images/fidelity.png with its record.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from acquisition import Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.bench import Rig, Setup, Unit
+from acquisition.io.files import write_bytes
 from noise import load_model
 from noise.rig import SIMULATED, RigLaw, RigModel
 from sonar_gym.agent import drive_by_agent
@@ -29,6 +30,8 @@ from sonar_gym.sensing.detection import SHAPE, is_own_echo, nodes, own_window
 from sonar_gym.sensing.mounts import LAYOUTS
 from sonar_gym.sensing.sonar import SonarChoice
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
+from training.common.commit import commit
+from training.common.records import write_record
 
 MODELS = ("ideal", "gaussian", "srf08-mlp", "srf08-lstm", "srf08-hybrid")
 SIMPLE = ("ideal", "gaussian")  # hear the nearest face always
@@ -40,6 +43,15 @@ DETECTION_UNITS = range(50, 74)  # counted from the first one
 FIRST_UNIT, SEED = 301, 2_000_000  # serial numbers that no model was trained on; streets that no agent was trained on
 TEMPERATURE_C = (14.0, 26.0)  # of the survey
 MOVED_M = {"1 cm": (0.005, 0.015), "5 cm": (0.04, 0.06), "20 cm": (0.17, 0.23)}
+STYLES = {  # form and colour of a line
+    "rig": ("-", INK),
+    "ideal": ("o:", SOFT),
+    "gaussian": ("s--", SOFT),
+    "srf08-mlp": ("o-", AFTER),
+    "srf08-lstm": ("s-", BEFORE),
+    "srf08-hybrid": ("^:", INK),
+}
+Record = dict[str, dict[str, list[float]]]  # numbers by model
 TOSS = (0.1, 0.9)  # share of echoes of identical pings within which a condition is a coin toss
 
 
@@ -261,33 +273,47 @@ def table(results: dict[str, dict[str, float | Floats]]) -> str:
     return "\n".join(lines)
 
 
-def _bars(results: dict[str, dict[str, float | Floats]], axes: Axes) -> None:
-    names = [name for name in results if name != "rig" and ORACLE not in name]
-    for k, name in enumerate(names):
-        each, _ = ratio(np.asarray(results[name]["crps"]), np.asarray(results["rig"]["crps"]))
-        colour = SOFT if name in SIMPLE else (AFTER, BEFORE, INK)[k % 3]
-        axes.plot(range(len(each)), each, "o-", color=colour, alpha=0.5 + 0.1 * k, label=name)
+def plain(results: dict[str, dict[str, float | Floats]]) -> Record:
+    """Return what the figure shows of each model: CRPS of each sonar relative to the rig, and autocorrelations."""
+    base = np.asarray(results["rig"]["crps"])
+    return {
+        name: {"crps": ratio(np.asarray(one["crps"]), base)[0], "lags": [one[lag] for lag in MOVED_M]}
+        for name, one in results.items()
+        if ORACLE not in name
+    }
+
+
+def figure(record: Record) -> bytes:
+    """Return CRPS by sonar and autocorrelation by way, as PNG."""
+    return panels([partial(_bars, record), partial(_lags, record)], (9.6, 4.0))
+
+
+def _bars(record: Record, axes: Axes) -> None:
+    for name, one in record.items():
+        if name != "rig":
+            form, colour = STYLES[name]
+            axes.plot(one["crps"], form, color=colour, label=name, markersize=4)
     axes.axhline(1.0, color=INK, linewidth=1.0)
     axes.set_xticks(range(8), [mount.name for mount in LAYOUTS["eight"]], rotation=35, ha="right")
-    axes.set_title("CRPS relative to rig-versus-rig")
+    axes.set(title="CRPS relative to the rig's own", ylim=(0.0, None))
     axes.legend()
 
 
-def _lags(results: dict[str, dict[str, float | Floats]], axes: Axes) -> None:
-    for k, (name, one) in enumerate(results.items()):
-        axes.plot(range(len(MOVED_M)), [one[lag] for lag in MOVED_M], "o-", label=name, linewidth=3 if k == 0 else 1.2)
-    axes.set_xticks(range(len(MOVED_M)), list(MOVED_M))
-    axes.set_ylim(-0.1, 1.05)
-    axes.set_title("autocorrelation of errors after movement")
-    axes.legend()
+def _lags(record: Record, axes: Axes) -> None:
+    for name, one in record.items():
+        form, colour = STYLES[name]
+        axes.plot(one["lags"], form, color=colour, label=name, markersize=4)
+    axes.set_xticks(range(len(MOVED_M)), [f"{1000.0 * np.mean(limits):.0f}" for limits in MOVED_M.values()])
+    axes.set(title="Autocorrelation of errors", xlabel="way of the car (mm)", ylim=(-0.1, 1.05))
+    axes.legend(loc="center left")
 
 
 def main() -> None:
-    """Measure, print the tables and write the figure."""
+    """Measure, print the tables, write the record and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--figure", type=Path, default=Path("docs/images/fidelity.png"))
     parser.add_argument("--models", nargs="*", default=MODELS)
-    options = parser.parse_args()
+    options, made_by = parser.parse_args(), commit()
     course = actions()
     detection = rig_detection()
     rig = hear([rig_unit(k) for k in range(UNITS)], course, detection)
@@ -298,7 +324,8 @@ def main() -> None:
         if name not in SIMPLE:
             results[f"{name}{ORACLE}"] = scores(hear(draws, course, detection), rig)
     print(table(results))
-    options.figure.write_bytes(panels([partial(_bars, results), partial(_lags, results)], (12.0, 4.4)))
+    record = write_record(options.figure, made_by, "python -m benchmarks.fidelity", plain(results))
+    write_bytes(options.figure, figure(record))
 
 
 if __name__ == "__main__":

@@ -13,11 +13,14 @@ import highway_env  # noqa: F401 - registers highway-fast-v0
 import numpy as np
 import torch
 from gymnasium.wrappers import FilterObservation, FrameStackObservation
-from matplotlib.figure import Figure
 from stable_baselines3 import DQN
 from stable_baselines3.common.monitor import Monitor
 
+from acquisition.io.files import write_bytes
 from sonar_gym import SonarObservation
+from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
+from training.common.commit import commit
+from training.common.records import write_record
 
 ARMS = {"no sonar": None, "ideal sonar": "ideal", "srf08-mlp": "srf08-mlp"}
 SLOWEST, FASTEST = 10.0, 25.0  # m/s, of the traffic
@@ -28,7 +31,8 @@ ROAD = {
     "reward_speed_range": [SLOWEST, FASTEST],
 }
 UNSEEN = 1_000_000  # seed of the first traffic of the test
-SMOOTHED = 30  # episodes, of a mean of a curve
+SMOOTHED, POINTS = 30, 200  # episodes of a mean of a curve; its points
+Record = dict[str, list[Any]]  # curves of each arm
 
 
 class Traffic(gymnasium.Wrapper):
@@ -83,31 +87,44 @@ def train(sonar: str | None, steps: int, episodes: int, seed: int) -> Result:
     return Result(ends, returns, np.array(tested))
 
 
-def draw(results: dict[str, list[Result]], path: str) -> None:
-    """Draw the mean return of the last episodes during training, of each agent."""
-    figure = Figure(figsize=(6.0, 3.6), layout="constrained")
-    axes = figure.add_subplot(xlabel="decisions", ylabel=f"return, mean of {SMOOTHED} episodes")
-    for k, (arm, each) in enumerate(results.items()):
-        for one in each:
-            n = min(SMOOTHED, len(one.returns))
-            means = np.convolve(one.returns, np.full(n, 1.0 / n), mode="valid")
-            axes.plot(one.steps[n - 1 :], means, color=f"C{k}", label=arm if one is each[0] else None)
-    axes.legend()
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+def record_of(results: dict[str, list[Result]]) -> Record:
+    """Return decisions and mean return of the last episodes during training, of each agent."""
+    return {arm: [smoothed(one) for one in each] for arm, each in results.items()}
+
+
+def smoothed(one: Result) -> list[np.ndarray]:
+    """Return decisions and mean returns at `POINTS` points of a training."""
+    n = min(SMOOTHED, len(one.returns))
+    means, ends = np.convolve(one.returns, np.full(n, 1.0 / n), mode="valid"), one.steps[n - 1 :]
+    at = np.linspace(ends[0], ends[-1], POINTS)
+    return [at, np.interp(at, ends, means)]
+
+
+def figure(record: Record) -> bytes:
+    """Draw the mean returns, as PNG."""
+
+    def draw(axes: Axes) -> None:
+        for colour, (arm, each) in zip((SOFT, BEFORE, AFTER), record.items(), strict=True):
+            for k, (decisions, mean) in enumerate(each):
+                axes.plot(decisions, mean, color=colour, label=None if k else arm)
+        axes.set(xlabel="decisions", ylabel=f"return, mean of {SMOOTHED} episodes", ylim=(0.0, None))
+        axes.legend(loc="lower right")
+
+    return panels([draw], (6.4, 3.6))
 
 
 def main(
-    steps: int = 6000, seeds: int = 3, episodes: int = 30, figure: str = "runs/highway.png"
+    steps: int = 6000, seeds: int = 3, episodes: int = 30, path: str = "runs/highway.png"
 ) -> dict[str, list[Result]]:
     torch.set_num_threads(1)
-    results: dict[str, list[Result]] = {}
+    made_by, results = commit(), {}
     for arm, sonar in ARMS.items():
         results[arm] = [train(sonar, steps, episodes, seed) for seed in range(seeds)]
         score, speed, crashed = np.array([one.tested.mean(axis=0) for one in results[arm]]).T
         each = ", ".join(f"{one:.1f}" for one in score)
         print(f"{arm}: return {each}; {speed.mean():.1f} m/s; collided in {crashed.mean():.0%}", flush=True)
-    draw(results, figure)
+    record = write_record(Path(path), made_by, "python examples/train_highway.py", record_of(results))
+    write_bytes(Path(path), figure(record))
     return results
 
 

@@ -40,7 +40,9 @@ from training.agents.sonars import MismatchedModel, ShiftedModel
 from training.agents.zoo import command as zoo
 from training.agents.zoo.settings import tuned
 from training.common.canvas import AFTER, INK, Axes, panels
+from training.common.commit import commit
 from training.common.progress import bar
+from training.common.records import write_record
 from training.common.statistics import AGENT_COLUMNS, AgentScores, agent_rows
 from training.common.tables import markdown_table
 from training.common.workers import worker_processes
@@ -58,6 +60,7 @@ REFERENCE = "ideal"
 WORLDS = {"rig": "the rig", "moved": "the rig, sensors moved back"}
 SENSORS, PINGS_PER_VISIT = 20, 2  # of the learned model's survey, to which the baselines are fitted
 GAIN = 31  # gain of the SRF08, as in the survey of the learned model
+Shares = dict[str, dict[str, list[float]]]
 HEADER = ("trained with", *(name.format(reference=REFERENCE) for name in AGENT_COLUMNS))
 
 
@@ -252,13 +255,21 @@ def table(results: pd.DataFrame) -> str:
     )
 
 
-def figure(results: pd.DataFrame) -> bytes:
+def shares_of(results: pd.DataFrame) -> Shares:
+    """Return the share of streets in which each agent parked, by title of the panel and arm."""
+    return {
+        f"{learner}, {title}": {arm: one.scores.tolist() for arm, one in scores_of(results, learner, world).items()}
+        for learner, (world, title) in product(results["learner"].unique(), WORLDS.items())
+    }
+
+
+def figure(shares: Shares) -> bytes:
     """Return success rates by arm, learner and world: agents, interquartile means and their intervals, as PNG."""
     parts = [
-        partial(_draw, scores_of(results, learner, world), f"{learner}, {title}")
-        for learner, (world, title) in product(results["learner"].unique(), WORLDS.items())
+        partial(_draw, {arm: AgentScores(np.array(one)) for arm, one in arms.items()}, title)
+        for title, arms in shares.items()
     ]
-    return panels(parts, (4.5 * len(parts), 4.2), share_y=True)
+    return panels(parts, (8.0, 3.8 * -(-len(parts) // 2)), columns=2, share_y=True)
 
 
 def _draw(scores: dict[str, AgentScores], title: str, axes: Axes) -> None:
@@ -274,10 +285,10 @@ def _draw(scores: dict[str, AgentScores], title: str, axes: Axes) -> None:
 
 
 def main(args: Args) -> None:
-    """Run the experiment, print its tables, and write transfer.csv, transfer.md and transfer.png."""
-    results = run(args)
+    """Run the experiment, print its tables, and write transfer.csv, transfer.md and transfer.png with its record."""
+    made_by, results, picture = commit(), run(args), args.out / "transfer.png"
     text = table(results)
     write_text(args.out / "transfer.csv", results.to_csv(index=False))
     write_text(args.out / "transfer.md", text + "\n")
-    write_bytes(args.out / "transfer.png", figure(results))
+    write_bytes(picture, figure(write_record(picture, made_by, "sonar-gym transfer", shares_of(results))))
     Console(soft_wrap=True, highlight=False).print(text)

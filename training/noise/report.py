@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from string import Template
-from typing import Annotated
+from typing import Annotated, TypedDict
 
 import numpy as np
 from annotated_types import MinLen
@@ -22,9 +22,10 @@ from noise.learned.networks import MlpModel
 from noise.learned.recent import RecentCredence
 from noise.metrics import Reliability, credence_reliability
 from noise.store import ModelName
-from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, panels
+from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.common.commit import commit
 from training.common.progress import bar
+from training.common.records import write_record
 from training.common.tables import markdown_table
 from training.noise.compare import baselines, compare, comparison_text, sensor_conditions
 from training.noise.corpus import RECORDINGS, ensure_recorded
@@ -58,6 +59,16 @@ STEPS = 4  # of the report besides recordings and scenarios
 MIN_BIN_PINGS = 20  # of a bin in the reliability diagrams
 
 
+class Curve(TypedDict):
+    """Predicted credence, observed frequency and its error in each bin, (3, bins), and the mean gap between them."""
+
+    points: list[list[float]]
+    gap: float
+
+
+Diagrams = dict[str, dict[str, Curve]]
+
+
 @dataclass(frozen=True)
 class Args:
     """Settings of `sonar-gym noise-report`."""
@@ -65,7 +76,7 @@ class Args:
     data: OutputFolder = Path("corpus")
     """Folder of the recordings; missing ones are recorded."""
     out: OutputFolder = Path("docs/explanation")
-    """Folder to write noise-models.md and images/noise-credence.png to."""
+    """Folder to write noise-models.md and images/noise-credence.png, with its record, to."""
     models: Annotated[tuple[ModelName, ...], MinLen(1)] = SHIPPED
     """Models to compare with the baselines, by name or folder; a perceptron first."""
     sessions: Count = 40
@@ -89,7 +100,9 @@ def main(args: Args) -> None:
             recordings[name] = Recording.load(ensure_recorded(args.data, name))
             tick()
         found = collect(models, recordings, MemoryExperiment(sessions=args.sessions), tick)
-    write_bytes(args.out / "images" / "noise-credence.png", figure(models, recordings, found.given))
+    picture = args.out / "images" / "noise-credence.png"
+    diagrams = diagrams_of(models, recordings, found.given)
+    write_bytes(picture, figure(write_record(picture, made_by, "sonar-gym noise-report", diagrams)))
     write_text(args.out / "noise-models.md", page(found, made_by))
     print(f"{args.out / 'noise-models.md'}: written")
 
@@ -179,41 +192,44 @@ def _readings_table(found: NoiseFindings) -> str:
     return markdown_table(header, rows)
 
 
-def figure(
+def diagrams_of(
     models: Mapping[str, SonarModel],
     recordings: Mapping[str, Recording],
     given: Mapping[str, Mapping[str, CredenceScore]],
-) -> bytes:
-    """Return reliability diagrams of both kinds of credence on both test sets, as PNG."""
-    draws = []
+) -> Diagrams:
+    """Return the curves of both kinds of credence on both test sets, by title of the diagram and label."""
+    found: Diagrams = {}
     for name, label in TEST_SETS.items():
         test = recordings[name]
-        curves = {
-            model: credence_reliability(
-                follow(models[model], test.ping, test.reading), test.reading, sensor_conditions(test)
-            )
-            for model in models
+        laws = {model: follow(models[model], test.ping, test.reading) for model in models}
+        found[f"given the condition: {label}"] = {
+            model: _curve(credence_reliability(law, test.reading, sensor_conditions(test)))
+            for model, law in laws.items()
         }
-        draws.append(partial(_diagram, title=f"given the condition: {label}", curves=curves))
     for name, scores in given.items():
-        curves = {method: score.reliability for method, score in scores.items()}
-        draws.append(partial(_diagram, title=f"given the readings: {TEST_SETS[name]}", curves=curves))
-    return panels(draws, (10.0, 9.0), columns=2)
+        curves = {method: _curve(score.reliability) for method, score in scores.items()}
+        found[f"given the readings: {TEST_SETS[name]}"] = curves
+    return found
 
 
-def _diagram(ax: Axes, title: str, curves: Mapping[str, Reliability]) -> None:
+def _curve(found: Reliability) -> Curve:
+    rows: NDArray[np.bool_] = found.pings >= MIN_BIN_PINGS
+    points = np.stack([found.predicted[rows], found.observed[rows], found.error[rows]])
+    return {"points": points.tolist(), "gap": found.gap}
+
+
+def figure(diagrams: Diagrams) -> bytes:
+    """Return reliability diagrams as PNG."""
+    draws = [partial(_diagram, title=title, curves=curves) for title, curves in diagrams.items()]
+    return panels(draws, (9.0, 8.4), columns=2)
+
+
+def _diagram(ax: Axes, title: str, curves: Mapping[str, Curve]) -> None:
     ax.plot([0, 1], [0, 1], color=SOFT, lw=1)
     for (label, curve), colour, mark in zip(curves.items(), (BEFORE, SOFT, AFTER), "s^o", strict=True):
-        rows: NDArray[np.bool_] = curve.pings >= MIN_BIN_PINGS
-        ax.errorbar(
-            curve.predicted[rows],
-            curve.observed[rows],
-            curve.error[rows],
-            color=colour,
-            marker=mark,
-            ms=4,
-            label=f"{label} (gap {curve.gap:.3f})",
-        )
-    ax.set(title=title, xlabel="predicted credence", ylabel="observed frequency", xlim=(0, 1), ylim=(0, 1))
-    ax.legend(loc="upper left")
-    ax.tick_params(colors=INK)
+        text = f"{label} (gap {curve['gap']:.3f})"
+        predicted, observed, error = curve["points"]
+        ax.errorbar(predicted, observed, error, color=colour, marker=mark, ms=4, label=text)
+    ax.set(xlabel="predicted credence", ylabel="observed frequency", xlim=(0, 1), ylim=(0, 1))
+    ax.set_title(title.replace(": ", ":\n"))
+    ax.legend(loc="upper left", fontsize=9)

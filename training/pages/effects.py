@@ -131,7 +131,7 @@ def draw(axes: Axes, example: Example, without: PhysicalModel, with_it: Physical
     axes.margins(y=0.15)
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -MIN_MM), max(high, MIN_MM))
-    axes.legend(loc="upper right", ncols=2)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)  # above, where no reading is
 
 
 def _mark_silence(axes: Axes, x: Floats, height: float, colour: str) -> None:

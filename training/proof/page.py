@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +16,6 @@ from acquisition.io.files import write_bytes, write_text
 from noise.effects import CATALOGUE
 from noise.metrics import reliability
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
-from training.common.commit import ROOT
 from training.common.tables import markdown_table
 from training.diagnosis.generators.ensemble import FAMILIES, SAME, SINGLE
 from training.diagnosis.judging.page import is_right
@@ -31,7 +29,6 @@ from training.proof.ledger import answers_of, left_out_records, lost_of, records
 from training.proof.real import EVENT as REAL
 
 PAGE, FAMILIES_PAGE, PICTURE = "proof.md", "proof-families.md", "proof.png"
-FIRST_DESIGN = ROOT / "benchmarks" / "records" / "proof" / "first-design.json"
 SILENT = ("none", "too_little_data")
 EDGES = (0.0, 2.0, 5.0, 15.0, 50.0, 150.0, np.inf)  # of bins of separation, nats
 UNFITTED, ALL = "families never fitted", "all families"
@@ -94,19 +91,26 @@ def publish(lines: Sequence[Line], pages: Path, out: Path) -> str:
         out: folder of the table of each family.
     """
     answers = answers_of(lines)
-    records = [record for record in records_of(lines, answers) if record["error"] is None]
-    drawn = [lambda axes, f=f: f(axes, records) for f in (draw_accuracy, draw_calibration, draw_coverage)]
-    write_bytes(pages / PICTURE, panels(drawn, (13.5, 4.0)))
+    write_bytes(pages / PICTURE, picture(lines))
     found = scopes(lines, answers)
-    write_text(pages / PAGE, page(lines, records, found))
+    write_text(pages / PAGE, page(lines, records_of(lines, answers), found))
     write_text(out / FAMILIES_PAGE, f"# Targets of each family of generators\n\n{family_table(found)}\n")
     hits = Counter(row.hit for row in found[ALL])
     return f"targets met over all families: {hits[True]} of {hits[True] + hits[False]}; page: {pages / PAGE}"
 
 
+def picture(lines: Sequence[Line]) -> bytes:
+    """Return accuracy, calibration and coverage of the trials as PNG."""
+    records = [record for record in records_of(lines, answers_of(lines)) if record["error"] is None]
+    drawn = [lambda axes, f=f: f(axes, records) for f in (draw_accuracy, draw_calibration, draw_coverage)]
+    return panels(drawn, (13.5, 4.0))
+
+
 def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list[Row]]) -> str:
     """Return the page as Markdown."""
     deck, lost = lines[0], lost_of(lines)
+    failed = failures(records)
+    records = [record for record in records if record["error"] is None]
     kinds = Counter(record["kind"] for record in records)
     hits = Counter(row.hit for row in found[ALL])
     real = [line for line in lines if line["event"] == REAL]
@@ -115,15 +119,27 @@ def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list
         kinds=", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())),
         lost=len(lost),
         commit=deck["commit"],
+        failed=f" {failed}" if failed else "",
         met=hits[True],
         of=hits[True] + hits[False],
         table=target_table(found),
-        baselines=baseline_table(records, first_design(deck["hash"])),
+        baselines=baseline_table(records),
         real=real_table(real) if real else "None were at hand.",
         deck=deck["hash"],
         last=lines[-1]["hash"],
         picture=PICTURE,
     )
+
+
+def failures(records: Sequence[Record]) -> str:
+    """Return how many trials ended in an error, which, and in what error, as a sentence; empty if none did."""
+    trials: dict[str, list[str]] = {}
+    for record in records:
+        if record["error"]:
+            trials.setdefault(record["error"].splitlines()[0], []).append(str(record["trial"]))
+    each = "; ".join(f"{', '.join(numbers)}: {error}" for error, numbers in trials.items())
+    n = sum(map(len, trials.values()))
+    return f"{n} {'trial' if n == 1 else 'trials'} ended in an error ({each})." if n else ""
 
 
 def target_table(found: dict[str, list[Row]]) -> str:
@@ -152,14 +168,7 @@ def family_table(found: dict[str, list[Row]]) -> str:
     return markdown_table(("metric", *families), [(m, *(_cell(columns[f][m]) for f in families)) for m in shown])
 
 
-def first_design(deck: str, path: Path = FIRST_DESIGN) -> dict[int, tuple[str, str]]:
-    """Return verdict and most probable cause of the first design on trials of a deck, as far as they were recorded."""
-    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    said = content.get("said", {}) if content.get("deck") == deck else {}
-    return {int(trial): (verdict, cause) for trial, (verdict, cause) in said.items()}
-
-
-def baseline_table(records: Sequence[Record], first: Mapping[int, tuple[str, str]]) -> str:
+def baseline_table(records: Sequence[Record]) -> str:
     """Return what this package and the baselines reach on nulls and on single causes of half the plain size."""
     null = [r for r in records if r["kind"] == SAME]
     known = [r for r in records if r["kind"] == SINGLE and r["causes"][0]["size"] >= STRONG_SIZE]
@@ -170,18 +179,7 @@ def baseline_table(records: Sequence[Record], first: Mapping[int, tuple[str, str
         said = (_percent([alarm(r) for r in group]) if alarm else "–" for group in (null, known))
         named = _percent([right(r) for r in known]) if right else "–"
         table.append((name, *said, named, f"{np.median(gaps):.2f}" if gaps else "–"))
-    if first:
-        table.append(_first_row(null, known, first))
     return markdown_table(("method", "alarms, nulls", "alarms, causes", "cause right", "median gap closed"), table)
-
-
-def _first_row(
-    null: Sequence[Record], known: Sequence[Record], first: Mapping[int, tuple[str, str]]
-) -> tuple[str, ...]:
-    """Return the row of the first design, on those trials that it was given."""
-    alarms = ([first[r["number"]][0] != "none" for r in group if r["number"] in first] for group in (null, known))
-    right = [first[r["number"]][1] in r["causes"][0]["accepted"] for r in known if r["number"] in first]
-    return "first design, commit 802bd60", *map(_percent, alarms), _percent(right), "–"
 
 
 def _percent(values: Sequence[float]) -> str:
@@ -264,7 +262,7 @@ def _point(axes: Axes, x: float, outcomes: Sequence[bool], colour: str) -> None:
 TEXT = """# The diagnosis on concealed effects
 
 {trials} blind trials ({kinds}; {lost} lost by interruptions) at commit {commit}.
-**{met} of {of} targets are met over all families of generators.**
+**{met} of {of} targets are met over all families of generators.**{failed}
 
 ## What was asked
 

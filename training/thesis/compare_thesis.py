@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, Limit, Seed
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, panels
+from training.common.commit import commit
 from training.common.progress import progress_bars
+from training.common.records import write_record
 from training.common.tables import markdown_table
 from training.thesis.data import A1_VALIDATION, TABLES, Floats, Samples
 from training.thesis.experiment import provenance
@@ -29,7 +31,6 @@ from training.thesis.rig import (
     FREE_PARAMETERS,
     FULL_GAIN,
     RigStudy,
-    RigVariant,
     Settings,
     Source,
     compare,
@@ -38,6 +39,8 @@ from training.thesis.rig import (
 from training.thesis.surfaces import ANGLES_DEG, KINDS, REFLECTORS
 
 FIGURE = "rig-versus-thesis.png"
+THESIS, PREDICTED = "thesis", ", predicted"  # lines of the figure: its networks, and those trained on a rig
+Lines = dict[str, dict[str, list[Any]]]
 SHOWN_DEG = (0.0, 10.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0)
 PARAMETER_FORMATS = {
     "sensitivity_db": ("{:+.1f} dB", 1.0),
@@ -90,12 +93,14 @@ class Args:
 
 def main(args: Args) -> None:
     """Evaluate the author's networks, tune, record, train, and write tables and a figure."""
-    settings, author = args.settings, published(args.networks)
+    settings, author, made_by = args.settings, published(args.networks), commit()
     made = provenance(["compare-thesis", "--networks", args.networks.name, "--out", args.out.name], args)
     with progress_bars() as report:
         study = compare(author, settings, report)
     folder = args.page or args.out
-    write_bytes(folder / FIGURE, figure(study))
+    write_bytes(
+        folder / FIGURE, figure(write_record(folder / FIGURE, made_by, "sonar-gym compare-thesis", lines_of(study)))
+    )
     text = page(study, f"{made}.")
     write_text(folder / "tables.md", text)
     print(text)
@@ -199,35 +204,45 @@ def _millimetres(value: float) -> str:
     return f"{round(1e3 * value)}" if np.isfinite(value) else "–"
 
 
-def figure(study: RigStudy) -> bytes:
+def lines_of(study: RigStudy) -> Lines:
+    """Return the silent distances of the tables by line and credence; of the thesis those of each network."""
+    shown, every = np.isin(ANGLES_DEG, SHOWN_DEG), study.predictions.values()
+    lines = {THESIS: {c: [getattr(one, c)[:, shown].tolist() for one in every] for c in CREDENCES}}
+    for variant in study.variants:
+        for name, one in ((variant.name, variant.silence), (variant.name + PREDICTED, variant.predicted_silence)):
+            lines[name] = {c: getattr(one, c)[:, shown].tolist() for c in CREDENCES}
+    return lines
+
+
+def figure(lines: Lines) -> bytes:
     """Return a figure of the silent distances by reflector and angle, as PNG."""
-    draws = [_panel(study, credence, row) for credence in CREDENCES for row in range(len(REFLECTORS))]
-    return panels(draws, (9.0, 6.8), columns=2, share_y=True)
+    draws = [_panel(lines, credence, row) for credence in CREDENCES for row in range(len(REFLECTORS))]
+    return panels(draws, (8.0, 6.8), columns=2, share_y=True)
 
 
-def _panel(study: RigStudy, credence: str, row: int) -> Draw:
+def _panel(lines: Lines, credence: str, row: int) -> Draw:
     def draw(axes: Axes) -> None:
-        thesis = np.array([getattr(silence, credence)[row] for silence in study.predictions.values()])
-        axes.fill_between(ANGLES_DEG, thesis.min(axis=0), thesis.max(axis=0), color=SOFT, alpha=0.35, lw=0)
-        axes.plot(
-            ANGLES_DEG, thesis.mean(axis=0), color=INK, lw=2.0, label="the thesis's sonar, predicted by its networks"
-        )
-        for variant in study.variants:
-            _plot_variant(axes, variant, credence, row)
+        thesis = np.array(lines[THESIS][credence])[:, row]
+        axes.fill_between(SHOWN_DEG, thesis.min(axis=0), thesis.max(axis=0), color=SOFT, alpha=0.35, lw=0)
+        axes.plot(SHOWN_DEG, thesis.mean(axis=0), color=INK, lw=2.0, label="thesis")
+        for name, one in lines.items():
+            if name != THESIS:
+                _plot_rig(axes, name, one[credence][row])
         axes.set(xlabel="angle (deg)", ylim=(0.0, 6.2), title=f"{list(REFLECTORS)[row]}, {CREDENCES[credence]}")
-        axes.title.set_fontsize(9)
         if row == 0:
-            axes.set_ylabel("mean distance of silent pings (m)")
+            axes.set_ylabel("mean distance (m)")
         if row == 0 and credence == "never":
-            axes.legend(fontsize=7.5, loc="lower left")
+            axes.legend(fontsize=9, loc="lower left")
 
     return draw
 
 
-def _plot_variant(axes: Axes, variant: RigVariant, credence: str, row: int) -> None:
+def _plot_rig(axes: Axes, name: str, values: Sequence[float]) -> None:
     """Plot a rig's silent distances as points, and the predictions of networks trained on it as a line."""
-    colour = AFTER if variant.rig.setup.gain == FULL_GAIN else BEFORE
-    marker, line = ("o", "-") if variant.name.endswith("tuned") else ("x", ":")
-    points, predicted = (getattr(one, credence)[row] for one in (variant.silence, variant.predicted_silence))
-    axes.plot(ANGLES_DEG, points, marker, color=colour, ms=4, label=f"rig, {variant.name}")
-    axes.plot(ANGLES_DEG, predicted, line, color=colour, lw=1.1)
+    rig = name.removesuffix(PREDICTED)
+    colour = AFTER if f"gain {FULL_GAIN}" in rig else BEFORE
+    marker, line = ("o", "-") if rig.endswith("tuned") else ("x", ":")
+    if name == rig:
+        axes.plot(SHOWN_DEG, values, marker, color=colour, ms=4, label=f"rig, {name}")
+    else:
+        axes.plot(SHOWN_DEG, values, line, color=colour, lw=1.1)

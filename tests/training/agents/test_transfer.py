@@ -86,7 +86,7 @@ def test_tables_count_agents_and_the_figure_shows_all_worlds():
         assert "| 0, 20, 40, 60 |" in rows["ideal"]
         # of the 70 divisions of eight agents, two are as extreme
         assert "| 100.0 % (100.0 to 100.0) | 100, 100, 100, 100 | 100 % (100 to 100) | 0.029 |" in rows["beam"]
-    assert transfer.figure(results)[:8] == b"\x89PNG\r\n\x1a\n"
+    assert transfer.figure(transfer.shares_of(results))[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 def test_agents_are_made_in_turn_so_that_what_is_finished_is_balanced():

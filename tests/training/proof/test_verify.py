@@ -9,7 +9,7 @@ from tests.training.proof.conftest import forged, stub_diagnose, stub_verdict
 from training.cli import main as cli
 from training.common.checksum import canonical
 from training.proof.ledger import answers_of
-from training.proof.page import PAGE, publish, table_of
+from training.proof.page import PAGE, failures, publish, table_of
 from training.proof.run import LEDGER
 from training.proof.sealing import new_key, seal
 from training.proof.verify import Args, problems_of, rediagnosed, regenerated
@@ -211,3 +211,10 @@ def test_the_page_is_short_and_shows_misses_first(finished, tmp_path):
     rows = [line for line in text.splitlines() if line.startswith("| ") and "%" in line][1:]
     assert "**" in rows[0]
     assert lines[-1]["hash"] in text
+
+
+def test_the_page_says_which_trials_ended_in_an_error_and_in_which():
+    ends = {3: "FitError: no echo\nat line 2", 5: None, 7: "the process ended: exit code -15", 9: "FitError: no echo"}
+    said = failures([{"trial": trial, "error": error} for trial, error in ends.items()])
+    assert said == "3 trials ended in an error (3, 9: FitError: no echo; 7: the process ended: exit code -15)."
+    assert failures([{"trial": 0, "error": None}]) == ""
