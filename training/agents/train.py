@@ -355,7 +355,7 @@ def _draw_lengths(imitated: float, points: Points, ax: Axes) -> None:
     lengths = [one["seconds_an_episode"] for _, one in points]
     ax.plot([at for at, _ in points], lengths, color=SOFT, marker="o", ms=4)
     _shade(imitated, ax)
-    ax.set(title="Length of an episode", ylabel="duration (s)", ylim=(0, 1.1 * max(lengths)))
+    ax.set(title="Length of an episode", ylabel="duration (s)", ylim=(0, 1.1 * max(lengths, default=1.0)))
 
 
 def _shade(imitated: float, ax: Axes) -> None:
