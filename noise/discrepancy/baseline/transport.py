@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,9 @@ class TransportLaw(EchoLaw):
 
     Attributes:
         given: readings, (n,).
-        law: law of the readings that they become.
+        own, law: law that they come from, and that of the readings that they become.
         low, high: share of the echoes of the first law up to the lower and upper end of the step of each echo, (n,).
         alien: which echoes are no part of the first law, (n,).
-        moved: what those become, m, (n,).
         heard: probability that each reading becomes an echo, (n,).
     """
 
@@ -44,12 +44,11 @@ class TransportLaw(EchoLaw):
 
     def __init__(self, given: Reading, own: EchoLaw, law: EchoLaw) -> None:
         super().__init__(law.distance, law.resolution, law.max_range)
-        self.given, self.law = given, law
+        self.given, self.own, self.law = given, own, law
         before, after = (each.echo / np.maximum(1.0 - each.no_answer, RARE) for each in (own, law))
         self.low, self.high = (each / np.maximum(before, RARE) for each in transforms(own, given))
         place = 0.5 * (self.low + self.high)
         self.alien = given.echo & ((place < ALIEN) | (place > 1.0 - ALIEN))
-        self.moved = given.range + law.quantile(0.5) - own.quantile(0.5)
         kept = after / np.maximum(before, RARE)
         gained = (after - before) / np.maximum(1.0 - before, RARE)
         self.heard = np.clip(np.where(given.echo, kept, gained), 0.0, 1.0)
@@ -57,8 +56,15 @@ class TransportLaw(EchoLaw):
     def _arrival(self, z: Floats) -> Floats:
         share = self.law._arrival(z) / np.maximum(self.law.echo, RARE)
         within = np.clip((share - self.low) / np.maximum(self.high - self.low, RARE), 0.0, 1.0)
-        carried = np.where(self.alien, z >= self.moved, np.where(self.given.echo, within, share))
+        carried = np.where(self.given.echo, within, share)
+        if self.alien.any():
+            carried = np.where(self.alien, z >= self._moved, carried)
         return (1.0 - self.no_answer) * self.heard * carried
+
+    @cached_property
+    def _moved(self) -> Floats:
+        """Ranges moved by the difference of the medians, m, (n,)."""
+        return self.given.range + self.law.quantile(0.5) - self.own.quantile(0.5)
 
     @property
     def no_answer(self) -> Floats:
