@@ -227,9 +227,9 @@ def figure(diagrams: Diagrams) -> bytes:
 def _diagram(ax: Axes, title: str, curves: Mapping[str, Curve]) -> None:
     ax.plot([0, 1], [0, 1], color=SOFT, lw=1)
     for (label, curve), colour, mark in zip(curves.items(), (BEFORE, SOFT, AFTER), "s^o", strict=True):
-        text = f"{label} (gap {curve['gap']:.3f})"
+        text = f"{label.removesuffix(' over the training conditions')}\n(gap {curve['gap']:.3f})"
         predicted, observed, error = curve["points"]
         ax.errorbar(predicted, observed, error, color=colour, marker=mark, ms=4, label=text)
     ax.set(xlabel="predicted credence", ylabel="observed frequency", xlim=(0, 1), ylim=(0, 1))
     ax.set_title(title.replace(": ", ":\n"))
-    ax.legend(loc="upper left", fontsize=9)
+    ax.legend(loc="lower right", fontsize=9)
