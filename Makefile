@@ -48,9 +48,9 @@ figures: $(STAMP) $(RECORDS)  ## make all pictures of the docs again, those of e
 	rm -rf runs/figures && mkdir -p runs/figures
 	for archive in $(NETWORKS); do tar -xJf $$archive -C runs/figures || exit 1; done  # networks that exist are not trained again
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 14 --seed 1 --out runs/figures/14.csv
-	$(BIN)/sonar-gym compare-optimizers runs/figures/14.csv --out runs/figures/14 && cp runs/figures/14/*.png docs/explanation/thesis
+	$(BIN)/sonar-gym compare-optimizers runs/figures/14.csv --out runs/figures/14 --seeds $(SEEDS_14) && cp runs/figures/14/*.png docs/explanation/thesis
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 31 --seed 1 --out runs/figures/31.csv
-	$(BIN)/sonar-gym compare-optimizers runs/figures/31.csv --out runs/figures/31 --seeds 3 && cp runs/figures/31/*.png docs/explanation/thesis/gain-31
+	$(BIN)/sonar-gym compare-optimizers runs/figures/31.csv --out runs/figures/31 --seeds $(SEEDS_31) && cp runs/figures/31/*.png docs/explanation/thesis/gain-31
 	$(BIN)/sonar-gym record --driver rig --plan thesis --gain 11 --range-register 139 --out runs/figures/thesis.csv
 	$(BIN)/sonar-gym plot runs/figures/thesis.csv --out runs/figures/thesis
 	cp runs/figures/thesis/credence-plane.png docs/images/credence-plane.png
