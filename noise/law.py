@@ -3,7 +3,8 @@
 A law is defined by its arrival function `arrival(z)`, the probability that an echo is registered at an exact range
 <= z. The register holds whole steps of the resolution q: step j covers exact ranges in ((j - 1/2) q, (j + 1/2) q]; the
 first step also covers everything below, the last step everything above, and a register of 0 means no echo. The
-remaining probability is divided between no echo and no answer, so that all outcomes sum to one.
+remaining probability is divided between no echo and no answer, so that all outcomes sum to one. Readings to which a
+constant was added after rounding lie on a shifted grid: `origin` is then the range that stands for step 0.
 """
 
 from __future__ import annotations
@@ -48,12 +49,14 @@ class EchoLaw(ABC):
         distance: true distances, m, (n,).
         resolution: step of the register, m.
         max_range: range of the register's last step, m.
+        origin: range of step 0, m, in (-`resolution`, 0].
         has_probabilities: whether probabilities are available; False if the law can only be sampled.
         uniform_per_ping: whether `sample(rng)` takes all its randomness as `rng.random((..., n))` calls with one column
             a ping, so that copies with different generators can be sampled in one batch. A subclass that overrides
             `_sample` must declare it again; otherwise it is False.
     """
 
+    origin: float = 0.0
     has_probabilities: bool = True
     uniform_per_ping: bool = True
 
@@ -128,7 +131,7 @@ class EchoLaw(ABC):
 
     def step(self, range_: ArrayLike) -> Ints:
         """Return the register step nearest to a range in m, 1 to `last_step`."""
-        nearest = np.rint(self._numbers("step.range_", range_) / self.resolution)
+        nearest = np.rint((self._numbers("step.range_", range_) - self.origin) / self.resolution)
         return np.clip(nearest, 1, self.last_step).astype(np.int64)
 
     def cdf_step(self, step: ArrayLike) -> Floats:
@@ -143,12 +146,12 @@ class EchoLaw(ABC):
         return self._edge(self._per_ping("edge.step", step))
 
     def _edge(self, step: Floats | Ints) -> Floats:
-        inside = (step + 0.5) * self.resolution
+        inside = (step + 0.5) * self.resolution + self.origin
         return np.where(step < 1, -np.inf, np.where(step >= self.last_step, np.inf, inside))
 
     def cdf(self, range_: ArrayLike) -> Floats:
         """Return P(echo and reading <= range), for range in m, (n,) or (m, n)."""
-        return self._cdf_step(np.floor(self._per_ping("cdf.range_", range_) / self.resolution + 1e-9))
+        return self._cdf_step(np.floor((self._per_ping("cdf.range_", range_) - self.origin) / self.resolution + 1e-9))
 
     @checked
     def log_prob(self, reading: Reading) -> Floats:
@@ -177,7 +180,11 @@ class EchoLaw(ABC):
         step = self._invert(np.minimum(u, p_echo))
         status = np.where(u < p_echo, EchoStatus.ECHO, EchoStatus.NO_ECHO)
         status = np.where(u >= 1.0 - self.no_answer, EchoStatus.NO_ANSWER, status)
-        return Reading.of(np.where(status == EchoStatus.ECHO, step * self.resolution, 0.0), status)
+        return Reading.of(np.where(status == EchoStatus.ECHO, self._range(step), 0.0), status)
+
+    def _range(self, step: Floats | Ints) -> Floats:
+        """Return the reading of a step, m."""
+        return np.asarray(step * self.resolution + self.origin)
 
     def _invert(self, u: Floats) -> Ints:
         """Return the smallest step whose cdf exceeds u, (n,) or (m, n), by repeated division into equal parts."""
@@ -200,8 +207,8 @@ class EchoLaw(ABC):
     @checked
     def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
-        low = np.ceil((1 - tolerance) * self.distance / self.resolution - 1e-9).astype(np.int64)
-        high = np.floor((1 + tolerance) * self.distance / self.resolution + 1e-9).astype(np.int64)
+        low = np.ceil(((1 - tolerance) * self.distance - self.origin) / self.resolution - 1e-9).astype(np.int64)
+        high = np.floor(((1 + tolerance) * self.distance - self.origin) / self.resolution + 1e-9).astype(np.int64)
         below, upto = self._cdf_step(np.stack([low - 1, high]))
         return np.minimum(np.maximum(upto - below, 0.0), 1.0)
 
@@ -210,7 +217,7 @@ class EchoLaw(ABC):
         echo, share = self.echo, self._per_ping("quantile.p", p)
         if not np.all((share >= 0.0) & (share <= 1.0)):
             raise SettingError(f"{type(self).__name__}.quantile.p: expected numbers from 0 to 1, got {shown(p)}")
-        return np.where(echo > 0, self._invert(share * echo * (1 - 1e-12)) * self.resolution, 0.0)
+        return np.where(echo > 0, self._range(self._invert(share * echo * (1 - 1e-12))), 0.0)
 
 
 class SampleOnlyLaw(EchoLaw):

@@ -84,13 +84,13 @@ class NormalLaw(EchoLaw):
         u = rng.random(len(self))
         echo = u < 1.0 - self.miss
         step = self._invert(np.where(echo, u, 0.0))
-        return Reading(np.where(echo, step * self.resolution, 0.0), echo.astype(np.uint8))
+        return Reading(np.where(echo, self._range(step), 0.0), echo.astype(np.uint8))
 
     def _invert(self, u: Floats) -> NDArray[np.int64]:
         """Return the smallest step whose cdf exceeds u."""
         # u is limited to (0, 1 - miss): its ends map to infinite ranges, even where sigma is 0
         share = np.minimum(np.maximum(u / np.maximum(1.0 - self.miss, 1e-300), 1e-300), 1.0 - 1e-16)
-        nearest = np.ceil((self.mean + self.sigma * ndtri(share)) / self.resolution - 0.5)
+        nearest = np.ceil((self.mean + self.sigma * ndtri(share) - self.origin) / self.resolution - 0.5)
         return np.minimum(np.maximum(nearest, 1), self.last_step).astype(np.int64)
 
 
@@ -105,17 +105,19 @@ class CertainLaw(NormalLaw):
     @property
     def _steps(self) -> Floats:
         """Register step nearest to each distance, as floats."""
-        return np.minimum(np.maximum(np.ceil(self.distance / self.resolution - 0.5), 1.0), self.last_step)
+        return np.minimum(
+            np.maximum(np.ceil((self.distance - self.origin) / self.resolution - 0.5), 1.0), self.last_step
+        )
 
     def _sample(self, rng: UniformSource) -> Reading:
         """Return the readings; no random number is drawn."""
         echo = self.miss < 1.0
-        return Reading(self._steps * (echo * self.resolution), echo.view(np.uint8))
+        return Reading(self._range(self._steps) * echo, echo.view(np.uint8))
 
     @checked
     def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return 1 where the register step lies within +-tolerance of the distance, else 0, (n,)."""
-        off = np.abs(self._steps * self.resolution - self.distance)
+        off = np.abs(self._range(self._steps) - self.distance)
         right = off <= tolerance * self.distance + 1e-9 * self.resolution
         return right * (1.0 - self.miss)
 

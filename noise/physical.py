@@ -34,15 +34,17 @@ END = 1e4  # m; end of the register: beyond any range, but finite for finite gra
 class PhysicalLaw(EchoLaw):
     """The law of a `State`; `log_prob_tensor` is differentiable in the parameters of the effects."""
 
-    def __init__(self, state: State, distance: Floats, resolution: float, max_range: float) -> None:
+    def __init__(
+        self, state: State, distance: Floats, resolution: float, max_range: float, origin: float = 0.0
+    ) -> None:
         super().__init__(distance, resolution, max_range)
-        self.state = state
+        self.state, self.origin = state, origin
 
     def register_to_range(self, edge: Tensor) -> Tensor:
         """Return the exact range that corresponds to a register edge, m, (..., n)."""
         state = self.state
         if state.step > 0:
-            edge = (torch.floor(edge / state.step + 1e-9) + 0.5) * state.step
+            edge = (torch.floor((edge - self.origin) / state.step + 1e-9) + 0.5) * state.step + self.origin
         return torch.minimum((edge - state.offset) / state.scale, state.gate)
 
     def survival(self, z: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from acquisition.arguments import checked
-from acquisition.arrays import Bits, Ints
+from acquisition.arrays import Bits, Floats, Ints
 from acquisition.brief import shortened
 from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
@@ -42,6 +42,8 @@ from acquisition.limits import as_numbers, check_value, is_list, shown
 from acquisition.ping import EchoStatus, Ping, Reading, check_pairs, interval
 
 MM, DEG = 1e-3, np.pi / 180.0
+COMMON_MM = (25.4, 10.0)  # inch output and cm output
+ROUNDED_MM = 0.5  # half of the step of readings in whole mm, the most common ones
 MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
 
 
@@ -226,7 +228,7 @@ class Recording:
 
     @cached_property
     def ping(self) -> Ping:
-        """True conditions of the pings."""
+        """True conditions of the pings, with the time since the first of them: logs count from any origin."""
         angle = self.table["angle_deg"].to_numpy() * DEG
         column = self.table.get
         table = self._with_interval()
@@ -235,11 +237,17 @@ class Recording:
             angle=angle,
             incidence=angle if not self.has("incidence_deg") else self.table["incidence_deg"].to_numpy() * DEG,
             reflectance=column("reflectance", pd.Series(1.0, self.table.index)).to_numpy(),
-            time=column("time_s", pd.Series(np.arange(len(self)), dtype=np.float64)).to_numpy(),
+            time=self._elapsed(),
             run=self.run,
         )
         names = (*self.covariates, *table.columns.difference(self.table.columns))
         return replace(ping, covariates={name: table[name].to_numpy(np.float64) for name in names})
+
+    def _elapsed(self) -> Floats:
+        """Return the time since the first ping, s, (n,); the index of each ping where no time was logged."""
+        index = pd.Series(np.arange(len(self)), dtype=np.float64)
+        time: Floats = np.asarray(self.table.get("time_s", index), dtype=np.float64)
+        return time - time.min() if len(time) else time
 
     @cached_property
     def reading(self) -> Reading:
@@ -260,19 +268,26 @@ class Recording:
             if name not in known and not is_reading(name) and _is_complete_number(self.table[name])
         )
 
-    @cached_property
+    @property
     def resolution(self) -> float:
-        """Step of the grid on which all readings lie, m; 1 mm if there is none.
+        """Step of the grid on which all readings lie, m; 1 mm if there is none."""
+        return self.grid[0]
+
+    @cached_property
+    def grid(self) -> tuple[float, float]:
+        """Step of the grid on which all readings lie, m, and the range of its step 0, m, in (-step, 0].
 
         The common steps are 10 mm (cm output) and 25.4 mm (inch output). Other steps, and multiples of the common ones,
-        are accepted if a coincidence is improbable and the true distances do not lie on the same grid.
+        are accepted if a coincidence is improbable and the true distances do not lie on the same grid. A constant that
+        was added after rounding, such as the place of the sensor on a robot, shifts the whole grid.
         """
-        echo_mm = np.unique(self.reading.range[self.reading.echo] / MM)
-        common = next((step for step in (25.4, 10.0) if len(echo_mm) and _on_grid(echo_mm, step, 0.051)), None)
-        found = _other_step(echo_mm) if common is None else common * _common_divisor(np.rint(echo_mm / common))
-        placed = found is not None and _on_grid(np.unique(self.ping.distance / MM), found, 0.051)
-        step = common if found is None or placed else found
-        return MM if step is None else step * MM
+        reading_mm, distance_mm = (value[self.reading.echo] / MM for value in (self.reading.range, self.ping.distance))
+        echo_mm = np.unique(reading_mm)
+        step = _step_of(echo_mm, np.unique(self.ping.distance / MM))
+        if step is not None or len(echo_mm) < 2:
+            return (MM if step is None else step * MM), 0.0
+        step = _shifted_step(reading_mm, distance_mm)
+        return (MM, 0.0) if step is None else (step * MM, -(-float(echo_mm[0]) % step) * MM)
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -286,6 +301,29 @@ class Recording:
 def _is_column(value: Any, n: int) -> bool:
     is_flat = value.ndim == 1 if isinstance(value, np.ndarray | pd.Series) else is_list(value)
     return is_flat and len(value) == n
+
+
+def _step_of(echo_mm: NDArray[np.float64], distance_mm: NDArray[np.float64]) -> float | None:
+    """Return the step of which all sorted distinct readings are multiples, mm; None where there is none."""
+    common = next((step for step in COMMON_MM if len(echo_mm) and _on_grid(echo_mm, step, 0.051)), None)
+    found = _other_step(echo_mm) if common is None else common * _common_divisor(np.rint(echo_mm / common))
+    placed = found is not None and _on_grid(distance_mm, found, 0.051)
+    return common if found is None or placed else found
+
+
+def _shifted_step(reading_mm: NDArray[np.float64], distance_mm: NDArray[np.float64]) -> float | None:
+    """Return the step of which all differences of readings are multiples, mm; None where there is none.
+
+    A shifted grid may begin anywhere, so that a common step must be improbable as a coincidence too. Where the targets
+    stand on such a grid themselves, only different readings of one target tell of the sensor's.
+    """
+    beyond, apart = np.unique(reading_mm - reading_mm.min()), np.unique(distance_mm - distance_mm.min())
+    step = _step_of(beyond, apart)
+    if step is None:
+        return None
+    different = np.unique(np.stack([distance_mm, reading_mm]), axis=1).shape[1]
+    coincidences = different - len(apart) if _on_grid(apart, step, 0.051) else len(beyond) - 1
+    return step if (2.0 * ROUNDED_MM / step) ** float(coincidences) < MAX_CHANCE else None
 
 
 def _on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:

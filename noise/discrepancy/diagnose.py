@@ -191,14 +191,18 @@ def _prepared(
 
 
 def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
-    """Return the recording on a register as fine as the simulation's where that has finer steps.
+    """Return the recording on the register of the simulation, as far as its readings lie on one.
 
-    Coarser steps are then a difference that quantisation explains, and not a property of the data. The fine steps
-    divide the coarse ones, so that each reading lies on one of them.
+    Where its steps are coarser, that is a difference which quantisation explains, and not a property of the data: the
+    register is as fine as the simulation's, with steps that divide the coarse ones. Where its readings are too few to
+    show steps, but all lie on those of the simulation or on these moved by a constant, they have its steps.
     """
-    fine = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
-    coarse = batch.resolution
-    return replace(batch, resolution=coarse / np.ceil(coarse / fine)) if coarse > COARSER * fine else batch
+    step = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
+    own = batch.resolution
+    if own > COARSER * step:
+        return replace(batch, resolution=own / np.ceil(own / step))
+    moved = batch.moved_to(step) if step > COARSER * own else None
+    return batch if moved is None else moved
 
 
 def _alike(data: Data, recorded: Recording, tested: Tested, visible: tuple[Visible, ...]) -> Diagnosis:

@@ -52,6 +52,8 @@ class Parameter:
         span: smallest range of the covariate at which the parameter is identifiable, in the covariate's unit.
         typical: scale of the Cauchy prior of the difference from the null value, in `unit`; 0 for a flat prior.
         cycle: whether it is a period, s, of a change with time, which sampled readings resolve only within limits.
+        decays: whether it is the time constant, s, of a change that dies away; what has not lost half of itself by the
+            end of a recording is rather a constant.
         jumps: whether the likelihood jumps where it crosses a reading, as with the end of a range. Its derivative there
             says little, and readings bound it closer than they determine what changes smoothly.
     """
@@ -67,6 +69,7 @@ class Parameter:
     span: float = 0.0
     typical: float = 0.0
     cycle: bool = False
+    decays: bool = False
     jumps: bool = False
 
     def identifiable(self, covariates: Mapping[str, NDArray[np.float64]]) -> bool:

@@ -380,7 +380,7 @@ class WarmUp(Effect):
     summary = "The zero drifts while the sensor warms up"
     parameters = (
         Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01), typical=0.01),
-        Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: chosen here", (60.0, 600.0)),
+        Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: chosen here", (60.0, 600.0), decays=True),
     )
     offset_m: Tensor
     tau_s: Tensor

@@ -14,8 +14,11 @@ from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
 from noise.effects.base import target_tolerance
 from noise.fitting.visits import last_echo, movement, visits_of, with_range_rate
+from noise.law import EchoLaw
+from noise.model import SonarModel
 
 MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
+OFF_STEP_M = 5e-5  # by which logs in 0.1 mm round a reading
 MAX_STATIONARY_M = 0.01  # change of the logged distance of a stationary target; chosen here
 
 
@@ -34,7 +37,8 @@ class Batch:
         moved: change of the true distance since the ping before in its run, m, (n,).
         timed: whether the time of each ping was logged.
         simulated_offset: mean error of the simulation under the same condition, m, nan where unknown, (n,).
-        grid_m: step on whose multiples all readings lie, m: the register's own, or a coarser one; 0 where unknown.
+        grid_m: step of the grid on which all readings lie, m: the register's own, or a coarser one; 0 where unknown.
+        origin: range of step 0 of that grid, m, in (-`grid_m`, 0].
     """
 
     ping: Ping
@@ -48,6 +52,7 @@ class Batch:
     timed: bool = True
     simulated_offset: NDArray[np.float64] | None = None
     grid_m: float = 0.0
+    origin: float = 0.0
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -66,12 +71,30 @@ class Batch:
         ping, reading = with_range_rate(recording)[order], recording.reading[order]
         label = np.unique(visit[order], return_inverse=True)[1]
         last, moved = last_echo(recording)[order], movement(recording)[order]
-        timed, step = recording.has("time_s"), recording.resolution
-        return cls(ping, past[order], reading, label, condition[order], step, last, moved, timed, grid_m=step)
+        timed, (step, origin) = recording.has("time_s"), recording.grid
+        return cls(
+            ping, past[order], reading, label, condition[order], step, last, moved, timed, grid_m=step, origin=origin
+        )
 
     def __len__(self) -> int:
         """Return the number of pings."""
         return len(self.reading)
+
+    def law(self, model: SonarModel) -> EchoLaw:
+        """Return a model's law of the pings, with its steps where those of the readings are."""
+        law = model.law(self.ping, self.past)
+        law.origin = self.origin
+        return law
+
+    def moved_to(self, step: float) -> Batch | None:
+        """Return the readings on a register with given steps, m, that begin anywhere; None where they are on none."""
+        echoes = self.reading.range[self.reading.echo]
+        if not len(echoes):
+            return None
+        count = (echoes - echoes.min()) / step
+        if np.any(np.abs(count - np.rint(count)) * step > OFF_STEP_M):
+            return None
+        return replace(self, resolution=step, grid_m=step, origin=-(-float(echoes.min()) % step))
 
     def select(self, mask: NDArray[np.bool_]) -> Batch:
         """Return the pings at a mask of whole visits or of their beginnings, so that `past` remains valid."""

@@ -132,8 +132,8 @@ class Problem:
 
     def law(self, state: State) -> PhysicalLaw:
         """Return the law that follows from a corrected state."""
-        batch = self.batch
-        return PhysicalLaw(self.parts[1].applied(state), batch.ping.distance, batch.resolution, self.stack.max_range)
+        batch, state = self.batch, self.parts[1].applied(state)
+        return PhysicalLaw(state, batch.ping.distance, batch.resolution, self.stack.max_range, batch.origin)
 
     def log_prob(self, basis: Basis, heads: dict[str, Tensor]) -> Tensor:
         """Return the log probability of each reading under given corrections, nats, (n,)."""

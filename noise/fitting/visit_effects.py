@@ -133,7 +133,7 @@ def shifted(law: PhysicalLaw, mean: Tensor, variance: Tensor) -> PhysicalLaw:
 
 
 def _with_state(law: PhysicalLaw, state: State) -> PhysicalLaw:
-    return PhysicalLaw(state, law.distance, law.resolution, law.max_range)
+    return PhysicalLaw(state, law.distance, law.resolution, law.max_range, law.origin)
 
 
 def widened(state: State, variance: Tensor, level_variance: Tensor | None = None) -> State:
@@ -262,5 +262,6 @@ def placement_scatter(placement_m: float) -> float:
 
 
 def law_of(model: PhysicalModel, batch: Batch) -> PhysicalLaw:
-    """Return a model's law of a batch, at the resolution of the batch."""
-    return PhysicalLaw(model.state(batch.conditions), batch.ping.distance, batch.resolution, model.max_range)
+    """Return a model's law of a batch, on the register of the batch."""
+    state = model.state(batch.conditions)
+    return PhysicalLaw(state, batch.ping.distance, batch.resolution, model.max_range, batch.origin)

@@ -44,6 +44,26 @@ def test_cdf_is_monotonic_and_probability_is_its_difference(model, distance):
     assert probability.sum() + law.no_echo[0] + law.no_answer[0] == pytest.approx(1.0, abs=1e-12)
 
 
+physical = st.builds(lambda q: PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004)], q, REACH), st.just(0.01))
+
+
+@settings(max_examples=60, deadline=None)
+@given(gaussians | physical, st.floats(0.3, 2.5), st.floats(0.0, 0.99), st.integers(0, 2**31))
+def test_a_register_whose_steps_begin_anywhere_holds_all_probability(model, distance, share, seed):
+    law, steps = every_step(model, distance)
+    law.origin = -share * law.resolution
+    reading = steps * law.resolution + law.origin
+    inside = reading[1:-1]
+    probability = np.exp(law.log_prob(Reading.of(reading)))
+    assert probability.sum() + law.no_echo[0] + law.no_answer[0] == pytest.approx(1.0, abs=1e-9)
+    half = 0.5 * law.resolution
+    ends = (np.pad(inside + sign * half, 1, mode="edge") for sign in (-1.0, 1.0))
+    np.testing.assert_allclose(probability[1:-1], law.between(*ends)[1:-1], atol=1e-9)
+    drawn = law.sample(np.random.default_rng(seed)).range
+    number = (drawn[drawn > 0] - law.origin) / law.resolution
+    np.testing.assert_allclose(number, np.rint(number), atol=1e-6)
+
+
 @settings(max_examples=60, deadline=None)
 @given(gaussians, st.floats(0.05, 2.5), st.floats(0.02, 0.3))
 def test_credence_is_the_sum_over_readings_within_tolerance(model, distance, tolerance):

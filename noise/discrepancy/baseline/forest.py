@@ -126,7 +126,9 @@ def _grown(
     error = np.where(batch.reading.echo, batch.error, np.inf)
     order = np.argsort(error, kind="stable")
     model = AnalogueForest(similar.ordered(order), error[order], batch.resolution, max_range)
-    return model, Grown(model, batch, model.mixture(batch.ping, reached, unseen))
+    crossed = model.mixture(batch.ping, reached, unseen)
+    crossed.origin = batch.origin
+    return model, Grown(model, batch, crossed)
 
 
 def _best(batch: Batch, rng: np.random.Generator, max_range: float) -> tuple[AnalogueForest, Grown]:

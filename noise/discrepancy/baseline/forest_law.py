@@ -58,7 +58,7 @@ class QuantileLaw(EchoLaw):
         row = np.broadcast_to(np.arange(len(self)), at.shape)
         share = np.minimum((level - LEVELS[at - 1]) / (LEVELS[at] - LEVELS[at - 1]), 1.0)
         low, high = self.knots[row, at - 1], self.knots[row, at]
-        step = np.ceil((low + share * (high - low)) / self.resolution - 0.5)
+        step = np.ceil((low + share * (high - low) - self.origin) / self.resolution - 0.5)
         return np.clip(step, 1, self.last_step).astype(np.int64)
 
 

@@ -150,7 +150,7 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:
     """Return the log probability of each reading, nats, (n,), with a floor for what a law calls impossible."""
-    return floored_log_prob(model.law(batch.ping, batch.past), batch)
+    return floored_log_prob(batch.law(model), batch)
 
 
 def held_out(
@@ -171,7 +171,8 @@ def held_out(
     """
     models = (before.model, emulator, after)
     nats = [log_score(model, unseen) for model in models]
-    errors = [float(before.crps_of_each(unseen).mean()), crps(emulator, unseen), crps(after, unseen)]
+    # what is known of few conditions may be taken for more than there is; no score is negative
+    errors = [max(float(before.crps_of_each(unseen).mean()), 0.0), crps(emulator, unseen), crps(after, unseen)]
     if after is before.model:
         errors[2] = errors[0]
     scores = [Score(float(n.mean()), error) for n, error in zip(nats, errors, strict=True)]

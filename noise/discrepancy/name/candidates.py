@@ -25,18 +25,21 @@ WIDTH = "spread_m"  # of the echoes of another reflector
 def shows(effect: type[Effect], batch: Batch) -> bool:
     """Return whether the sampling of a recording shows an effect at all."""
     fine = batch.grid_m <= effect.coarsest_step_m
-    return (batch.timed or not effect.needs_time) and fine and not effect.of_simulators
+    brief = any(p.decays and longest_constant(batch) <= p.low for p in effect.parameters)
+    return (batch.timed or not effect.needs_time) and fine and not brief and not effect.of_simulators
 
 
 def sampled_bounds(batch: Batch) -> dict[Key, Parameter]:
-    """Return the periods of the catalogue with the bounds that the sampling of a recording resolves.
+    """Return the periods and time constants of the catalogue with the bounds that a recording resolves.
 
     A period below twice the sampling interval cannot be told from a longer one (Nyquist), and one above half the
-    recording cannot be told from a trend. Where the sampling resolves no period, it keeps its null value.
+    recording cannot be told from a trend. Where the sampling resolves no period, it keeps its null value. A time
+    constant is limited by `longest_constant`.
     """
     low, high = resolved_periods(batch)
-    periods = [(name, p) for name, effect in CATALOGUE.items() for p in effect.parameters if p.cycle]
-    return {(name, p.name): _limited(p, low, high) for name, p in periods}
+    every = [(name, p) for name, effect in CATALOGUE.items() for p in effect.parameters]
+    periods = {(name, p.name): _limited(p, low, high) for name, p in every if p.cycle}
+    return periods | {(name, p.name): _limited(p, p.low, longest_constant(batch)) for name, p in every if p.decays}
 
 
 def _limited(p: Parameter, low: float, high: float) -> Parameter:
@@ -55,6 +58,11 @@ def resolved_periods(batch: Batch) -> tuple[float, float]:
     if not len(step):
         return np.inf, 0.0
     return 2.0 * float(np.median(step)), 0.5 * float(np.ptp(batch.ping.time))
+
+
+def longest_constant(batch: Batch) -> float:
+    """Return the time constant, s, of a change of which half has died away at the end of a batch."""
+    return float(np.ptp(batch.ping.time)) / float(np.log(2.0))
 
 
 def candidate_names(base: Stack, batch: Batch, without: Sequence[str]) -> tuple[str, ...]:

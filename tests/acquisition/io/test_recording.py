@@ -4,6 +4,7 @@ import os
 import stat
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -149,6 +150,39 @@ def test_no_grid_is_found_where_there_is_none(values):
         reading = np.rint(rng.choice(rng.uniform(300, 5000, values), 300))
         recording = Recording.of(Ping.of(np.full(300, 1.0)), Reading.of(reading / 1000))
         assert recording.resolution in (0.001, 0.01, 0.0254)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from([10.0, 25.4, 20.0, 12.7]), st.floats(-0.45, 0.45), st.integers(0, 2**31))
+def test_a_constant_added_after_rounding_moves_the_grid_and_not_its_step(step, share, seed):
+    rng = np.random.default_rng(seed)
+    offset = np.round(share * step, 1)
+    reading = np.rint(rng.uniform(300, 5000, 200) / step) * step + offset
+    recording = Recording.of(Ping.of(rng.uniform(0.3, 5.0, 200)), Reading.of(reading / 1000))
+    found, origin = recording.grid
+    assert found == pytest.approx(step / 1000)
+    assert -found < origin <= 0.0
+    off = (recording.reading.range - origin) / found
+    assert np.abs(off - np.rint(off)).max() < 0.01
+
+
+def test_targets_on_whole_centimetres_are_no_grid_of_the_sensor():
+    distance = np.repeat(np.arange(0.2, 2.0, 0.01), 3)
+    exact = Recording.of(Ping.of(distance), Reading.of(np.round(distance + 0.012, 3)))
+    assert exact.grid == (0.001, 0.0)
+    steps = 0.01 * np.random.default_rng(0).integers(-2, 3, len(distance))
+    coarse = Recording.of(Ping.of(distance), Reading.of(np.round(distance + 0.012 + steps, 3)))
+    assert coarse.grid == pytest.approx((0.01, -0.008))
+
+
+@given(st.floats(-1e10, 1e10), st.lists(st.floats(0.0, 1e4), min_size=1, max_size=9))
+def test_the_origin_of_the_clock_does_not_matter(origin, elapsed):
+    table = pd.DataFrame({"distance_mm": 1000.0, "angle_deg": 0.0, "reading_mm": 1003.0, "time_s": elapsed})
+    moved = Recording(table.assign(time_s=table.time_s + origin))
+    here = Recording(table).ping.time
+    assert here.min() == 0.0
+    np.testing.assert_allclose(moved.ping.time, here, atol=1e-5)
+    assert moved.table.time_s.tolist() == (table.time_s + origin).tolist(), "the log itself is not altered"
 
 
 @settings(max_examples=40)

@@ -72,3 +72,15 @@ def test_a_target_is_stationary_if_its_logged_distance_is():
     batch = Batch.of(recording_of(moving, moving))
     assert (moving[1] - moving[0]) * VISIT_PINGS > MAX_STATIONARY_M
     assert not batch.stationary.any()
+
+
+@given(st.sampled_from([0.01, 0.0254]), st.floats(0.0, 0.99), st.lists(st.integers(20, 99), min_size=1, max_size=5))
+def test_few_readings_on_the_steps_of_another_register_can_be_moved_to_it(step, share, counts):
+    ranges = step * (np.array(counts) + share)
+    batch = Batch.of(Recording.of(Ping.of(np.full(len(counts), 1.0)), Reading.of(ranges)))
+    moved = batch.moved_to(step)
+    assert moved is not None
+    number = (ranges - moved.origin) / step
+    np.testing.assert_allclose(number, np.rint(number), atol=1e-6)
+    off = Batch.of(Recording.of(Ping.of(np.full(len(counts) + 1, 1.0)), Reading.of([*ranges, ranges[0] + 0.4 * step])))
+    assert off.moved_to(step) is None

@@ -199,6 +199,15 @@ def test_no_period_is_sought_that_sampling_cannot_resolve():
     assert all(period.low < start < period.high for start in period.starts)
 
 
+def test_what_has_not_lost_half_of_itself_by_the_end_is_no_warming_up():
+    batch = batch_of(visits=40, pings=1, wait_s=6.0)
+    tau = sampled_bounds(batch)[("warm_up", "tau_s")]
+    left = CATALOGUE["warm_up"](offset_m=0.02, tau_s=tau.high)
+    end = np.exp(-np.ptp(batch.ping.time) / tau.high)
+    assert left.values["offset_m"] * end == pytest.approx(0.01)
+    assert not shows(CATALOGUE["warm_up"], batch_of(visits=3, pings=1, wait_s=0.5))
+
+
 def test_effects_of_time_need_times():
     batch = batch_of()
     object.__setattr__(batch, "timed", False)
