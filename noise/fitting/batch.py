@@ -14,8 +14,6 @@ from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
 from noise.effects.base import target_tolerance
 from noise.fitting.visits import last_echo, movement, visits_of, with_range_rate
-from noise.law import EchoLaw
-from noise.model import SonarModel
 
 MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
 OFF_STEP_M = 5e-5  # by which logs in 0.1 mm round a reading
@@ -79,12 +77,6 @@ class Batch:
     def __len__(self) -> int:
         """Return the number of pings."""
         return len(self.reading)
-
-    def law(self, model: SonarModel) -> EchoLaw:
-        """Return a model's law of the pings, with its steps where those of the readings are."""
-        law = model.law(self.ping, self.past)
-        law.origin = self.origin
-        return law
 
     def moved_to(self, step: float) -> Batch | None:
         """Return the readings on a register with given steps, m, that begin anywhere; None where they are on none."""

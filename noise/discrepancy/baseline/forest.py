@@ -126,9 +126,7 @@ def _grown(
     error = np.where(batch.reading.echo, batch.error, np.inf)
     order = np.argsort(error, kind="stable")
     model = AnalogueForest(similar.ordered(order), error[order], batch.resolution, max_range)
-    crossed = model.mixture(batch.ping, reached, unseen)
-    crossed.origin = batch.origin
-    return model, Grown(model, batch, crossed)
+    return model, Grown(model, batch, model.mixture(batch.ping, reached, unseen))
 
 
 def _best(batch: Batch, rng: np.random.Generator, max_range: float) -> tuple[AnalogueForest, Grown]:
@@ -143,7 +141,11 @@ def grown(batch: Batch, rng: np.random.Generator, max_range: float = MAX_RANGE) 
 
 
 def floored_log_prob(law: EchoLaw, batch: Batch) -> Floats:
-    """Return the log probability of each reading, nats, (n,), with a floor for what a law calls impossible."""
+    """Return the log probability of each reading, nats, (n,), with a floor for what a law calls impossible.
+
+    The steps of the law are put where those of the readings are.
+    """
+    law.origin = batch.origin
     steps = max(law.last_step, 1)
     coarser = np.log(steps * batch.resolution / law.max_range) if batch.reading.echo.any() else 0.0
     nats = law.log_prob(batch.reading) + np.where(batch.reading.echo, min(coarser, 0.0), 0.0)

@@ -173,7 +173,8 @@ def recalibrated(model: SonarModel, batch: Batch, rng: np.random.Generator) -> G
         rng: grows the trees.
     """
     few = batch.thin(MAX_PINGS)
-    law = few.law(model)
+    law = model.law(few.ping, few.past)
+    law.origin = few.origin
     every = (_pooled(model, law, few, names, rng) for names in input_groups(few))
     return min((each for each in every if each), key=lambda each: each.crps.mean(), default=None)
 

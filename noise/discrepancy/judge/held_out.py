@@ -150,7 +150,7 @@ def fair_crps(value: Floats, members: Floats) -> Floats:
 
 def log_score(model: SonarModel, batch: Batch) -> Floats:
     """Return the log probability of each reading, nats, (n,), with a floor for what a law calls impossible."""
-    return floored_log_prob(batch.law(model), batch)
+    return floored_log_prob(model.law(batch.ping, batch.past), batch)
 
 
 def held_out(

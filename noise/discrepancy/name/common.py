@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from noise.discrepancy.locate.trend import UNCOMPENSATED
+from noise.discrepancy.thresholds import SPREAD_TOLERANCE
 from noise.effects import CATALOGUE, Parameter, Stage
 from noise.effects.medium import TEMPERATURE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.likelihood import log_likelihood
-from noise.fitting.stack import NUISANCES, SIMULATION_CORRELATION, SPREAD, Key, Stack
+from noise.fitting.stack import NUISANCES, PLACEMENT, SIMULATION_CORRELATION, SPREAD, Key, Stack
 
 STEPS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # from the simulation to the recording, where a common value is sought
 ITERATIONS = 40
@@ -47,6 +48,21 @@ def with_nuisances(
         as_common = common.put(keys, [stack.get(key) for key in keys])
         gain += _nats(stack, part) - _nats(maximise(as_common, (*keys, *SPREAD), part, ITERATIONS, ENOUGH).stack, part)
     return replace(found, familiar=common.familiar) if gain > ENOUGH else common
+
+
+def scatters_alike(recorded: Sequence[Stack], common: Stack, parts: Sequence[Batch]) -> bool:
+    """Return whether single pings of a recording scatter as those of the simulation do, as far as sensors do.
+
+    Args:
+        recorded: stacks with the scatter of the recording, fitted to each part.
+        common: law of the simulation.
+        parts: of the recording.
+    """
+    scatter = [key for key in SPREAD if key != PLACEMENT]
+    own = np.concatenate([stack.direct(part)[1] for stack, part in zip(recorded, parts, strict=True)])
+    like = {key: common.get(key) for key in scatter}
+    held = np.concatenate([stack.at(like).direct(part)[1] for stack, part in zip(recorded, parts, strict=True)])
+    return bool(abs(np.log(np.median(own / held))) < 2.0 * np.log1p(SPREAD_TOLERANCE))
 
 
 def _nats(stack: Stack, batch: Batch) -> float:

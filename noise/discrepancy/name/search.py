@@ -27,7 +27,7 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
-from noise.discrepancy.name.common import with_compensation, with_effect, with_nuisances
+from noise.discrepancy.name.common import scatters_alike, with_compensation, with_effect, with_nuisances
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
@@ -241,7 +241,7 @@ class Search:
         simulation instead. What a fit of an effect gets wrong scatters too, so that beside effects the scatter must
         gain more than they do: then it is what differs, and they describe its tails.
         """
-        if JITTER in self.without:
+        if JITTER in self.without or scatters_alike(current.stacks, self.common, self.parts):
             return current
         also = replace(current, effects=(*current.effects, JITTER))
         gain = also.nats - self.left_out(also, JITTER).nats

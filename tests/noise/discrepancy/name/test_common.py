@@ -7,9 +7,9 @@ import pytest
 
 from acquisition import Ping, Recording
 from noise.discrepancy.locate.trend import UNCOMPENSATED
-from noise.discrepancy.name.common import with_compensation, with_nuisances
+from noise.discrepancy.name.common import scatters_alike, with_compensation, with_nuisances
 from noise.fitting.batch import Batch
-from noise.fitting.stack import NUISANCES
+from noise.fitting.stack import JITTER, NUISANCES
 from noise.model import simulate
 from tests.noise.discrepancy.made import batch_of, law_of, model_of
 
@@ -61,3 +61,10 @@ def test_modes_are_compared_with_what_differs_at_its_value():
     found = with_nuisances(common, [offset], [right], [recorded], simulated)
     assert found.get(("travel_time_jitter", "sigma_m")) == pytest.approx(0.002, abs=0.0005)
     assert found.get(offset) == common.get(offset)
+
+
+@pytest.mark.parametrize(("factor", "alike"), [(0.5, False), (0.9, True), (1.0, True), (1.1, True), (2.0, False)])
+def test_sensors_of_one_type_scatter_alike_within_a_fifth(factor, alike):
+    wide = law_of().at({(JITTER, "sigma_m"): 0.01})
+    recorded = wide.at({(JITTER, "sigma_m"): 0.01 * factor})
+    assert scatters_alike([recorded], wide, [batch_of(visits=20)]) is alike
