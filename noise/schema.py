@@ -92,6 +92,7 @@ class Term(Schema):
     tails_m: Annotated[Numbers, MinLen(2), MaxLen(2)]
     placement_m: float
     level_sd_db: float
+    jitter: Annotated[Numbers, MinLen(2), MaxLen(2)]
 
 
 class Kind(Schema):

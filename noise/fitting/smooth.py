@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
 import torch
@@ -18,7 +18,7 @@ from torch import Tensor
 
 from acquisition import EchoStatus, ModelError
 from noise.effects.base import NEAR, NEAR_M, Effect, Stage
-from noise.effects.state import Atom, Conditions, State, number
+from noise.effects.state import Atom, Conditions, Path, State, number
 
 # aspects of the direct echo: a term in the probit of detection, a shift in m, the logarithm of a factor of the spread,
 # and the log-odds of replacing the reading by an early or a late one
@@ -128,6 +128,24 @@ def level_scale(state: State) -> Tensor:
     return torch.asinh(mean / LEVEL_DB).expand(state.conditions.distance.shape)
 
 
+@dataclass(frozen=True)
+class Sizes:
+    """Scatter of the law that a correction was fitted to.
+
+    Attributes:
+        tails_m: mean lengths of the early and the late tail, m.
+        placement_m: scatter of the placement, m, which the factor of the spread scales too.
+        level_sd_db: scatter of the level of visits, dB, in whose units detection is certain and is corrected.
+        jitter: scatter of single pings, m, and its growth with distance, 1. The factor of the spread scales so much; what
+            single pings scatter more adds to it, as independent noise does.
+    """
+
+    tails_m: tuple[float, float]
+    placement_m: float
+    level_sd_db: float
+    jitter: tuple[float, float]
+
+
 class Smooth(Effect):
     """A smooth correction of the direct echo without a cause; `learn_smooth` fits it.
 
@@ -137,9 +155,7 @@ class Smooth(Effect):
         alpha: weights of the kernel by aspect, (m,) each; an aspect that is absent is left unchanged.
         level_centres: of the level's kernel, (l,); inputs are limited to their range.
         beta: weights of the level's kernel by aspect, (l,) each.
-        tails_m: mean lengths of the early and the late tail, m.
-        placement_m: scatter of the placement, m, which the factor of the spread scales too.
-        level_sd_db: scatter of the level of visits, dB, in whose units detection is certain and is corrected.
+        sizes: scatter of the law that is corrected.
     """
 
     name = "smooth"
@@ -154,22 +170,18 @@ class Smooth(Effect):
         alpha: Mapping[str, Tensor],
         level_centres: Tensor,
         beta: Mapping[str, Tensor],
-        tails_m: tuple[float, float],
-        placement_m: float,
-        level_sd_db: float = 0.0,
+        sizes: Sizes,
     ) -> None:
         super().__init__()
         self.inputs, self.centres, self.level_centres = inputs, centres, level_centres
-        self.alpha, self.beta = dict(alpha), dict(beta)
-        self.tails_m, self.placement_m, self.level_sd_db = tails_m, placement_m, level_sd_db
+        self.alpha, self.beta, self.sizes = dict(alpha), dict(beta), sizes
         self.remembers = any(name in MEMORY for name in inputs.names)
         self._recent: list[tuple[tuple[Tensor, ...], Tensor]] = []
 
     def without_tails(self) -> Self:
         """Return the correction of the direct echo alone, without early and late readings."""
         alpha, beta = ({k: v for k, v in each.items() if k not in (EARLY, LATE)} for each in (self.alpha, self.beta))
-        sizes = self.tails_m, self.placement_m, self.level_sd_db
-        return type(self)(self.inputs, self.centres, alpha, self.level_centres, beta, *sizes)
+        return type(self)(self.inputs, self.centres, alpha, self.level_centres, beta, self.sizes)
 
     def apply(self, state: State) -> State:
         """Correct the direct echo."""
@@ -205,26 +217,29 @@ class Smooth(Effect):
         """
         path = state.direct
         if DETECTION in heads:
-            width_db = torch.sqrt(state.width_db**2 + self.level_sd_db**2)
+            width_db = torch.sqrt(state.width_db**2 + self.sizes.level_sd_db**2)
             probit = torch.clamp(path.level_db / width_db, -CERTAIN, CERTAIN) + heads[DETECTION]
             path = replace(path, level_db=probit * width_db)
         if SHIFT in heads:
             stretch = path.length / torch.clamp(state.conditions.distance, min=1e-3)
             path = replace(path, length=path.length + stretch * heads[SHIFT])
         if SPREAD in heads:
-            path = replace(path, spread=self._spread(path.spread, heads[SPREAD]))
+            path = replace(path, spread=self._spread(path, heads[SPREAD]))
         state = state.with_direct(path)
         if EARLY in heads:
-            state = state.with_atom(self._tail(state, heads[EARLY], -self.tails_m[0]))
-        return state.with_atom(self._tail(state, heads[LATE], self.tails_m[1])) if LATE in heads else state
+            state = state.with_atom(self._tail(state, heads[EARLY], -self.sizes.tails_m[0]))
+        return state.with_atom(self._tail(state, heads[LATE], self.sizes.tails_m[1])) if LATE in heads else state
 
-    def _spread(self, spread: Tensor, log_factor: Tensor) -> Tensor:
+    def _spread(self, path: Path, log_factor: Tensor) -> Tensor:
         """Return the spread for which spread and placement together are wider by a factor.
 
         Below one, the factor applies to the spread alone, since placement is a property of visits.
         """
         squared = torch.exp(2.0 * torch.clamp(log_factor, -MAX_LOG_SPREAD, MAX_LOG_SPREAD))
-        variance = spread**2 * squared + self.placement_m**2 * torch.clamp(squared - 1.0, min=0.0)
+        sigma_m, per_metre = self.sizes.jitter
+        added = torch.relu(path.spread**2 - sigma_m**2 - (per_metre * path.length) ** 2)
+        scaled = (path.spread**2 - added) * squared + self.sizes.placement_m**2 * torch.clamp(squared - 1.0, min=0.0)
+        variance = scaled + added
         return torch.sqrt(variance + 1e-18) - 1e-9  # finite gradient at zero
 
     def _tail(self, state: State, log_odds: Tensor, length_m: float) -> Atom:
@@ -252,9 +267,7 @@ class Smooth(Effect):
             "alpha": {head: weight.tolist() for head, weight in self.alpha.items()},
             "level_centres": self.level_centres.tolist(),
             "beta": {head: weight.tolist() for head, weight in self.beta.items()},
-            "tails_m": list(self.tails_m),
-            "placement_m": self.placement_m,
-            "level_sd_db": self.level_sd_db,
+            **asdict(self.sizes),
         }
 
 
@@ -268,15 +281,16 @@ def term_of(data: Mapping[str, Any]) -> Smooth:
         raw = data["inputs"]
         inputs = Inputs(tuple(raw["names"]), *(_finite(raw[key]) for key in ("middle", "scale", "low", "high")))
         alpha, beta = ({str(head): _finite(w) for head, w in data[key].items()} for key in ("alpha", "beta"))
-        early, late = (float(length) for length in data["tails_m"])
+        (early, late), (sigma_m, per_metre) = (map(float, data[name]) for name in ("tails_m", "jitter"))
         centres, level = _finite(data["centres"]), _finite(data["level_centres"])
         fits = all(len(w) == len(centres) for w in alpha.values()) and all(len(w) == len(level) for w in beta.values())
-        if not fits or tuple(alpha) != tuple(beta) or not set(alpha) <= set(HEADS) or not min(early, late) > 0:
+        known = tuple(alpha) == tuple(beta) and set(alpha) <= set(HEADS)
+        if not (fits and known and min(early, late) > 0.0 <= min(sigma_m, per_metre)):
             raise ValueError("its parts do not fit together")
         if data["term"] != Smooth.name:
             raise ValueError(f"a term {data['term']!r} is not known")
-        sizes = float(data["placement_m"]), float(data["level_sd_db"])
-        return Smooth(inputs, centres, alpha, level, beta, (early, late), *sizes)
+        sizes = Sizes((early, late), float(data["placement_m"]), float(data["level_sd_db"]), (sigma_m, per_metre))
+        return Smooth(inputs, centres, alpha, level, beta, sizes)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"smooth term: cannot be built from its parameters ({error}); it may be damaged") from None
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from acquisition.arrays import Floats
 from noise.effects import State
+from noise.effects.receiver import TravelTimeJitter
 from noise.fitting.batch import Batch
 from noise.fitting.smooth import (
     DETECTION,
@@ -21,6 +22,7 @@ from noise.fitting.smooth import (
     SHIFT,
     SPREAD,
     Inputs,
+    Sizes,
     Smooth,
     kernel,
     level_centres,
@@ -98,8 +100,7 @@ class Basis:
         scaled = {head: self.prior_sd[head] * torch.from_numpy(c) for head, c in coefficients.items()}
         alpha = {head: self.root @ c[:m] for head, c in scaled.items()}
         beta = {head: self.level_root @ c[m:] for head, c in scaled.items()}
-        sizes = old.tails_m, old.placement_m, old.level_sd_db
-        return Smooth(old.inputs, old.centres, alpha, old.level_centres, beta, *sizes)
+        return Smooth(old.inputs, old.centres, alpha, old.level_centres, beta, old.sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +169,9 @@ def basis_of(problem: Problem, names: Sequence[str], rng: np.random.Generator) -
     with torch.no_grad():
         law, placement = problem.law(state), placement_scatter(float(problem.visits.placement_m))
     scatter, tails = _sizes(law, batch, placement)
-    term = Smooth(inputs, centres, {}, at, {}, tails, placement, float(problem.visits.level_sd_db))
+    sigma_m, per_metre = (problem.stack.get((TravelTimeJitter.name, p.name)) for p in TravelTimeJitter.parameters)
+    sizes = Sizes(tails, placement, float(problem.visits.level_sd_db), (sigma_m, per_metre))
+    term = Smooth(inputs, centres, {}, at, {}, sizes)
     prior = {head: sd * (scatter if head == SHIFT else 1.0) for head, sd in PRIOR_SD.items()}
     return Basis(term, _inverse_root(kernel(centres, centres)), _inverse_root(level_kernel(at, at)), prior)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from noise.discrepancy.locate.few import COARSER
 from noise.discrepancy.name.candidates import starts_of
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
+from noise.effects.receiver import MAX_STEP_M
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.likelihood import likeliest
 from noise.fitting.stack import Key, Stack
@@ -53,15 +55,24 @@ def with_register(search: Fits, none: Hypothesis) -> Hypothesis:
     That they do is a fact, and needs no fit. Readings on coarse steps repeat each other; a law without the steps takes
     them for repeated, and from there no small step leads to one with them.
     """
-    grid, fine = search.folds.both.grid_m, search.common.resolution
-    names = [name for name in REGISTERS if name in search.names] if grid > COARSER * fine else []
+    fine, batch = search.common.resolution, search.folds.both
+    names = [name for name in REGISTERS if name in search.names]
+    grids = [each for each in {batch.grid_m, coarsest(batch)} if COARSER * fine < each <= MAX_STEP_M]
     found = [none]
-    for name in names:
+    for name, grid in product(names, sorted(grids)):
         law, pairs = search.common.at({(name, STEP): grid}), zip(none.stacks, search.parts, strict=True)
         starts = [[near.at({(name, STEP): grid}), *nuisance_starts(law, part)] for near, part in pairs]
         found.append(search.best(starts, search.nuisances, (name,)))
     best = max(found, key=lambda each: each.value)
     return best if best.value > none.value + search.least_gain else none
+
+
+def coarsest(batch: Batch) -> float:
+    """Return the greatest step, m, on which all readings lie, if only because their targets do; 0 where unknown."""
+    echoes = batch.reading.range[batch.reading.echo]
+    if not (batch.grid_m > 0.0 and len(echoes)):
+        return 0.0
+    return batch.grid_m * float(np.gcd.reduce(np.rint((echoes - batch.origin) / batch.grid_m).astype(np.int64)))
 
 
 def with_threshold(search: Fits, current: Hypothesis) -> Hypothesis:

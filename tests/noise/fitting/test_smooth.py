@@ -16,7 +16,7 @@ from noise.fitting.empirical import EmpiricalModel, PlacementScatter
 from noise.fitting.fit import maximise
 from noise.fitting.learn_smooth import learn_smooth
 from noise.fitting.likelihood import log_likelihood
-from noise.fitting.smooth import HEADS, MIRRORED, SHIFT, Inputs, Smooth, column, term_of
+from noise.fitting.smooth import HEADS, MIRRORED, SHIFT, SPREAD, Inputs, Sizes, Smooth, column, term_of
 from noise.fitting.smooth_basis import single_log_prob
 from noise.fitting.stack import Stack
 from noise.fitting.starts import nuisance_start
@@ -25,6 +25,7 @@ from noise.physical import PhysicalModel
 
 NAMES = ("log_distance", "angle", "incidence", "reflectance")
 JITTER = CATALOGUE["travel_time_jitter"](sigma_m=0.004)
+SIZES = Sizes((0.1, 0.2), 0.003, 0.0, (0.004, 0.0))
 
 
 def ping(n=40, seed=0):
@@ -40,7 +41,7 @@ def term(weight=0.0, kind=Smooth):
     inputs = Inputs.of(NAMES, Conditions.of(ping()))
     centres = inputs.standardised(Conditions.of(ping(12)))
     alpha, beta = ({head: torch.tensor(weight * rng.normal(size=k)) for head in HEADS} for k in (12, 3))
-    return kind(inputs, centres, alpha, torch.tensor([-1.0, 0.0, 1.0]), beta, (0.1, 0.2), 0.003)
+    return kind(inputs, centres, alpha, torch.tensor([-1.0, 0.0, 1.0]), beta, SIZES)
 
 
 def survey(model, n_visits=60, n_pings=8, seed=1, shift=None):
@@ -57,17 +58,30 @@ def fitted(batch):
 
 
 def test_without_aspects_the_law_is_unchanged():
-    none = Smooth(term().inputs, term().centres, {}, torch.zeros(1, dtype=torch.float64), {}, (0.1, 0.1), 0.0)
+    none = Smooth(term().inputs, term().centres, {}, torch.zeros(1, dtype=torch.float64), {}, SIZES)
     z = np.linspace(0.1, 5.0, 40)
     assert np.array_equal(*(EmpiricalModel(e).law(ping()).arrival(z) for e in ([JITTER], [JITTER, none])))
 
 
 def test_a_corrected_loud_echo_is_heard_whatever_the_level_scatters_between_visits():
     scatter = PlacementScatter(level_sd_db=9.0)
-    zero = Smooth(*_parts(term()), (0.1, 0.2), 0.003, level_sd_db=9.0)
+    zero = Smooth(*_parts(term()), replace(SIZES, level_sd_db=9.0))
     plain, smooth = (EmpiricalModel(effects).law(ping()).echo for effects in ([scatter], [scatter, zero]))
     assert plain.min() > 0.999
     assert smooth.min() > 0.999
+
+
+@pytest.mark.parametrize("added_m", [0.0, 0.003, 0.02])
+def test_more_scatter_than_the_correction_was_fitted_to_adds_to_it(added_m):
+    correction = term(0.5)
+    conditions = Conditions.of(ping())
+
+    def spread(sigma_m):
+        state = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=sigma_m)]).state(conditions)
+        return correction.corrected(state, {SPREAD: correction.heads(state)[SPREAD]}).direct.spread.numpy()
+
+    np.testing.assert_allclose(spread(np.hypot(0.004, added_m)), np.hypot(spread(0.004), added_m), rtol=1e-5)
+    assert np.ptp(spread(0.004)) > 0.001
 
 
 def _parts(of):

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from acquisition import Reading, Recording
+from acquisition import Ping, Reading, Recording
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.diagnose import on_register_of
 from noise.discrepancy.name.first import REGISTERS, with_register
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
+from noise.model import simulate
 from tests.noise.discrepancy.made import law_of, model_of, recording_of
 
 
@@ -42,6 +43,20 @@ def test_a_coarse_register_is_found_before_other_effects(changed):
     same = Batch.of(recording_of(changed, seed=5))
     search = Search(law_of(), Folds.of(same, np.random.default_rng(0)), None, np.random.default_rng(0))
     assert with_register(search, search.null()).effects == ()
+
+
+def test_steps_are_told_from_marks_on_the_same_steps_by_how_readings_scatter():
+    """The targets stand on the steps of the register: that no reading lies between them shows little."""
+    rng = np.random.default_rng(0)
+    distance = np.repeat(np.resize([0.65, 1.2, 2.25], 60), 12)
+    ping = Ping.of(distance=distance, reflectance=0.9, time=np.arange(720.0))
+    exact = simulate(model_of({"travel_time_jitter": {"sigma_m": 0.006}}), ping, rng)
+    rounded = Reading.of(np.where(exact.echo, np.rint(exact.range / 0.05) * 0.05, 0.0))
+    for reading, steps in ((rounded, [0.05]), (exact, [])):
+        batch = on_fine_register(Recording.of(ping, reading))
+        search = Search(law_of(), Folds.of(batch, np.random.default_rng(0)), None, np.random.default_rng(0))
+        found = with_register(search, search.null())
+        assert [found.stacks[0].get((name, "step_m")) for name in found.effects] == pytest.approx(steps)
 
 
 def test_a_register_that_is_known_not_to_differ_is_left_out():
