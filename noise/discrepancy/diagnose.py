@@ -26,7 +26,7 @@ from noise.discrepancy.judge.judged import judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
-from noise.discrepancy.locate.few import COARSER, placement_test, register_test, within_test
+from noise.discrepancy.locate.few import COARSER, far_test, placement_test, register_test, within_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
@@ -194,8 +194,8 @@ def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
     """Return the recording on the register of the simulation, as far as its readings lie on one.
 
     Where its steps are coarser, that is a difference which quantisation explains, and not a property of the data: the
-    register is as fine as the simulation's, with steps that divide the coarse ones. Where its readings are too few to
-    show steps, but all lie on those of the simulation or on these moved by a constant, they have its steps.
+    register is as fine as the simulation's, with steps that divide the coarse ones. Where its readings show no steps,
+    but most lie on those of the simulation or on these moved by a constant, they have its steps.
     """
     step = baseline.law.resolution if baseline.readings is None else baseline.readings.resolution
     own = batch.resolution
@@ -284,7 +284,8 @@ def few_positions(recorded: Stack, simulated: Stack, data: Data) -> list[Found]:
     if len(np.unique(sample.cluster)) >= MIN_VISITS:
         return []
     within = within_test(recorded, simulated, sample, data.rng("within"))
-    return [trend_test(recorded, simulated, sample), placement_test(recorded, simulated, sample), within]
+    tests = (trend_test, placement_test, far_test)
+    return [*(test(recorded, simulated, sample) for test in tests), within]
 
 
 def steady(data: Data, search: Search, law: Stack, name: str) -> Stability:

@@ -79,14 +79,20 @@ class Batch:
         return len(self.reading)
 
     def moved_to(self, step: float) -> Batch | None:
-        """Return the readings on a register with given steps, m, that begin anywhere; None where they are on none."""
-        echoes = self.reading.range[self.reading.echo]
-        if not len(echoes):
+        """Return the readings on a register with given steps, m, that begin anywhere; None where most are on none.
+
+        Readings from elsewhere, such as a program that fills gaps, may lie between the steps.
+        """
+        place = np.sort(self.reading.range[self.reading.echo] % step)
+        if not len(place):
             return None
-        count = (echoes - echoes.min()) / step
-        if np.any(np.abs(count - np.rint(count)) * step > OFF_STEP_M):
+        around = np.concatenate([place, place + step])
+        n_alike = np.searchsorted(around, place + 2.0 * OFF_STEP_M, side="right") - np.arange(len(place))
+        first = int(n_alike.argmax())
+        middle = float(np.median(around[first : first + n_alike[first]]))
+        if n_alike[first] <= 0.5 * len(place):
             return None
-        return replace(self, resolution=step, grid_m=step, origin=-(-float(echoes.min()) % step))
+        return replace(self, resolution=step, grid_m=step, origin=-(-middle % step))
 
     def select(self, mask: NDArray[np.bool_]) -> Batch:
         """Return the pings at a mask of whole visits or of their beginnings, so that `past` remains valid."""

@@ -136,8 +136,8 @@ class Sizes:
         tails_m: mean lengths of the early and the late tail, m.
         placement_m: scatter of the placement, m, which the factor of the spread scales too.
         level_sd_db: scatter of the level of visits, dB, in whose units detection is certain and is corrected.
-        jitter: scatter of single pings, m, and its growth with distance, 1. The factor of the spread scales so much, and
-            what single pings scatter more adds to it, as independent noise does.
+        jitter: scatter of single pings, m, and its growth with distance, 1. The factor of the spread scales so much;
+            what single pings scatter more is added, as independent noise is.
     """
 
     tails_m: tuple[float, float]

@@ -5,6 +5,9 @@ tolerances in shares of readings and scatter, and the error of the law shows in 
 recorded positions scatter more than both, in an F test without the greatest of them, the sonar differs: one target may
 have been misplaced, and one visit disturbed.
 
+Far readings, which do not follow from how a target is placed, differ where their mean share over positions does, in
+Welch's t test.
+
 Within positions: pings of one position are comparable with each other, whatever is wrong with the position. Scores and
 regressors lose their mean there, so that regressors of time, order and history remain. The statistic of a regressor is
 its slope in the recording less that in the simulation, and clusters are blocks of pings, long enough that the means of
@@ -18,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as fisher
+from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.locate.location import TWO_SIDED, region_of
@@ -33,6 +37,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.stack import PLACEMENT, Stack
 
 SPREAD = ASPECTS.index(Aspect.SPREAD)
+FAR = (ASPECTS.index(Aspect.EARLY), ASPECTS.index(Aspect.LATE))
 COARSER = 1.5  # ratio of the steps of two registers that differ
 LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong
 KNOWN = 1e9  # degrees of freedom where nothing is estimated
@@ -145,6 +150,44 @@ def _of_aspect(scored: Scores, sample: Sample, aspect: Aspect) -> _Positions | N
     ratio = np.sort(mean**2 / variance)[:-1]
     p = float(fisher.sf(ratio.mean(), len(ratio), len(others[0][0]) if others else KNOWN))
     return _Positions(aspect, mean, variance, distance, p)
+
+
+def far_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
+    """Test whether the share of readings far from the target is that of the simulation, less what each law says.
+
+    Args:
+        law_recorded: law of the recording.
+        law_simulated: law that describes the simulation.
+        sample: readings.
+    """
+    scored = scores_of_both(law_recorded, law_simulated, sample)
+    files = _far_shares(scored, sample)
+    total = sum(variance for _, variance in files)
+    if min(len(mean) for mean, _ in files) < MIN_PLACES or total == 0.0:
+        return NOTHING
+    freedom = total**2 / sum(variance**2 / (len(mean) - 1) for mean, variance in files)
+    value, error = float(files[0][0].mean() - sum(mean.mean() for mean, _ in files[1:])), float(np.sqrt(total))
+    p_value = PValue(max(float(2.0 * student.sf(abs(value) / error, freedom)), LEAST_CHANCE), 0, 1, 1)
+    if p_value.value >= FALSE_ALARM:
+        return Found(p_value)
+    side = FAR[int(np.abs(scored.natural[sample.is_recorded][:, FAR].sum(axis=0)).argmax())]
+    size = Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, ASPECTS[side].unit)
+    return Found(p_value, (Location(ASPECTS[side], {}, size, p_value),))
+
+
+def _far_shares(scored: Scores, sample: Sample) -> list[tuple[Floats, float]]:
+    """Return the share of far readings beyond the law's at each position, and the variance of its mean, of each file.
+
+    The variance is at least the binomial one of the readings of both: shares of few positions may agree by chance.
+    """
+    both = replace(scored, natural=np.repeat(scored.natural[:, FAR].sum(axis=1)[:, None], len(ASPECTS), axis=1))
+    share = float(np.mean(np.concatenate([batch.is_outlier(batch.error) for batch in sample.batches])))
+    out = []
+    for rows in (sample.is_recorded, ~sample.is_recorded):
+        if rows.any():
+            mean = _means(both, sample, rows, ASPECTS[FAR[0]])[0]
+            out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / rows.sum())))
+    return out
 
 
 def _means(scored: Scores, sample: Sample, rows: Bits, aspect: Aspect) -> tuple[Floats, Floats, Floats]:

@@ -74,13 +74,20 @@ def test_a_target_is_stationary_if_its_logged_distance_is():
     assert not batch.stationary.any()
 
 
-@given(st.sampled_from([0.01, 0.0254]), st.floats(0.0, 0.99), st.lists(st.integers(20, 99), min_size=1, max_size=5))
-def test_few_readings_on_the_steps_of_another_register_can_be_moved_to_it(step, share, counts):
-    ranges = step * (np.array(counts) + share)
-    batch = Batch.of(Recording.of(Ping.of(np.full(len(counts), 1.0)), Reading.of(ranges)))
-    moved = batch.moved_to(step)
+@given(
+    st.sampled_from([0.01, 0.0254]),
+    st.floats(0.0, 0.99),
+    st.lists(st.integers(20, 99), min_size=1, max_size=9),
+    st.integers(0, 2**31),
+)
+def test_readings_of_which_most_lie_on_the_steps_of_another_register_can_be_moved_to_it(step, share, counts, seed):
+    on = step * (np.array(counts) + share)
+    elsewhere = on[: len(on) // 2] + step * np.linspace(0.2, 0.8, len(on) // 2)
+    ranges = np.random.default_rng(seed).permutation(np.r_[on, elsewhere])
+    moved = Batch.of(Recording.of(Ping.of(np.full(len(ranges), 1.0)), Reading.of(ranges))).moved_to(step)
     assert moved is not None
-    number = (ranges - moved.origin) / step
-    np.testing.assert_allclose(number, np.rint(number), atol=1e-6)
-    off = Batch.of(Recording.of(Ping.of(np.full(len(counts) + 1, 1.0)), Reading.of([*ranges, ranges[0] + 0.4 * step])))
-    assert off.moved_to(step) is None
+    number = (on - moved.origin) / step
+    np.testing.assert_allclose(number, np.rint(number), atol=1e-4)
+    assert -step < moved.origin <= 0.0
+    spread = np.r_[on[:1], on[0] + step * np.array([0.3, 0.5])]
+    assert Batch.of(Recording.of(Ping.of(np.full(3, 1.0)), Reading.of(spread))).moved_to(step) is None

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import kstest
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.locate.few import placement_test, register_test, within_test
+from noise.discrepancy.locate.few import far_test, placement_test, register_test, within_test
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.result import Aspect
 from noise.fitting.batch import Batch
@@ -49,6 +49,34 @@ def between(law, recorded, simulated):
 
 def within(law, recorded, simulated, seed=0):
     return within_test(law, law, Sample(recorded, simulated), np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("common", [0.0, 0.02, 0.1])
+def test_as_many_far_readings_in_both_files_do_not_differ_however_they_vary_between_marks(law, common):
+    p = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        shares = np.minimum(common * rng.gamma(1.0, size=(2, len(MARKS))), 1.0)
+        files = [with_early(marks(k), share, k) for k, share in zip((seed, 1000 + seed), shares, strict=True)]
+        p.append(far_test(law, law, Sample(*files)).p_value.value)
+    assert np.mean(np.array(p) < 0.05) <= 0.05
+    assert min(p) > 0.001
+
+
+def test_one_reading_in_twenty_far_from_every_mark_is_found(law):
+    for seed in range(10):
+        found = far_test(law, law, Sample(with_early(marks(seed), 0.05, seed), marks(1000 + seed)))
+        assert found.p_value.value < 0.01
+        (place,) = found.where
+        assert place.aspect is Aspect.EARLY
+        assert place.size.value == pytest.approx(0.05, abs=0.03)
+        back = far_test(law, law, Sample(marks(1000 + seed), with_early(marks(seed), 0.05, seed)))
+        assert back.p_value.value == pytest.approx(found.p_value.value)
+
+
+def test_far_readings_of_one_disturbed_visit_are_no_difference(law):
+    disturbed = with_early(marks(1), np.eye(len(MARKS))[3] * 0.9, 1)
+    assert far_test(law, law, Sample(disturbed, marks(2))).p_value.value > 0.05
 
 
 def test_marks_that_scatter_as_targets_are_placed_do_not_differ(law):
