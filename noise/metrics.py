@@ -95,7 +95,8 @@ def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = No
     end, echo = law.max_range if silence is None else silence, law.echo
 
     def quantile(level: Floats) -> Floats:
-        share = np.divide(level, echo, where=echo > 0, out=np.full((len(level), len(echo)), np.inf))
+        with np.errstate(over="ignore"):  # of the least probabilities of an echo: no level is a share of them
+            share = np.divide(level, echo, where=echo > 0, out=np.full((len(level), len(echo)), np.inf))
         return np.where(share < 1.0, law.quantile(np.minimum(share, 1.0)), end)
 
     return _quantile_score(quantile, np.where(reading.echo, reading.range, end), levels)

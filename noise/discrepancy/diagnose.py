@@ -34,7 +34,7 @@ from noise.discrepancy.locate.stability import Stability, stability_test
 from noise.discrepancy.locate.trend import UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.moments.bootstrap import Found, Greatest, any_of, joint, signs_of
 from noise.discrepancy.moments.sample import Sample
-from noise.discrepancy.moments.scores import with_own_placement
+from noise.discrepancy.moments.scores import BIAS, with_own_placement
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -147,7 +147,8 @@ def diagnose(
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
     signs = signs_of(data.sample.cluster, data.rng("signs"))
     tested = on_any_compensation(own, other, data, "test", signs)
-    directed = directed_test(wider, data.sample, signs, data.rng("directed"), bool((tested.length > 1).any()))
+    lasts = tested.length > 1
+    directed = directed_test(wider, data.sample, signs, data.rng("directed"), bool(lasts.any()), bool(lasts[BIAS]))
     whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
     found = [whole, *few_positions(own, other, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))

@@ -41,7 +41,7 @@ After = Callable[[Stack, Sequence[dict[Key, float]], Batch], Floats]  # of each 
 
 
 def directed_test(
-    law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, lasting: bool = False
+    law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, lasting: bool = False, drifts: bool = True
 ) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
 
@@ -54,6 +54,7 @@ def directed_test(
         rng: draws readings and folds.
         lasting: whether errors of readings last longer than a cluster. What the first pings of a visit have shown is
             expected of the others, so that the ratios of single pings tell how long.
+        drifts: whether errors of range do, as where the pose of a robot drifts.
     """
     nothing = Greatest(PValue(1.0, len(signs), 0), np.empty(0))
     both, cluster = _thinned(law, sample, rng)
@@ -69,10 +70,10 @@ def directed_test(
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
     valid = np.ones(ratios.shape, dtype=bool)
-    every = dependence(both, ratios, valid, cluster, chains)
+    every = dependence(both, ratios, valid, cluster, chains, drifts)
     if lasting:
         alone = directions(law, pairs, single_log_prob_after)[1]
-        every = np.maximum(every, dependence(both, alone, valid, cluster, chains))
+        every = np.maximum(every, dependence(both, alone, valid, cluster, chains, drifts))
     z, greatest = [], []
     for length in np.unique(every):
         part = psi[:, every == length]

@@ -221,12 +221,12 @@ def _merged(cluster: Ints, time: Floats) -> Ints:
     return rank[cluster] * min(MAX_CLUSTERS, len(first)) // len(first)
 
 
-def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chains: Chains) -> Ints:
+def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chains: Chains, drifts: int | bool) -> Ints:
     """Return over how many neighbouring clusters the sums of each score are not independent, (k,).
 
     Two recordings of one sonar depend on their past alike, and what the recording alone keeps for some time is a
-    difference. It is none in logs of a moving robot, whose pose has an error of its own in each: these depend as the
-    more dependent file does.
+    difference. It is none in logs of a moving robot whose pose drifts, in each in its own way: these depend as the more
+    dependent file does. Where the errors of range in the recording do not last, no pose drifts.
 
     Args:
         sample: readings.
@@ -234,12 +234,14 @@ def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chain
         valid: which pings have one, (n, k).
         cluster: of each ping, (n,).
         chains: of all clusters.
+        drifts: whether the pose drifts, or the score that tells by how long it lasts in the recording.
     """
     if sample.simulated is None:
         return np.ones(scores.shape[1], dtype=np.int64)
-    files = [~sample.is_recorded, sample.is_recorded][: 2 if all(map(moves, sample.batches)) else 1]
-    found = [_bandwidths(sample, scores[file], valid[file], cluster[file], file, chains) for file in files]
-    return np.max(found, axis=0)
+    files = (~sample.is_recorded, sample.is_recorded)
+    own, other = (_bandwidths(sample, scores[f], valid[f], cluster[f], f, chains) for f in files)
+    drifts = drifts if isinstance(drifts, bool) else bool(other[drifts] > 1)
+    return np.maximum(own, other) if drifts and all(map(moves, sample.batches)) else own
 
 
 def _bandwidths(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, file: Bits, chains: Chains) -> Ints:
