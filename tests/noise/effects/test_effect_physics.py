@@ -369,7 +369,8 @@ def test_a_wrong_bit_leads_somewhere_wherever_the_count_is(offset_m):
 def test_a_fit_recovers_the_parameters(name, values):
     rng = np.random.default_rng(5)
     scatter = CATALOGUE["travel_time_jitter"](sigma_m=0.004)
-    ping = Ping.of(distance=rng.uniform(0.3, 4.0, 900), time=np.cumsum(rng.uniform(0.09, 0.11, 900)))
+    time = np.cumsum(rng.uniform(0.09, 0.11, 900))  # a recording counts it from its first ping
+    ping = Ping.of(distance=rng.uniform(0.3, 4.0, 900), time=time - time[0])
     reading = PhysicalModel([scatter, CATALOGUE[name](**values)]).law(ping).sample(rng)
     batch = Batch.of(Recording.of(ping, reading))
     plain = Stack.of(PhysicalModel([scatter]))
