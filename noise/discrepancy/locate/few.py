@@ -142,7 +142,9 @@ class _Positions:
 
 def _of_aspect(scored: Scores, sample: Sample, aspect: Aspect) -> _Positions | None:
     """Return the F test of the means of an aspect; None where positions are too few."""
-    files = [_means(scored, sample, rows, aspect) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
+    a = ASPECTS.index(aspect)
+    value, valid = scored.natural[:, a], scored.valid[:, a]
+    files = [_means(value, valid, sample, rows) for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
     if min(len(mean) for mean, _, _ in files) < MIN_PLACES:
         return None
     (mean, variance, distance), others = files[0], files[1:]
@@ -180,21 +182,20 @@ def _far_shares(scored: Scores, sample: Sample) -> list[tuple[Floats, float]]:
 
     The variance is at least the binomial one of the readings of both: shares of few positions may agree by chance.
     """
-    both = replace(scored, natural=np.repeat(scored.natural[:, FAR].sum(axis=1)[:, None], len(ASPECTS), axis=1))
+    value, valid = scored.natural[:, FAR].sum(axis=1), scored.valid[:, FAR[0]]
     share = float(np.mean(np.concatenate([batch.is_outlier(batch.error) for batch in sample.batches])))
     out = []
     for rows in (sample.is_recorded, ~sample.is_recorded):
         if rows.any():
-            mean = _means(both, sample, rows, ASPECTS[FAR[0]])[0]
+            mean = _means(value, valid, sample, rows)[0]
             out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / rows.sum())))
     return out
 
 
-def _means(scored: Scores, sample: Sample, rows: Bits, aspect: Aspect) -> tuple[Floats, Floats, Floats]:
-    """Return the mean of an aspect, its variance, and the distance, m, of each position of a file, (positions,)."""
-    a = ASPECTS.index(aspect)
-    rows = rows & scored.valid[:, a]
-    value, every = scored.natural[rows, a], np.concatenate([batch.ping.distance for batch in sample.batches])
+def _means(value: Floats, valid: Bits, sample: Sample, rows: Bits) -> tuple[Floats, Floats, Floats]:
+    """Return the mean of a score, its variance, and the distance, m, of each position of a file, (positions,)."""
+    rows = rows & valid
+    value, every = value[rows], np.concatenate([batch.ping.distance for batch in sample.batches])
     place = np.unique(_places(sample)[rows], return_inverse=True)[1]
     count = np.bincount(place)
     mean = np.bincount(place, value) / np.maximum(count, 1)

@@ -238,10 +238,12 @@ def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chain
     """
     if sample.simulated is None:
         return np.ones(scores.shape[1], dtype=np.int64)
-    files = (~sample.is_recorded, sample.is_recorded)
-    own, other = (_bandwidths(sample, scores[f], valid[f], cluster[f], f, chains) for f in files)
-    drifts = drifts if isinstance(drifts, bool) else bool(other[drifts] > 1)
-    return np.maximum(own, other) if drifts and all(map(moves, sample.batches)) else own
+    files = [~sample.is_recorded, sample.is_recorded][: 2 if all(map(moves, sample.batches)) else 1]
+    own, *others = (_bandwidths(sample, scores[f], valid[f], cluster[f], f, chains) for f in files)
+    if not others:
+        return own
+    lasts = drifts if isinstance(drifts, bool) else bool(others[0][drifts] > 1)
+    return np.maximum(own, others[0]) if lasts else own
 
 
 def _bandwidths(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, file: Bits, chains: Chains) -> Ints:
