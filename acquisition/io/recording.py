@@ -44,6 +44,7 @@ from acquisition.ping import EchoStatus, Ping, Reading, check_pairs, interval
 MM, DEG = 1e-3, np.pi / 180.0
 COMMON_MM = (25.4, 10.0)  # inch output and cm output
 ROUNDED_MM = 0.5  # half of the step of readings in whole mm, the most common ones
+LOGGED_MM = 0.051  # half of the step of readings written to 0.1 mm, and the error of their sums
 MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
 
 
@@ -284,10 +285,10 @@ class Recording:
         reading_mm, distance_mm = (value[self.reading.echo] / MM for value in (self.reading.range, self.ping.distance))
         echo_mm = np.unique(reading_mm)
         step = _step_of(echo_mm, np.unique(self.ping.distance / MM))
-        if step is not None or len(echo_mm) < 2:
+        shifted = None if len(echo_mm) < 2 else _shifted_step(reading_mm, distance_mm, step or 2.0 * ROUNDED_MM)
+        if shifted is None:
             return (MM if step is None else step * MM), 0.0
-        step = _shifted_step(reading_mm, distance_mm)
-        return (MM, 0.0) if step is None else (step * MM, -(-float(echo_mm[0]) % step) * MM)
+        return shifted * MM, -(-float(echo_mm[0]) % shifted) * MM
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -305,25 +306,26 @@ def _is_column(value: Any, n: int) -> bool:
 
 def _step_of(echo_mm: NDArray[np.float64], distance_mm: NDArray[np.float64]) -> float | None:
     """Return the step of which all sorted distinct readings are multiples, mm; None where there is none."""
-    common = next((step for step in COMMON_MM if len(echo_mm) and _on_grid(echo_mm, step, 0.051)), None)
+    common = next((step for step in COMMON_MM if len(echo_mm) and _on_grid(echo_mm, step, LOGGED_MM)), None)
     found = _other_step(echo_mm) if common is None else common * _common_divisor(np.rint(echo_mm / common))
-    placed = found is not None and _on_grid(distance_mm, found, 0.051)
+    placed = found is not None and _on_grid(distance_mm, found, LOGGED_MM)
     return common if found is None or placed else found
 
 
-def _shifted_step(reading_mm: NDArray[np.float64], distance_mm: NDArray[np.float64]) -> float | None:
+def _shifted_step(reading_mm: NDArray[np.float64], distance_mm: NDArray[np.float64], finer_mm: float) -> float | None:
     """Return the step of which all differences of readings are multiples, mm; None where there is none.
 
-    A shifted grid may begin anywhere, so that a common step must be improbable as a coincidence too. Where the targets
-    stand on such a grid themselves, only different readings of one target tell of the sensor's.
+    A shifted grid may begin anywhere, so that a common step must be improbable as a coincidence too, for readings that
+    lie on a finer grid anyway. Where the targets stand on such a grid themselves, only different readings of one target
+    tell of the sensor's.
     """
     beyond, apart = np.unique(reading_mm - reading_mm.min()), np.unique(distance_mm - distance_mm.min())
     step = _step_of(beyond, apart)
     if step is None:
         return None
     different = np.unique(np.stack([distance_mm, reading_mm]), axis=1).shape[1]
-    coincidences = different - len(apart) if _on_grid(apart, step, 0.051) else len(beyond) - 1
-    return step if (2.0 * ROUNDED_MM / step) ** float(coincidences) < MAX_CHANCE else None
+    coincidences = different - len(apart) if _on_grid(apart, step, LOGGED_MM) else len(beyond) - 1
+    return step if (finer_mm / step) ** float(coincidences) < MAX_CHANCE else None
 
 
 def _on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
@@ -345,7 +347,7 @@ def _other_step(value: NDArray[np.float64]) -> float | None:
     if len(value) < 2:
         return None
     rounded = _on_grid(value, 1.0, 1e-6)
-    min_step, tolerance = (10.0, 0.6) if rounded else (2.0, 0.051)
+    min_step, tolerance = (10.0, 0.6) if rounded else (2.0, LOGGED_MM)
     gaps = np.diff(value)
     gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # between grid neighbours; rounding errors cancel
     for step in (_refine_step(value, gap / k) for k in (1, 2, 3) if gap / k >= min_step - tolerance):

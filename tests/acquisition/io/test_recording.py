@@ -6,7 +6,7 @@ import stat
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError
@@ -153,6 +153,8 @@ def test_no_grid_is_found_where_there_is_none(values):
 
 
 @settings(max_examples=60, deadline=None)
+@example(10.0, 0.33, 0)  # all readings are multiples of a third of the step, too
+@example(10.0, 0.25, 0)
 @given(st.sampled_from([10.0, 25.4, 20.0, 12.7]), st.floats(-0.45, 0.45), st.integers(0, 2**31))
 def test_a_constant_added_after_rounding_moves_the_grid_and_not_its_step(step, share, seed):
     rng = np.random.default_rng(seed)
