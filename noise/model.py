@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -16,6 +16,7 @@ from acquisition.ping import check_pairs
 from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Tolerance, UniformSource
 from noise.schema import Resolution
 
+ORDER = "order_in_visit"  # column of the number of earlier pings under the same condition
 MAX_RANGE = 11.008  # m; SRF08 with range register 255, Devantech product information
 
 
@@ -285,6 +286,7 @@ def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading
     """
     if not model.remembers:
         return model.law(ping).sample(rng)
+    ping = with_order(ping)
     if isinstance(model, StatefulModel):
         return _simulate_all(model.fresh(), ping, rng)
     reading = Reading.of(np.zeros(len(ping)), np.full(len(ping), 2))
@@ -294,6 +296,25 @@ def simulate(model: SonarModel, ping: Ping, rng: np.random.Generator) -> Reading
         drawn = model.law(ping[rows], past).sample(rng)
         value[rows], status[rows] = drawn.range, drawn.status
     return Reading.of(value, status)
+
+
+def with_order(ping: Ping) -> Ping:
+    """Return pings with their order under one condition in the column `ORDER`, which a selection of them would lose."""
+    return ping if ORDER in ping.covariates else replace(ping, covariates={**ping.covariates, ORDER: order_of(ping)})
+
+
+def order_of(ping: Ping) -> NDArray[np.float64]:
+    """Return the number of earlier pings under the same condition in an unbroken series, (n,).
+
+    >>> order_of(Ping.of([1.0, 1.0, 1.0, 2.0, 1.0]))
+    array([0., 1., 2., 0., 0.])
+    """
+    if ORDER in ping.covariates:
+        return ping.covariates[ORDER]
+    condition = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run])
+    starts = np.any(np.diff(condition, axis=1, prepend=np.nan) != 0.0, axis=0)
+    row = np.arange(len(ping), dtype=np.float64)
+    return row - np.maximum.accumulate(np.where(starts, row, 0.0))
 
 
 def _simulate_all(model: StatefulModel, ping: Ping, rng: np.random.Generator) -> Reading:

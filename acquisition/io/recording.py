@@ -342,11 +342,14 @@ def _common_divisor(count: NDArray[np.float64]) -> int:
 def _other_step(value: NDArray[np.float64]) -> float | None:
     """Return the step of which all sorted distinct values, mm, are multiples; None where it may be a coincidence.
 
-    Values in whole millimetres may have been rounded after the quantisation; the tolerance is then 0.6 mm.
+    Values in whole millimetres are multiples of a whole number, or may have been rounded after the quantisation; the
+    tolerance is then 0.6 mm.
     """
     if len(value) < 2:
         return None
     rounded = _on_grid(value, 1.0, 1e-6)
+    if rounded and (divisor := _common_divisor(np.rint(value))) > 1:
+        return float(divisor)
     min_step, tolerance = (10.0, 0.6) if rounded else (2.0, LOGGED_MM)
     gaps = np.diff(value)
     gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # between grid neighbours; rounding errors cancel

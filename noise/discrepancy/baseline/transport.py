@@ -4,7 +4,8 @@ An echo keeps its rank: it lies at the same share of the echoes of the one law a
 optimal transport in one dimension; Villani 2003, section 2.2). It is lost, and silence becomes an echo, as often as the
 probabilities of an echo differ. What has no name, and what no effect can do to a given reading, is carried too. Where
 an echo is no part of the simulation's law, that law is wrong there, and so is the other, which rests on it: the echo
-moves by the difference of their medians, in which the error cancels.
+moves by the difference of their medians, in which the error cancels. An echo that the simulation's law all but excludes
+stays one, and so does silence.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from noise.law import EchoLaw
 from noise.model import SonarModel
 from noise.replay import given_readings
 
-ALIEN = 1e-4  # share of a law's echoes at each end from which a rank is a guess; chosen here
+ALIEN = 1e-4  # probability in the simulation's law below which a reading is no part of it; chosen here
 
 
 class TransportLaw(EchoLaw):
@@ -51,7 +52,10 @@ class TransportLaw(EchoLaw):
         self.alien = given.echo & ((place < ALIEN) | (place > 1.0 - ALIEN))
         kept = after / np.maximum(before, RARE)
         gained = (after - before) / np.maximum(1.0 - before, RARE)
-        self.heard = np.clip(np.where(given.echo, kept, gained), 0.0, 1.0)
+        heard = np.clip(np.where(given.echo, kept, gained), 0.0, 1.0)
+        # the ratio of two probabilities that are both wrong says nothing
+        surprising = np.where(given.echo, before, 1.0 - before) < ALIEN
+        self.heard = np.where(surprising, given.echo, heard)
 
     def _arrival(self, z: Floats) -> Floats:
         share = self.law._arrival(z) / np.maximum(self.law.echo, RARE)

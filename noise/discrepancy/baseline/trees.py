@@ -15,6 +15,7 @@ from acquisition.arrays import Bits, Floats, Ints
 from noise.effects import Conditions
 from noise.fitting.batch import Batch
 from noise.fitting.smooth import MEMORY, MIRRORED, column
+from noise.model import order_of
 
 INTERVAL = "interval_s"  # logged with every recording; it describes the past, not the condition
 ORDER, SIGNED_ANGLE, SIGNED_INCIDENCE = "order", "signed_angle", "signed_incidence"
@@ -25,18 +26,14 @@ MIN_LEAF = 4  # pings in a leaf; the average over trees smooths further
 MEAN_ABS_NORMAL = float(np.sqrt(2.0 / np.pi))
 
 
-def order_in_visit(ping: Ping) -> Floats:
-    """Return log(1 + number of earlier pings under the same condition in an unbroken series), (n,)."""
-    condition = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run])
-    starts = np.any(np.diff(condition, axis=1, prepend=np.nan) != 0.0, axis=0)
-    row = np.arange(len(ping))
-    return np.log1p(row - np.maximum.accumulate(np.where(starts, row, 0)))
+def _log_order(ping: Ping) -> Floats:
+    return np.log1p(order_of(ping))
 
 
 def columns(names: Sequence[str], ping: Ping, past: Reading | None, typical: Mapping[str, float]) -> Floats:
     """Return inputs of trees, (n, d); a covariate that was not logged has its typical value."""
     c = Conditions.of(ping, past)
-    special = {ORDER: order_in_visit, SIGNED_ANGLE: lambda p: p.angle, SIGNED_INCIDENCE: lambda p: p.incidence}
+    special = {ORDER: _log_order, SIGNED_ANGLE: lambda p: p.angle, SIGNED_INCIDENCE: lambda p: p.incidence}
     out = np.empty((len(ping), len(names)))
     for k, name in enumerate(names):
         if name in special:

@@ -26,7 +26,7 @@ from noise.discrepancy.moments.chains import Chains
 from noise.discrepancy.moments.moments import Group, bin_sums, unbiased_moments
 from noise.discrepancy.moments.nuisance import Basis, CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.regressors import Column, Form, Regressor, columns_of
-from noise.discrepancy.moments.sample import MIN_OVERLAP, Sample, dependence
+from noise.discrepancy.moments.sample import MIN_OVERLAP, Sample, dependence, pose_drifts
 from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores_of_both
 from noise.discrepancy.result import Aspect, PValue
 from noise.effects.state import DETECTION_WIDTH_DB
@@ -245,7 +245,9 @@ def _expected_weights(
 
 def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, only: Only | None) -> Tested:
     columns, cluster, chains = tuple(frame.columns), frame.sample.cluster, frame.sample.chains
-    length = dependence(frame.sample, frame.scored.value, frame.scored.valid, cluster, chains, BIAS)
+    value, valid = frame.scored.value, frame.scored.valid
+    drifts = pose_drifts(frame.sample, value[:, BIAS], valid[:, BIAS], cluster, chains)
+    length = dependence(frame.sample, value, valid, cluster, chains, drifts)
     regressors = tuple(r for column in columns for r in column.regressors)
     z, scale = np.full((2, len(ASPECTS), len(regressors)), np.nan)
     greatest = np.zeros((len(ASPECTS), len(signs)))

@@ -28,7 +28,7 @@ from noise.fitting.starts import target_echo
 RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 POWER, TWO_SIDED = 0.9, 0.95
-N_TESTS = 4  # of one hypothesis, for which the level is adjusted: this one, the orthogonal test and those of `few`
+N_TESTS = 5  # of one hypothesis, for which the level is adjusted: this one, the orthogonal test and those of `few`
 ROUNDING = 1e-9  # m, below which errors are alike
 UNCOMPENSATED: Key = ("sound_speed", "logged_share")
 SHARES = np.linspace(0.0, 1.0, 21)  # from full compensation to none

@@ -221,12 +221,12 @@ def _merged(cluster: Ints, time: Floats) -> Ints:
     return rank[cluster] * min(MAX_CLUSTERS, len(first)) // len(first)
 
 
-def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chains: Chains, drifts: int | bool) -> Ints:
+def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chains: Chains, drifts: bool) -> Ints:
     """Return over how many neighbouring clusters the sums of each score are not independent, (k,).
 
     Two recordings of one sonar depend on their past alike, and what the recording alone keeps for some time is a
     difference. It is none in logs of a moving robot whose pose drifts, in each in its own way: these depend as the more
-    dependent file does. Where the errors of range in the recording do not last, no pose drifts.
+    dependent file does.
 
     Args:
         sample: readings.
@@ -234,16 +234,30 @@ def dependence(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, chain
         valid: which pings have one, (n, k).
         cluster: of each ping, (n,).
         chains: of all clusters.
-        drifts: whether the pose drifts, or the score that tells by how long it lasts in the recording.
+        drifts: whether the pose does, where everything moves.
     """
     if sample.simulated is None:
         return np.ones(scores.shape[1], dtype=np.int64)
-    files = [~sample.is_recorded, sample.is_recorded][: 2 if all(map(moves, sample.batches)) else 1]
-    own, *others = (_bandwidths(sample, scores[f], valid[f], cluster[f], f, chains) for f in files)
-    if not others:
-        return own
-    lasts = drifts if isinstance(drifts, bool) else bool(others[0][drifts] > 1)
-    return np.maximum(own, others[0]) if lasts else own
+    drifts = drifts and all(map(moves, sample.batches))
+    files = [~sample.is_recorded, sample.is_recorded] if drifts else [~sample.is_recorded]
+    each = [_bandwidths(sample, scores[f], valid[f], cluster[f], f, chains) for f in files]
+    return np.asarray(np.max(each, axis=0))
+
+
+def pose_drifts(sample: Sample, bias: Floats, valid: Bits, cluster: Ints, chains: Chains) -> bool:
+    """Return whether the errors of range of a recording last longer than a cluster.
+
+    Args:
+        sample: readings.
+        bias: score of each ping, (n,).
+        valid: which pings have one, (n,).
+        cluster: of each ping, (n,).
+        chains: of all clusters.
+    """
+    own = sample.is_recorded
+    return sample.simulated is not None and bool(
+        _bandwidths(sample, bias[own, None], valid[own, None], cluster[own], own, chains)[0] > 1
+    )
 
 
 def _bandwidths(sample: Sample, scores: Floats, valid: Bits, cluster: Ints, file: Bits, chains: Chains) -> Ints:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from acquisition.arrays import Bits, Floats
-from noise.discrepancy.moments.sample import MIN_CLUSTERS, positions
+from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.moments.sample import MIN_CLUSTERS, moves, positions
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
-DEAL = np.array([0, 0, 1, 1, 2])  # of every five neighbouring conditions: two in each fold, one unseen; chosen here
+DEAL = np.array([0, 0, 1, 1, 2])  # of every five neighbouring units: two in each fold, one unseen; chosen here
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +35,14 @@ class Folds:
 
     @classmethod
     def of(cls, batch: Batch, rng: np.random.Generator) -> Folds:
-        """Deal conditions, sorted by distance and angle, so that every part covers the conditions alike."""
-        conditions, index = np.unique(batch.condition, return_inverse=True)
+        """Deal conditions, or runs of a moving robot, by distance and angle, so that all parts cover them alike."""
+        index = _units(batch)
         count = np.bincount(index)
         distance = np.bincount(index, batch.ping.distance) / count
         angle = np.bincount(index, np.abs(batch.ping.angle)) / count
-        rank = np.empty(len(conditions), dtype=np.int64)
-        rank[np.lexsort((angle, distance))] = np.arange(len(conditions))
-        deal = np.concatenate([rng.permutation(DEAL) for _ in range(-(-len(conditions) // len(DEAL)))])
+        rank = np.empty(len(count), dtype=np.int64)
+        rank[np.lexsort((angle, distance))] = np.arange(len(count))
+        deal = np.concatenate([rng.permutation(DEAL) for _ in range(-(-len(count) // len(DEAL)))])
         part = deal[rank][index]
         first, second, unseen = (batch.select(part == k) for k in range(3))
         return cls(first, second, batch.select(part < 2), unseen, part == 2)
@@ -62,6 +62,18 @@ class Folds:
     def in_first(self, batch: Batch) -> Bits:
         """Return which pings of a batch are in the first fold, (n,)."""
         return np.isin(batch.condition, self.first.condition)
+
+
+def _units(batch: Batch) -> Ints:
+    """Return the number of what is dealt as a whole for each ping, (n,).
+
+    Pieces of one run of a robot share the error of its pose: what stands for that error predicts them all, and no
+    other run. Fewer runs than make two hands of `DEAL` cannot be dealt.
+    """
+    runs = np.unique(batch.ping.run, return_inverse=True)[1]
+    if moves(batch) and runs.max() + 1 >= 2 * len(DEAL):
+        return runs
+    return np.asarray(np.unique(batch.condition, return_inverse=True)[1], dtype=np.int64)
 
 
 def with_simulated_offset(batch: Batch, law: Stack, simulated: Batch) -> Batch:

@@ -143,6 +143,15 @@ def test_a_multiple_of_a_common_grid_is_found(step):
     assert there.resolution in (0.01, 0.0254), "the target itself is on the coarser grid"
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.integers(2, 60), st.integers(0, 59), st.integers(0, 2**31))
+def test_whole_millimetres_of_any_step_are_found(step, offset, seed):
+    rng = np.random.default_rng(seed)
+    reading = np.rint(rng.uniform(300, 5000, 200) / step) * step + offset % step
+    recording = Recording.of(Ping.of(rng.uniform(0.3, 5.0, 200)), Reading.of(reading / 1000))
+    assert recording.grid == pytest.approx((step / 1000, -(-offset % step) / 1000))
+
+
 @pytest.mark.parametrize("values", [2, 3, 5, 11, 40, 200])
 def test_no_grid_is_found_where_there_is_none(values):
     rng = np.random.default_rng(values)

@@ -18,7 +18,7 @@ from noise.discrepancy.result import Diagnosis
 from noise.fitting.batch import Batch
 from noise.fitting.visits import visits_of
 from noise.metrics import ClusterMean, crps_with_silence
-from noise.model import MAX_RANGE, IdealModel, SonarModel
+from noise.model import MAX_RANGE, IdealModel, SonarModel, with_order
 from noise.replay import with_simulated
 from training.common.commit import commit
 from training.diagnosis.judging.said import said
@@ -134,7 +134,7 @@ def ensemble_crps(recording: Recording, other: Recording, model: SonarModel | No
     status = other.reading.status[member]
     drawn = Reading.of(np.where(status == EchoStatus.ECHO, np.maximum(moved, other.resolution), 0.0), status)
     if model is not None:
-        law = model.law(with_simulated(batch.ping[row], drawn), batch.past[row])
+        law = model.law(with_simulated(with_order(batch.ping)[row], drawn), batch.past[row])
         drawn = law.sample(np.random.default_rng(0))
     end, out = _ends(batch.reading), np.empty(len(batch))
     ensembles = np.split(_ends(drawn), np.cumsum([len(rows) * len(members) for rows, members in pairs])[:-1])
