@@ -16,6 +16,7 @@ from acquisition.arrays import Singles
 from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import Grown, grown
+from noise.discrepancy.baseline.recalibration import recalibrated
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
@@ -251,7 +252,7 @@ def _different(
         data, recorded, tested, where, visible, kind, judged.causes, left, options.causes_only, corrected, places
     )
     acting, left_out = difference(judged, search, options, emulator, step_m)
-    carrying = transport(data, corrected, acting)
+    carrying = transport(data, options, corrected, acting)
     acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
     return replace(
         diagnosis,
@@ -262,13 +263,22 @@ def _different(
     )
 
 
-def transport(data: Data, corrected: SonarModel | None, acting: SonarModel | None) -> Transport | None:
-    """Return what carries readings of the simulation to the corrected law; None where the causes predict as well."""
-    # a forest of the recording says nothing of other conditions, under which readings are to be corrected too
-    if corrected is None or corrected is data.forest.model:
+def transport(
+    data: Data, options: Options, corrected: SonarModel | None, acting: SonarModel | None
+) -> Transport | None:
+    """Return what carries readings of the simulation to the recording's law; None where the causes predict as well.
+
+    Both laws are recalibrated: what the emulator gets wrong of the simulation would otherwise be a difference. A forest
+    of the recording says nothing of other conditions, under which readings are to be corrected too.
+    """
+    readings, term = data.baseline.readings, options.with_term
+    law = corrected if term is None else term.model
+    if readings is None or law is None or law is data.forest.model:
         return None
-    carrying = Transport(data.baseline.emulator, corrected)
-    better = is_carried(data.simulation, acting, carrying, data.folds.unseen, data.rng("transport"))
+    own = None if term is None else recalibrated(data.baseline.emulator, readings, data.rng("own term"))
+    carrying = Transport(data.baseline.emulator if own is None else own.model, law)
+    rng = data.rng("transport")
+    better = is_carried(data.simulation, acting, carrying, data.folds.unseen, rng, sure=term is not None)
     return carrying if better else None
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from noise.composed import ComposedModel, with_differences
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.correction import Options
-from noise.discrepancy.judge.held_out import Simulation
+from noise.discrepancy.judge.held_out import Simulation, beyond_chance
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
@@ -59,11 +59,17 @@ def _acting_on(
 
 
 def is_carried(
-    simulation: Simulation, acting: SonarModel | None, carrying: Transport, unseen: Batch, rng: np.random.Generator
+    simulation: Simulation,
+    acting: SonarModel | None,
+    carrying: Transport,
+    unseen: Batch,
+    rng: np.random.Generator,
+    sure: bool = False,
 ) -> bool:
     """Return whether readings carried from one law to the other predict better beyond chance than the causes do.
 
-    Without conditions that both files have, they are carried where no cause acts: the other law has been found better.
+    Where no cause acts, and it is sure that the other law is better, it is enough that they predict no worse. Without
+    conditions that both files have, they are then carried.
 
     Args:
         simulation: the user's simulation.
@@ -71,13 +77,15 @@ def is_carried(
         carrying: carries readings from the law of the simulation to that of the recording.
         unseen: visits of the recording that no estimate used.
         rng: draws the readings.
+        sure: whether the other law has been found better than the same without its empirical term, beyond chance.
     """
     if simulation.readings is None:
         return False
     if not simulation.has_any_of(unseen):
         return acting is None
     known = simulation if acting is None else _applied(acting, simulation, rng)
-    return _applied(carrying, simulation, rng).is_better_than(known, unseen)
+    gain = _applied(carrying, simulation, rng).gain_on(known, unseen)
+    return bool(gain.sum() >= 0.0) if sure and acting is None else beyond_chance(gain)
 
 
 def _applied(model: SonarModel, simulation: Simulation, rng: np.random.Generator) -> Simulation:

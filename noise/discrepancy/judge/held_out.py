@@ -93,11 +93,11 @@ class Simulation:
         """Return what other predictions of batches, with CRPS (n,), gain on each visit, m."""
         return np.concatenate([batch.visit_sums(self._scored(batch)[0] - crps) for batch, crps in scored])
 
-    def is_better_than(self, other: Simulation, batch: Batch) -> bool:
-        """Return whether a batch is predicted better beyond chance, under conditions for which both have readings."""
+    def gain_on(self, other: Simulation, batch: Batch) -> Floats:
+        """Return the gain over another on each visit of a batch, m, under conditions for which both have readings."""
         (own, own_estimated), (others, estimated) = self._scored(batch), other._scored(batch)
         known = ~(own_estimated | estimated)
-        return beyond_chance(batch.visit_sums(np.where(known, others - own, 0.0)))
+        return batch.visit_sums(np.where(known, others - own, 0.0))
 
     def has_any_of(self, batch: Batch) -> bool:
         """Return whether there are readings under any condition of a batch."""

@@ -9,10 +9,9 @@ from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
 from noise.discrepancy.baseline.forest import AnalogueForest, grown
 from noise.discrepancy.baseline.forest_law import LEVELS, quantiles
-from noise.discrepancy.baseline.trees import order_in_visit
 from noise.fitting.batch import Batch
 from noise.metrics import crps_with_silence
-from noise.model import MAX_RANGE
+from noise.model import MAX_RANGE, order_of, simulate, with_order
 
 STEP_M = 0.08
 NOISE_M = 0.002
@@ -219,7 +218,19 @@ def test_a_covariate_that_is_not_given_has_its_typical_value():
 
 def test_the_order_in_a_visit_counts_pings_since_the_condition_changed():
     ping = Ping.of([1.0, 1.0, 1.0, 2.0, 1.0, 1.0], run=[0, 0, 0, 0, 0, 1])
-    assert np.allclose(np.expm1(order_in_visit(ping)), [0, 1, 2, 0, 0, 0])
+    assert np.allclose(order_of(ping), [0, 1, 2, 0, 0, 0])
+    assert np.allclose(order_of(with_order(ping)[[5, 2, 1]]), [0, 2, 1])
+
+
+def test_what_depends_on_the_order_in_a_visit_is_simulated_ping_by_ping():
+    """The first three readings of a visit are long, whatever the one before was."""
+    ping, rng = survey(0), np.random.default_rng(0)
+    forest = forest_of(batch_of(ping, STEP_M * (np.arange(len(ping)) % 10 < 3), rng))
+    assert forest.remembers
+    fresh = survey(1)
+    error = (simulate(forest, fresh, rng).range - fresh.distance).reshape(-1, 10)
+    assert np.allclose(error[:, :3].mean(axis=0), STEP_M, atol=0.2 * STEP_M)
+    assert np.allclose(error[:, 4:].mean(axis=0), 0.0, atol=0.2 * STEP_M)
 
 
 def test_quantiles_of_equal_weights_are_those_of_the_values():

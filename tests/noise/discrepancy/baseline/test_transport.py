@@ -26,12 +26,14 @@ def drawn(model, seed=1):
     return model.law(PING).sample(np.random.default_rng(seed))
 
 
-@given(st.lists(st.integers(1, 11_000), min_size=1, max_size=20), st.integers(0, 2**32 - 1))
-def test_between_equal_laws_every_reading_remains(steps, seed):
+@given(
+    st.lists(st.integers(1, 11_000), min_size=1, max_size=20), st.sampled_from([0.0, 0.3, 1.0]), st.integers(0, 2**32 - 1)
+)
+def test_between_equal_laws_every_reading_remains(steps, miss, seed):
     """Those too that the law does not expect, silence, and what was no answer."""
     status = np.random.default_rng(seed).integers(0, 3, len(steps))
     reading = Reading.of(np.where(status == EchoStatus.ECHO, 0.001 * np.array(steps), 0.0), status)
-    law = GaussianModel(0.01, 0.0, miss=0.3)
+    law = GaussianModel(0.01, 0.0, miss=miss)
     found = carried(Transport(law, law), reading, Ping.of(distance=np.full(len(steps), 2.0)), seed)
     np.testing.assert_array_equal(found.status, reading.status)
     np.testing.assert_allclose(found.range, reading.range, atol=0.001 + 1e-9)  # the end of a step may be the next one
