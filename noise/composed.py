@@ -65,12 +65,10 @@ class LearnedPath(Path):
         """Return the probability of no echo, (1, n)."""
         return 1.0 - self.probability
 
-    def survival(self, z: Tensor) -> Tensor:
-        """Return the survival function P(registered beyond z | echo)."""
+    def _survival(self, z: Tensor) -> Tensor:
         return 1.0 - self._mean(self.law._arrival, z)
 
-    def between(self, low: Tensor, high: Tensor) -> Tensor:
-        """Return P(registered in (low, high] | echo)."""
+    def _between(self, low: Tensor, high: Tensor) -> Tensor:
         return self._mean(self.law._between, low, high)
 
     def _mean(self, function: Callable[..., Floats], *edges: Tensor) -> Tensor:

@@ -69,6 +69,8 @@ class Path:
         slip_m: offsets of the possible detection points, m, (J,).
         slip_weight: probabilities of the detection points, (J,).
         bearing: angle of departure and arrival off the beam axis, rad, (n,) or scalar.
+        doubled: probability that a detected path is registered after a second round trip, at twice its range; None for
+            never.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Path:
     slip_m: Tensor
     slip_weight: Tensor
     bearing: Tensor
+    doubled: Tensor | None = field(default=None, kw_only=True)
 
     def detection(self, width_db: Tensor) -> Tensor:
         """Return the probability that this path crosses the threshold, (Q, n)."""
@@ -91,11 +94,24 @@ class Path:
 
     def survival(self, z: Tensor) -> Tensor:
         """Return the survival function P(registered beyond z | detected)."""
-        return self._over_slips(ndtr(-self._scores(z)))
+        return self._with_doubled(self._survival, z)
 
     def between(self, low: Tensor, high: Tensor) -> Tensor:
         """Return P(registered in (low, high] | detected), exact in both tails."""
+        return self._with_doubled(self._between, low, high)
+
+    def _survival(self, z: Tensor) -> Tensor:
+        return self._over_slips(ndtr(-self._scores(z)))
+
+    def _between(self, low: Tensor, high: Tensor) -> Tensor:
         return self._over_slips(_normal_between(self._scores(low), self._scores(high)))
+
+    def _with_doubled(self, probability: Callable[..., Tensor], *z: Tensor) -> Tensor:
+        """Return a probability of ranges, of which some may be twice those of the path."""
+        once = probability(*z)
+        if self.doubled is None:
+            return once
+        return (1.0 - self.doubled) * once + self.doubled * probability(*(0.5 * each for each in z))
 
     def _scores(self, z: Tensor) -> Tensor:
         """Return the standardised distance of a range beyond each detection point, (J, ..., n)."""

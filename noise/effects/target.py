@@ -240,7 +240,10 @@ class Multipath(Effect):
 
 
 class RepeatedBounce(Effect):
-    """The echo is reflected by the sensor and travels to the target again: a second echo at twice the distance."""
+    """The echo is reflected by the sensor and travels to the target again: a second echo at twice the distance.
+
+    It is read where the first is too weak; some receivers also miss a first echo that is loud.
+    """
 
     name = "repeated_bounce"
     stage = Stage.PATHS
@@ -249,20 +252,29 @@ class RepeatedBounce(Effect):
     parameters = (
         presence(0.9),
         Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "p0 / (4 d) R_face: 6 dB and face; chosen here", (6.0,)),
+        Parameter("missed", "1", 0.0, 0.0, 0.5, "share of loud first echoes; chosen here", (0.1, 0.0)),
     )
     presence: Tensor
     loss_db: Tensor
+    missed: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the doubled path."""
+        """Add the doubled path, and let some echoes of the direct one be read after the second trip."""
         c = state.conditions
         level_db = wall_level_db(2.0 * c.distance) - self.loss_db
+        state = state.with_direct(replace(state.direct, doubled=self.missed))
         return state.with_path(new_path("twice", 2.0 * c.distance, level_db, self.presence, c.angle))
 
     def statement(self) -> str:
-        """Return a sentence with the loss and the probability."""
+        """Return sentences with the loss and the probability, and with the share of loud echoes that are missed."""
         v = self.values
-        return f"{self.summary}, {v['loss_db']:.0f} dB below a wall there, in {_percent(v['presence'])} of pings."
+        said = []
+        if v["presence"] > 0.0 or v["missed"] == 0.0:
+            loss = f"{v['loss_db']:.0f} dB below a wall there, in {_percent(v['presence'])} of pings"
+            said.append(f"{self.summary}, {loss}.")
+        if v["missed"] > 0.0:
+            said.append(f"{_percent(v['missed'])} of loud echoes are missed and read at twice the distance.")
+        return " ".join(said)
 
 
 def _percent(share: float) -> str:

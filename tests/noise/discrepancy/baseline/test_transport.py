@@ -27,7 +27,9 @@ def drawn(model, seed=1):
 
 
 @given(
-    st.lists(st.integers(1, 11_000), min_size=1, max_size=20), st.sampled_from([0.0, 0.3, 1.0]), st.integers(0, 2**32 - 1)
+    st.lists(st.integers(1, 11_000), min_size=1, max_size=20),
+    st.sampled_from([0.0, 0.3, 1.0]),
+    st.integers(0, 2**32 - 1),
 )
 def test_between_equal_laws_every_reading_remains(steps, miss, seed):
     """Those too that the law does not expect, silence, and what was no answer."""
