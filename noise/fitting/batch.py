@@ -13,10 +13,11 @@ from torch import Tensor
 from acquisition import Ping, Reading, Recording, RecordingError, previous
 from noise.effects import Conditions
 from noise.effects.base import target_tolerance
-from noise.fitting.visits import last_echo, movement, visits_of, with_range_rate
+from noise.fitting.visits import is_moving, last_echo, movement, visits_of, with_range_rate
 
 MAX_LAG = 12  # earlier readings of a visit that `look_back` covers; more add no information; chosen here
 OFF_STEP_M = 5e-5  # by which logs in 0.1 mm round a reading
+MIN_RUNS = 10  # of a robot that are the units of a split and of a standard error; chosen here
 MAX_STATIONARY_M = 0.01  # change of the logged distance of a stationary target; chosen here
 
 
@@ -37,6 +38,7 @@ class Batch:
         simulated_offset: mean error of the simulation under the same condition, m, nan where unknown, (n,).
         grid_m: step of the grid on which all readings lie, m: the register's own, or a coarser one; 0 where unknown.
         origin: range of step 0 of that grid, m, in (-`grid_m`, 0].
+        by_run: whether runs are the independent units: pieces of one run of a robot share the error of its pose.
     """
 
     ping: Ping
@@ -51,6 +53,7 @@ class Batch:
     simulated_offset: NDArray[np.float64] | None = None
     grid_m: float = 0.0
     origin: float = 0.0
+    by_run: bool = False
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -70,9 +73,11 @@ class Batch:
         label = np.unique(visit[order], return_inverse=True)[1]
         last, moved = last_echo(recording)[order], movement(recording)[order]
         timed, (step, origin) = recording.has("time_s"), recording.grid
+        by_run = is_moving(recording) and len(np.unique(ping.run)) >= MIN_RUNS
         return cls(
-            ping, past[order], reading, label, condition[order], step, last, moved, timed, grid_m=step, origin=origin
-        )
+            ping, past[order], reading, label, condition[order], step, last, moved, timed,
+            grid_m=step, origin=origin, by_run=by_run,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         """Return the number of pings."""
@@ -223,6 +228,15 @@ class Batch:
     def visit_sums(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum of an (n,) or (n, k) array over each visit, (n_visits,) or (n_visits, k)."""
         return np.add.reduceat(value, self.starts, axis=0)
+
+    @cached_property
+    def unit(self) -> NDArray[np.int64]:
+        """Index of the independent unit of each ping, its visit or its run, (n,)."""
+        return np.unique(self.ping.run if self.by_run else self.visit, return_inverse=True)[1].ravel()
+
+    def unit_sums(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum of an (n,) array over each independent unit, (units,)."""
+        return np.bincount(self.unit, value).astype(np.float64)
 
     @cached_property
     def guesses(self) -> dict[str, list[dict[str, float]]]:

@@ -51,7 +51,7 @@ class Option:
     def is_better_than(self, other: Option) -> bool:
         """Return whether the CRPS is less than that of another model beyond chance, on visits that neither has seen."""
         pairs = zip(self.scored, other.scored, strict=False)
-        return beyond_chance(np.concatenate([batch.visit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
+        return beyond_chance(np.concatenate([batch.unit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def gains(law: Option, emulator: SonarModel) -> bool:
     batches = [batch for batch, _ in law.scored]
     before = np.concatenate([crps_of_each(emulator, batch) for batch in batches])
     nats = [own - log_score(emulator, batch) for own, batch in zip(law.nats, batches, strict=True)]
-    gain = np.concatenate([batch.visit_sums(each) for batch, each in zip(batches, nats, strict=True)])
+    gain = np.concatenate([batch.unit_sums(each) for batch, each in zip(batches, nats, strict=True)])
     return law.crps < float(before.mean()) and beyond_chance(gain)
 
 

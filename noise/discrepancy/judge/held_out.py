@@ -91,13 +91,13 @@ class Simulation:
 
     def gain(self, *scored: tuple[Batch, Floats]) -> Floats:
         """Return what other predictions of batches, with CRPS (n,), gain on each visit, m."""
-        return np.concatenate([batch.visit_sums(self._scored(batch)[0] - crps) for batch, crps in scored])
+        return np.concatenate([batch.unit_sums(self._scored(batch)[0] - crps) for batch, crps in scored])
 
     def gain_on(self, other: Simulation, batch: Batch) -> Floats:
         """Return the gain over another on each visit of a batch, m, under conditions for which both have readings."""
         (own, own_estimated), (others, estimated) = self._scored(batch), other._scored(batch)
         known = ~(own_estimated | estimated)
-        return batch.visit_sums(np.where(known, others - own, 0.0))
+        return batch.unit_sums(np.where(known, others - own, 0.0))
 
     def has_any_of(self, batch: Batch) -> bool:
         """Return whether there are readings under any condition of a batch."""
@@ -176,7 +176,7 @@ def held_out(
     if after is before.model:
         errors[2] = errors[0]
     scores = [Score(float(n.mean()), error) for n, error in zip(nats, errors, strict=True)]
-    gain = unseen.visit_sums(nats[2] - nats[0])
+    gain = unseen.unit_sums(nats[2] - nats[0])
     mean, error = float(gain.sum()) / len(unseen), Z * standard_error(gain) / len(unseen)
     gained = Interval(mean, mean - error, mean + error, "nats")
     return HeldOut(len(unseen), unseen.n_visits, scores[0], scores[1], scores[2], crps(itself, unseen), gained)

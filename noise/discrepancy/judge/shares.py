@@ -59,13 +59,13 @@ class Rest:
     simulated: Grown | None
 
     def gain(self, found: Hypothesis) -> Floats:
-        """Return what the pool gains on each visit beyond what it gains on simulated ones, nats, (n_visits,)."""
+        """Return what the pool gains on each unit beyond what it gains on simulated ones, nats, (units,)."""
         parts, stacks = self.search.parts, found.stacks[::-1]
         law = np.concatenate([log_likelihood(stack, part) for stack, part in zip(stacks, parts, strict=True)])
         ends = np.cumsum([len(part) for part in parts])[:-1]
         gained = np.split(pool_gain(law, self._forest), ends)
-        sums = np.concatenate([part.visit_sums(each) for part, each in zip(parts, gained, strict=True)])
-        return sums - self._on_simulation * np.concatenate([np.bincount(part.visit) for part in parts])
+        sums = np.concatenate([part.unit_sums(each) for part, each in zip(parts, gained, strict=True)])
+        return sums - self._on_simulation * np.concatenate([np.bincount(part.unit) for part in parts])
 
     @cached_property
     def _forest(self) -> Floats:

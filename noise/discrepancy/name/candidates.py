@@ -105,14 +105,14 @@ def gains_of(points: Mapping[str, tuple[float, list[Stack]]], stack: Stack, scre
         stack: without the effects.
         screen: readings.
     """
-    nats = screen.visit_sums(log_likelihood(stack, screen))
+    nats = screen.unit_sums(log_likelihood(stack, screen))
     order = sorted(points, key=lambda name: -points[name][0])
-    return {name: screen.visit_sums(log_likelihood(points[name][1][0], screen)) - nats for name in order}
+    return {name: screen.unit_sums(log_likelihood(points[name][1][0], screen)) - nats for name in order}
 
 
 def leading(names: Sequence[str], fits: Mapping[str, Fit], screen: Batch, least_gain: float) -> list[str]:
     """Return the effects that may lead on other visits, of those sorted by their fit to a screen."""
-    nats = {name: screen.visit_sums(log_likelihood(fits[name].stack, screen)) for name in names}
+    nats = {name: screen.unit_sums(log_likelihood(fits[name].stack, screen)) for name in names}
     behind = {name: nats[names[0]] - nats[name] for name in names}
     return [name for name in names if may_lead(behind[name].sum(), behind[name], least_gain)]
 

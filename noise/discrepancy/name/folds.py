@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.moments.sample import MIN_CLUSTERS, moves, positions
+from acquisition.arrays import Bits, Floats
+from noise.discrepancy.moments.sample import MIN_CLUSTERS, positions
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
@@ -36,7 +36,7 @@ class Folds:
     @classmethod
     def of(cls, batch: Batch, rng: np.random.Generator) -> Folds:
         """Deal conditions, or runs of a moving robot, by distance and angle, so that all parts cover them alike."""
-        index = _units(batch)
+        index = np.unique(batch.ping.run if batch.by_run else batch.condition, return_inverse=True)[1].ravel()
         count = np.bincount(index)
         distance = np.bincount(index, batch.ping.distance) / count
         angle = np.bincount(index, np.abs(batch.ping.angle)) / count
@@ -48,9 +48,9 @@ class Folds:
         return cls(first, second, batch.select(part < 2), unseen, part == 2)
 
     def crossed(self, nats: Callable[[int, Batch], Floats]) -> Floats:
-        """Return per-visit values of both folds: `nats(k, other)` scores what was fitted on fold k on the other."""
+        """Return sums over units of both folds: `nats(k, other)` scores what was fitted on fold k on the other."""
         parts = [(0, self.second), (1, self.first)]
-        return np.concatenate([batch.visit_sums(nats(k, batch)) for k, batch in parts])
+        return np.concatenate([batch.unit_sums(nats(k, batch)) for k, batch in parts])
 
     def divided(self, batch: Batch) -> tuple[Batch, ...]:
         """Return the pings of a batch in each fold; in one part where a fold would hold too few conditions."""
@@ -62,18 +62,6 @@ class Folds:
     def in_first(self, batch: Batch) -> Bits:
         """Return which pings of a batch are in the first fold, (n,)."""
         return np.isin(batch.condition, self.first.condition)
-
-
-def _units(batch: Batch) -> Ints:
-    """Return the number of what is dealt as a whole for each ping, (n,).
-
-    Pieces of one run of a robot share the error of its pose: what stands for that error predicts them all, and no
-    other run. Fewer runs than make two hands of `DEAL` cannot be dealt.
-    """
-    runs = np.unique(batch.ping.run, return_inverse=True)[1]
-    if moves(batch) and runs.max() + 1 >= 2 * len(DEAL):
-        return runs
-    return np.asarray(np.unique(batch.condition, return_inverse=True)[1], dtype=np.int64)
 
 
 def with_simulated_offset(batch: Batch, law: Stack, simulated: Batch) -> Batch:

@@ -187,7 +187,7 @@ class Search:
         subtracted for each (Schwarz 1978, BIC).
         """
         pairs = zip(reversed(stacks), self.parts, strict=True)
-        nats = np.concatenate([part.visit_sums(log_likelihood(stack, part)) for stack, part in pairs])
+        nats = np.concatenate([part.unit_sums(log_likelihood(stack, part)) for stack, part in pairs])
         priors = [stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() for stack in stacks]
         prior = float(np.mean(priors))
         if len(self.parts) == 1:
