@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
+from scipy.special import logsumexp
 from torch import Tensor
 
 from acquisition.arrays import Floats
@@ -15,6 +16,9 @@ from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
 from noise.physical import PhysicalModel
 
 Measure = Callable[[PhysicalModel, VisitEffects], Tensor]
+AROUND_M: Floats = 1e-3 * 2.0 ** np.arange(11.0)  # from an end of a range, 1 mm to 1 m
+N_ENDS = 16  # of a range, that are tried among those which the readings allow
+EXCLUDED = 20.0  # nats below the likeliest
 
 
 def log_likelihood(stack: Stack, batch: Batch) -> Floats:
@@ -57,6 +61,48 @@ def log_likelihoods(stacks: Sequence[Stack], batch: Batch) -> Floats:
         moved = [key for key in _keys(first) if any(each.get(key) != first.get(key) for each in group)]
         out[rows] = at_each(first, moved, np.array([[each.get(key) for key in moved] for each in group]), total)
     return out
+
+
+def predictive(stack: Stack, keys: Sequence[Key], own: Batch, other: Batch) -> Floats:
+    """Return the log predictive probability of each unit of other readings, given those before it, nats, (units,).
+
+    Where the likelihood jumps, as at the end of a range, it says only between which readings the end lies, and the
+    likeliest end is at the farthest of them. A single reading beyond it would then refute the effect. The end is
+    integrated over, with a flat prior where the readings that it was fitted to allow it.
+
+    Args:
+        stack: fitted to `own`.
+        keys: parameters that were fitted.
+        own: readings that the stack was fitted to.
+        other: readings to predict.
+    """
+    jumping = [key for key in keys if stack.parameter(key).jumps and key[1] not in STEPWISE]
+    if not jumping:
+        return other.unit_sums(log_likelihood(stack, other))
+    key = jumping[0]
+    values, weight = _ends(stack, key, own)
+
+    def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
+        return log_prob(law_of(model, other), visits, other, exact=True)
+
+    each = np.stack([other.unit_sums(row) for row in at_each(stack, [key], values[:, None], nats)])
+    before = weight[:, None] + np.cumsum(each, axis=1) - each
+    return np.asarray(logsumexp(before + each, axis=0) - logsumexp(before, axis=0))
+
+
+def _ends(stack: Stack, key: Key, batch: Batch) -> tuple[Floats, Floats]:
+    """Return values of a parameter in which the likelihood jumps, and their log posterior weights, (k,) each."""
+    p, here = stack.parameter(key), stack.get(key)
+
+    def at(values: Floats) -> tuple[Floats, Floats]:
+        inside = np.unique(np.clip(values, p.low, p.high))
+        return inside, log_likelihoods([stack.at({key: value}) for value in inside.tolist()], batch)
+
+    values, nats = at(np.r_[here - AROUND_M, here, here + AROUND_M])
+    good = np.flatnonzero(nats > nats.max() - EXCLUDED)
+    ends = values[max(good[0] - 1, 0)], values[min(good[-1] + 1, len(values) - 1)]
+    values, nats = at(np.r_[values[good], np.linspace(*ends, N_ENDS)])
+    return values, nats + np.log(np.gradient(values))
 
 
 def _alike(stacks: Sequence[Stack]) -> list[list[int]]:

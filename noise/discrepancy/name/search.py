@@ -35,7 +35,7 @@ from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, standard_
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
-from noise.fitting.likelihood import log_likelihood, log_likelihoods
+from noise.fitting.likelihood import log_likelihoods, predictive
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
@@ -186,8 +186,8 @@ class Search:
         With one part, estimates are scored on their own readings, and half the logarithm of the number of visits is
         subtracted for each (Schwarz 1978, BIC).
         """
-        pairs = zip(reversed(stacks), self.parts, strict=True)
-        nats = np.concatenate([part.unit_sums(log_likelihood(stack, part)) for stack, part in pairs])
+        keys, pairs = self.keys(effects), zip(reversed(stacks), reversed(self.parts), self.parts, strict=True)
+        nats = np.concatenate([predictive(stack, keys, own, part) for stack, own, part in pairs])
         priors = [stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() for stack in stacks]
         prior = float(np.mean(priors))
         if len(self.parts) == 1:
