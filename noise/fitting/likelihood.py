@@ -64,7 +64,7 @@ def log_likelihoods(stacks: Sequence[Stack], batch: Batch) -> Floats:
 
 
 def predictive(stack: Stack, keys: Sequence[Key], own: Batch, other: Batch) -> Floats:
-    """Return the log predictive probability of each unit of other readings, given those before it, nats, (units,).
+    """Return the log predictive probability of each of other readings, given those before it, nats, (n,).
 
     Where the likelihood jumps, as at the end of a range, it says only between which readings the end lies, and the
     likeliest end is at the farthest of them. A single reading beyond it would then refute the effect. The end is
@@ -78,14 +78,14 @@ def predictive(stack: Stack, keys: Sequence[Key], own: Batch, other: Batch) -> F
     """
     jumping = [key for key in keys if stack.parameter(key).jumps and key[1] not in STEPWISE]
     if not jumping:
-        return other.unit_sums(log_likelihood(stack, other))
+        return log_likelihood(stack, other)
     key = jumping[0]
     values, weight = _ends(stack, key, own)
 
     def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
         return log_prob(law_of(model, other), visits, other, exact=True)
 
-    each = np.stack([other.unit_sums(row) for row in at_each(stack, [key], values[:, None], nats)])
+    each = at_each(stack, [key], values[:, None], nats)
     before = weight[:, None] + np.cumsum(each, axis=1) - each
     return np.asarray(logsumexp(before + each, axis=0) - logsumexp(before, axis=0))
 

@@ -60,8 +60,7 @@ class Rest:
 
     def gain(self, found: Hypothesis) -> Floats:
         """Return what the pool gains on each unit beyond what it gains on simulated ones, nats, (units,)."""
-        parts, stacks = self.search.parts, found.stacks[::-1]
-        law = np.concatenate([log_likelihood(stack, part) for stack, part in zip(stacks, parts, strict=True)])
+        parts, law = self.search.parts, np.concatenate(self.search.predictions(found.effects, found.stacks))
         ends = np.cumsum([len(part) for part in parts])[:-1]
         gained = np.split(pool_gain(law, self._forest), ends)
         sums = np.concatenate([part.unit_sums(each) for part, each in zip(parts, gained, strict=True)])

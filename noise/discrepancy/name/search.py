@@ -169,16 +169,12 @@ class Search:
     def null(self) -> Hypothesis:
         """Return the hypothesis that only nuisances differ; it is fitted once for each common law."""
         if self._null is None or self._null[0] is not self.common:
-            self._null = self.common, self._fitted_null()
+            starts = [nuisance_starts(self.common, part) for part in self.parts]
+            if self._null is not None:  # from their values under the common law before
+                known = [[stack.get(key) for key in self.nuisances] for stack in self._null[1].stacks]
+                starts = [[self.common.put(self.nuisances, values) for values in known]] * len(self.parts)
+            self._null = self.common, self.best(starts, self.nuisances)
         return self._null[1]
-
-    def _fitted_null(self) -> Hypothesis:
-        """Fit the nuisances on each fold, from their values on both under the common law before where there is one."""
-        starts = [nuisance_starts(self.common, part) for part in self.parts]
-        if self._null is not None:
-            known = [[stack.get(key) for key in self.nuisances] for stack in self._null[1].stacks]
-            starts = [[self.common.put(self.nuisances, values) for values in known]] * len(self.parts)
-        return self.best(starts, self.nuisances)
 
     def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
         """Return a fitted hypothesis with its log-likelihood on the other folds.
@@ -186,13 +182,17 @@ class Search:
         With one part, estimates are scored on their own readings, and half the logarithm of the number of visits is
         subtracted for each (Schwarz 1978, BIC).
         """
-        keys, pairs = self.keys(effects), zip(reversed(stacks), reversed(self.parts), self.parts, strict=True)
-        nats = np.concatenate([predictive(stack, keys, own, part) for stack, own, part in pairs])
+        nats = np.concatenate(list(map(Batch.unit_sums, self.parts, self.predictions(effects, stacks))))
         priors = [stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() for stack in stacks]
         prior = float(np.mean(priors))
         if len(self.parts) == 1:
             prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
         return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
+
+    def predictions(self, effects: Sequence[str], stacks: Sequence[Stack]) -> list[Floats]:
+        """Return the log probability of each reading of each part by the law fitted to the other, nats, (n,) each."""
+        keys, pairs = self.keys(effects), zip(reversed(stacks), reversed(self.parts), self.parts, strict=True)
+        return [predictive(stack, keys, own, part) for stack, own, part in pairs]
 
     def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
         """Return a hypothesis fitted on both folds.

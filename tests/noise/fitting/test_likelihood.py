@@ -6,7 +6,7 @@ import pytest
 from acquisition import Ping, Recording
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
-from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods
+from noise.fitting.likelihood import likeliest, log_likelihood, log_likelihoods, predictive
 from noise.fitting.stack import Stack
 from noise.fitting.starts import nuisance_start, starting_points
 from noise.physical import PhysicalModel
@@ -27,3 +27,26 @@ def test_stacks_evaluated_at_once_have_their_own_likelihoods(batch, name):
     alone = [log_likelihood(start, batch).sum() for start in starts]
     np.testing.assert_allclose(log_likelihoods(starts, batch), alone, rtol=1e-9, atol=1e-6)
     assert likeliest(starts, batch) is starts[int(np.argmax(alone))]
+
+
+def gated(distance, end_m, seed):
+    """Return eight pings at each distance, with a window that ends at a range."""
+    rng = np.random.default_rng(seed)
+    law = PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004), CATALOGUE["range_gate"](listen_m=end_m)])
+    ping = Ping.of(distance=np.repeat(distance, 8), time=np.arange(8.0 * len(distance)))
+    return Batch.of(Recording.of(ping, law.law(ping).sample(rng)))
+
+
+def test_readings_between_the_last_echo_and_the_first_silence_do_not_refute_the_end_of_a_range():
+    """The end lies evenly between 1.7 and 2.2 m as far as one half of the visits tells."""
+    gate = ("range_gate", "listen_m")
+    own = gated([0.5, 1.2, 1.7, 2.2, 2.6], 1.95, 0)
+    stack = Stack.of(PhysicalModel([CATALOGUE["travel_time_jitter"](sigma_m=0.004)])).put([gate], [1.72])
+    for others, expected in (([1.9], np.log(0.6)), ([2.0], np.log(0.6)), ([0.5, 2.6], 0.0)):
+        other = gated(others, 1.95, 1)
+        plain = log_likelihood(stack.at({gate: 1.95}), other).sum()
+        nats = predictive(stack, [gate], own, other)
+        assert nats.shape == (len(other),)
+        assert nats.sum() - plain == pytest.approx(expected, abs=0.15)
+    assert predictive(stack, [gate], own, gated([2.6], 3.0, 1)).sum() < -100.0
+    np.testing.assert_array_equal(predictive(stack, [], own, other), log_likelihood(stack, other))
