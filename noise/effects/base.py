@@ -24,6 +24,7 @@ from acquisition.limits import Limit, check_number, near
 from noise.effects.state import State, number
 
 NEAR, NEAR_M = 0.1, 0.05  # tolerance of the target's own echoes: share of the distance, plus m; chosen here
+BIN_M = 0.05  # within which lengths of paths are one; the scatter of a reading
 
 
 class Stage(IntEnum):
@@ -110,6 +111,11 @@ class EchoSample:
         return self._where(np.abs(self.range - self.distance) > target_tolerance(self.distance))
 
     @property
+    def late(self) -> EchoSample:
+        """Echoes clearly behind the target's."""
+        return self._where(self.range > self.distance + target_tolerance(self.distance))
+
+    @property
     def early(self) -> EchoSample:
         """Echoes clearly before the target's."""
         return self._where(self.range < self.distance - target_tolerance(self.distance))
@@ -117,6 +123,16 @@ class EchoSample:
     def _where(self, rows: NDArray[np.bool_]) -> EchoSample:
         interval, past = (None if value is None else value[rows] for value in (self.interval, self.past))
         return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, past, self.grid_m)
+
+
+def most_frequent(length: NDArray[np.float64]) -> float:
+    """Return the median of the lengths in the fullest bin, m; 0 where all are nan."""
+    length = length[np.isfinite(length)]
+    if not len(length):
+        return 0.0
+    place = np.rint(length / BIN_M)
+    most, count = np.unique(place, return_counts=True)
+    return float(np.median(length[place == most[int(np.argmax(count))]]))
 
 
 class Effect(ABC):

@@ -11,14 +11,13 @@ from torch import Tensor
 
 from acquisition import EchoStatus
 from acquisition.arrays import Floats
-from noise.effects.base import EchoSample, Effect, Parameter, Stage
+from noise.effects.base import EchoSample, Effect, Parameter, Stage, most_frequent
 from noise.effects.medium import ASSUMED_SPEED
 from noise.effects.state import State, heard_level_db, new_path, wall_level_db
 from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
 RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
-FAR_BIN_M = 0.05  # within which far reflectors are one; the scatter of a reading
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
 
 
@@ -72,11 +71,11 @@ class PreviousPing(Effect):
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return the second round trip within bursts and the far reflector that explain most early readings."""
         early, waits = echoes.early, []
-        if early.past is not None and (wait := _most_frequent(2.0 * early.distance - early.range - early.past)) > 0.0:
+        if early.past is not None and (wait := most_frequent(2.0 * early.distance - early.range - early.past)) > 0.0:
             waits.append({"presence": 0.5, "far_m": 12.0, "doubled": 1.0, "wait_m": wait})
         if early.interval is not None and (early.interval > 0.0).any():
             gap = np.where(early.interval > 0.0, ASSUMED_SPEED * early.interval / 2.0, np.nan)
-            waits.append({"presence": 0.5, "far_m": _most_frequent(early.range + gap), "doubled": 0.0, "wait_m": 0.0})
+            waits.append({"presence": 0.5, "far_m": most_frequent(early.range + gap), "doubled": 0.0, "wait_m": 0.0})
         return waits
 
     def statement(self) -> str:
@@ -85,16 +84,6 @@ class PreviousPing(Effect):
         source = "the target's second echo" if v["doubled"] > 0.5 else f"a reflector at {v['far_m']:.2f} m"
         read = f"is read as a near echo of the current ping, in {100 * v['presence']:.3g} % of pings"
         return f"A far echo of the previous ping, from {source}, {read}."
-
-
-def _most_frequent(length: Floats) -> float:
-    """Return the median of the lengths in the fullest bin, m; 0 where all are nan."""
-    length = length[np.isfinite(length)]
-    if not len(length):
-        return 0.0
-    place = np.rint(length / FAR_BIN_M)
-    most, count = np.unique(place, return_counts=True)
-    return float(np.median(length[place == most[int(np.argmax(count))]]))
 
 
 class Latency(Effect):

@@ -56,6 +56,21 @@ class Conditions:
 
 
 @dataclass(frozen=True)
+class Later:
+    """What a receiver reads that misses a loud echo: the same at another range.
+
+    Attributes:
+        probability: that the echo is missed and read so.
+        factor: on its range.
+        extra: added to it, m, (n,) or scalar.
+    """
+
+    probability: Tensor
+    factor: float
+    extra: Tensor
+
+
+@dataclass(frozen=True)
 class Path:
     """A propagation path from the sensor back to it.
 
@@ -69,8 +84,7 @@ class Path:
         slip_m: offsets of the possible detection points, m, (J,).
         slip_weight: probabilities of the detection points, (J,).
         bearing: angle of departure and arrival off the beam axis, rad, (n,) or scalar.
-        doubled: probability that a detected path is registered after a second round trip, at twice its range; None for
-            never.
+        later: what is read where the receiver misses this echo.
     """
 
     name: str
@@ -82,7 +96,7 @@ class Path:
     slip_m: Tensor
     slip_weight: Tensor
     bearing: Tensor
-    doubled: Tensor | None = field(default=None, kw_only=True)
+    later: tuple[Later, ...] = field(default=(), kw_only=True)
 
     def detection(self, width_db: Tensor) -> Tensor:
         """Return the probability that this path crosses the threshold, (Q, n)."""
@@ -94,24 +108,29 @@ class Path:
 
     def survival(self, z: Tensor) -> Tensor:
         """Return the survival function P(registered beyond z | detected)."""
-        return self._with_doubled(self._survival, z)
+        return self._with_later(self._survival, z)
 
     def between(self, low: Tensor, high: Tensor) -> Tensor:
         """Return P(registered in (low, high] | detected), exact in both tails."""
-        return self._with_doubled(self._between, low, high)
+        return self._with_later(self._between, low, high)
+
+    def _with_later(self, probability: Callable[..., Tensor], *z: Tensor) -> Tensor:
+        """Return a probability of ranges, of which some are those of later echoes."""
+        out = probability(*z)
+        for each in self.later:
+            moved = probability(*((edge - each.extra) / each.factor for edge in z))
+            out = (1.0 - each.probability) * out + each.probability * moved
+        return out
+
+    def missed(self, later: Later) -> Path:
+        """Return the path with one more echo that is read in its place."""
+        return replace(self, later=(*self.later, later))
 
     def _survival(self, z: Tensor) -> Tensor:
         return self._over_slips(ndtr(-self._scores(z)))
 
     def _between(self, low: Tensor, high: Tensor) -> Tensor:
         return self._over_slips(_normal_between(self._scores(low), self._scores(high)))
-
-    def _with_doubled(self, probability: Callable[..., Tensor], *z: Tensor) -> Tensor:
-        """Return a probability of ranges, of which some may be twice those of the path."""
-        once = probability(*z)
-        if self.doubled is None:
-            return once
-        return (1.0 - self.doubled) * once + self.doubled * probability(*(0.5 * each for each in z))
 
     def _scores(self, z: Tensor) -> Tensor:
         """Return the standardised distance of a range beyond each detection point, (J, ..., n)."""

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from noise.effects.base import Effect, Parameter, Stage
-from noise.effects.state import State, heard_level_db, new_path, wall_level_db
+from noise.effects.base import EchoSample, Effect, Parameter, Stage, most_frequent
+from noise.effects.state import Later, State, heard_level_db, new_path, number, wall_level_db
 
 WAVELENGTH = 8.584e-3  # m; 40 kHz at 19 degC and 50 % relative humidity
 NEAR = 0.02  # m; lower limit of the distance in the asymptotic formulas below
@@ -22,6 +23,11 @@ NEAR = 0.02  # m; lower limit of the distance in the asymptotic formulas below
 def presence(start: float = 0.5) -> Parameter:
     """Return the parameter common to all additional paths."""
     return Parameter("presence", "1", 0.0, 0.0, 1.0, "probability; chosen here", (start,))
+
+
+def missed() -> Parameter:
+    """Return the parameter for loud first echoes that a receiver misses, so that it reads a later one."""
+    return Parameter("missed", "1", 0.0, 0.0, 0.5, "share of loud first echoes; chosen here", (0.1, 0.0))
 
 
 def half_width(null: float = 0.1) -> Parameter:
@@ -206,7 +212,10 @@ class FixedClutter(Effect):
 
 
 class Multipath(Effect):
-    """A path over the floor: half its length is (sqrt(d^2 + 4 h^2) + d) / 2, with one leg at atan(2 h / d)."""
+    """A path over the floor: half its length is (sqrt(d^2 + 4 h^2) + d) / 2, with one leg at atan(2 h / d).
+
+    It is read where the direct echo is too weak; some receivers also miss a direct echo that is loud.
+    """
 
     name = "multipath"
     stage = Stage.PATHS
@@ -216,27 +225,42 @@ class Multipath(Effect):
         presence(0.9),
         Parameter("height_m", "m", 0.3, 0.02, 3.0, "of the axis over the floor; 1.5 m in Esmi (2016)", (0.2, 0.5, 1.5)),
         Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "of the floor reflection re a wall; chosen here", (5.0,)),
+        missed(),
     )
     presence: Tensor
     height_m: Tensor
     loss_db: Tensor
+    missed: Tensor
 
     def apply(self, state: State) -> State:
-        """Add the path over the floor, at a bearing with the mean loss of both legs."""
+        """Add the path over the floor, at a bearing with the mean loss of both legs, and read it for missed echoes."""
         c = state.conditions
         slant = torch.sqrt(c.distance**2 + 4.0 * self.height_m**2)
         length = 0.5 * (slant + c.distance)
         both = 0.5 * ((2.0 * self.height_m / slant) ** 2 + torch.sin(c.angle) ** 2)
         bearing = torch.asin(torch.clamp(torch.sqrt(both + 1e-12), max=0.999))
+        state = state.with_direct(state.direct.missed(Later(self.missed, 1.0, length - c.distance)))
         return state.with_path(
             new_path("floor", length, wall_level_db(length) - self.loss_db, self.presence, bearing),
         )
 
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return the height that explains most late readings r of targets at d: h^2 = r (r - d)."""
+        late = echoes.late
+        if not len(late.range):
+            return []
+        height_m = most_frequent(np.sqrt(late.range * (late.range - late.distance)))
+        weak = {"presence": 0.9, "height_m": height_m, "loss_db": 5.0, "missed": 0.0}
+        return [weak, {**weak, "missed": min(0.5, len(late.range) / len(echoes.range))}]
+
     def statement(self) -> str:
-        """Return a sentence with the height and the error at 1 m."""
+        """Return a sentence with the height and the error at 1 m, and one with the share of loud echoes missed."""
         late = 0.5 * (math.hypot(1.0, 2 * self.values["height_m"]) - 1.0)
         echoes = f"Echoes reflected by the floor or another surface {self.values['height_m']:.2f} m beside the axis"
-        return f"{echoes} are read when the direct echo is missed, {1000 * late:.0f} mm too long at 1 m."
+        words = f"{echoes} are read when the direct echo is missed, {1000 * late:.0f} mm too long at 1 m"
+        share = self.values["missed"]
+        return f"{words}; {_percent(share)} of loud echoes are missed." if share > 0.0 else f"{words}."
 
 
 class RepeatedBounce(Effect):
@@ -252,7 +276,7 @@ class RepeatedBounce(Effect):
     parameters = (
         presence(0.9),
         Parameter("loss_db", "dB", 12.0, 0.0, 45.0, "p0 / (4 d) R_face: 6 dB and face; chosen here", (6.0,)),
-        Parameter("missed", "1", 0.0, 0.0, 0.5, "share of loud first echoes; chosen here", (0.1, 0.0)),
+        missed(),
     )
     presence: Tensor
     loss_db: Tensor
@@ -262,7 +286,7 @@ class RepeatedBounce(Effect):
         """Add the doubled path, and let some echoes of the direct one be read after the second trip."""
         c = state.conditions
         level_db = wall_level_db(2.0 * c.distance) - self.loss_db
-        state = state.with_direct(replace(state.direct, doubled=self.missed))
+        state = state.with_direct(state.direct.missed(Later(self.missed, 2.0, number(0.0))))
         return state.with_path(new_path("twice", 2.0 * c.distance, level_db, self.presence, c.angle))
 
     def statement(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.name.hypothesis import may_lead
+from noise.discrepancy.thresholds import MIN_SHARE
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit
@@ -140,14 +141,22 @@ def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
             continue
         slack = AT_BOUND * (p.high - p.low)
         moved = abs(value - p.null) > slack and abs(value - base.get(key)) > slack
-        if moved and (value <= p.low + slack or value >= p.high - slack) and _needs(stack, key, batch):
+        if moved and (value <= p.low + slack or value >= p.high - slack) and _needs(stack, base, key, batch):
             return True
     return False
 
 
-def _needs(stack: Stack, key: Key, batch: Batch) -> bool:
-    """Return whether readings are less likely with a parameter further inside its bounds than at the near one."""
+def _left_out(stack: Stack, base: Stack, name: str) -> Stack:
+    """Return a stack with an effect as it is in the base."""
+    if name not in base.values:
+        return stack.without(name)
+    return stack.at({(name, p.name): base.get((name, p.name)) for p in stack.known[name].parameters})
+
+
+def _needs(stack: Stack, base: Stack, key: Key, batch: Batch) -> bool:
+    """Return whether much of what an effect explains is lost with a parameter further inside its bounds."""
     p, value = stack.parameter(key), stack.get(key)
     inside = value + INSIDE * (p.high - p.low) * (1.0 if value < 0.5 * (p.low + p.high) else -1.0)
-    lost = log_likelihood(stack, batch).sum() - log_likelihood(stack.at({key: inside}), batch).sum()
-    return bool(lost > NEEDED)
+    laws = stack, stack.at({key: inside}), base, _left_out(stack, base, key[0])
+    here, moved, *without = (float(log_likelihood(law, batch).sum()) for law in laws)
+    return here - moved > max(NEEDED, MIN_SHARE * (here - max(without)))

@@ -138,16 +138,23 @@ def test_edge_echo_is_36_mm_early_at_22_5_degrees_and_33_db_weaker_at_1_m():
     assert float(state.paths[1].level_db[0, 0] - state.paths[0].level_db[0, 0]) == pytest.approx(-33.6, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("effect", "later"),
+    [
+        (lambda missed: CATALOGUE["repeated_bounce"](presence=0.0, missed=missed), lambda d: 2.0 * d),
+        (
+            lambda missed: CATALOGUE["multipath"](presence=0.0, height_m=0.5, missed=missed),
+            lambda d: 0.5 * (np.hypot(d, 1.0) + d),
+        ),
+    ],
+    ids=["repeated_bounce", "multipath"],
+)
 @given(st.floats(0.0, 0.5), st.floats(0.3, 3.0), st.floats(-0.02, 0.02), st.floats(-0.05, 0.05))
-def test_a_loud_first_echo_that_is_missed_is_read_at_twice_the_range(missed, distance, error, offset_m):
-    effects = [
-        CATALOGUE["repeated_bounce"](presence=0.0, missed=missed),
-        CATALOGUE["clock_scale"](error=error),
-        CATALOGUE["zero_offset"](offset_m=offset_m),
-    ]
+def test_a_later_echo_is_read_where_a_loud_first_one_is_missed(effect, later, missed, distance, error, offset_m):
+    effects = [effect(missed), CATALOGUE["clock_scale"](error=error), CATALOGUE["zero_offset"](offset_m=offset_m)]
     law = PhysicalModel(effects).law(Ping.of(distance=distance))
-    for factor, share in ((1.0, 1.0 - missed), (2.0, missed)):
-        at = factor * distance * (1.0 + error) + offset_m
+    for exact, share in ((distance, 1.0 - missed), (later(distance), missed)):
+        at = exact * (1.0 + error) + offset_m
         assert (law.cdf(at + 0.002) - law.cdf(at - 0.002))[0] == pytest.approx(share, abs=1e-6)
 
 
