@@ -23,7 +23,7 @@ from noise.discrepancy.inputs import Progress, Simulator, as_model, check_condit
 from noise.discrepancy.judge.correction import Options
 from noise.discrepancy.judge.difference import difference, is_carried
 from noise.discrepancy.judge.held_out import Simulation, held_out
-from noise.discrepancy.judge.judged import judge
+from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
@@ -223,22 +223,7 @@ def _different(
     without: tuple[str, ...],
 ) -> Diagnosis:
     """Return the diagnosis of a recording that differs."""
-    readings = data.baseline.readings
-    search = Search(data.baseline.law, data.folds, readings, data.rng("search"), without, data.tell)
-    search.is_left = lambda found: against(data, search, found.stacks[0]).p_value.value < LEFT_LEVEL
-    _, found = search.run()
-    none = search.nothing(found)
-    data.tell("weighing", 0.7)
-    rest = Rest(search, data.forest, data.baseline.forest)
-    judged = judge(
-        rest,
-        none,
-        found,
-        tested.p_value,
-        partial(against, data, search),
-        partial(steady, data, search),
-        data.rng("judge"),
-    )
+    search, judged = _judged(data, tested, without)
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
     options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, data.rng("term"))
@@ -254,13 +239,20 @@ def _different(
     acting, left_out = difference(judged, search, options, emulator, step_m)
     carrying = transport(data, options, corrected, acting)
     acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
-    return replace(
-        diagnosis,
-        difference=acting,
-        left_out=left_out,
-        evidence=judged.evidence,
-        likely={p.effect: p.likely for p in judged.places},
-    )
+    likely = {p.effect: p.likely for p in judged.places}
+    return replace(diagnosis, difference=acting, left_out=left_out, evidence=judged.evidence, likely=likely)
+
+
+def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Search, Judged]:
+    """Return the search for causes, and what was found with its probabilities and shares."""
+    search = Search(data.baseline.law, data.folds, data.baseline.readings, data.rng("search"), without, data.tell)
+    search.is_left = lambda found: against(data, search, found.stacks[0]).p_value.value < LEFT_LEVEL
+    _, found = search.run()
+    none = search.nothing(found)
+    data.tell("weighing", 0.7)
+    rest = Rest(search, data.forest, data.baseline.forest)
+    tests = partial(against, data, search), partial(steady, data, search)
+    return search, judge(rest, none, found, tested.p_value, *tests, data.rng("judge"))
 
 
 def transport(
