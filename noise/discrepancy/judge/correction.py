@@ -53,6 +53,12 @@ class Option:
         pairs = zip(self.scored, other.scored, strict=False)
         return beyond_chance(np.concatenate([batch.unit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
 
+    def beats(self, model: SonarModel) -> bool:
+        """Return whether the CRPS is less than that of a model which has seen none of the readings, beyond chance."""
+        return self.is_better_than(
+            Option(model, tuple((batch, crps_of_each(model, batch)) for batch, _ in self.scored))
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Options:
