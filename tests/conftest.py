@@ -13,7 +13,7 @@ from acquisition import DeviceError
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # the tests themselves run in parallel
-# the machine may be busy; the same tests give the same result, and `make fuzz` draws new examples
+# the machine may be busy; the same tests give the same result, and with SONAR_GYM_FUZZ they draw new examples
 settings.register_profile("tests", settings.default, deadline=None, derandomize="SONAR_GYM_FUZZ" not in os.environ)
 settings.load_profile("tests")
 SHARED = Path(os.environ.get("SONAR_GYM_SHARED", Path(__file__).parents[2] / "shared"))

@@ -90,11 +90,11 @@ class Simulation:
         return out, estimated
 
     def gain(self, *scored: tuple[Batch, Floats]) -> Floats:
-        """Return what other predictions of batches, with CRPS (n,), gain on each visit, m."""
+        """Return what other predictions of batches, with CRPS (n,), gain on each unit, m."""
         return np.concatenate([batch.unit_sums(self._scored(batch)[0] - crps) for batch, crps in scored])
 
     def gain_on(self, other: Simulation, batch: Batch) -> Floats:
-        """Return the gain over another on each visit of a batch, m, under conditions for which both have readings."""
+        """Return the gain over another on each unit of a batch, m, under conditions for which both have readings."""
         (own, own_estimated), (others, estimated) = self._scored(batch), other._scored(batch)
         known = ~(own_estimated | estimated)
         return batch.unit_sums(np.where(known, others - own, 0.0))

@@ -146,7 +146,7 @@ def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
     return False
 
 
-def _left_out(stack: Stack, base: Stack, name: str) -> Stack:
+def as_in(stack: Stack, base: Stack, name: str) -> Stack:
     """Return a stack with an effect as it is in the base."""
     if name not in base.values:
         return stack.without(name)
@@ -157,6 +157,6 @@ def _needs(stack: Stack, base: Stack, key: Key, batch: Batch) -> bool:
     """Return whether much of what an effect explains is lost with a parameter further inside its bounds."""
     p, value = stack.parameter(key), stack.get(key)
     inside = value + INSIDE * (p.high - p.low) * (1.0 if value < 0.5 * (p.low + p.high) else -1.0)
-    laws = stack, stack.at({key: inside}), base, _left_out(stack, base, key[0])
+    laws = stack, stack.at({key: inside}), base, as_in(stack, base, key[0])
     here, moved, *without = (float(log_likelihood(law, batch).sum()) for law in laws)
     return here - moved > max(NEEDED, MIN_SHARE * (here - max(without)))

@@ -21,7 +21,7 @@ class Folds:
     """Parts of one batch.
 
     Attributes:
-        first, second: folds of whole conditions; an estimate on one is scored on the other.
+        first, second: folds of whole conditions or runs; an estimate on one is scored on the other.
         both: both folds.
         unseen: visits that no estimate uses.
         is_unseen: which pings of the whole batch are unseen, (n,).

@@ -19,6 +19,7 @@ import numpy as np
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS
 from noise.discrepancy.name.candidates import (
+    as_in,
     candidate_names,
     explains_nothing,
     gains_of,
@@ -390,9 +391,7 @@ class Search:
         others = tuple(each for each in current.effects if each != name)
         if name == JITTER:
             return self.held_scatter(replace(current, effects=others) if others else self.null())
-        keys = [(name, p.name) for p in self.common.known[name].parameters]
-        reset = [stack.put(keys, [self.common.get(key) for key in keys]) for stack in current.stacks]
-        reset = [stack if name in self.common.values else stack.without(name) for stack in reset]
+        reset = [as_in(stack, self.common, name) for stack in current.stacks]
         free, pairs = (*self.keys(others), *self.nuisances), zip(reset, self.parts, strict=True)
         found = self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
         return found if others else max(self.null(), found, key=lambda each: each.value)
