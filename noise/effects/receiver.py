@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -10,7 +11,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
-from noise.effects.state import MARGIN_DB, Clutter, Path, State, number
+from noise.effects.state import MARGIN_DB, Clutter, Path, State, interpolate, number
 
 GATE_MARGIN_M = 0.02  # distance of an initial gate beyond the farthest echo; chosen here
 MAX_NOISE_PER_M = 20.0  # false alarms per metre; chosen here
@@ -22,14 +23,9 @@ MAX_STEP_M = 0.2  # of a register; a sonar with coarser steps is no range finder
 WALK_DB = (0.2, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)
 WALK_M = (0.061, 0.048, 0.044, 0.0395, 0.035, 0.031, 0.0265, 0.022, 0.018, 0.0135, 0.009, 0.0047)
 
-
-def interpolate(x: Tensor, at: tuple[float, ...], values: tuple[float, ...]) -> Tensor:
-    """Return a piecewise linear function, constant beyond its ends and differentiable in x."""
-    knots, heights = number(list(at)), number(list(values))
-    inside = torch.clamp(x, at[0], at[-1])
-    k = torch.clamp(torch.searchsorted(knots, inside.detach().contiguous()), 1, len(at) - 1)
-    share = (inside - knots[k - 1]) / (knots[k] - knots[k - 1])
-    return heights[k - 1] + share * (heights[k] - heights[k - 1])
+# the slope of this table in the middle of each of its intervals; it ends with the table
+SLOPE_DB = (*(0.5 * (low + high) for low, high in pairwise(WALK_DB)), 45.0)
+SLOPE_M_PER_DB = (*(-np.diff(WALK_M) / np.diff(WALK_DB)).tolist(), 0.0)
 
 
 class Sensitivity(Effect):
@@ -127,21 +123,19 @@ class TravelTimeJitter(Effect):
 
     def apply(self, state: State) -> State:
         """Widen every path."""
-        return state.map_paths(self._widen)
+        return state.map_paths(lambda path: path.widened(self.sigma_m**2 + (self.per_metre * path.length) ** 2))
 
     def statement(self) -> str:
         """Return a sentence with the scatter and its growth with distance."""
         v = self.values
         return f"{self.summary}, by {1000 * v['sigma_m']:.2g} mm and by {1000 * v['per_metre']:.2g} mm per metre."
 
-    def _widen(self, path: Path) -> Path:
-        variance = path.spread**2 + self.sigma_m**2 + (self.per_metre * path.length) ** 2
-        # sqrt has no derivative at 0: the small constant keeps gradients finite and is subtracted again
-        return replace(path, spread=torch.sqrt(variance + 1e-18) - 1e-9)
-
 
 class TimeWalk(Effect):
-    """A weak echo crosses the threshold later: lag -> lag + scale table(level); scale 1 is an SRF08 of 2 kHz width."""
+    """A weak echo crosses the threshold later: lag -> lag + scale table(level); scale 1 is an SRF08 of 2 kHz width.
+
+    What scatters the level scatters the lag too, by the slope of the table: weak echoes scatter more than loud ones.
+    """
 
     name = "time_walk"
     stage = Stage.DETECTOR
@@ -154,11 +148,16 @@ class TimeWalk(Effect):
     scale: Tensor
 
     def apply(self, state: State) -> State:
-        """Delay every path by its level."""
-        return state.map_paths(self._delay)
+        """Delay every path by its level, whose scatter from ping to ping scatters the delay."""
+        weight = torch.softmax(state.log_weight, dim=0)
 
-    def _delay(self, path: Path) -> Path:
-        return replace(path, lag=path.lag + self.scale * interpolate(path.level_db, WALK_DB, WALK_M))
+        def delay(path: Path) -> Path:
+            slope = self.scale * interpolate(path.level_db, SLOPE_DB, SLOPE_M_PER_DB)
+            walk = torch.sqrt((weight * slope**2).sum(dim=0) + 1e-18)  # finite gradient at zero
+            lag = path.lag + self.scale * interpolate(path.level_db, WALK_DB, WALK_M)
+            return replace(path, lag=lag, walk=walk).widened((walk * state.width_db) ** 2)
+
+        return state.map_paths(delay)
 
     def statement(self) -> str:
         """Return a sentence with the lag at two levels."""

@@ -22,8 +22,12 @@ MIN_STEP_M, MAX_STEP_M = 0.001, 0.01  # limits of a register step estimated from
 class DecayingPath(Path):
     """A path with exponential arrivals from `length` on: P(arrival <= z) = 1 - exp(-(z - length) / spread).
 
-    Ring-down starts at its maximum, so that, unlike an echo, its detection has no lag.
+    Ring-down starts at its maximum, so that, unlike an echo, its detection has no lag, and no scatter of one.
     """
+
+    def widened(self, variance: Tensor) -> DecayingPath:
+        """Return the path as it is."""
+        return self
 
     def survival(self, z: Tensor) -> Tensor:
         """Return the survival function P(registered beyond z | detected)."""

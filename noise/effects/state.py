@@ -85,6 +85,7 @@ class Path:
         slip_weight: probabilities of the detection points, (J,).
         bearing: angle of departure and arrival off the beam axis, rad, (n,) or scalar.
         later: what is read where the receiver misses this echo.
+        walk: how much later it is detected for each dB less of its level, m/dB, (n,) or scalar.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Path:
     slip_weight: Tensor
     bearing: Tensor
     later: tuple[Later, ...] = field(default=(), kw_only=True)
+    walk: Tensor = field(default_factory=lambda: number(0.0), kw_only=True)
 
     def detection(self, width_db: Tensor) -> Tensor:
         """Return the probability that this path crosses the threshold, (Q, n)."""
@@ -121,6 +123,11 @@ class Path:
             moved = probability(*((edge - each.extra) / each.factor for edge in z))
             out = (1.0 - each.probability) * out + each.probability * moved
         return out
+
+    def widened(self, variance: Tensor) -> Path:
+        """Return the path with a variance, m^2, added to that of the arrival."""
+        # sqrt has no derivative at 0: the small constant keeps gradients finite and is subtracted again
+        return replace(self, spread=torch.sqrt(self.spread**2 + variance + 1e-18) - 1e-9)
 
     def missed(self, later: Later) -> Path:
         """Return the path with one more echo that is read in its place."""
@@ -153,6 +160,15 @@ class Path:
 def ndtr(score: Tensor) -> Tensor:
     """Return the normal cdf, exact in the lower tail, where `torch.special.ndtr`, (1 + erf) / 2, is 0 below -8."""
     return 0.5 * torch.erfc(score * -math.sqrt(0.5))
+
+
+def interpolate(x: Tensor, at: tuple[float, ...], values: tuple[float, ...]) -> Tensor:
+    """Return a piecewise linear function, constant beyond its ends and differentiable in x."""
+    knots, heights = number(list(at)), number(list(values))
+    inside = torch.clamp(x, at[0], at[-1])
+    k = torch.clamp(torch.searchsorted(knots, inside.detach().contiguous()), 1, len(at) - 1)
+    share = (inside - knots[k - 1]) / (knots[k] - knots[k - 1])
+    return heights[k - 1] + share * (heights[k] - heights[k - 1])
 
 
 def _normal_between(low: Tensor, high: Tensor) -> Tensor:

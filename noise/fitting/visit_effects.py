@@ -99,12 +99,19 @@ def direct_median(law: PhysicalLaw) -> tuple[Tensor, Tensor]:
     return middle, torch.broadcast_to(variance, middle.shape)
 
 
-def prior_offset(visits: VisitEffects, batch: Batch, wider: float | Tensor = 1.0) -> tuple[Tensor, Tensor]:
-    """Return prior mean, m, and variance, m^2, of a visit's offset, (n,) each or (banks, n)."""
+def prior_offset(visits: VisitEffects, batch: Batch, walk: Tensor, wider: Tensor) -> tuple[Tensor, Tensor]:
+    """Return prior mean, m, (n,), and variance, m^2, (banks, n), of a visit's offset.
+
+    Args:
+        visits: visit effects.
+        batch: readings.
+        walk: of the direct path, m/dB, by which the level of a visit offsets its readings.
+        wider: factors of the placement error, (banks, 1).
+    """
     simulated, known = batch.simulated_offset_tensors
     correlation = visits.simulation_correlation
     variance = (wider * visits.placement_m) ** 2 * (1.0 - (correlation * known) ** 2) + (wider * MIN_PLACEMENT_M) ** 2
-    return correlation * simulated, variance
+    return correlation * simulated, variance + (walk * visits.level_sd_db) ** 2
 
 
 def predicted_offset(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tuple[Tensor, Tensor]:
@@ -112,7 +119,8 @@ def predicted_offset(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> tu
     middle, variance = direct_median(law)
     echo = torch.from_numpy(batch.reading.echo)
     error = torch.where(echo, torch.from_numpy(batch.reading.range) - middle, torch.zeros_like(middle))
-    start, prior = prior_offset(visits, batch, number([wider for wider, _ in BANKS])[:, None])
+    wider = number([wider for wider, _ in BANKS])[:, None]
+    start, prior = prior_offset(visits, batch, law.state.direct.walk, wider)
     arbitrary, possible = batch.misplaced
     prior = torch.cat([prior, arbitrary[None]])
     # robust weight: readings beyond 4 standard deviations are hardly the direct path's
@@ -139,7 +147,8 @@ def _with_state(law: PhysicalLaw, state: State) -> PhysicalLaw:
 def widened(state: State, variance: Tensor, level_variance: Tensor | None = None) -> State:
     """Return a state whose direct path scatters more in length and in level, as pings of different visits do.
 
-    The level only has to cross a threshold of normal width, so a normal deviation of the level widens that.
+    The level only has to cross a threshold of normal width, so a normal deviation of the level widens that; and it
+    makes the echo earlier or later by the time walk.
 
     Args:
         state: state of a single visit.
@@ -147,7 +156,9 @@ def widened(state: State, variance: Tensor, level_variance: Tensor | None = None
         level_variance: of the level, dB^2.
     """
     path = state.direct
-    path = replace(path, spread=torch.sqrt(path.spread**2 + variance + 1e-18) - 1e-9)  # finite gradient at zero
+    if level_variance is not None:
+        variance = variance + path.walk**2 * level_variance
+    path = path.widened(variance)
     if level_variance is not None:
         path = replace(path, level_db=path.level_db / torch.sqrt(1.0 + level_variance / state.width_db**2))
     return state.with_direct(path)

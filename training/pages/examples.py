@@ -102,7 +102,11 @@ EXAMPLES = {
     ),
     "sensitivity": Example(r"L' = L - \Delta", {"loss_db": 55.0}),
     "travel_time_jitter": Example(r"\sigma'^2 = \sigma^2 + \sigma_0^2 + (k s)^2", {"sigma_m": 0.01, "per_metre": 0.01}),
-    "time_walk": Example(r"s' = s + k \, w(L)", {"scale": 1.0}, beside=weak(45.0)),
+    "time_walk": Example(
+        r"s' = s + k \, w(L), \quad \sigma'^2 = \sigma^2 + (k \, w'(L) \, \sigma_L)^2",
+        {"scale": 1.0},
+        beside=weak(45.0),
+    ),
     "cycle_slip": Example(r"P(k) \propto p^k, \quad s' = s + k \lambda / 2", {"probability": 0.4}),
     "rearm_dead_time": Example(r"s < s_0 \Rightarrow \text{lost}", {"deaf_m": 1.0}),
     "false_alarm": Example(r"P(\text{none before } z) = e^{-\lambda (z - z_0)}", {"per_metre": 0.05}),

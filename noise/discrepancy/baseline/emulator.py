@@ -145,17 +145,28 @@ def base_physics(batch: Batch, rng: np.random.Generator) -> Stack:
     few = batch.thin(SCREEN_PINGS)
     # from a law in which the target is never missed no small step leads to a reflector that answers wherever it is
     behind = [bare[0].at(each) for mode in extra_modes(batch) if mode > 0.0 for each in _reflectors(mode)]
-    groups = [_designed([stack], HEARING, rng) for stack in bare]
+    loud = [stack.at(LOUD) for stack in bare]
+    groups = [loud, *(_designed([stack], HEARING, rng) for stack in bare)]
     groups += [_designed(behind, HEARING, rng)] if behind else []
     if np.ptp(batch.ping.angle) > 0.0 or np.ptp(batch.ping.incidence) > 0.0:
-        groups += [_designed([stack.at(LOUD) for stack in (bare[0], *behind)], CONE, rng)]
+        groups += [_designed([loud[0], *(stack.at(LOUD) for stack in behind)], CONE, rng)]
     near = [_nearest(group, few) for group in groups]
     if RayCone.name in highest(near).stack.values:
         near[-1] = _other_cone(near[-1].stack, few, rng)
     best = highest(near).nats
     good = [fit.stack for fit in near if fit.nats > best - MAX_LAG_NATS]
     fits = [maximise(each, (*_free(each), *NUISANCES), batch, ITERATIONS, 0.5) for each in good]
-    return max(fits, key=lambda fit: fit.nats + fit.stack.log_size_prior(bare[0], [name for name, _ in START])).stack
+    return max(fits, key=lambda fit: fit.nats + _prior(fit.stack, (bare[0], loud[0]), batch.n_visits)).stack
+
+
+def _prior(stack: Stack, familiar: Sequence[Stack], n_visits: int) -> float:
+    """Return the log prior of what every sonar has, nats: near one of some laws, and Schwarz's penalty of what differs.
+
+    Where every target is heard, readings say nothing of levels, and any that fits would put a threshold somewhere.
+    """
+    given = sum(stack.get(key) != stack.parameter(key).null for key in _free(stack))
+    near = max(stack.log_size_prior(each, [name for name, _ in START]) for each in familiar)
+    return near - 0.5 * given * float(np.log(n_visits))
 
 
 def _other_cone(stack: Stack, few: Batch, rng: np.random.Generator) -> Fit:

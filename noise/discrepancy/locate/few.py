@@ -34,7 +34,7 @@ from noise.discrepancy.moments.scores import ASPECTS, BIAS, LIMIT, Scores, score
 from noise.discrepancy.result import Aspect, Interval, Location, PValue
 from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M, SHARE_TOLERANCE, SPREAD_TOLERANCE
 from noise.fitting.batch import Batch
-from noise.fitting.stack import PLACEMENT, Stack
+from noise.fitting.stack import LEVEL_SD, PLACEMENT, Stack
 
 SPREAD = ASPECTS.index(Aspect.SPREAD)
 FAR = (ASPECTS.index(Aspect.EARLY), ASPECTS.index(Aspect.LATE))
@@ -88,7 +88,7 @@ def placement_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) ->
 
 def _spread_within(scored: Scores, law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
     """Return scores with the spread about the mean of a position, which does not depend on where the target stands."""
-    laws = [law_recorded.at({PLACEMENT: 0.0}), law_simulated.at({PLACEMENT: 0.0})]
+    laws = [law.at({PLACEMENT: 0.0, LEVEL_SD: 0.0}) for law in (law_recorded, law_simulated)]
     pairs = zip(laws, sample.batches, sample.left_out(law_simulated), strict=False)
     sigma = np.concatenate([scores(law, batch, part).sigma for law, batch, part in pairs])
     place, valid = _places(sample), scored.valid[:, SPREAD]

@@ -21,7 +21,7 @@ from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.result import Aspect
 from noise.discrepancy.thresholds import MAX_PLACEMENT_M
 from noise.fitting.batch import Batch
-from noise.fitting.stack import PLACEMENT, Stack
+from noise.fitting.stack import LEVEL_SD, PLACEMENT, Stack
 from noise.fitting.visit_effects import direct_median, law_of, placement_scatter, single_ping_law
 from noise.physical import PhysicalLaw
 from noise.statistics import winsorised
@@ -271,5 +271,13 @@ def _placed(law: Stack, batch: Batch, part: Ints) -> Stack:
     within = float(np.sum(valid * (error - mean[batch.visit]) ** 2) / np.sum(np.maximum(count - 1.0, 0.0)))
     several = count >= 2
     between = float(np.var(winsorised(mean[several]))) - within * float(np.mean(1.0 / count[several]))
+    between -= float(np.mean(_walked(law, batch)[valid] ** 2))
     most = max(MAX_PLACEMENT_M, law.get(PLACEMENT))
     return law.put([PLACEMENT], [min(np.sqrt(max(between, 0.0)) / placement_scatter(1.0), most)])
+
+
+def _walked(law: Stack, batch: Batch) -> Floats:
+    """Return by how much the scatter of a visit's level scatters its readings by the time walk, m, (n,)."""
+    with torch.no_grad():
+        walk = ping_law(law, batch).state.direct.walk.numpy()
+    return np.broadcast_to(walk * law.get(LEVEL_SD), len(batch))

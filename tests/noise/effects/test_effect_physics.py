@@ -13,7 +13,8 @@ from acquisition import Ping, Recording
 from noise.effects import CATALOGUE, Conditions, EchoSample
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity
-from noise.effects.receiver import HALF_WAVE
+from noise.effects.receiver import HALF_WAVE, WALK_DB, WALK_M
+from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
 from noise.fitting.fit import best_of
 from noise.fitting.likelihood import log_likelihood
@@ -209,6 +210,21 @@ def test_time_walk_follows_its_table():
         assert median([walk, loss], distance=1.0) == pytest.approx(1.0 + late, abs=5e-5)
 
 
+@pytest.mark.parametrize("margin_db", [4.0, 8.0, 14.0, 25.0])
+def test_the_scatter_of_the_level_scatters_the_time_walk(margin_db):
+    effects = [CATALOGUE["sensitivity"](loss_db=60.0 - margin_db), CATALOGUE["time_walk"](scale=1.0)]
+    law = PhysicalModel(effects, 1e-5).law(Ping.of(distance=1.0))
+    levels = margin_db + DETECTION_WIDTH_DB * stats.norm.ppf((np.arange(2000) + 0.5) / 2000)
+    late = np.interp(levels, WALK_DB, WALK_M)
+    width = np.diff([law.quantile(q)[0] for q in (0.16, 0.84)])[0]
+    assert width == pytest.approx(np.diff(np.quantile(late, [0.16, 0.84]))[0], rel=0.25)
+
+
+def test_loud_echoes_have_no_time_walk_to_scatter():
+    law = PhysicalModel([CATALOGUE["time_walk"](scale=1.0)], 1e-6).law(Ping.of(distance=1.0))
+    assert np.diff([law.quantile(q)[0] for q in (0.01, 0.99)])[0] < 1e-5
+
+
 def test_cycle_slip_is_a_comb():
     law = PhysicalModel([CATALOGUE["cycle_slip"](probability=0.3)], 1e-5).law(Ping.of(distance=[1.0] * 3))
     at = 1.0 + HALF_WAVE * np.arange(3)
@@ -222,6 +238,12 @@ def test_scintillation_widens_the_detection_curve():
     margin = 60.0 - 43.0 - 20 * math.log10(6.0)
     echo = PhysicalModel([loss, air]).law(Ping.of(distance=6.0)).echo[0]
     assert echo == pytest.approx(stats.norm.cdf(margin / math.hypot(2.0, 1.5)), abs=2e-3)
+
+
+def test_ring_down_does_not_scatter_as_echoes_do():
+    ring = CATALOGUE["ring_down"](probability=1.0, range_m=0.1, decay_m=0.01)
+    jitter = CATALOGUE["travel_time_jitter"](sigma_m=0.05)
+    assert median([ring, jitter], distance=2.0) == pytest.approx(median([ring], distance=2.0), abs=1e-9)
 
 
 def test_false_alarms_come_before_the_echo_only():

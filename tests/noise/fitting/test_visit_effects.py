@@ -10,10 +10,12 @@ from scipy import stats
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.name.candidates import keys_of
 from noise.effects import CATALOGUE
+from noise.effects.receiver import WALK_DB, WALK_M
 from noise.fitting.batch import Batch
-from noise.fitting.stack import NUISANCES, Stack
+from noise.fitting.fit import maximise
+from noise.fitting.stack import LEVEL_SD, NUISANCES, PLACEMENT, Stack
 from noise.fitting.starts import nuisance_starts, starting_points
-from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, single_ping_law
 from noise.physical import PhysicalModel
 
 STEP = 0.001
@@ -37,6 +39,25 @@ def test_a_shared_offset_makes_readings_jointly_normal():
     covariance = sigma**2 * np.eye(n) + tau**2
     exact = stats.multivariate_normal(np.full(n, 2.0), covariance).logpdf(batch.reading.range) + n * np.log(STEP)
     assert found == pytest.approx(exact, abs=0.15)
+
+
+def test_the_level_of_a_visit_offsets_its_readings_by_the_time_walk():
+    # readings are as late as the table says at the level of a wall, give or take 3 dB: weak visits scatter most
+    rng, n_visits, n_each = np.random.default_rng(4), 300, 5
+    wall = rng.uniform(0.1, 1.5, n_visits).round(3)
+    level = 10.0 - 20.0 * np.log10(wall) + rng.normal(0.0, 3.0, n_visits)
+    distance, late = np.repeat([wall, np.interp(level, WALK_DB, WALK_M)], n_each, axis=1)
+    readings = distance + late + rng.normal(0.0, 0.004, len(late))
+    batch = Batch.of(recording_of(distance, readings, run=np.repeat(np.arange(n_visits), n_each)))
+    effects = {"time_walk": {"scale": 1.0}, "sensitivity": {"loss_db": 50.0}, "travel_time_jitter": {"sigma_m": 0.004}}
+    stack = Stack.of(PhysicalModel([CATALOGUE[name](**v) for name, v in effects.items()], resolution=STEP))
+    fit = maximise(stack.at({LEVEL_SD: 1.0}), [LEVEL_SD, PLACEMENT], batch, 60)
+    assert 2.0 < fit.stack.get(LEVEL_SD) < 4.5
+    assert fit.stack.get(PLACEMENT) < 0.003
+    one = single_ping_law(law_of(fit.stack.model, batch), fit.stack.build()[1])
+    for part in (batch.ping.distance < 0.3, batch.ping.distance > 1.0):
+        spread = np.mean((one.quantile(0.84) - one.quantile(0.16))[part]) / 2
+        assert spread == pytest.approx(np.std((batch.reading.range - one.quantile(0.5))[part]), rel=0.25)
 
 
 @settings(max_examples=15, deadline=None)
