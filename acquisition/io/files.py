@@ -9,7 +9,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -33,6 +33,20 @@ def _named(path: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Create a folder and its missing parents; those that are empty are removed again if the block raises."""
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for each in missing:
+            with suppress(OSError):  # not empty: another process uses it
+                each.rmdir()
+        raise
+
+
 def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = False) -> Path:
     """Write a temporary file beside `path`, force it to disk, and rename it to `path`.
 
@@ -42,19 +56,19 @@ def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = 
         binary: open the file for bytes instead of text.
     """
     check_path(path, "file")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    UNFINISHED.add(temporary)
-    try:
-        with _named(path), os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-        UNFINISHED.discard(temporary)
+    with _made(path.parent):
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        UNFINISHED.add(temporary)
+        try:
+            with _named(path), os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        finally:
+            Path(temporary).unlink(missing_ok=True)
+            UNFINISHED.discard(temporary)
     return path
 
 
@@ -138,8 +152,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         folder: to create or replace; it remains unchanged if the block raises.
     """
     check_path(folder, "folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
+    with _made(folder.parent), tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}") as beside:
         fresh, old = Path(beside) / "fresh", Path(beside) / "old"
         fresh.mkdir()
         with _named(folder):

@@ -61,14 +61,35 @@ def test_a_folder_is_replaced_or_remains(tmp_path, monkeypatch, can_exchange):
     assert list(tmp_path.iterdir()) == [folder]
 
 
-def test_a_full_disk_is_named(tmp_path):
-    def full(_):
-        raise OSError(errno.ENOSPC, "No space left on device")
+def is_full(_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
+
+def test_a_full_disk_is_named(tmp_path):
     with pytest.raises(OSError, match="No space") as failed:
-        write_atomic(tmp_path / "a.txt", full)
+        write_atomic(tmp_path / "a.txt", is_full)
     assert failed.value.filename == str(tmp_path / "a.txt")
     with pytest.raises(OSError, match="No space") as failed, whole_folder(tmp_path / "b"):
-        full(None)
+        is_full(None)
     assert failed.value.filename == str(tmp_path / "b")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_no_folder_that_it_made(tmp_path):
+    kept = tmp_path / "mine"
+    kept.mkdir()
+    with pytest.raises(OSError, match="No space left"):
+        write_atomic(kept / "new" / "deep" / "figure.png", is_full, binary=True)
+    with pytest.raises(OSError, match="No space left"), whole_folder(kept / "other" / "model"):
+        is_full(None)
+    assert [path.name for path in tmp_path.rglob("*")] == ["mine"]
+
+
+def test_a_failed_write_keeps_a_folder_that_another_process_uses_meanwhile(tmp_path):
+    def shared(file):
+        (tmp_path / "new" / "other.txt").write_text("of another process")
+        is_full(file)
+
+    with pytest.raises(OSError, match="No space left"):
+        write_atomic(tmp_path / "new" / "mine.txt", shared)
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["other.txt"]
