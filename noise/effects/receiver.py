@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -22,10 +21,6 @@ MAX_STEP_M = 0.2  # of a register; a sonar with coarser steps is no range finder
 # 8 cycles of 40 kHz through two resonators of 2 kHz width at -6 dB, first crossing of one polarity.
 WALK_DB = (0.2, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)
 WALK_M = (0.061, 0.048, 0.044, 0.0395, 0.035, 0.031, 0.0265, 0.022, 0.018, 0.0135, 0.009, 0.0047)
-
-# the slope of this table in the middle of each of its intervals; it ends with the table
-SLOPE_DB = (*(0.5 * (low + high) for low, high in pairwise(WALK_DB)), 45.0)
-SLOPE_M_PER_DB = (*(-np.diff(WALK_M) / np.diff(WALK_DB)).tolist(), 0.0)
 
 
 class Sensitivity(Effect):
@@ -134,7 +129,7 @@ class TravelTimeJitter(Effect):
 class TimeWalk(Effect):
     """A weak echo crosses the threshold later: lag -> lag + scale table(level); scale 1 is an SRF08 of 2 kHz width.
 
-    What scatters the level scatters the lag too, by the slope of the table: weak echoes scatter more than loud ones.
+    What scatters the level scatters the lag too, by the slope of the table over that scatter: most for weak echoes.
     """
 
     name = "time_walk"
@@ -149,13 +144,15 @@ class TimeWalk(Effect):
 
     def apply(self, state: State) -> State:
         """Delay every path by its level, whose scatter from ping to ping scatters the delay."""
-        weight = torch.softmax(state.log_weight, dim=0)
+        weight, width = torch.softmax(state.log_weight, dim=0), state.width_db
+
+        def late(level_db: Tensor) -> Tensor:
+            return self.scale * interpolate(level_db, WALK_DB, WALK_M)
 
         def delay(path: Path) -> Path:
-            slope = self.scale * interpolate(path.level_db, SLOPE_DB, SLOPE_M_PER_DB)
-            walk = torch.sqrt((weight * slope**2).sum(dim=0) + 1e-18)  # finite gradient at zero
-            lag = path.lag + self.scale * interpolate(path.level_db, WALK_DB, WALK_M)
-            return replace(path, lag=lag, walk=walk).widened((walk * state.width_db) ** 2)
+            change = 0.5 * (late(path.level_db - width) - late(path.level_db + width))
+            scatter = torch.sqrt((weight * change**2).sum(dim=0) + 1e-18)  # finite gradient at zero
+            return replace(path, lag=path.lag + late(path.level_db), walk=scatter / width).widened(scatter**2)
 
         return state.map_paths(delay)
 

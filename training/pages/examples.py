@@ -103,7 +103,7 @@ EXAMPLES = {
     "sensitivity": Example(r"L' = L - \Delta", {"loss_db": 55.0}),
     "travel_time_jitter": Example(r"\sigma'^2 = \sigma^2 + \sigma_0^2 + (k s)^2", {"sigma_m": 0.01, "per_metre": 0.01}),
     "time_walk": Example(
-        r"s' = s + k \, w(L), \quad \sigma'^2 = \sigma^2 + (k \, w'(L) \, \sigma_L)^2",
+        r"s' = s + k \, w(L), \quad \sigma'^2 = \sigma^2 + \tfrac14 k^2 \, (w(L - \sigma_L) - w(L + \sigma_L))^2",
         {"scale": 1.0},
         beside=weak(45.0),
     ),
