@@ -150,7 +150,8 @@ class TimeWalk(Effect):
             return self.scale * interpolate(level_db, WALK_DB, WALK_M)
 
         def delay(path: Path) -> Path:
-            change = 0.5 * (late(path.level_db - width) - late(path.level_db + width))
+            level = torch.maximum(path.level_db, width)  # what is heard is above the threshold
+            change = 0.5 * (late(level - width) - late(level + width))
             scatter = torch.sqrt((weight * change**2).sum(dim=0) + 1e-18)  # finite gradient at zero
             return replace(path, lag=path.lag + late(path.level_db), walk=scatter / width).widened(scatter**2)
 
