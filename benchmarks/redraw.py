@@ -3,11 +3,13 @@
     python -m benchmarks.redraw
 
 Beside each figure lies its record, which holds what is drawn, the command and the commit that made it. The figures of
-the shipped agent and of the proof are drawn from the agent itself and from the ledger.
+the shipped agent, of the decision model and of the proof are drawn from the agent, from the model's card and from the
+ledger.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,11 +17,13 @@ from typing import Any
 from acquisition.io.files import write_bytes
 from benchmarks import calibration, crosstalk, curves, fidelity
 from examples import train_highway
+from noise.discrepancy.judge.decision import WEIGHTS
 from sonar_gym.agent import load_policy
 from training.agents import transfer
 from training.agents.train import learning_curve
 from training.common.commit import ROOT
 from training.common.records import read_record
+from training.diagnosis.judging import fit_command
 from training.noise import report
 from training.proof import page
 from training.proof.chain import load
@@ -39,6 +43,7 @@ DRAWN: dict[str, Callable[[Any], bytes]] = {  # from the record beside it
 }
 MADE: dict[str, Callable[[], bytes]] = {
     "images/learning.png": lambda: learning_curve(load_policy("parking").about["history"]),
+    "images/decision-reliability.png": lambda: fit_command.figure(json.loads(WEIGHTS.read_text("utf-8"))["card"]),
     "explanation/proof.png": lambda: page.picture(load(LEDGER)),
 }
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import TypeAdapter
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
@@ -17,11 +18,12 @@ from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.judge.decision import DecisionModel
 from noise.discrepancy.thresholds import LISTED
-from noise.metrics import Reliability, reliability
+from noise.metrics import reliability
 from training.diagnosis.judging.record import Record
 
 PENALTIES = tuple(10.0**k for k in np.arange(-3.0, 2.5, 0.5))  # inverse strengths of the L2 penalty
 MIN_FAMILIES = 2
+EVIDENCE = TypeAdapter(Evidence)  # records of another version may hold more
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ def examples_of(records: Sequence[Record]) -> Examples:
     """
     families = sorted({record["family"] for record in records})
     rows = [
-        (Evidence(**evidence).features(), effect in true, families.index(record["family"]), k)
+        (EVIDENCE.validate_python(evidence).features(), effect in true, families.index(record["family"]), k)
         for k, record in enumerate(records)
         for true in [true_places(record)]
         for effect, evidence in record["evidence"].items()
@@ -124,13 +126,10 @@ def left_out_probabilities(examples: Examples) -> Floats:
     return out
 
 
-def quality(probability: Floats, examples: Examples) -> tuple[dict[str, object], Reliability]:
-    """Return size, Brier score, calibration error and reliability bins of probabilities, and the bins to draw."""
+def quality(probability: Floats, examples: Examples) -> dict[str, object]:
+    """Return size, Brier score, calibration error and reliability bins of probabilities."""
     bins = reliability(probability, examples.true, examples.trial)
-    filled = np.flatnonzero(bins.pings)
-    table = [
-        {"predicted": float(bins.predicted[k]), "observed": float(bins.observed[k]), "n": int(bins.pings[k])}
-        for k in filled
-    ]
+    columns = {"predicted": bins.predicted, "observed": bins.observed, "n": bins.pings}
+    table = [{name: value[k].item() for name, value in columns.items()} for k in np.flatnonzero(bins.pings)]
     brier = float(np.mean((probability - examples.true) ** 2))
-    return {"n": len(probability), "brier": brier, "ece": bins.gap, "reliability": table}, bins
+    return {"n": len(probability), "brier": brier, "ece": bins.gap, "reliability": table}

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
+
+import numpy as np
 
 from acquisition import SettingError
 from acquisition.io.places import OutputFile, OutputFolder
 from acquisition.limits import Count, Limit, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
-from noise.metrics import Reliability
 from training.common.canvas import AFTER, SOFT, Axes, panels
 from training.common.commit import ROOT, commit
 from training.diagnosis.generators.ensemble import FAMILIES, PAIR, SINGLE, UNMODELLED
@@ -59,19 +60,19 @@ def main(args: Args) -> None:
     families = tuple(name for name in FAMILIES if name not in LEFT_OUT)
     tasks = trials(families, KINDS, args.n, args.seed, args.pings)
     records = run(tasks, args.out, args.workers) if args.n else read(args.out)
-    model, card, bins = fitted([r for r in records if r["family"] in families and r["kind"] in KINDS])
+    model, card = fitted([r for r in records if r["family"] in families and r["kind"] in KINDS])
     # places of this machine are nobody else's
     command = f"sonar-gym fit-decision --n {args.n} --pings {args.pings} --seed {args.seed}"
     card |= {"command": command, "commit": version}
     args.weights.write_text(json.dumps({"model": model.to_dict(), "card": card}, indent=1) + "\n", encoding="utf-8")
     args.picture.parent.mkdir(parents=True, exist_ok=True)
-    args.picture.write_bytes(panels([lambda axes: draw(axes, bins)], (4.6, 4.2)))
+    args.picture.write_bytes(figure(card))
     print(json.dumps(card, indent=1))
     print(f"written: {args.weights} and {args.picture}")
 
 
-def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object], Reliability]:
-    """Return the model, its card, and the reliability of families left out.
+def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object]]:
+    """Return the model and its card.
 
     Raises:
         SettingError: too few trials.
@@ -81,7 +82,7 @@ def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object],
         raise SettingError("no finished trials to fit the decision model to; give a number of trials with --n")
     examples = examples_of(done)
     model = fit(examples)
-    scores, bins = quality(left_out_probabilities(examples), examples)
+    scores = quality(left_out_probabilities(examples), examples)
     used = sorted({record["family"] for record in done})
     commits = sorted({record["commit"] for record in done})
     card: dict[str, object] = {
@@ -92,16 +93,20 @@ def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object],
         "diagnosed at": commits,
         "scores are of": "effects of each family by a model of the other families used",
     }
-    return model, card | scores, bins
+    return model, card | scores
 
 
-def draw(axes: Axes, bins: Reliability) -> None:
-    """Draw observed frequency against stated probability; the area of a point is the number of effects."""
-    axes.plot([0, 1], [0, 1], color=SOFT, lw=1)
-    filled = bins.pings > 0
-    axes.errorbar(
-        bins.predicted[filled], bins.observed[filled], yerr=bins.error[filled], fmt="none", ecolor=AFTER, elinewidth=1
-    )
-    axes.scatter(bins.predicted[filled], bins.observed[filled], s=8 + 2 * bins.pings[filled], color=AFTER, zorder=3)
-    axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), xlabel="stated probability", ylabel="share of true causes")
-    axes.set_title("Families left out")
+def figure(card: Mapping[str, Any]) -> bytes:
+    """Return the reliability diagram of a card as PNG: a point is as large as its number of effects."""
+    table = card["reliability"]
+    predicted, observed, n = (np.array([each[name] for each in table]) for name in ("predicted", "observed", "n"))
+    error = np.sqrt(observed * (1.0 - observed) / n)
+
+    def draw(axes: Axes) -> None:
+        axes.plot([0, 1], [0, 1], color=SOFT, lw=1)
+        axes.errorbar(predicted, observed, yerr=error, fmt="none", ecolor=AFTER, elinewidth=1)
+        axes.scatter(predicted, observed, s=8 + 2 * n, color=AFTER, zorder=3)
+        axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), xlabel="stated probability", ylabel="share of true causes")
+        axes.set_title("Families left out of the fit")
+
+    return panels([draw], (4.6, 4.2))

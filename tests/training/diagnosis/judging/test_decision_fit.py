@@ -41,7 +41,7 @@ def records(record):
 
 
 def test_probabilities_of_families_left_out_are_calibrated(records):
-    model, card, _ = fitted(records)
+    model, card = fitted(records)
     sizes = (1.5, 2.0, 2.5)
     stated = [model.probability(Evidence(**(EVIDENCE | {"lead_unnamed": 10.0 * np.expm1(size)}))) for size in sizes]
     assert stated == pytest.approx([0.12, 0.5, 0.88], abs=0.12)
@@ -49,6 +49,11 @@ def test_probabilities_of_families_left_out_are_calibrated(records):
     assert card["brier"] < 0.14  # of the true probabilities 0.12
     assert card["families used"] == ["beam", "rig", "ruler"]
     assert card["families left out"] == ["fixed", "driving"]
+
+
+def test_records_that_hold_more_than_is_needed_are_used(records):
+    more = [{**r, "evidence": {k: {**e, "of_another_version": 1.0} for k, e in r["evidence"].items()}} for r in records]
+    assert np.array_equal(examples_of(more).feature, examples_of(records).feature)
 
 
 def test_each_cause_counts_in_one_place(record):
