@@ -164,9 +164,9 @@ def _prior(stack: Stack, familiar: Sequence[Stack], n_visits: int) -> float:
 
     Where every target is heard, readings say nothing of levels, and any that fits would put a threshold somewhere.
     """
-    given = sum(stack.get(key) != stack.parameter(key).null for key in _free(stack))
+    n_free = sum(stack.get(key) != stack.parameter(key).null for key in _free(stack))
     near = max(stack.log_size_prior(each, [name for name, _ in START]) for each in familiar)
-    return near - 0.5 * given * float(np.log(n_visits))
+    return near - 0.5 * n_free * float(np.log(n_visits))
 
 
 def _other_cone(stack: Stack, few: Batch, rng: np.random.Generator) -> Fit:
