@@ -58,6 +58,20 @@ def _acting_on(
     return composed if len(left_out) < len(causes) else None, left_out
 
 
+def worsens(acting: SonarModel, simulation: Simulation, unseen: Batch, rng: np.random.Generator) -> bool:
+    """Return whether causes that act on the simulator's readings make them predict the recording worse.
+
+    Args:
+        acting: the causes, acting on readings.
+        simulation: the user's simulation; only conditions that both files have can show it.
+        unseen: visits of the recording that no estimate used.
+        rng: draws the readings.
+    """
+    if simulation.readings is None:
+        return False
+    return bool(_applied(acting, simulation, rng).gain_on(simulation, unseen).sum() < 0.0)
+
+
 def is_carried(
     simulation: Simulation,
     acting: SonarModel | None,
