@@ -58,7 +58,8 @@ class ReplayLaw(EchoLaw):
         super().__init__(other.distance, resolution, other.max_range)
         self.given, self.given_step, self.other = given, given_step, other
         echo = other.echo
-        self._rare = np.divide(RARE, echo, out=np.zeros_like(echo), where=echo > 0.0)
+        # the quotient of a number with fewer digits overflows
+        self._rare = np.divide(RARE, echo, out=np.zeros_like(echo), where=echo >= np.finfo(np.float64).tiny)
 
     def _arrival(self, z: Floats) -> Floats:
         within = np.clip((z - self.given.range) / self.given_step + 0.5, 0.0, 1.0)

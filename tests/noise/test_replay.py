@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from acquisition import EchoStatus, Ping, Reading, Recording
 from noise import GaussianModel, load_model, save_model
 from noise.composed import ComposedModel, with_differences
+from noise.law import EchoLaw
 from noise.replay import Replay, corrected_readings, with_simulated
 
 OTHER = GaussianModel(0.002, 0.0)
@@ -101,3 +102,28 @@ def test_a_corrected_recording_keeps_all_that_is_no_reading():
     pd.testing.assert_frame_equal(corrected.table[kept], simulated.table[kept])
     np.testing.assert_allclose(corrected.reading.range - reading.range, 0.01, atol=1e-9)
     assert not corrected.has("echo_2_mm")
+
+
+class Deaf(EchoLaw):
+    """Echoes at 1 m, with the least probabilities that a float can hold."""
+
+    def _arrival(self, z):
+        return np.where(z >= 1.0, np.geomspace(5e-324, 1e-300, len(self.distance)), 0.0)
+
+    @property
+    def no_answer(self):
+        return np.zeros(len(self.distance))
+
+
+class DeafModel(GaussianModel):
+    def law(self, ping, past=None):
+        return Deaf(ping.distance, self.resolution, self.max_range)
+
+
+def test_echoes_that_the_other_law_all_but_excludes_have_no_range():
+    """The quotients of the least numbers overflow."""
+    silent = with_simulated(PING, Reading.of(np.zeros(N)))
+    offset = {"zero_offset": {"offset_m": 0.01}}
+    with np.errstate(over="raise", invalid="raise"):
+        law = with_differences(Replay(DeafModel(), 0.001, 0.001), {}, offset)[0].law(silent)
+        assert np.isfinite(law.echo).all()
