@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from noise.discrepancy.thresholds import LISTED
 from training.common.tables import markdown_table
 from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.rows import Records, Row, rows
@@ -116,9 +117,10 @@ def _special_table(records: Iterable[Record]) -> str:
     header = ("case", "pings", "expected", "verdict", "named, with probability", "seconds", "right")
     records = sorted(records, key=is_right)
     counts = Counter((record["family"], is_right(record)) for record in records)
-    totals = [f"{name}: {counts[name, True]} right, {counts[name, False]} wrong" for name in (HARD_CASE, REAL, TIMED)]
+    families = dict.fromkeys(name for name, _ in counts)
+    totals = [f"{name}: {counts[name, True]} right, {counts[name, False]} wrong" for name in families]
     lines = [_line(record) for record in records if record["family"] != REAL and not is_right(record)]
-    return "; ".join(totals) + "\n\n" + markdown_table(header, lines)
+    return "; ".join(totals) + ("\n\n" + markdown_table(header, lines) if lines else "")
 
 
 def _real_table(records: Iterable[Record]) -> str:
@@ -138,8 +140,12 @@ def _answer(record: Record) -> str:
         return "right"
     if record["error"] is not None:
         return "**error**"
-    named = ", ".join(f"{name} {probability:.2f}" for name, probability in stated(record))
-    return f"**{record['verdict']['verdict']}** {named}".strip()
+    return f"**{record['verdict']['verdict']}** {_named(record)}".strip()
+
+
+def _named(record: Record) -> str:
+    """Return the causes with their probabilities, those that a reader need not weigh left out."""
+    return ", ".join(f"{name} {p:.2f}" for name, p in stated(record) if p >= LISTED)
 
 
 def _line(record: Record) -> tuple[str, ...]:
@@ -147,6 +153,6 @@ def _line(record: Record) -> tuple[str, ...]:
     case = f"{record['family']}: {record['kind']}"
     if record["error"] is not None:
         return case, f"{record['n']:,}", truth, f"error: {record['error']}"[:80], "–", "–", "**no**"
-    named = ", ".join(f"{name} {probability:.2f}" for name, probability in stated(record)) or "–"
+    named = _named(record) or "–"
     verdict, right = record["verdict"]["verdict"], "yes" if is_right(record) else "**no**"
     return case, f"{record['n']:,}", truth, verdict, named, f"{record['seconds']:.0f}", right
