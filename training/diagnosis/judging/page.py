@@ -17,13 +17,13 @@ from training.diagnosis.judging.tasks import HARD_CASE, REAL, TIMED
 SECONDS = {2_000: 5.0, 10_000: 15.0, 133_100: 40.0}  # pings -> target of the design, s
 NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}.
 "{STRONG_NATS:g} nats apart" does not use the test: a second simulation describes a fresh recording worse than a second
-recording by so many nats. In brackets: the number of values, and the 95 % interval (Wilson for shares, bootstrap for
+recording by so many nats. In brackets: the number of values, and the 95 % interval (Wilson; bootstrap for
 medians and percentiles). A gap is that
 between the simulation's own readings and a second recording in the same visits, in CRPS with silence counted, where it
 exceeds two standard errors; on unseen visits a forest of the recording stands for the second. "Corrected readings" are
-the simulation's own with what differs applied (`Diagnosis.correct`). Times are those of this run, beside other work.
-Not measured: the width of intervals relative to an oracle, and whether the next measurement settles. Sealed trials of
-all kinds are in [the proof](proof.md)."""
+the simulation's own with what differs applied (`Diagnosis.correct`). Times: beside other work.
+Not measured: the width of intervals relative to an oracle, and whether the next measurement settles. Causes below
+{LISTED:.0%} are not listed. Sealed trials: [the proof](proof.md)."""
 
 
 @dataclass(frozen=True)
