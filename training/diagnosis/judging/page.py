@@ -23,7 +23,7 @@ between the simulation's own readings and a second recording in the same visits,
 exceeds two standard errors; on unseen visits a forest of the recording stands for the second. "Corrected readings" are
 the simulation's own with what differs applied (`Diagnosis.correct`). Times: beside other work.
 Not measured: the width of intervals relative to an oracle, and whether the next measurement settles. Causes below
-{LISTED:.0%} are not listed. Sealed trials: [the proof](proof.md)."""
+{100 * LISTED:g} % are not listed. Sealed trials: [the proof](proof.md)."""
 
 
 @dataclass(frozen=True)
