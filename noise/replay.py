@@ -58,7 +58,7 @@ class ReplayLaw(EchoLaw):
         super().__init__(other.distance, resolution, other.max_range)
         self.given, self.given_step, self.other = given, given_step, other
         echo = other.echo
-        # the quotient of a number with fewer digits overflows
+        # divided by a smaller number, it would overflow
         self._rare = np.divide(RARE, echo, out=np.zeros_like(echo), where=echo >= np.finfo(np.float64).tiny)
 
     def _arrival(self, z: Floats) -> Floats:

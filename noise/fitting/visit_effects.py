@@ -158,10 +158,8 @@ def widened(state: State, variance: Tensor, level_variance: Tensor | None = None
     path = state.direct
     if level_variance is not None:
         variance = variance + path.walk**2 * level_variance
-    path = path.widened(variance)
-    if level_variance is not None:
         path = replace(path, level_db=path.level_db / torch.sqrt(1.0 + level_variance / state.width_db**2))
-    return state.with_direct(path)
+    return state.with_direct(path.widened(variance))
 
 
 def single_ping_law(law: PhysicalLaw, visits: VisitEffects, scale_sd: float = 0.0) -> PhysicalLaw:

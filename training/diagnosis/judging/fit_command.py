@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from acquisition import SettingError
+from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFile, OutputFolder
 from acquisition.limits import Count, Limit, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
@@ -64,9 +65,8 @@ def main(args: Args) -> None:
     # places of this machine are nobody else's
     command = f"sonar-gym fit-decision --n {args.n} --pings {args.pings} --seed {args.seed}"
     card |= {"command": command, "commit": version}
-    args.weights.write_text(json.dumps({"model": model.to_dict(), "card": card}, indent=1) + "\n", encoding="utf-8")
-    args.picture.parent.mkdir(parents=True, exist_ok=True)
-    args.picture.write_bytes(figure(card))
+    write_text(args.weights, json.dumps({"model": model.to_dict(), "card": card}, indent=1) + "\n")
+    write_bytes(args.picture, figure(card))
     print(json.dumps(card, indent=1))
     print(f"written: {args.weights} and {args.picture}")
 
@@ -97,7 +97,10 @@ def fitted(records: Sequence[Record]) -> tuple[DecisionModel, dict[str, object]]
 
 
 def figure(card: Mapping[str, Any]) -> bytes:
-    """Return the reliability diagram of a card as PNG: a point is as large as its number of effects."""
+    """Return the reliability diagram of a card as PNG: a point is as large as its number of effects.
+
+    Bars are one binomial standard error; few trials have more than one effect.
+    """
     table = card["reliability"]
     predicted, observed, n = (np.array([each[name] for each in table]) for name in ("predicted", "observed", "n"))
     error = np.sqrt(observed * (1.0 - observed) / n)
@@ -106,7 +109,12 @@ def figure(card: Mapping[str, Any]) -> bytes:
         axes.plot([0, 1], [0, 1], color=SOFT, lw=1)
         axes.errorbar(predicted, observed, yerr=error, fmt="none", ecolor=AFTER, elinewidth=1)
         axes.scatter(predicted, observed, s=8 + 2 * n, color=AFTER, zorder=3)
-        axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), xlabel="stated probability", ylabel="share of true causes")
+        axes.set(
+            xlim=(-0.03, 1.03),
+            ylim=(-0.03, 1.03),
+            xlabel="stated probability",
+            ylabel="share of true causes, with one standard error",
+        )
         axes.set_title("Families left out of the fit")
 
     return panels([draw], (4.6, 4.2))

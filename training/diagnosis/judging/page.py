@@ -128,7 +128,7 @@ def _real_table(records: Iterable[Record]) -> str:
     split = {tuple(r["kind"].rsplit(": ", 1)): r for r in records if r["family"] == REAL}
     changes = list(dict.fromkeys(change for _, change in split))
     rows = [
-        (name, *(_answer(split[name, change]) if (name, change) in split else "–" for change in changes))
+        (name, *(_answer(split[name, change]) if (name, change) in split else "not run" for change in changes))
         for name in dict.fromkeys(name for name, _ in split)
     ]
     return markdown_table(("recording", *changes), rows) if rows else "None was there."
