@@ -15,6 +15,7 @@ from training.diagnosis.generators.trial import TrueCause
 
 SCALES = ("clock_scale", "sound_speed")
 ONE_DISTANCE = 0.02  # relative spread of distance below which an offset and a scale cannot be told apart
+ROUNDING_MM = 1e-6  # of stored readings
 Rng = np.random.Generator
 Change = Callable[[Floats, Rng], Floats]
 
@@ -129,14 +130,25 @@ def planted(folder: Path, case: str, rng: Rng) -> tuple[Recording, Recording, tu
     first = half_of(Recording(table, name))
     simulated, recorded = table[first].copy(), table[~first].copy()
     change_of, accepted = CHANGES[change]
-    step = Recording(table, name).resolution * 1000.0
-    changed = change_of(np.asarray(recorded.reading_mm, dtype=np.float64), rng)
-    recorded["reading_mm"] = step * np.round(changed / step)  # on the register of the sensor
+    register = _register_of(Recording(table, name))
+    before = np.asarray(recorded.reading_mm, dtype=np.float64)
+    recorded["reading_mm"] = register(change_of(before, rng))
     distance = table.distance_mm.astype(float)
     if distance.std() < ONE_DISTANCE * distance.mean() and accepted and accepted[0] in ("zero_offset", *SCALES):
         accepted = (accepted[0], *sorted({"zero_offset", *SCALES} - {accepted[0]}))
-    causes = (TrueCause(accepted[0], accepted, 1.0),) if accepted else ()
+    changed = bool((recorded.reading_mm != before).any())  # few readings may all escape, or have been alike before
+    causes = (TrueCause(accepted[0], accepted, 1.0),) if accepted and changed else ()
     return _recording(simulated, name), _recording(recorded, name), causes
+
+
+def _register_of(recording: Recording) -> Callable[[Floats], Floats]:
+    """Return what rounds readings, mm, to the steps of the sensor, or leaves them where no steps are known."""
+    step, reading = 1000.0 * recording.resolution, 1000.0 * recording.reading.range[recording.reading.echo]
+
+    def rounded(value: Floats) -> Floats:
+        return np.asarray(step * np.round(value / step))
+
+    return rounded if np.allclose(rounded(reading), reading, rtol=0.0, atol=ROUNDING_MM) else lambda value: value
 
 
 def half_of(recording: Recording) -> Bits:

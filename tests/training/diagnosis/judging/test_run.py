@@ -119,6 +119,16 @@ def test_a_planted_change_is_in_one_half_and_of_its_size(change, monkeypatch, tm
         assert np.mean(np.abs(error) > 0.01) == pytest.approx(0.04, abs=0.02)
 
 
+@pytest.mark.parametrize("step_mm", [0.17, 1.0, 10.0])
+def test_no_change_leaves_the_readings_of_any_register(step_mm, monkeypatch, tmp_path):
+    table = survey(120)
+    table.reading_mm = step_mm * (table.reading_mm / step_mm).round()
+    monkeypatch.setitem(real.READERS, "made", ("", lambda folder: table))
+    halves = real.planted(tmp_path, "made: as it is", np.random.default_rng(1))[:2]
+    kept = np.sort(np.concatenate([half.reading.range for half in halves]))
+    assert kept == pytest.approx(np.sort(table.reading_mm) / 1000.0, abs=1e-12)
+
+
 def test_real_recordings_can_be_halved(real_recordings):
     names = list(real.cases(real_recordings))
     assert len(names) == len(real.READERS) * len(real.CHANGES)
