@@ -15,7 +15,7 @@ from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.limits import Count, as_numbers, shown
 from acquisition.ping import check_pairs
-from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats
+from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Tolerance
 from noise.model import SonarModel, follow
 
 LEVELS = 50  # levels of the quantile form of the CRPS: within 0.2 % of 800 levels for learned laws
@@ -81,8 +81,17 @@ def crps(law: EchoLaw, reading: Reading, levels: Count = LEVELS) -> Floats:
 
 
 @checked
-def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = None, levels: Count = LEVELS) -> Floats:
+def crps_with_silence(
+    law: EchoLaw,
+    reading: Reading,
+    silence: float | None = None,
+    levels: Count = LEVELS,
+    tolerance: Tolerance | None = None,
+) -> Floats:
     """Return the continuous ranked probability score of each reading, m, (n,), in which no echo counts as a range.
+
+    With a tolerance, the score is threshold-weighted (Gneiting and Ranjan 2011): ranges are clipped to so much of the
+    true distance on either side. A missed echo then counts no more than any other reading that is no use.
 
     Args:
         law: law of n pings.
@@ -90,16 +99,19 @@ def crps_with_silence(law: EchoLaw, reading: Reading, silence: float | None = No
         silence: range that stands for no echo and no answer, in the law and in the reading, m; `law.max_range` by
             default.
         levels: number K of quantiles; see `crps`.
+        tolerance: as a share of the true distance; none by default.
     """
     check_pairs("crps_with_silence.reading", law, reading)
     end, echo = law.max_range if silence is None else silence, law.echo
+    reach = np.inf if tolerance is None else tolerance * law.distance
+    low, high = law.distance - reach, law.distance + reach
 
     def quantile(level: Floats) -> Floats:
         with np.errstate(over="ignore"):  # of the least probabilities of an echo: no level is a share of them
             share = np.divide(level, echo, where=echo > 0, out=np.full((len(level), len(echo)), np.inf))
-        return np.where(share < 1.0, law.quantile(np.minimum(share, 1.0)), end)
+        return np.clip(np.where(share < 1.0, law.quantile(np.minimum(share, 1.0)), end), low, high)
 
-    return _quantile_score(quantile, np.where(reading.echo, reading.range, end), levels)
+    return _quantile_score(quantile, np.clip(np.where(reading.echo, reading.range, end), low, high), levels)
 
 
 def _quantile_score(quantile: Callable[[Floats], Floats], value: Floats, levels: int) -> Floats:

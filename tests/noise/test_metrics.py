@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import scoringrules
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Reading, SettingError
@@ -109,6 +111,22 @@ def test_the_true_model_scores_best(rng):
     entropy = np.mean(0.5 * np.log(2 * np.pi * np.e * sigma**2) - np.log(0.001))
     assert scores[0].log_likelihood.mean == pytest.approx(-entropy, abs=5 * scores[0].log_likelihood.error)
     assert evaluate(IdealModel(), ping, drawn, visit).log_likelihood.mean == -np.inf
+
+
+@given(st.floats(0.05, 3.0), st.floats(0.0, 1.0), st.booleans())
+def test_the_threshold_weighted_crps_is_the_integral_within_the_tolerance(read, presence, silent):
+    stack = [
+        CATALOGUE["fixed_clutter"](presence=presence, range_m=1.7),
+        CATALOGUE["travel_time_jitter"](sigma_m=0.08),
+        CATALOGUE["dropped_reading"](probability=0.2),
+    ]
+    law = PhysicalModel(stack, 0.005, 3.0).law(Ping.of(distance=[2.0]))
+    value = np.inf if silent else round(read / 0.005) * 0.005
+    steps = np.arange(360, 440)  # of 5 mm: 1.8 m to 2.2 m; the law is constant between them
+    below = np.array([law.cdf_step(np.array([step]))[0] for step in steps])
+    expected = 0.005 * np.sum((below - (value <= 0.005 * steps + 1e-9)) ** 2)
+    score = crps_with_silence(law, Reading.of([0.0 if silent else value]), levels=4000, tolerance=0.1)
+    assert score[0] == pytest.approx(expected, abs=2e-3)
 
 
 SCORES = {

@@ -111,7 +111,11 @@ class Grown:
     @cached_property
     def crps(self) -> Floats:
         """CRPS of each reading, silence counted, by trees that saw no ping of its visit, m, (n,)."""
-        return np.asarray(crps_with_silence(self.crossed, self.batch.reading, MAX_RANGE))
+        return self.crps_within(None)
+
+    def crps_within(self, tolerance: float | None) -> Floats:
+        """Return the same with a tolerance, m, (n,); see `crps_with_silence`."""
+        return np.asarray(crps_with_silence(self.crossed, self.batch.reading, MAX_RANGE, tolerance=tolerance))
 
     @cached_property
     def nats(self) -> Floats:

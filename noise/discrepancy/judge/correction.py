@@ -5,9 +5,8 @@ better; where the recording's own readings under similar conditions predict bett
 model. A correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has
 not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
 that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
-than what small changes of the range gain, and so does what stands for the simulation. It is enough that the CRPS is
-less at all where causes or the empirical term gain beyond chance on the very law without them: causes in the log score,
-which is the more sensitive of the two, and the term in the CRPS.
+than what small changes of the range gain. Causes or an empirical term that gain beyond chance on the very law without
+them, causes in the log score and the term in the CRPS, need only do no harm (`improves`).
 """
 
 from __future__ import annotations
@@ -18,15 +17,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.arrays import Floats
+from acquisition.ping import CREDENCE_TOLERANCE
 from noise.composed import with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.baseline.recalibration import recalibrated
-from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, log_score
+from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, improves, log_score
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 from noise.model import SonarModel
+
+Scored = tuple[tuple[Batch, Floats], ...]  # readings, and the CRPS of each, m, (n,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +38,13 @@ class Option:
     Attributes:
         model: the model.
         scored: visits that it has not seen, and its CRPS there, m, (n,).
+        near: its CRPS there within the tolerance of credence.
         nats: its log score there, nats, (n,) each; empty where it is no law with causes.
     """
 
     model: SonarModel
-    scored: tuple[tuple[Batch, Floats], ...]
+    scored: Scored
+    near: Scored
     nats: tuple[Floats, ...] = ()
 
     @property
@@ -55,9 +59,7 @@ class Option:
 
     def beats(self, model: SonarModel) -> bool:
         """Return whether the CRPS is less than that of a model which has seen none of the readings, beyond chance."""
-        return self.is_better_than(
-            Option(model, tuple((batch, crps_of_each(model, batch)) for batch, _ in self.scored))
-        )
+        return self.is_better_than(option_of([model] * len(self.scored), [batch for batch, _ in self.scored]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +111,14 @@ class Options:
         if judged.believed:
             laws = [offered(stack, step_m) for stack in (judged.final.single.stack, *reversed(judged.found.stacks))]
             nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))
-            with_causes = replace(_scored(laws, parts), nats=nats)
+            with_causes = replace(option_of(laws, parts), nats=nats)
             gain = gains(with_causes, emulator)
             on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
         law = offered(judged.final.single.stack, step_m)
         term = recalibrated(law, search.folds.both, rng)
         with_term = None if term is None else _crossed(term, search, parts)
         # the term is compared with the very law that it corrects, so that both were fitted to the same readings
-        if with_term is not None and not with_term.is_better_than(_scored([law] * len(parts), parts)):
+        if with_term is not None and not with_term.is_better_than(option_of([law] * len(parts), parts)):
             with_term = None
         return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts), gain)
 
@@ -133,7 +135,8 @@ class Options:
         offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
         if offered is None:
             sure = [self.with_causes if self.causes_gain else None, self.with_term]
-            better = [each for each in sure if each is not None and before.gain(*each.scored).sum() > 0.0]
+            near = before.near
+            better = [each for each in sure if each and improves(before.gain(*each.scored), near.gain(*each.near))]
             offered = min(better, key=lambda option: option.crps, default=None)
         return None if offered is None else offered.model
 
@@ -160,22 +163,26 @@ def _parts(search: Search) -> tuple[Batch, ...]:
     return (search.folds.unseen, *search.parts) if len(search.parts) > 1 else (search.folds.unseen,)
 
 
-def _scored(models: Sequence[SonarModel], parts: tuple[Batch, ...]) -> Option:
+def option_of(models: Sequence[SonarModel], parts: Sequence[Batch]) -> Option:
     """Return an option: the model, and its scores on each part by the model that was not fitted to it."""
-    pairs = zip(models, parts, strict=False)
-    return Option(models[0], tuple((batch, crps_of_each(model, batch)) for model, batch in pairs))
+    pairs = list(zip(models, parts, strict=False))
+    scored, near = (
+        tuple((batch, crps_of_each(model, batch, tolerance)) for model, batch in pairs)
+        for tolerance in (None, CREDENCE_TOLERANCE)
+    )
+    return Option(models[0], scored, near)
 
 
 def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
     """Return an option whose scores on the folds are those by trees that lack each visit."""
-    whole = _scored([found.model], parts)
+    whole, near = option_of([found.model], parts), found.crps_within(CREDENCE_TOLERANCE)
     if len(parts) == 1:
         pieces = [np.ones(len(found.batch), dtype=bool)]
     else:
         first = search.folds.in_first(found.batch)
         pieces = [first, ~first]
-    scored = tuple((found.batch.select(rows), found.crps[rows]) for rows in pieces)
-    return Option(found.model, (*whole.scored, *scored))
+    scored, close = (tuple((found.batch.select(rows), crps[rows]) for rows in pieces) for crps in (found.crps, near))
+    return Option(found.model, (*whole.scored, *scored), (*whole.near, *close))
 
 
 def _on_simulation(
@@ -195,4 +202,4 @@ def _on_simulation(
     ]
     if any(left_out for _, left_out in pairs):
         return None
-    return _scored([composed for composed, _ in pairs], parts)
+    return option_of([composed for composed, _ in pairs], parts)

@@ -14,7 +14,7 @@ import numpy as np
 from noise.composed import ComposedModel, with_differences
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.correction import Options
-from noise.discrepancy.judge.held_out import Simulation, beyond_chance
+from noise.discrepancy.judge.held_out import Simulation, beyond_chance, improves
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
@@ -69,7 +69,8 @@ def worsens(acting: SonarModel, simulation: Simulation, unseen: Batch, rng: np.r
     """
     if simulation.readings is None:
         return False
-    return bool(_applied(acting, simulation, rng).gain_on(simulation, unseen).sum() < 0.0)
+    applied = _applied(acting, simulation, rng)
+    return not improves(applied.gain_on(simulation, unseen), applied.near.gain_on(simulation.near, unseen))
 
 
 def is_carried(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats
+from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.moments.sample import positions
@@ -27,9 +28,9 @@ def crps(model: SonarModel, batch: Batch) -> float:
     return float(np.mean(crps_of_each(model, batch)))
 
 
-def crps_of_each(model: SonarModel, batch: Batch) -> Floats:
-    """Return the CRPS of each reading with silence counted, m, (n,)."""
-    return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading))
+def crps_of_each(model: SonarModel, batch: Batch, tolerance: float | None = None) -> Floats:
+    """Return the CRPS of each reading with silence counted, m, (n,); see `crps_with_silence` on the tolerance."""
+    return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading, tolerance=tolerance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +45,15 @@ class Simulation:
         model: the given model, or the one that stands for the readings.
         readings: None where the model itself is the simulation.
         excess: mean CRPS of the model beyond that of the simulation, m, with its standard error.
+        near_excess: the same of the CRPS within the tolerance of credence.
+        tolerance: of the CRPS, a share of the true distance; see `crps_with_silence`.
     """
 
     model: SonarModel
     readings: Batch | None = None
     excess: tuple[float, float] = (0.0, 0.0)
+    near_excess: tuple[float, float] = (0.0, 0.0)
+    tolerance: float | None = None
 
     @classmethod
     def of(cls, base: Baseline) -> Simulation:
@@ -56,19 +61,20 @@ class Simulation:
         if base.forest is None or base.before is not base.forest.model:
             return cls(base.before)
         model: SonarModel = base.before
-        few, crps = base.forest.batch, base.forest.crps
+        few, chosen = base.forest.batch, base.forest.crps
+        near = base.forest.crps_within(CREDENCE_TOLERANCE)
         if base.held_out is not None:
             unseen = np.isin(few.condition, base.held_out.condition)
             by_emulator = crps_of_each(base.emulator, few.select(unseen))
-            if by_emulator.mean() < crps[unseen].mean():
-                model, few, crps = base.emulator, few.select(unseen), by_emulator
-        own = [np.full(len(rows), repeatability(ends(few)[rows])) for rows in few.visit_rows]
-        beyond = crps - np.concatenate(own)
-        known = ~np.isnan(beyond)
-        if not known.any():
-            return cls(model, base.readings)
-        mean = ClusterMean.of(beyond[known], few.visit[known])
-        return cls(model, base.readings, (max(mean.mean, 0.0), float(np.nan_to_num(mean.error))))
+            if by_emulator.mean() < chosen[unseen].mean():
+                model, few, chosen = base.emulator, few.select(unseen), by_emulator
+                near = crps_of_each(model, few, CREDENCE_TOLERANCE)
+        return cls(model, base.readings, _excess(few, chosen), _excess(few, near, CREDENCE_TOLERANCE))
+
+    @property
+    def near(self) -> Simulation:
+        """The same, scored within the tolerance of credence: readings that are no use all count alike."""
+        return replace(self, excess=self.near_excess, tolerance=CREDENCE_TOLERANCE)
 
     def crps_of_each(self, batch: Batch) -> Floats:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""
@@ -76,16 +82,17 @@ class Simulation:
 
     def _scored(self, batch: Batch) -> tuple[Floats, Bits]:
         """Return the CRPS of each reading, m, (n,), and whether it is an estimate, (n,)."""
-        out, estimated = crps_of_each(self.model, batch) - self.excess[0], np.ones(len(batch), dtype=bool)
+        out, estimated = crps_of_each(self.model, batch, self.tolerance), np.ones(len(batch), dtype=bool)
+        out = out - self.excess[0]
         if self.readings is None:
             return out, estimated
         places = [positions(each)[each.visit] for each in (self.readings, batch)]
         place = np.unique(np.concatenate(places), axis=0, return_inverse=True)[1].ravel()
         own, asked = np.split(place, [len(self.readings)])
         for k in np.intersect1d(asked, own):
-            members = ends(self.readings)[own == k]
+            members = ends(self.readings, self.tolerance)[own == k]
             if len(members) >= MIN_MEMBERS:
-                out[asked == k] = fair_crps(ends(batch)[asked == k], members)
+                out[asked == k] = fair_crps(ends(batch, self.tolerance)[asked == k], members)
                 estimated[asked == k] = False
         return out, estimated
 
@@ -120,9 +127,41 @@ def beyond_chance(gain: Floats, error: float = 0.0) -> bool:
     return bool(gain.sum() > limit * np.hypot(standard_error(gain), error))
 
 
-def ends(batch: Batch) -> Floats:
-    """Return the error of each reading, m, (n,); that of the end of the register where there is no echo."""
-    return np.where(batch.reading.echo, batch.error, MAX_RANGE - batch.ping.distance)
+def improves(gain: Floats, near: Floats) -> bool:
+    """Return whether a correction that is certain for another reason may be trusted to predict no worse.
+
+    Where silence counts, a few missed echoes decide the CRPS. It must not be worse beyond chance, and what it gains
+    within the tolerance of credence, where these count little, must be no loss.
+
+    Args:
+        gain: in the CRPS, of each visit.
+        near: in the CRPS within the tolerance of credence, of each visit.
+    """
+    return bool(near.sum() >= 0.0) and not beyond_chance(-gain)
+
+
+def ends(batch: Batch, tolerance: float | None = None) -> Floats:
+    """Return the error of each reading, m, (n,); that of the end of the register where there is no echo.
+
+    With a tolerance, errors are clipped to so much of the distance; see `crps_with_silence`.
+    """
+    error = np.where(batch.reading.echo, batch.error, MAX_RANGE - batch.ping.distance)
+    reach = np.inf if tolerance is None else tolerance * batch.ping.distance
+    return np.clip(error, -reach, reach)
+
+
+def _excess(batch: Batch, crps: Floats, tolerance: float | None = None) -> tuple[float, float]:
+    """Return the mean of a model's CRPS, (n,), beyond that of the readings by each other, m, with its standard error.
+
+    Without visits of several readings it is unknown, and 0 as if the model were the simulation.
+    """
+    own = [np.full(len(rows), repeatability(ends(batch, tolerance)[rows])) for rows in batch.visit_rows]
+    beyond = crps - np.concatenate(own)
+    known = ~np.isnan(beyond)
+    if not known.any():
+        return 0.0, 0.0
+    mean = ClusterMean.of(beyond[known], batch.visit[known])
+    return max(mean.mean, 0.0), float(np.nan_to_num(mean.error))
 
 
 def repeatability(value: Floats) -> Floats:

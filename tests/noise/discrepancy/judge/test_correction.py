@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import grown
-from noise.discrepancy.judge.correction import Option, Options, offered
+from noise.discrepancy.judge.correction import Option, Options, offered, option_of
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each
 from tests.noise.discrepancy.made import batch_of, law_of, model_of
 
@@ -13,7 +14,7 @@ MOVED = {**LOUD, "zero_offset": {"offset_m": 0.03}}
 
 
 def option(model, *batches):
-    return Option(model, tuple((batch, crps_of_each(model, batch)) for batch in batches))
+    return option_of([model] * len(batches), batches)
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,8 @@ def parts():
     """Recorded visits that nothing was fitted to, others, and a forest of these."""
     unseen, seen = batch_of(MOVED, seed=1), batch_of(MOVED, seed=2)
     forest = grown(seen, np.random.default_rng(0))
-    return unseen, seen, Option(forest.model, ((unseen, crps_of_each(forest.model, unseen)), (seen, forest.crps)))
+    pairs = [(crps_of_each(forest.model, unseen, t), forest.crps_within(t)) for t in (None, CREDENCE_TOLERANCE)]
+    return unseen, seen, Option(forest.model, *(tuple(zip((unseen, seen), pair, strict=True)) for pair in pairs))
 
 
 def test_the_law_that_made_the_readings_is_offered(parts):
@@ -44,9 +46,21 @@ def test_a_gain_too_small_for_the_crps_counts_where_the_log_score_is_certain_of_
     law = option(model_of(MOVED), few)
     assert before.gain(*law.scored).sum() > 0.0
     assert not before.is_beaten(*law.scored)
-    worse = Option(forest.model, tuple((batch, 2.0 * crps) for batch, crps in law.scored))
+    worse = Option(forest.model, tuple((batch, 2.0 * crps) for batch, crps in law.scored), law.near)
     found = Options(law, None, None, worse, certain).corrected(before)
     assert found is (law.model if certain else None)
+
+
+def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
+    """A missed echo counts metres in the CRPS: the sum over few visits may have any sign."""
+    before, law = Simulation(model_of(LOUD)), option(model_of(MOVED), parts[1])
+    (batch, crps), forest = law.scored[0], parts[2]
+    missed = np.where(np.arange(len(batch)) == 0, 1.1 * (before.gain(*law.scored).sum() + crps[0]), crps)
+    unlucky = Option(law.model, ((batch, missed),), law.near)
+    assert before.gain(*unlucky.scored).sum() < 0.0
+    worse = Option(forest.model, tuple((b, 2.0 * each) for b, each in unlucky.scored), law.near)
+    assert Options(unlucky, None, None, worse, True).corrected(before) is law.model
+    assert Options(unlucky, None, None, worse, False).corrected(before) is None
 
 
 def test_without_a_law_the_forest_is_offered(parts):
