@@ -21,7 +21,7 @@ from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.correction import Options
-from noise.discrepancy.judge.difference import difference, is_carried, worsens
+from noise.discrepancy.judge.difference import WORSE, difference, is_carried, worsens
 from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
@@ -238,7 +238,7 @@ def _different(
     )
     acting, left_out = difference(judged, search, options, emulator, step_m)
     if acting is not None and worsens(acting, data.simulation, data.folds.unseen, data.rng("acting")):
-        acting, left_out = None, {}
+        acting, left_out = None, dict.fromkeys(judged.believed, WORSE)
     carrying = transport(data, options, corrected, acting)
     acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
     likely = {p.effect: p.likely for p in judged.places}

@@ -22,6 +22,8 @@ from noise.fitting.stack import Stack
 from noise.model import SonarModel
 from noise.replay import Replay, with_simulated
 
+WORSE = "with it, your simulator's readings predict unseen visits worse"
+
 
 def difference(
     judged: Judged, search: Search, options: Options, emulator: SonarModel, step_m: float
