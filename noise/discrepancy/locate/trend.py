@@ -4,18 +4,20 @@ A bootstrap over ten positions cannot reject at 1 % whatever they show. Here mea
 one condition, with Student's t for either coefficient (Gosset 1908) and standard errors that allow for a scatter that
 varies (HC3; MacKinnon and White 1985). Where the files share positions, only these are used: they are paired, so that
 what the law gets wrong for both cancels. Otherwise each file has its own constant and slope, and the scatter of both
-about their lines is the error. The p-value is Bonferroni's over all coefficients.
+about their lines is the error. Mean shares of readings, of which a constant is fitted, have at least the binomial
+error: shares of few positions may agree by chance. The p-value is Bonferroni's over all coefficients.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
 
 from acquisition.arrays import Bits, Floats, Ints
+from noise.discrepancy.locate.orthogonal import RATES
 from noise.discrepancy.moments.bootstrap import NOTHING, Found
 from noise.discrepancy.moments.sample import Sample, positions
 from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores_of_both
@@ -25,7 +27,6 @@ from noise.effects.medium import TEMPERATURE
 from noise.fitting.stack import Key, Stack
 from noise.fitting.starts import target_echo
 
-RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
 MIN_PLACES = 5  # of each file: three degrees of freedom for a line
 POWER, TWO_SIDED = 0.9, 0.95
 N_TESTS = 5  # of one hypothesis, for which the level is adjusted: this one, the orthogonal test and those of `few`
@@ -94,8 +95,16 @@ def _located(lines: Sequence[_Line], rates: Mapping[Aspect, _Line], p_value: PVa
 
 def _of_rate(scored: Scores, sample: Sample, aspect: Aspect) -> _Line | None:
     """Return the mean difference of a share of readings; None where it is the same in all visits or cannot be told."""
-    rate, recorded, place, _ = _visit_means(scored, sample, ASPECTS.index(aspect))
-    return _line(rate, recorded, place, None) if len(rate) and np.ptp(rate) > ROUNDING else None
+    a = ASPECTS.index(aspect)
+    rate, recorded, place, _ = _visit_means(scored, sample, a)
+    line = _line(rate, recorded, place, None) if len(rate) and np.ptp(rate) > ROUNDING else None
+    if line is None:
+        return None
+    valid = scored.valid[:, a]
+    share = float(np.mean((scored.natural[:, a] + scored.probability[:, RATES.index(aspect)])[valid]))
+    n = np.bincount(sample.is_recorded[valid])
+    least = float(np.sqrt(max(share * (1.0 - share), 0.0) * (1.0 / n[n > 0]).sum()))
+    return replace(line, error=np.maximum(line.error, least))
 
 
 def compensation_is_unknown(law: Stack, sample: Sample) -> bool:

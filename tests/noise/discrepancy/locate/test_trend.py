@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import fisher_exact, kstest
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.trend import trend_test
@@ -54,6 +54,16 @@ def test_an_offset_and_a_scale_error_are_found_in_ten_marks(law, offset, scale):
 def test_a_known_law_needs_no_simulated_readings(law):
     assert trend_test(law, law, Sample(marks(3, 0.012), None)).p_value.value < 1e-4
     assert trend_test(law, law, Sample(marks(4), None)).p_value.value > 0.01
+
+
+def test_shares_that_agree_between_positions_by_chance_are_not_certain(law):
+    """One reading lost at each of ten marks, none in the other file: Fisher's exact test knows how rare."""
+    recorded, simulated = marks(1), marks(2)
+    lost = np.arange(len(recorded)) % (len(recorded) // 10) == 0
+    ranges = np.where(lost, 0.0, recorded.reading.range)
+    p = trend_test(law, law, Sample(replace(recorded, reading=Reading.of(ranges)), simulated)).p_value.value
+    table = [[lost.sum(), (~lost).sum()], [0, len(simulated)]]
+    assert p > fisher_exact(table).pvalue
 
 
 def test_readings_without_any_error_in_reach_have_no_trend(law):
