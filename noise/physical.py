@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -154,41 +153,6 @@ class PhysicalLaw(EchoLaw):
         for atom, echo in zip(self.state.atoms, self._echo_of_atoms, strict=True):
             out = (1.0 - atom.weight) * out + atom.weight * echo * (atom.cdf(high) - atom.cdf(low))
         return out
-
-    def without_replacements(self) -> PhysicalLaw:
-        """Return the law before single readings are replaced; atoms of another kind remain."""
-        atoms = tuple(atom for atom in self.state.atoms if not atom.by_ping)
-        if len(atoms) == len(self.state.atoms):
-            return self
-        return PhysicalLaw(
-            replace(self.state, atoms=atoms), self.distance, self.resolution, self.max_range, self.origin
-        )
-
-    def silence_replaced(self, silent: Tensor) -> Tensor:
-        """Return the probability of no echo after single readings are replaced, given that before, (..., n)."""
-        for atom in self.state.atoms:
-            if atom.by_ping and not atom.of_echo:
-                silent = (1.0 - atom.weight) * silent + atom.weight * atom.no_echo
-        return silent
-
-    def replaced_tensor(self, probability: Tensor, reading: Reading, heard: Tensor) -> Tensor:
-        """Return the probability of each answered reading after single readings are replaced, (..., n).
-
-        Args:
-            probability: of each reading before, (..., n).
-            reading: readings, (n,).
-            heard: probability of an echo before, where the reading is one, (n,).
-        """
-        echo, step = torch.from_numpy(reading.echo), self.step(reading.range)
-        for atom in (each for each in self.state.atoms if each.by_ping):
-            there = atom.cdf(self._edges(step)) - atom.cdf(self._edges(step - 1))
-            if atom.of_echo:
-                changed = (1.0 - atom.weight) * probability + atom.weight * heard * there
-                probability = torch.where(echo, changed, probability)
-            else:
-                instead = torch.where(echo, there, atom.no_echo)
-                probability = (1.0 - atom.weight) * probability + atom.weight * instead
-        return probability
 
     def probability_tensor(self, reading: Reading) -> Tensor:
         """Return the probability of each reading, (n,), differentiable."""

@@ -187,7 +187,6 @@ class Atom:
         no_echo: P(no echo), (n,) or scalar.
         no_answer: P(no answer), (n,) or scalar.
         of_echo: whether it replaces echoes only; `cdf` is then that of a reading that is an echo.
-        by_ping: whether it replaces single readings, whatever repeats within a visit.
     """
 
     weight: Tensor
@@ -195,7 +194,6 @@ class Atom:
     no_echo: Tensor
     no_answer: Tensor
     of_echo: bool = False
-    by_ping: bool = True
 
 
 @dataclass(frozen=True)

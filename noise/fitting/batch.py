@@ -181,19 +181,19 @@ class Batch:
         return np.where(self.reading.echo, self.reading.range - self.ping.distance, 0.0)
 
     @cached_property
-    def look_back(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def look_back(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Comparison of each reading with at most `MAX_LAG` earlier readings of its visit.
 
         The unique absolute differences between echoes, m, (k,); for each pair of echoes, the later ping, (pairs,), and
         the index of its difference, (pairs,); for pings without an echo, the number of earlier pings without an echo,
-        (n,); the numbers of earlier echoes and of earlier pings without an echo, (n,) each.
+        (n,); the number of earlier pings, (n,).
         """
         lag = np.arange(1, MAX_LAG + 1)[:, None]
         valid = lag <= self.count
         row = np.maximum(np.arange(len(self)) - lag, 0)
         echo = self.reading.echo
         both = valid & echo & echo[row]
-        silent = valid & ~echo[row]
+        silent = valid & ~echo & ~echo[row]
         difference = np.abs(self.error - self.error[row])[both]
         # readings lie on the steps of the register, so that differences repeat up to rounding
         unique, which = np.unique(np.round(difference, 9), return_inverse=True)
@@ -202,9 +202,8 @@ class Batch:
             tensor(unique),
             tensor(np.nonzero(both)[1]),
             tensor(which.ravel()),
-            tensor((silent & ~echo).sum(axis=0).astype(np.float64)),
-            tensor((valid & echo[row]).sum(axis=0).astype(np.float64)),
             tensor(silent.sum(axis=0).astype(np.float64)),
+            tensor(valid.sum(axis=0).astype(np.float64)),
         )
 
     @cached_property

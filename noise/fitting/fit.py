@@ -18,7 +18,6 @@ from torch import Tensor
 
 from acquisition import Recording
 from acquisition.arrays import Floats
-from noise.effects import Stage
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import likeliest, log_likelihood
 from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, STEPWISE, VISITS, Key, Stack
@@ -39,8 +38,6 @@ COARSE_GAIN = 1.0  # nats; with a larger `min_gain`, fits only rank candidates a
 CURVATURE_CHANGE = (1e-4, 1e4)  # limits of the change of curvature during one local fit
 PROBABILITY_FACTORS = (1.0, 0.3, 0.1, 0.03)  # from a share of the new readings of a visit to a share of all pings
 MIN_URN_WEIGHT = 0.2  # above this, the readings of a visit repeat each other
-
-REPEATED = [(VISITS, name) for name in ("urn_weight", "silence_weight", "ping_correlation")]
 
 Scales = dict[Key, float]
 
@@ -150,9 +147,7 @@ class Objective:
             change = np.abs(np.array([slope[j] - base[j] for slope, j in zip(slopes, unknown, strict=True)]))
             curvature = np.maximum(change / np.abs(step), 0.1 * np.abs(base[unknown]) / width[unknown])
             out[unknown] = 1.0 / np.sqrt(np.maximum(curvature, 1e-300))
-        slope = self(x)[1]
-        room = np.where(slope > 0.0, x - low, high - x)  # to the bound ahead, which passes for an optimum if near
-        return _limit(np.where(np.abs(slope) * room > MIN_RESTART_GAIN, np.minimum(out, room), out), width)
+        return _limit(out, width)
 
 
 def _gradient(total: Tensor, numbers: Tensor) -> Floats:
@@ -272,18 +267,17 @@ def refit_without_urn(joint: Fit, keys: Sequence[Key], batch: Batch) -> Fit:
     The urn explains repeated readings and leaves the new ones to the law. Outliers are more frequent among the new
     readings, so their probability is overestimated; without the urn every reading counts once, and standard errors must
     be computed over visits (`covariance` does). Effects on whole visits are not refitted: without the urn, a few
-    deviating visits would dominate them. Neither are replacements of single readings, which act after the urn.
+    deviating visits would dominate them.
 
     Args:
         joint: fit with the urn.
-        keys: parameters of effects; those of echoes in single pings are refitted together with the spread.
+        keys: parameters of effects; those of effects on single pings are refitted together with the spread.
         batch: readings of the fit.
     """
-    known = {key: joint.stack.known[key[0]] for key in keys}
-    keys = [key for key in keys if known[key].by_ping and known[key].stage < Stage.SEQUENCE]
+    keys = [key for key in keys if joint.stack.known[key[0]].by_ping]
     if not keys or joint.stack.get((VISITS, "urn_weight")) < MIN_URN_WEIGHT:
         return joint
-    no_urn = joint.stack.at(dict.fromkeys(REPEATED, 0.0))
+    no_urn = joint.stack.put([(VISITS, "urn_weight"), (VISITS, "ping_correlation")], [0.0, 0.0])
     spread = 0.7 * max(joint.stack.get((JITTER, "sigma_m")), joint.stack.get((VISITS, "placement_m")))
     # a second start: the gradient vanishes where visits do not scatter
     wide = no_urn.put([(JITTER, "sigma_m"), (VISITS, "placement_m")], [spread, spread])

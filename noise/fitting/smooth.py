@@ -251,7 +251,7 @@ class Smooth(Effect):
             outside = torch.exp(-torch.relu((edge - centre) / length_m))
             return outside if length_m < 0 else 1.0 - outside
 
-        return Atom(torch.sigmoid(RARE_LOG_ODDS + log_odds), cdf, number(0.0), number(0.0), by_ping=False)
+        return Atom(torch.sigmoid(RARE_LOG_ODDS + log_odds), cdf, number(0.0), number(0.0))
 
     def statement(self) -> str:
         """Return a sentence with the aspects and the inputs."""

@@ -36,7 +36,6 @@ from noise.fitting.visit_effects import (
     VisitEffects,
     direct_median,
     outcome_given_visit,
-    outcome_in_urn,
     outcome_probability,
     placement_scatter,
     single_ping_law,
@@ -59,14 +58,14 @@ def single_log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> Ten
     Echo or no echo is predicted with the earlier pings of the visit, since pings of one position near the threshold
     agree; otherwise a few positions would decide on the detection everywhere.
     """
-    kept, (count, n_echoes) = law.without_replacements(), batch.echo_counts
-    single = single_ping_law(kept, visits)
-    outcome = outcome_given_visit(law, visits, batch)
-    given = outcome_in_urn(outcome, visits, batch, n_echoes, count - n_echoes)
+    single, urn = single_ping_law(law, visits), visits.urn_weight
+    count, n_echoes = batch.echo_counts
+    n_alike = torch.where(torch.from_numpy(batch.reading.echo), n_echoes, count - n_echoes)
+    given = (outcome_given_visit(law, visits, batch) + urn * n_alike) / (1.0 + urn * count)
     expected = torch.clamp(outcome_probability(single, batch), min=MIN_PROBABILITY)
     p = single.probability_tensor(batch.reading) * given / expected
     floor = torch.from_numpy(np.where(batch.reading.echo, FLOOR / law.last_step, FLOOR))
-    return torch.log(law.replaced_tensor((1.0 - 2.0 * FLOOR) * p + floor, batch.reading, given))
+    return torch.log((1.0 - 2.0 * FLOOR) * p + floor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,12 +26,10 @@ JITTER = "travel_time_jitter"
 PLACEMENT = (VISITS, "placement_m")
 SPREAD = ((JITTER, "sigma_m"), (JITTER, "per_metre"), PLACEMENT)
 LEVEL_SD = (VISITS, "level_sd_db")
-SILENCE = (VISITS, "silence_weight")
 SIMULATION_CORRELATION = (VISITS, "simulation_correlation")
 SHARED = (
     (VISITS, "ping_correlation"),
     (VISITS, "urn_weight"),
-    SILENCE,
     (VISITS, "urn_width_m"),
     LEVEL_SD,
     SIMULATION_CORRELATION,

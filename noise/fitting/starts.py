@@ -172,7 +172,7 @@ def nuisance_start(stack: Stack, batch: Batch) -> Stack:
     robust = robust_std(error) if len(error) else 0.005
     size = float(np.clip(robust, max(0.002, batch.resolution / 4.0), 0.15))
     wide = {(JITTER, "sigma_m"): max(stack.get((JITTER, "sigma_m")), 0.7 * size), (VISITS, "placement_m"): 0.5 * size}
-    shared = {(VISITS, "urn_weight"): 0.02, (VISITS, "silence_weight"): 0.02, (VISITS, "ping_correlation"): 0.1}
+    shared = {(VISITS, "urn_weight"): 0.02, (VISITS, "ping_correlation"): 0.1}
     shared[(VISITS, "urn_width_m")] = max(0.004, batch.resolution / 3.0)
     shared[SIMULATION_CORRELATION] = 0.0 if batch.simulated_offset is None else 0.5
     start = {**wide, **shared}
@@ -186,8 +186,8 @@ def nuisance_starts(stack: Stack, batch: Batch) -> list[Stack]:
     strong = {(JITTER, "sigma_m"): 0.5 * weak.get((JITTER, "sigma_m"))}
     if VISITS not in stack.values:
         strong[LEVEL_SD] = STRONG_DB
-    strong |= {(VISITS, "urn_weight"): 1.5, (VISITS, "silence_weight"): 1.5, (VISITS, "ping_correlation"): 0.5}
-    strong[(VISITS, "urn_width_m")] = max(0.001, batch.resolution / 3.0)
+    strong |= {(VISITS, "urn_weight"): 1.5, (VISITS, "urn_width_m"): max(0.001, batch.resolution / 3.0)}
+    strong[(VISITS, "ping_correlation")] = 0.5
     present = [stack] if VISITS in stack.values else []
     return [weak, weak.at(strong), *present]
 

@@ -13,10 +13,9 @@ The prediction combines, in this order:
 2. a normal deviation of the level shared by the visit (`level_sd_db`): close to the detection threshold the placement
    of the target decides, not each ping, so that a visit is heard or missed as a whole; it is integrated over nodes, and
    two more of probability `FLOOR`, always heard and never heard, limit what a visit against all odds costs;
-3. a Polya urn over the last readings of the visit (`urn_weight` of an echo, `urn_width_m`, `silence_weight`), so that
-   anything else that repeats within a visit (silence, another reflector) counts about once per visit;
-4. a floor for arbitrary readings and silences, which limits a single reading to about 17 nats;
-5. replacements of single readings, such as losses on the link, which repeat nothing.
+3. a Polya urn over the last readings of the visit (`urn_weight`, `urn_width_m`), so that anything else that repeats
+   within a visit (silence, another reflector) counts about once per visit;
+4. a floor for arbitrary readings and silences, which limits a single reading to about 17 nats.
 """
 
 from __future__ import annotations
@@ -64,8 +63,7 @@ class VisitEffects(Effect):
         # the lower bound is positive because the gradient vanishes at zero
         Parameter("placement_m", "m", 2e-4, 2e-4, 0.1, "ruler and mount, 1 to 5 mm; bounds chosen here", (0.003,)),
         Parameter("ping_correlation", "1", 0.0, 0.0, 0.98, "from one ping to the next; chosen here", (0.1,)),
-        Parameter("urn_weight", "1", 0.0, 0.0, 5.0, "of an earlier echo relative to the law; chosen here", (0.02,)),
-        Parameter("silence_weight", "1", 0.0, 0.0, 5.0, "of an earlier silence likewise; chosen here", (0.02,)),
+        Parameter("urn_weight", "1", 0.0, 0.0, 5.0, "of an earlier reading relative to the law; chosen here", (0.02,)),
         Parameter("urn_width_m", "m", 0.004, 0.0003, 0.05, "scatter of a repeated reading; chosen here", (0.004,)),
         Parameter("level_sd_db", "dB", 0.0, 0.0, 15.0, "turn of the target and air of a visit; chosen here", (1.0,)),
         Parameter("simulation_correlation", "1", 0.0, 0.0, 0.999, "of offsets in a visit; chosen here", (0.5,)),
@@ -73,7 +71,6 @@ class VisitEffects(Effect):
     placement_m: Tensor
     ping_correlation: Tensor
     urn_weight: Tensor
-    silence_weight: Tensor
     urn_width_m: Tensor
     level_sd_db: Tensor
     simulation_correlation: Tensor
@@ -192,45 +189,24 @@ def all_banks(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> PhysicalL
 
 
 def with_floor_and_urn(own: Tensor, visits: VisitEffects, batch: Batch, last_step: int) -> Tensor:
-    """Return the probabilities of a law mixed with the floor and the urn, (banks, n)."""
+    """Return log probabilities, nats, (banks, n), of a law's probabilities mixed with the floor and the urn."""
     silent = torch.from_numpy(~batch.reading.echo).to(torch.float64)
     floor = FLOOR * torch.where(silent > 0, silent, number(1.0 / last_step))
-    difference, later, which, n_silent, n_echoes, n_silences = batch.look_back
+    difference, later, which, n_silent, n_earlier = batch.look_back
     half, width = batch.resolution / 2.0, visits.urn_width_m
     kernel = torch.special.ndtr((difference + half) / width) - torch.special.ndtr((difference - half) / width)
     n_alike = torch.zeros_like(n_silent).index_add(0, later, kernel[which])
-    repeats = visits.urn_weight * n_alike + visits.silence_weight * n_silent
-    return ((1.0 - 2.0 * FLOOR) * own + floor + repeats) / urn_total(visits, n_echoes, n_silences)
+    repeats = visits.urn_weight * (n_alike + n_silent)
+    return torch.log((1.0 - 2.0 * FLOOR) * own + floor + repeats) - torch.log1p(visits.urn_weight * n_earlier)
 
 
-def urn_total(visits: VisitEffects, n_echoes: Tensor, n_silences: Tensor) -> Tensor:
-    """Return the weight of the law and of earlier readings of a visit in the urn, relative to the law's, (n,)."""
-    return 1.0 + visits.urn_weight * n_echoes + visits.silence_weight * n_silences
-
-
-def outcome_in_urn(outcome: Tensor, visits: VisitEffects, batch: Batch, n_echoes: Tensor, n_silences: Tensor) -> Tensor:
-    """Return the probability of each ping's outcome, echo or no echo, given the numbers of earlier ones, (n,)."""
-    alike = torch.where(
-        torch.from_numpy(batch.reading.echo), visits.urn_weight * n_echoes, visits.silence_weight * n_silences
-    )
-    return (outcome + alike) / urn_total(visits, n_echoes, n_silences)
-
-
-def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch, outcome: Tensor, exact: bool) -> Tensor:
-    """Return the probability of each reading under all banks, (banks, n), given the echoes before it in its visit.
-
-    Args:
-        law: law of a single ping.
-        visits: what the pings of a visit share.
-        batch: readings.
-        outcome: probability of each ping's outcome, echo or no echo, (n,).
-        exact: see `log_prob`.
-    """
+def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool) -> Tensor:
+    """Return the probability of each reading under both banks, (banks, n), given the echoes before it in its visit."""
     banks = all_banks(law, visits, batch)
     echo, place = torch.from_numpy(batch.reading.echo), banks.echo_tensor(banks.step(batch.reading.range))
     # 1 where there is no echo: what is not used there would still make the gradient NaN
     likely = torch.where(echo, torch.clamp(outcome_probability(banks, batch, exact), min=MIN_PROBABILITY), 1.0)
-    return torch.where(echo, place / likely, 1.0) * outcome
+    return torch.where(echo, place / likely, 1.0) * outcome_given_visit(law, visits, batch, exact)
 
 
 def outcome_probability(law: PhysicalLaw, batch: Batch, exact: bool = False) -> Tensor:
@@ -249,19 +225,16 @@ def outcome_probability(law: PhysicalLaw, batch: Batch, exact: bool = False) -> 
 
 
 def outcome_given_visit(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool = False) -> Tensor:
-    """Return the probability of each ping's outcome, echo or no echo, given the earlier ones of its visit, (n,).
-
-    It is that before single readings are replaced; the earlier outcomes are those after.
-    """
-    sd, kept = visits.level_sd_db, law.without_replacements()
+    """Return the probability of each ping's outcome, echo or no echo, given the earlier ones of its visit, (n,)."""
+    sd = visits.level_sd_db
     if visits.one_level:
-        return outcome_probability(kept, batch, exact)
-    silent = _silent_by_level(kept, sd * LEVEL_NODES)
+        return outcome_probability(law, batch, exact)
+    silent = _silent_by_level(law, sd * LEVEL_NODES)
     always, never = torch.zeros_like(silent[:1]), torch.ones_like(silent[:1])
-    silent, echo = torch.cat([silent, always, never]), torch.from_numpy(batch.reading.echo)
-    own, reported = (torch.where(echo, 1.0 - each, each) for each in (silent, law.silence_replaced(silent)))
+    silent = torch.cat([silent, always, never])
+    own = torch.where(torch.from_numpy(batch.reading.echo), 1.0 - silent, silent)
     prior = number([*[(1.0 - 2.0 * FLOOR) / N_LEVELS] * N_LEVELS, FLOOR, FLOOR])
-    before = batch.before(torch.log((1.0 - 2.0 * FLOOR) * reported + FLOOR))
+    before = batch.before(torch.log((1.0 - 2.0 * FLOOR) * own + FLOOR))
     return (torch.softmax(torch.log(prior)[:, None] + before, dim=0) * own).sum(dim=0)
 
 
@@ -287,11 +260,8 @@ def log_prob(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool =
         batch: readings.
         exact: whether no step depends on the values, as batched evaluation requires.
     """
-    kept = law.without_replacements()
-    outcome = outcome_given_visit(law, visits, batch, exact)
-    repeated = with_floor_and_urn(_own(kept, visits, batch, outcome, exact), visits, batch, law.last_step)
-    heard = outcome_in_urn(outcome, visits, batch, *batch.look_back[-2:])
-    each = torch.log(law.replaced_tensor(repeated, batch.reading, heard))
+    own = _own(law, visits, batch, exact)
+    each = with_floor_and_urn(own, visits, batch, law.last_step)
     return torch.logsumexp(log_weights(each, batch) + each, dim=0)
 
 
