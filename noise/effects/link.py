@@ -31,11 +31,6 @@ class Spike(Effect):
     probability: Tensor
     span_m: Tensor
 
-    @classmethod
-    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return a law that ends at the farthest reading, whatever end another recording suggests."""
-        return [{"probability": 0.03, "span_m": float(echoes.range.max())}] if len(echoes.range) else []
-
     def apply(self, state: State) -> State:
         """Add a uniform replacement."""
         zero = number(0.0)
