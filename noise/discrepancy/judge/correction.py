@@ -11,8 +11,9 @@ them, causes in the log score and the term in the CRPS, need only do no harm (`i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -37,15 +38,18 @@ class Option:
 
     Attributes:
         model: the model.
-        scored: visits that it has not seen, and its CRPS there, m, (n,).
-        near: its CRPS there within the tolerance of credence.
+        score: visits that it has not seen, and its CRPS there for a tolerance or none; see `crps_with_silence`.
         nats: its log score there, nats, (n,) each; empty where it is no law with causes.
     """
 
     model: SonarModel
-    scored: Scored
-    near: Scored
+    score: Callable[[float | None], Scored]
     nats: tuple[Floats, ...] = ()
+
+    @cached_property
+    def scored(self) -> Scored:
+        """Visits that it has not seen, and its CRPS there, m, (n,)."""
+        return self.score(None)
 
     @property
     def crps(self) -> float:
@@ -135,10 +139,13 @@ class Options:
         offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
         if offered is None:
             sure = [self.with_causes if self.causes_gain else None, self.with_term]
-            near = before.near
-            better = [each for each in sure if each and improves(before.gain(*each.scored), near.gain(*each.near))]
+            better = [each for each in sure if each is not None and _improves_on(before, each)]
             offered = min(better, key=lambda option: option.crps, default=None)
         return None if offered is None else offered.model
+
+
+def _improves_on(before: Simulation, option: Option) -> bool:
+    return improves(before.gain(*option.scored), before.near.gain(*option.score(CREDENCE_TOLERANCE)))
 
 
 def gains(law: Option, emulator: SonarModel) -> bool:
@@ -166,23 +173,25 @@ def _parts(search: Search) -> tuple[Batch, ...]:
 def option_of(models: Sequence[SonarModel], parts: Sequence[Batch]) -> Option:
     """Return an option: the model, and its scores on each part by the model that was not fitted to it."""
     pairs = list(zip(models, parts, strict=False))
-    scored, near = (
-        tuple((batch, crps_of_each(model, batch, tolerance)) for model, batch in pairs)
-        for tolerance in (None, CREDENCE_TOLERANCE)
-    )
-    return Option(models[0], scored, near)
+    return Option(models[0], lambda tolerance: tuple((batch, crps_of_each(m, batch, tolerance)) for m, batch in pairs))
 
 
 def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
     """Return an option whose scores on the folds are those by trees that lack each visit."""
-    whole, near = option_of([found.model], parts), found.crps_within(CREDENCE_TOLERANCE)
+    whole = option_of([found.model], parts)
     if len(parts) == 1:
         pieces = [np.ones(len(found.batch), dtype=bool)]
     else:
         first = search.folds.in_first(found.batch)
         pieces = [first, ~first]
-    scored, close = (tuple((found.batch.select(rows), crps[rows]) for rows in pieces) for crps in (found.crps, near))
-    return Option(found.model, (*whole.scored, *scored), (*whole.near, *close))
+    batches = [found.batch.select(rows) for rows in pieces]
+
+    def score(tolerance: float | None) -> Scored:
+        crps = found.crps if tolerance is None else found.crps_within(tolerance)
+        own = [crps[rows] for rows in pieces]
+        return (*whole.score(tolerance), *zip(batches, own, strict=True))
+
+    return Option(found.model, score)
 
 
 def _on_simulation(

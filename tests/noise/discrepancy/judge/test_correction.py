@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import grown
 from noise.discrepancy.judge.correction import Option, Options, offered, option_of
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each
@@ -22,8 +21,11 @@ def parts():
     """Recorded visits that nothing was fitted to, others, and a forest of these."""
     unseen, seen = batch_of(MOVED, seed=1), batch_of(MOVED, seed=2)
     forest = grown(seen, np.random.default_rng(0))
-    pairs = [(crps_of_each(forest.model, unseen, t), forest.crps_within(t)) for t in (None, CREDENCE_TOLERANCE)]
-    return unseen, seen, Option(forest.model, *(tuple(zip((unseen, seen), pair, strict=True)) for pair in pairs))
+
+    def score(tolerance):
+        return (unseen, crps_of_each(forest.model, unseen, tolerance)), (seen, forest.crps_within(tolerance))
+
+    return unseen, seen, Option(forest.model, score)
 
 
 def test_the_law_that_made_the_readings_is_offered(parts):
@@ -46,7 +48,7 @@ def test_a_gain_too_small_for_the_crps_counts_where_the_log_score_is_certain_of_
     law = option(model_of(MOVED), few)
     assert before.gain(*law.scored).sum() > 0.0
     assert not before.is_beaten(*law.scored)
-    worse = Option(forest.model, tuple((batch, 2.0 * crps) for batch, crps in law.scored), law.near)
+    worse = Option(forest.model, lambda tolerance: tuple((batch, 2.0 * crps) for batch, crps in law.score(tolerance)))
     found = Options(law, None, None, worse, certain).corrected(before)
     assert found is (law.model if certain else None)
 
@@ -56,9 +58,9 @@ def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
     before, law = Simulation(model_of(LOUD)), option(model_of(MOVED), parts[1])
     (batch, crps), forest = law.scored[0], parts[2]
     missed = np.where(np.arange(len(batch)) == 0, 1.1 * (before.gain(*law.scored).sum() + crps[0]), crps)
-    unlucky = Option(law.model, ((batch, missed),), law.near)
+    unlucky = Option(law.model, lambda tolerance: ((batch, missed),) if tolerance is None else law.score(tolerance))
     assert before.gain(*unlucky.scored).sum() < 0.0
-    worse = Option(forest.model, tuple((b, 2.0 * each) for b, each in unlucky.scored), law.near)
+    worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in unlucky.score(tolerance)))
     assert Options(unlucky, None, None, worse, True).corrected(before) is law.model
     assert Options(unlucky, None, None, worse, False).corrected(before) is None
 
