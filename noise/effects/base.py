@@ -95,6 +95,7 @@ class EchoSample:
         range: reading, m, (n,).
         interval: time since the previous ping of the run, s, 0 for the first, (n,); None where it is unknown.
         past: reading before each in the run, m, nan where there was no echo, (n,); None where it is unknown.
+        before: distance of the target when the previous ping was fired, m, (n,); None where it is unknown.
         grid_m: step on whose multiples all readings lie, m; 0 where it is unknown.
     """
 
@@ -103,6 +104,7 @@ class EchoSample:
     range: NDArray[np.float64]
     interval: NDArray[np.float64] | None = None
     past: NDArray[np.float64] | None = None
+    before: NDArray[np.float64] | None = None
     grid_m: float = 0.0
 
     @property
@@ -121,8 +123,8 @@ class EchoSample:
         return self._where(self.range < self.distance - target_tolerance(self.distance))
 
     def _where(self, rows: NDArray[np.bool_]) -> EchoSample:
-        interval, past = (None if value is None else value[rows] for value in (self.interval, self.past))
-        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, past, self.grid_m)
+        known = (None if value is None else value[rows] for value in (self.interval, self.past, self.before))
+        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], *known, self.grid_m)
 
 
 def most_frequent(length: NDArray[np.float64]) -> float:

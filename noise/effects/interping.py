@@ -24,9 +24,10 @@ DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantec
 class PreviousPing(Effect):
     """The echo of the previous ping from farther away arrives during this ping: range far - c interval / 2.
 
-    `far_m` is the range of a far reflector; with `doubled` = 1 it is the second round trip to the target itself, at
-    twice its distance. Within a burst, each ping is fired a fixed wait after the last echo, so that the reading is
-    far - last reading - `wait_m`: each reading depends on the last. With `wait_m` = 0 the logged interval is used.
+    Far is `trips` times the distance of the target when that ping was fired, and `far_m`: another reflector with 0, the
+    target itself or what stands behind it with 1, the second round trip to the target with 2. Within a burst, each ping
+    is fired a fixed wait after the last echo, so that the reading is far - last reading - `wait_m`: each reading depends
+    on the last. With `wait_m` = 0 the logged interval is used.
     """
 
     name = "previous_ping"
@@ -37,25 +38,31 @@ class PreviousPing(Effect):
     parameters = (
         presence(0.3),
         Parameter(
-            "far_m", "m", 12.0, 3.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
+            "far_m", "m", 12.0, 0.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
         ),
-        Parameter("doubled", "1", 0.0, 0.0, 1.0, "1 = second round trip to the target; chosen here", (0.0,)),
+        Parameter("trips", "1", 0.0, 0.0, 2.0, "to the target: none, its echo, the second one; chosen here", (0.0,)),
         Parameter("wait_m", "m", 0.0, 0.0, 3.5, "bursts with waits of 2 to 20 ms as range; chosen here", (0.0,)),
     )
     presence: Tensor
     far_m: Tensor
-    doubled: Tensor
+    trips: Tensor
     wait_m: Tensor
 
     def apply(self, state: State) -> State:
         """Add the late echo; the time since the last ping is a lag, so that it does not depend on the temperature."""
-        c = state.conditions
-        length = self.far_m + self.doubled * (2.0 * c.distance - self.far_m)
+        length = self.far_m + self.trips * self._distance_before(state)
         early, possible = self._since_last(state)
         possible = possible & (early < length)
-        level_db = heard_level_db(length) + self.doubled * (wall_level_db(length) - heard_level_db(length))
+        repeated = torch.clamp(self.trips - 1.0, min=0.0)  # the level of a second trip is known, that of others is not
+        level_db = heard_level_db(length) + repeated * (wall_level_db(length) - heard_level_db(length))
         path = new_path("previous", length, level_db, self.presence * possible.to(torch.float64))
         return state.with_path(replace(path, lag=-early))
+
+    def _distance_before(self, state: State) -> Tensor:
+        """Return the distance of the target when the previous ping was fired, m, (n,)."""
+        c = state.conditions
+        interval, rate = (c.covariates.get(name) for name in (INTERVAL, RANGE_RATE))
+        return c.distance if interval is None or rate is None else torch.clamp(c.distance - rate * interval, min=0.0)
 
     def _since_last(self, state: State) -> tuple[Tensor, Tensor]:
         """Return the time since the last ping as range, m, and whether there was one, (n,) each."""
@@ -69,19 +76,22 @@ class PreviousPing(Effect):
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return the second round trip within bursts and the far reflector that explain most early readings."""
-        early, waits = echoes.early, []
+        """Return what explains most early readings: the second trip within bursts, or what is far or behind."""
+        early, found = echoes.early, []
         if early.past is not None and (wait := most_frequent(2.0 * early.distance - early.range - early.past)) > 0.0:
-            waits.append({"presence": 0.5, "far_m": 12.0, "doubled": 1.0, "wait_m": wait})
+            found.append({"presence": 0.5, "far_m": 0.0, "trips": 2.0, "wait_m": wait})
         if early.interval is not None and (early.interval > 0.0).any():
-            gap = np.where(early.interval > 0.0, ASSUMED_SPEED * early.interval / 2.0, np.nan)
-            waits.append({"presence": 0.5, "far_m": most_frequent(early.range + gap), "doubled": 0.0, "wait_m": 0.0})
-        return waits
+            length = early.range + np.where(early.interval > 0.0, ASSUMED_SPEED * early.interval / 2.0, np.nan)
+            before = early.distance if early.before is None else early.before
+            for trips, far_m in ((0.0, most_frequent(length)), (1.0, most_frequent(length - before))):
+                found.append({"presence": 0.5, "far_m": max(far_m, 0.0), "trips": trips, "wait_m": 0.0})
+        return found
 
     def statement(self) -> str:
         """Return a sentence with the distance of the far reflector."""
         v = self.values
-        source = "the target's second echo" if v["doubled"] > 0.5 else f"a reflector at {v['far_m']:.2f} m"
+        sources = f"a reflector at {v['far_m']:.2f} m", f"what is {v['far_m']:.2f} m behind the target"
+        source = (*sources, "the target's second echo")[round(v["trips"])]
         read = f"is read as a near echo of the current ping, in {100 * v['presence']:.3g} % of pings"
         return f"A far echo of the previous ping, from {source}, {read}."
 

@@ -11,7 +11,7 @@ from scipy.stats import qmc
 
 from acquisition.arrays import Floats
 from noise.effects import EchoSample, Effect, Parameter, Stage
-from noise.effects.interping import INTERVAL
+from noise.effects.interping import INTERVAL, RANGE_RATE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std
@@ -139,10 +139,11 @@ def target_echo(stack: Stack, batch: Batch) -> Floats:
 def echoes_of(batch: Batch) -> EchoSample:
     """Return the echoes of a batch in the form that `Effect.guesses` expects."""
     echo = batch.reading.echo
-    ping, interval = batch.ping, batch.ping.covariates.get(INTERVAL)
-    known = None if interval is None else interval[echo]
+    ping = batch.ping[echo]
+    known = ping.covariates.get(INTERVAL)
     past = np.where(batch.past.echo, batch.past.range, np.nan)[echo]
-    return EchoSample(ping.distance[echo], ping.time[echo], batch.reading.range[echo], known, past, batch.grid_m)
+    before = ping.distance if known is None else ping.distance - known * ping.covariates.get(RANGE_RATE, 0.0)
+    return EchoSample(ping.distance, ping.time, batch.reading.range[echo], known, past, before, batch.grid_m)
 
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:

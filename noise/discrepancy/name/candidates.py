@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.name.hypothesis import may_lead
-from noise.discrepancy.thresholds import MIN_SHARE
+from noise.discrepancy.thresholds import EXPLAINED_SHARE
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit
@@ -124,26 +124,32 @@ def narrowed(stack: Stack, batch: Batch) -> Stack:
 
 
 def explains_nothing(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
-    """Return whether an effect needs a bound, or is no other than the target."""
-    return at_bound(stack, base, name, batch) or stack.is_the_target(name, batch)
+    """Return whether an effect does not explain its gain inside its bounds, or is no other than the target."""
+    if stack.is_the_target(name, batch):
+        return True
+    beyond = gained_at_bounds(stack, base, name, batch)
+    return beyond > 0.0 and beyond > (1.0 - EXPLAINED_SHARE) * _gain(stack, base, name, batch)
 
 
-def at_bound(stack: Stack, base: Stack, name: str, batch: Batch) -> bool:
-    """Return whether an effect needs a bound that is neither its null nor the base's value: then it explains nothing.
+def gained_at_bounds(stack: Stack, base: Stack, name: str, batch: Batch) -> float:
+    """Return what an effect gains only with parameters at bounds, nats: its source allows no more of them.
 
-    The ends of a share, 0 and 1, are no bounds in this sense, nor is a width within one step of the register, which is
-    none at all. Stepwise parameters have no derivative and stay at their starts. A parameter that the readings do not
-    tell, such as the level of what is heard anyway, may end at a bound without needing it.
+    It is what is lost with such a parameter further inside. The null and the value of the base are no bounds in this
+    sense, nor are the ends of a share, 0 and 1, nor is a width within one step of the register, which is none at all.
+    Stepwise parameters have no derivative and stay at their starts. A parameter that the readings do not tell, such as
+    the level of what is heard anyway, may end at a bound without needing it.
     """
+    out = 0.0
     for key in keys_of(stack, name, batch):
         p, value = stack.parameter(key), stack.get(key)
         if p.name in STEPWISE or (p.low, p.high) == (0.0, 1.0) or (p.name == WIDTH and value <= batch.resolution):
             continue
         slack = AT_BOUND * (p.high - p.low)
         moved = abs(value - p.null) > slack and abs(value - base.get(key)) > slack
-        if moved and (value <= p.low + slack or value >= p.high - slack) and _needs(stack, base, key, batch):
-            return True
-    return False
+        if moved and (value <= p.low + slack or value >= p.high - slack):
+            lost = _lost_inside(stack, key, batch)
+            out += lost if lost > NEEDED else 0.0
+    return out
 
 
 def as_in(stack: Stack, base: Stack, name: str) -> Stack:
@@ -153,10 +159,18 @@ def as_in(stack: Stack, base: Stack, name: str) -> Stack:
     return stack.at({(name, p.name): base.get((name, p.name)) for p in stack.known[name].parameters})
 
 
-def _needs(stack: Stack, base: Stack, key: Key, batch: Batch) -> bool:
-    """Return whether much of what an effect explains is lost with a parameter further inside its bounds."""
+def _lost_inside(stack: Stack, key: Key, batch: Batch) -> float:
+    """Return the log-likelihood, nats, that is lost with a parameter at a bound moved further inside."""
     p, value = stack.parameter(key), stack.get(key)
     inside = value + INSIDE * (p.high - p.low) * (1.0 if value < 0.5 * (p.low + p.high) else -1.0)
-    laws = stack, stack.at({key: inside}), base, as_in(stack, base, key[0])
-    here, moved, *without = (float(log_likelihood(law, batch).sum()) for law in laws)
-    return here - moved > max(NEEDED, MIN_SHARE * (here - max(without)))
+    return _nats(stack, batch) - _nats(stack.at({key: inside}), batch)
+
+
+def _gain(stack: Stack, base: Stack, name: str, batch: Batch) -> float:
+    """Return the log-likelihood, nats, that a stack gains over the base and over itself without an effect."""
+    without = base, as_in(stack, base, name)
+    return _nats(stack, batch) - max(_nats(law, batch) for law in without)
+
+
+def _nats(stack: Stack, batch: Batch) -> float:
+    return float(log_likelihood(stack, batch).sum())

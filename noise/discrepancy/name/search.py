@@ -22,6 +22,7 @@ from noise.discrepancy.name.candidates import (
     as_in,
     candidate_names,
     explains_nothing,
+    gained_at_bounds,
     gains_of,
     keys_of,
     leading,
@@ -184,11 +185,15 @@ class Search:
         subtracted for each (Schwarz 1978, BIC).
         """
         nats = np.concatenate(list(map(Batch.unit_sums, self.parts, self.predictions(effects, stacks))))
-        priors = [stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() for stack in stacks]
-        prior = float(np.mean(priors))
+        prior = float(np.mean([self.log_prior(stack, effects) for stack in stacks]))
         if len(self.parts) == 1:
             prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
         return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
+
+    def log_prior(self, stack: Stack, effects: Sequence[str]) -> float:
+        """Return the log prior of sizes and nuisance parameters, less what is gained only at bounds, nats."""
+        beyond = sum(gained_at_bounds(stack, self.common, name, self.joined) for name in effects)
+        return stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() - beyond
 
     def predictions(self, effects: Sequence[str], stacks: Sequence[Stack]) -> list[Floats]:
         """Return the log probability of each reading of each part by the law fitted to the other, nats, (n,) each."""
@@ -281,7 +286,7 @@ class Search:
     def round(self, current: Hypothesis) -> Hypothesis | None:
         """Return the hypothesis with the effect that gains most; None when no gain is beyond chance.
 
-        Effects that need a bound explain nothing, however much they gain, and do not keep others from being tried.
+        Effects that explain nothing, however much they gain, do not keep others from being tried.
         """
         tried: dict[str, Hypothesis] = {}
         winner = None

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -197,6 +197,15 @@ def test_temperature_scales_the_path_of_a_previous_ping_but_not_the_interval():
     assert law.quantile(0.5)[0] == pytest.approx(12.0 * ASSUMED_SPEED / 331.3 - ASSUMED_SPEED * 0.03, abs=0.001)
 
 
+@given(st.floats(0.0, 2.0), st.floats(3.0, 5.0), st.floats(-1.0, 1.0), st.floats(0.03, 0.05))
+def test_an_echo_of_the_previous_ping_comes_from_where_its_target_was(trips, distance, rate_mps, interval_s):
+    far_m = ASSUMED_SPEED * interval_s / 2.0 + 0.5 - trips * (distance - rate_mps * interval_s)
+    assume(far_m >= 0.0)
+    effect = CATALOGUE["previous_ping"](presence=1.0, far_m=far_m, trips=trips)
+    law = PhysicalModel([effect]).law(Ping.of(distance=distance, interval_s=interval_s, range_rate_mps=rate_mps))
+    assert law.cdf(0.502)[0] - law.cdf(0.498)[0] > 0.99
+
+
 def test_the_first_ping_has_no_echo_of_a_previous_one():
     effect = CATALOGUE["previous_ping"](presence=1.0, far_m=12.0)
     law = PhysicalModel([effect]).law(Ping.of(distance=5.0, interval_s=[0.0, 0.2]))
@@ -257,6 +266,15 @@ def test_ring_down_is_exponential_from_the_end_of_blanking():
     law = PhysicalModel([ring], 1e-4).law(Ping.of(distance=[2.0] * 3))
     expected = 0.4 * (1 - np.exp(-np.array([0.0, 0.05, 0.10]) / 0.05))
     np.testing.assert_allclose(law.cdf(np.array([0.0999, 0.15, 0.20])), expected, atol=1e-3)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.05, 0.75), st.floats(0.05, 1.5), st.floats(-0.02, 0.02))
+def test_echoes_of_nearer_targets_are_held_until_the_ring_down_ends(held, end_m, distance, offset_m):
+    assume(abs(end_m - distance) > 0.01)
+    effects = [CATALOGUE["ring_down"](range_m=end_m, held=held), CATALOGUE["zero_offset"](offset_m=offset_m)]
+    law = PhysicalModel(effects).law(Ping.of(distance=distance))
+    for exact, share in ((distance, 1.0 - held * (distance < end_m)), (end_m, held * (distance < end_m))):
+        assert law.cdf(exact + offset_m + 0.002)[0] - law.cdf(exact + offset_m - 0.002)[0] == pytest.approx(share)
 
 
 def test_ring_down_has_no_time_walk():

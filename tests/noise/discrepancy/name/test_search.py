@@ -8,8 +8,8 @@ import torch
 
 from noise.discrepancy.name.alternatives import place_of, weights
 from noise.discrepancy.name.candidates import (
-    at_bound,
     explains_nothing,
+    gained_at_bounds,
     resolved_periods,
     sampled_bounds,
     shows,
@@ -215,13 +215,29 @@ def test_effects_of_time_need_times():
     assert shows(CATALOGUE["zero_offset"], batch)
 
 
-def test_ring_down_with_its_least_decay_explains_nothing():
-    batch = batch_of({"fixed_clutter": {"presence": 0.1, "range_m": 0.7, "spread_m": 0.001}})
+def test_a_fixed_echo_far_away_is_no_ring_down_with_its_least_decay():
+    change = {"fixed_clutter": {"presence": 0.1, "range_m": 0.7, "spread_m": 0.001}}
+    batch = batch_of(change)
     base = with_sampled_bounds(law_of(), batch)
     values = {("ring_down", "probability"): 0.08, ("ring_down", "range_m"): 0.7}
     decay = next(p for p in CATALOGUE["ring_down"].parameters if p.name == "decay_m")
-    assert at_bound(base.at({**values, ("ring_down", "decay_m"): decay.low}), base, "ring_down", batch)
-    assert not at_bound(base.at({**values, ("ring_down", "decay_m"): 0.05}), base, "ring_down", batch)
+    assert gained_at_bounds(base.at({**values, ("ring_down", "decay_m"): decay.low}), base, "ring_down", batch) > 10.0
+    assert gained_at_bounds(base.at({**values, ("ring_down", "decay_m"): 0.05}), base, "ring_down", batch) == 0.0
+    alike = {"ring_down", "fixed_clutter"}
+    assert search_of(change, without=tuple(sorted(CATALOGUE.keys() - alike))).run()[1].effects == ("fixed_clutter",)
+
+
+def test_what_is_gained_only_at_a_bound_counts_for_nothing():
+    search = search_of(CHANGES["noise_burst"])
+    none = search.null()
+    size = next(p for p in CATALOGUE["noise_burst"].parameters if p.name == "sigma_m")
+    stacks = [none.stacks[0].at({("noise_burst", "probability"): 0.3, ("noise_burst", "sigma_m"): size.high})] * 2
+    beyond = gained_at_bounds(stacks[0], search.common, "noise_burst", search.joined)
+    assert beyond > 0.0
+    inside = [stack.at({("noise_burst", "sigma_m"): 0.5 * size.high}) for stack in stacks]
+    priors = [search.log_prior(each[0], ("noise_burst",)) for each in (stacks, inside)]
+    sizes = [each[0].log_size_prior(search.common, ("noise_burst",)) for each in (stacks, inside)]
+    assert priors[0] - priors[1] == pytest.approx(sizes[0] - sizes[1] - beyond)
 
 
 def test_the_level_of_what_is_heard_anyway_may_end_at_its_bound():
@@ -230,7 +246,7 @@ def test_the_level_of_what_is_heard_anyway_may_end_at_its_bound():
     loss = next(p for p in CATALOGUE["background_reflector"].parameters if p.name == "loss_db")
     stack = law_of().at({("background_reflector", name): value for name, value in behind.items()})
     loudest = stack.at({("background_reflector", "loss_db"): loss.low})
-    assert not at_bound(loudest, law_of(), "background_reflector", batch)
+    assert gained_at_bounds(loudest, law_of(), "background_reflector", batch) == 0.0
 
 
 def test_few_conditions_are_one_part_and_each_parameter_costs_what_it_gains_by_chance():
