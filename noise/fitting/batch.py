@@ -39,6 +39,7 @@ class Batch:
         grid_m: step of the grid on which all readings lie, m: the register's own, or a coarser one; 0 where unknown.
         origin: range of step 0 of that grid, m, in (-`grid_m`, 0].
         by_run: whether runs are the independent units: pieces of one run of a robot share the error of its pose.
+        row: of each ping in the recording, (n,); None where they are in its order.
     """
 
     ping: Ping
@@ -54,6 +55,7 @@ class Batch:
     grid_m: float = 0.0
     origin: float = 0.0
     by_run: bool = False
+    row: NDArray[np.int64] | None = None
 
     @classmethod
     def of(cls, recording: Recording) -> Batch:
@@ -76,7 +78,7 @@ class Batch:
         by_run = is_moving(recording) and len(np.unique(ping.run)) >= MIN_RUNS
         return cls(
             ping, past[order], reading, label, condition[order], step, last, moved, timed,
-            grid_m=step, origin=origin, by_run=by_run,
+            grid_m=step, origin=origin, by_run=by_run, row=order,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -111,6 +113,7 @@ class Batch:
             condition=self.condition[mask],
             last=self.last[mask],
             moved=self.moved[mask],
+            row=None if self.row is None else self.row[mask],
             simulated_offset=None if self.simulated_offset is None else self.simulated_offset[mask],
         )
 
@@ -242,6 +245,12 @@ class Batch:
     def guesses(self) -> dict[str, list[dict[str, float]]]:
         """Initial parameter values of effects estimated from these readings, by effect id; filled on first use."""
         return {}
+
+    @cached_property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether the ping before each in the recording was the one before it in its visit, (n,)."""
+        row = np.arange(len(self)) if self.row is None else self.row
+        return (self.count >= 1) & (np.diff(row, prepend=-1) == 1)
 
     @cached_property
     def repeats(self) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ condition shows well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from acquisition.arrays import Floats, Ints, Singles
 from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
 from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, studentised
 from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
-from noise.discrepancy.moments.sample import Sample, dependence
+from noise.discrepancy.moments.sample import DISTINCT, Sample, dependence
 from noise.discrepancy.moments.scores import ping_law, scores
 from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
@@ -66,13 +66,15 @@ def directed_test(
         for batch, part, start in zip(both.batches, both.left_out(law), start, strict=True)
         for k in np.unique(part)
     ]
-    names, ratios = directions(law, pairs, joint_log_prob_after)
+    in_one_order = abs(both.follows_more) <= DISTINCT
+    tested = [name for name in CATALOGUE if in_one_order or not CATALOGUE[name].remembers]
+    names, ratios = directions(law, pairs, joint_log_prob_after, tested)
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
     valid = np.ones(ratios.shape, dtype=bool)
     every = dependence(both, ratios, valid, cluster, chains, drifts)
     if lasting:
-        alone = directions(law, pairs, single_log_prob_after)[1]
+        alone = directions(law, pairs, single_log_prob_after, tested)[1]
         every = np.maximum(every, dependence(both, alone, valid, cluster, chains, drifts))
     z, greatest = [], []
     for length in np.unique(every):
@@ -104,7 +106,7 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
 
 
 def directions(
-    law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]], log_prob_after: After
+    law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]], log_prob_after: After, tested: Iterable[str] = CATALOGUE
 ) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
 
@@ -115,11 +117,12 @@ def directions(
         law: describes both files.
         pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
         log_prob_after: `joint_log_prob_after` or `single_log_prob_after`.
+        tested: effects.
     """
     back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
     base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])[back]
     names, ratios = [], []
-    for name in CATALOGUE:
+    for name in tested:
         # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
         # placements changes too
         if CATALOGUE[name].by_clock or name == JITTER or not _shown(name, pairs[0][1]):

@@ -18,7 +18,7 @@ from noise.statistics import winsorised
 
 MIN_CLUSTERS = 12  # fewer give no bootstrap
 GEOMETRY = ("distance", "angle", "incidence", "reflectance")
-DISTINCT = 0.5  # Kolmogorov-Smirnov distance of a condition between the files, from which they are of different days
+DISTINCT = 0.5  # Kolmogorov-Smirnov distance of a condition, or of what preceded, from which files are not alike
 STILL_M = 1e-3  # change of distance between pings below which a target is stationary
 ROUNDING_M = 1e-9  # of logged distances
 MIN_MOVED = 0.2  # share of a file among movements so great or so small, which m(x) does not allow for
@@ -59,6 +59,16 @@ class Sample:
     def batches(self) -> tuple[Batch, ...]:
         """The files that there are, the recording first."""
         return (self.recorded,) if self.simulated is None else (self.recorded, self.simulated)
+
+    @cached_property
+    def follows_more(self) -> float:
+        """By how much more often a recorded ping follows one of its own visit than a simulated one, -1 to 1.
+
+        Rows of one file may be shuffled, or alternate between positions. What a sonar keeps of an earlier reading then
+        shows otherwise, whether it keeps anything or not.
+        """
+        share = [float(batch.follows.mean()) for batch in self.batches]
+        return share[0] - share[-1]
 
     @cached_property
     def is_recorded(self) -> Bits:

@@ -17,7 +17,7 @@ import torch
 from scipy.special import ndtr, ndtri
 
 from acquisition.arrays import Bits, Floats, Ints
-from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.sample import DISTINCT, Sample
 from noise.discrepancy.result import Aspect
 from noise.discrepancy.thresholds import MAX_PLACEMENT_M
 from noise.fitting.batch import Batch
@@ -28,6 +28,7 @@ from noise.statistics import winsorised
 
 ASPECTS = tuple(Aspect)
 BIAS = ASPECTS.index(Aspect.BIAS)
+KEPT = [ASPECTS.index(Aspect.REPEAT), ASPECTS.index(Aspect.MEMORY)]  # aspects of what a sonar keeps
 LIMIT = 3.0  # normal scores are winsorised here: 0.3 % of a normal sample lie beyond
 MIN_PROBABILITY = 1e-9  # smallest divisor: a window or step that the law all but excludes
 AGREEMENT_M = 0.05  # outliers of one reflector agree within the absolute part of the tolerance about a target
@@ -94,7 +95,8 @@ def scores(stack: Stack, batch: Batch, part: Ints | None = None) -> Scores:
 def scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
     """Return the scores of both files, in units of the spread under the law of the simulation.
 
-    Several tests of two laws need them; those of the last pair of laws are kept with the sample.
+    Several tests of two laws need them; those of the last pair of laws are kept with the sample. What a sonar keeps of
+    earlier readings is not compared where recorded pings hardly ever follow their own visit, and simulated ones do.
     """
     for known, both in sample.scored:
         if known[0] is law_recorded and known[1] is law_simulated:
@@ -113,7 +115,10 @@ def _scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -
     both = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
     if sample.simulated is not None:
         both.append(scores(law_simulated, sample.simulated, parts[1]))
-    return Scores(*(np.concatenate([getattr(each, f.name) for each in both]) for f in fields(Scores)))
+    out = Scores(*(np.concatenate([getattr(each, f.name) for each in both]) for f in fields(Scores)))
+    if sample.follows_more < -DISTINCT:
+        out.valid[:, KEPT] = False
+    return out
 
 
 def _mask(rows: Ints, n: int) -> Bits:
@@ -218,20 +223,19 @@ def _memory(score: Floats, target: Bits, batch: Batch) -> tuple[Floats, Bits]:
 
 
 def _repeat(again: Floats, batch: Batch) -> tuple[Floats, Bits]:
-    """Return whether an echo equals the one before, minus the same at lag two or, in a new visit, its probability.
+    """Return whether an echo equals the one before, minus the same at lag two or its probability, and where that holds.
 
-    Both earlier readings are at the target, before it or behind it: if one alone were, neither lag would stand for the
-    other.
+    Lag two of the visit stands for lag one where the ping before was of this visit too, and the law where it was of
+    another: in a new visit, or where visits alternate. Both earlier readings are at the target, before it or behind
+    it: if one alone were, neither lag would stand for the other.
     """
-    echo, first = batch.reading.echo, batch.count == 0
-    two = _back(batch, 2)
-    same = echo & echo[two] & (np.abs(batch.reading.range - batch.reading.range[two]) < 0.5 * batch.resolution)
-    expected = np.where(first, again, same)
+    one, two, reading = _back(batch, 1), _back(batch, 2), batch.reading
+    same = reading.echo & reading.echo[two] & (np.abs(reading.range - reading.range[two]) < 0.5 * batch.resolution)
     other_place = np.abs(batch.last[:, 1] - batch.ping.distance) > batch.reach
     place = np.sign(batch.error) * batch.is_outlier(batch.error)
-    alike = (batch.count >= 2) & echo[two] & (place[_back(batch, 1)] == place[two])
-    valid = echo & batch.past.echo & (alike | first & other_place)
-    return batch.repeats - expected, valid
+    alike = (batch.count >= 2) & batch.follows & reading.echo[two] & (place[one] == place[two])
+    valid = reading.echo & batch.past.echo & (alike | ~batch.follows & other_place)
+    return batch.repeats - np.where(batch.follows, same, again), valid
 
 
 def _back(batch: Batch, lag: int) -> Ints:

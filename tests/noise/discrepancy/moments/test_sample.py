@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
+from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.orthogonal import orthogonal_test
+from noise.discrepancy.moments.bootstrap import signs_of
 from noise.discrepancy.moments.sample import Sample
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -47,6 +49,28 @@ def test_a_recording_of_single_pings_is_not_left_out():
     every = [averaging(seed, in_order).select(np.arange(480) % 8 == 0) for seed, in_order in ((1, False), (2, True))]
     sample = Sample.comparable(*every)
     assert len(sample.recorded) == len(every[0])
+
+
+def untimed(seed, shuffled):
+    """Return readings on coarse steps, which often repeat, of a survey without times, with its rows in any order."""
+    rng = np.random.default_rng(seed)
+    distance = np.repeat(rng.choice([0.6, 1.0, 1.6, 2.2], 200), 7)
+    angle = np.repeat(np.round(rng.uniform(-0.5, 0.5, 200), 3), 7)
+    reading = np.round(distance + np.repeat(rng.normal(0.0, 0.002, 200), 7) + rng.normal(0.0, 0.002, len(distance)), 2)
+    row = rng.permutation(len(distance)) if shuffled else np.arange(len(distance))
+    return Batch.of(Recording.of(Ping.of(distance=distance[row], angle=angle[row]), Reading.of(reading[row])))
+
+
+@pytest.mark.parametrize("shuffled", [(True, False), (False, True)], ids=["recording", "simulation"])
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_without_times_may_stand_in_any_order(seed, shuffled):
+    law = Stack({"travel_time_jitter": {"sigma_m": 0.002}, "visits": {"placement_m": 0.002}}, 0.01)
+    sample = Sample.comparable(*(untimed(2 * seed + k, each) for k, each in enumerate(shuffled)))
+    signs = signs_of(sample.cluster, np.random.default_rng(seed))
+    directed = directed_test(law, sample, signs, np.random.default_rng(seed))
+    assert abs(sample.follows_more) > 0.5
+    assert p_value(law, sample) > 0.01
+    assert directed.p_value.value > 0.01
 
 
 @pytest.mark.parametrize("seed", range(3))
