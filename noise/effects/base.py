@@ -123,8 +123,9 @@ class EchoSample:
         return self._where(self.range < self.distance - target_tolerance(self.distance))
 
     def _where(self, rows: NDArray[np.bool_]) -> EchoSample:
-        known = (None if value is None else value[rows] for value in (self.interval, self.past, self.before))
-        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], *known, self.grid_m)
+        kept = (None if value is None else value[rows] for value in (self.interval, self.past, self.before))
+        interval, past, before = kept
+        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, past, before, self.grid_m)
 
 
 def most_frequent(length: NDArray[np.float64]) -> float:

@@ -26,8 +26,8 @@ class PreviousPing(Effect):
 
     Far is `trips` times the distance of the target when that ping was fired, and `far_m`: another reflector with 0, the
     target itself or what stands behind it with 1, the second round trip to the target with 2. Within a burst, each ping
-    is fired a fixed wait after the last echo, so that the reading is far - last reading - `wait_m`: each reading depends
-    on the last. With `wait_m` = 0 the logged interval is used.
+    is fired a fixed wait after the last echo, so that the reading is far - last reading - `wait_m`: each depends on the
+    last. With `wait_m` = 0 the logged interval is used.
     """
 
     name = "previous_ping"

@@ -92,7 +92,9 @@ class RingDown(Effect):
     def _of_late(late: Floats) -> list[dict[str, float]]:
         near = late[late < MAX_RANGE_M]
         end = most_frequent(near)
-        return [{"probability": 0.0, "range_m": end, "decay_m": 0.047, "held": 0.9}] if len(near) >= MIN_READINGS else []
+        return (
+            [{"probability": 0.0, "range_m": end, "decay_m": 0.047, "held": 0.9}] if len(near) >= MIN_READINGS else []
+        )
 
     @staticmethod
     def _of_early(early: Floats, n_echoes: int) -> list[dict[str, float]]:

@@ -125,10 +125,12 @@ class Batch:
         """Return the mask of the first pings of every visit or, if necessary, of every k-th; about n are set."""
         if len(self) <= n:
             return np.ones(len(self), dtype=bool)
-        stride = -(-2 * self.n_visits // n)
         # the first pings of a visit carry most of its information, so visits are shortened before any is omitted
-        n_each = max(2, n * stride // self.n_visits)
-        return (self.visit % stride == 0) & (self.count < n_each)
+        stride = max(-(-int((self.count < 2).sum()) // n), 1)
+        kept = self.visit % stride == 0
+        earlier = np.cumsum(np.bincount(self.count[kept]))  # pings with so many before them in their visit
+        n_each = max(2, int(np.searchsorted(earlier, n, side="right")))
+        return kept & (self.count < n_each)
 
     @cached_property
     def n_visits(self) -> int:

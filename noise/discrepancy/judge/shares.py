@@ -112,15 +112,15 @@ def shares(rest: Rest, none: Hypothesis, found: Hypothesis, rng: np.random.Gener
     draws = _bootstrap(np.stack([found.nats - none.nats, rest.gain(found), *lost.values()]), rng)
     return Shares(
         {name: _ratio(draws[2 + k], draws) for k, name in enumerate(lost)},
-        _with_errors(lost),
-        _with_errors(leads),
+        _with_errors(lost, search.pings),
+        _with_errors(leads, search.pings),
         _ratio(draws[0], draws),
         _ratio(draws[1].clip(min=0.0), draws),
     )
 
 
-def _with_errors(per_visit: Mapping[str, Floats]) -> dict[str, tuple[float, float]]:
-    return {name: (float(each.sum()), standard_error(each)) for name, each in per_visit.items()}
+def _with_errors(per_visit: Mapping[str, Floats], pings: Floats) -> dict[str, tuple[float, float]]:
+    return {name: (float(each.sum()), standard_error(each, pings)) for name, each in per_visit.items()}
 
 
 def _bootstrap(per_visit: Floats, rng: np.random.Generator) -> Floats:

@@ -131,6 +131,12 @@ def explains_nothing(stack: Stack, base: Stack, name: str, batch: Batch) -> bool
     return beyond > 0.0 and beyond > (1.0 - EXPLAINED_SHARE) * _gain(stack, base, name, batch)
 
 
+def log_prior(stack: Stack, base: Stack, effects: Sequence[str], batch: Batch) -> float:
+    """Return the log prior of sizes and nuisance parameters, less what effects gain only at bounds, nats."""
+    beyond = sum(gained_at_bounds(stack, base, name, batch) for name in effects)
+    return stack.log_size_prior(base, effects) + stack.log_nuisance_prior() - beyond
+
+
 def gained_at_bounds(stack: Stack, base: Stack, name: str, batch: Batch) -> float:
     """Return what an effect gains only with parameters at bounds, nats: its source allows no more of them.
 

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate.few import COARSER
 from noise.discrepancy.name.candidates import starts_of
 from noise.discrepancy.name.folds import Folds
@@ -29,6 +30,7 @@ class Fits(Protocol):
     common: Stack
     folds: Folds
     parts: tuple[Batch, ...]
+    pings: Floats
     screen: Batch
     names: tuple[str, ...]
     without: tuple[str, ...]
@@ -88,5 +90,5 @@ def with_threshold(search: Fits, current: Hypothesis) -> Hypothesis:
     best = likeliest(starts, search.screen)
     found = search.crossed(best, current, (*current.effects, THRESHOLD), own_scatter=False)
     gain = found.nats - current.nats
-    good = gain.sum() > max(search.least_gain, 2.0 * standard_error(gain))
+    good = gain.sum() > max(search.least_gain, 2.0 * standard_error(gain, search.pings))
     return found if good else current

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from acquisition.arrays import Bits, Floats
+from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.moments.sample import MIN_CLUSTERS, positions
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
-DEAL = np.array([0, 0, 1, 1, 2])  # of every five neighbouring units: two in each fold, one unseen; chosen here
+UNSEEN = 2
+DEAL = np.array([0, 0, 1, 1, UNSEEN])  # of every five neighbouring units: two in each fold, one unseen; chosen here
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +36,20 @@ class Folds:
 
     @classmethod
     def of(cls, batch: Batch, rng: np.random.Generator) -> Folds:
-        """Deal conditions, or runs of a moving robot, by distance and angle, so that all parts cover them alike."""
+        """Deal conditions, or runs of a moving robot, by distance and angle, so that all parts cover them alike.
+
+        A condition of more pings than its neighbours together, such as that of an empty place, is in a fold.
+        """
         index = np.unique(batch.ping.run if batch.by_run else batch.condition, return_inverse=True)[1].ravel()
         count = np.bincount(index)
         distance = np.bincount(index, batch.ping.distance) / count
         angle = np.bincount(index, np.abs(batch.ping.angle)) / count
-        rank = np.empty(len(count), dtype=np.int64)
-        rank[np.lexsort((angle, distance))] = np.arange(len(count))
-        deal = np.concatenate([rng.permutation(DEAL) for _ in range(-(-len(count) // len(DEAL)))])
-        part = deal[rank][index]
+        order = np.lexsort((angle, distance))
+        starts = range(0, len(count), len(DEAL))
+        dealt = [_fair(rng.permutation(DEAL), count[order[k : k + len(DEAL)]]) for k in starts]
+        part = np.concatenate(dealt)[np.argsort(order)][index]
         first, second, unseen = (batch.select(part == k) for k in range(3))
-        return cls(first, second, batch.select(part < 2), unseen, part == 2)
+        return cls(first, second, batch.select(part != UNSEEN), unseen, part == UNSEEN)
 
     def crossed(self, nats: Callable[[int, Batch], Floats]) -> Floats:
         """Return sums over units of both folds: `nats(k, other)` scores what was fitted on fold k on the other."""
@@ -62,6 +66,15 @@ class Folds:
     def in_first(self, batch: Batch) -> Bits:
         """Return which pings of a batch are in the first fold, (n,)."""
         return np.isin(batch.condition, self.first.condition)
+
+
+def _fair(deal: Ints, count: Ints) -> Ints:
+    """Return parts dealt to neighbours, another being unseen instead of one that has most of their pings."""
+    deal, most = deal[: len(count)].copy(), int(count.argmax())
+    if deal[most] == UNSEEN and 2 * count[most] > count.sum():
+        deal[most] = 0
+        deal[np.flatnonzero(np.arange(len(deal)) != most)[:1]] = UNSEEN
+    return deal
 
 
 def with_simulated_offset(batch: Batch, law: Stack, simulated: Batch) -> Batch:

@@ -36,9 +36,19 @@ class Hypothesis:
         return float(self.nats.sum()) + self.prior
 
 
-def standard_error(per_visit: Floats) -> float:
-    """Return the standard error of a sum over independent visits."""
-    return float(np.sqrt(len(per_visit)) * np.std(per_visit)) if len(per_visit) > 1 else float("inf")
+def standard_error(per_visit: Floats, pings: Floats | None = None) -> float:
+    """Return the standard error of a sum over independent visits.
+
+    Of visits of unequal length it is that of a ratio estimator (Cochran 1977): a long visit adds more, as expected.
+
+    Args:
+        per_visit: terms of the sum, (n,).
+        pings: of each visit, (n,); alike by default.
+    """
+    if len(per_visit) < 2:
+        return float("inf")
+    size = np.ones(len(per_visit)) if pings is None else pings
+    return float(np.linalg.norm(per_visit - size * per_visit.sum() / size.sum()))
 
 
 def may_lead(lag: float, behind: Floats, least: float) -> bool:

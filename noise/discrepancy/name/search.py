@@ -22,10 +22,10 @@ from noise.discrepancy.name.candidates import (
     as_in,
     candidate_names,
     explains_nothing,
-    gained_at_bounds,
     gains_of,
     keys_of,
     leading,
+    log_prior,
     starts_of,
     with_sampled_bounds,
 )
@@ -95,6 +95,7 @@ class Search:
         self.parts = self.folds.divided(self.joined)
         self.screen = self.parts[0].thin(SCREEN_PINGS)
         self.names = candidate_names(self.common, self.folds.both, self.without)
+        self.pings = np.concatenate([part.unit_sums(np.ones(len(part))) for part in self.parts])
 
     def _familiar(self, common: Stack) -> Stack:
         """Return the law of the simulation with its nuisance parameters as the expectation for the recording."""
@@ -185,15 +186,10 @@ class Search:
         subtracted for each (Schwarz 1978, BIC).
         """
         nats = np.concatenate(list(map(Batch.unit_sums, self.parts, self.predictions(effects, stacks))))
-        prior = float(np.mean([self.log_prior(stack, effects) for stack in stacks]))
+        prior = float(np.mean([log_prior(stack, self.common, effects, self.joined) for stack in stacks]))
         if len(self.parts) == 1:
             prior -= 0.5 * len(self.keys(effects)) * np.log(len(nats))
         return Hypothesis(tuple(effects), tuple(stacks), nats, prior)
-
-    def log_prior(self, stack: Stack, effects: Sequence[str]) -> float:
-        """Return the log prior of sizes and nuisance parameters, less what is gained only at bounds, nats."""
-        beyond = sum(gained_at_bounds(stack, self.common, name, self.joined) for name in effects)
-        return stack.log_size_prior(self.common, effects) + stack.log_nuisance_prior() - beyond
 
     def predictions(self, effects: Sequence[str], stacks: Sequence[Stack]) -> list[Floats]:
         """Return the log probability of each reading of each part by the law fitted to the other, nats, (n,) each."""
@@ -252,7 +248,7 @@ class Search:
         also = replace(current, effects=(*current.effects, JITTER))
         gain = also.nats - self.left_out(also, JITTER).nats
         effects = float((current.nats - self.null().nats).sum()) if current.effects else 0.0
-        good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain), effects)
+        good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain, self.pings), effects)
         return self.pruned(also) if good else current
 
     def held_scatter(self, found: Hypothesis) -> Hypothesis:
@@ -355,7 +351,8 @@ class Search:
         if not good:
             return None
         best = max(good, key=lambda name: good[name])
-        close = [n for n in good if good[best] - good[n] < max(1.0, standard_error(gains[best] - gains[n]))]
+        error = {n: standard_error(gains[best] - gains[n], self.pings) for n in good}
+        close = [n for n in good if good[best] - good[n] < max(1.0, error[n])]
         return min(close, key=lambda name: (len(self.keys([name])), -good[name]))
 
     def common_value(self, found: Hypothesis, name: str) -> Stack | None:

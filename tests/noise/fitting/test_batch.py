@@ -40,6 +40,16 @@ def test_thinning_retains_the_beginning_of_every_visit():
     assert set(np.bincount(thin.visit)) == {5}
 
 
+@given(st.lists(st.integers(1, 30), min_size=20, max_size=80), st.integers(30, 200))
+@settings(max_examples=40, deadline=None)
+def test_thinning_returns_about_as_many_pings_as_it_may(n_pings, n):
+    distance = np.repeat(np.linspace(0.5, 3, len(n_pings)), n_pings)
+    batch = Batch.of(recording_of(distance, distance))
+    thin = batch.thin(n)
+    assert len(thin) >= min(0.4 * n, len(batch))
+    assert len(thin) <= max(n, 2 * thin.n_visits)
+
+
 def test_pings_without_an_answer_are_omitted_and_a_recording_without_answers_is_an_error():
     table = recording_of(np.full(3, 1.0), [1.0, 1.0, 1.0]).table
     assert len(Batch.of(Recording(table.assign(reading_mm=[1000.0, np.nan, 1000.0])))) == 2

@@ -36,3 +36,12 @@ def test_no_condition_of_a_survey_is_in_two_parts():
     conditions = [set(part.condition) for part in (folds.first, folds.second, folds.unseen)]
     assert len(set.union(*conditions)) == sum(map(len, conditions)) == len(np.unique(batch.condition))
     np.testing.assert_array_equal(np.unique(batch.condition[folds.is_unseen]), np.unique(folds.unseen.condition))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_place_with_most_pings_is_not_unseen(seed):
+    distance = np.r_[np.full(400, 2.65), np.random.default_rng(seed).uniform(0.9, 1.5, 300)]
+    batch = Batch.of(Recording.of(Ping.of(distance, time=np.arange(700.0)), Reading.of(np.round(distance, 3))))
+    folds = Folds.of(batch, np.random.default_rng(seed))
+    assert len(folds.unseen) < 0.2 * len(batch)
+    assert len(folds.unseen) == pytest.approx(60, abs=2)

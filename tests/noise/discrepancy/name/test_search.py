@@ -10,6 +10,7 @@ from noise.discrepancy.name.alternatives import place_of, weights
 from noise.discrepancy.name.candidates import (
     explains_nothing,
     gained_at_bounds,
+    log_prior,
     resolved_periods,
     sampled_bounds,
     shows,
@@ -18,7 +19,7 @@ from noise.discrepancy.name.candidates import (
 from noise.discrepancy.name.estimates import conclude, intervals
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis
+from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
 from tests.noise.discrepancy.made import batch_of, law_of
@@ -228,15 +229,16 @@ def test_a_fixed_echo_far_away_is_no_ring_down_with_its_least_decay():
 
 
 def test_what_is_gained_only_at_a_bound_counts_for_nothing():
-    search = search_of(CHANGES["noise_burst"])
-    none = search.null()
-    size = next(p for p in CATALOGUE["noise_burst"].parameters if p.name == "sigma_m")
-    stacks = [none.stacks[0].at({("noise_burst", "probability"): 0.3, ("noise_burst", "sigma_m"): size.high})] * 2
-    beyond = gained_at_bounds(stacks[0], search.common, "noise_burst", search.joined)
+    search = search_of({"fixed_clutter": {"presence": 0.1, "range_m": 0.7, "spread_m": 0.001}})
+    values = {("ring_down", "probability"): 0.08, ("ring_down", "range_m"): 0.7}
+    decay = search.common.parameter(("ring_down", "decay_m"))
+    short, longer = (
+        search.null().stacks[0].at({**values, ("ring_down", "decay_m"): each}) for each in (decay.low, 2.0 * decay.low)
+    )
+    beyond = gained_at_bounds(short, search.common, "ring_down", search.joined)
     assert beyond > 0.0
-    inside = [stack.at({("noise_burst", "sigma_m"): 0.5 * size.high}) for stack in stacks]
-    priors = [search.log_prior(each[0], ("noise_burst",)) for each in (stacks, inside)]
-    sizes = [each[0].log_size_prior(search.common, ("noise_burst",)) for each in (stacks, inside)]
+    sizes = [stack.log_size_prior(search.common, ["ring_down"]) for stack in (short, longer)]
+    priors = [log_prior(stack, search.common, ["ring_down"], search.joined) for stack in (short, longer)]
     assert priors[0] - priors[1] == pytest.approx(sizes[0] - sizes[1] - beyond)
 
 
@@ -247,6 +249,15 @@ def test_the_level_of_what_is_heard_anyway_may_end_at_its_bound():
     stack = law_of().at({("background_reflector", name): value for name, value in behind.items()})
     loudest = stack.at({("background_reflector", "loss_db"): loss.low})
     assert gained_at_bounds(loudest, law_of(), "background_reflector", batch) == 0.0
+
+
+def test_errors_of_sums_over_long_and_short_visits_are_those_of_repeated_surveys():
+    rng = np.random.default_rng(0)
+    pings = np.r_[np.full(3, 200.0), np.full(100, 5.0)]
+    sums = rng.normal(0.6 * pings, 0.5 * np.sqrt(pings), (4000, len(pings)))
+    stated = np.median([standard_error(each, pings) for each in sums])
+    assert stated == pytest.approx(np.std(sums.sum(axis=1)), rel=0.3)
+    assert np.median([standard_error(each) for each in sums]) > 5.0 * stated
 
 
 def test_few_conditions_are_one_part_and_each_parameter_costs_what_it_gains_by_chance():
