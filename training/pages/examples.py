@@ -95,7 +95,7 @@ EXAMPLES = {
         beside={"rearm_dead_time": {"deaf_m": 1.0}},
     ),
     "ring_down": Example(r"P(r > z) = e^{-(z - z_0) / \delta}", {"probability": 0.3, "range_m": 0.1, "decay_m": 0.1}),
-    "previous_ping": Example(r"s = s_f - c \, \Delta t / 2", {"presence": 0.5, "far_m": 12.0}),
+    "previous_ping": Example(r"s = s_f + n \, d' - c \, \Delta t / 2", {"presence": 0.5, "far_m": 12.0}),
     "synchronous_crosstalk": Example(r"s = \tfrac12 (d + d_o)", {"presence": 0.5, "other_m": 1.0}),
     "asynchronous_crosstalk": Example(
         r"s = \tfrac12 c \, (t_1 + k \tau - t)", {"presence": 0.5, "period_s": 0.0713, "spread_m": 0.1}
