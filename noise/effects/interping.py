@@ -40,7 +40,7 @@ class PreviousPing(Effect):
         Parameter(
             "far_m", "m", 12.0, 0.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
         ),
-        Parameter("trips", "1", 0.0, 0.0, 2.0, "to the target: none, its echo, the second one; chosen here", (0.0,)),
+        Parameter("trips", "1", 0.0, 0.0, 2.0, "to the target; chosen here", (0.0,)),
         Parameter("wait_m", "m", 0.0, 0.0, 3.5, "bursts with waits of 2 to 20 ms as range; chosen here", (0.0,)),
     )
     presence: Tensor
