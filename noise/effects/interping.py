@@ -25,7 +25,7 @@ class PreviousPing(Effect):
     """The echo of the previous ping from farther away arrives during this ping: range far - c interval / 2.
 
     Far is `trips` times the distance of the target when that ping was fired, and `far_m`: another reflector with 0, the
-    target itself or what stands behind it with 1, the second round trip to the target with 2. Within a burst, each ping
+    target itself or what stands behind it with 1, a further round trip to the target with 2 or 3. Within a burst, each ping
     is fired a fixed wait after the last echo, so that the reading is far - last reading - `wait_m`: each depends on the
     last. With `wait_m` = 0 the logged interval is used.
     """
@@ -38,9 +38,9 @@ class PreviousPing(Effect):
     parameters = (
         presence(0.3),
         Parameter(
-            "far_m", "m", 12.0, 0.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
+            "far_m", "m", 0.0, 0.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
         ),
-        Parameter("trips", "1", 0.0, 0.0, 2.0, "to the target; chosen here", (0.0,)),
+        Parameter("trips", "1", 0.0, 0.0, 3.0, "to the target; chosen here", (0.0,)),
         Parameter("wait_m", "m", 0.0, 0.0, 3.5, "bursts with waits of 2 to 20 ms as range; chosen here", (0.0,)),
     )
     presence: Tensor
@@ -53,7 +53,9 @@ class PreviousPing(Effect):
         length = self.far_m + self.trips * self._distance_before(state)
         early, possible = self._since_last(state)
         possible = possible & (early < length)
-        repeated = torch.clamp(self.trips - 1.0, min=0.0)  # the level of a second trip is known, that of others is not
+        repeated = torch.clamp(
+            self.trips - 1.0, min=0.0, max=1.0
+        )  # the level of a second trip is known, that of others is not
         level_db = heard_level_db(length) + repeated * (wall_level_db(length) - heard_level_db(length))
         path = new_path("previous", length, level_db, self.presence * possible.to(torch.float64))
         return state.with_path(replace(path, lag=-early))
@@ -91,7 +93,7 @@ class PreviousPing(Effect):
         """Return a sentence with the distance of the far reflector."""
         v = self.values
         sources = f"a reflector at {v['far_m']:.2f} m", f"what is {v['far_m']:.2f} m behind the target"
-        source = (*sources, "the target's second echo")[round(v["trips"])]
+        source = (*sources, "the target's second echo", "the target's third echo")[round(v["trips"])]
         read = f"is read as a near echo of the current ping, in {100 * v['presence']:.3g} % of pings"
         return f"A far echo of the previous ping, from {source}, {read}."
 

@@ -242,6 +242,14 @@ def test_what_is_gained_only_at_a_bound_counts_for_nothing():
     assert priors[0] - priors[1] == pytest.approx(sizes[0] - sizes[1] - beyond)
 
 
+@pytest.mark.parametrize("trips", [0.0, 1.0, 2.0])
+def test_round_trips_to_the_target_alone_are_no_bound(trips):
+    change = {"previous_ping": {"presence": 0.5, "far_m": 12.0 if trips == 0.0 else 0.0, "trips": trips, "wait_m": 0.3}}
+    batch = batch_of(change)
+    law = law_of().at({("previous_ping", name): value for name, value in change["previous_ping"].items()})
+    assert gained_at_bounds(law, law_of(), "previous_ping", batch) == 0.0
+
+
 def test_the_level_of_what_is_heard_anyway_may_end_at_its_bound():
     behind = {"presence": 0.9, "behind_m": 0.4, "loss_db": 0.0, "follow": 0.0}
     batch = batch_of({"background_reflector": behind})
