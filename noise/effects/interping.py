@@ -25,9 +25,9 @@ class PreviousPing(Effect):
     """The echo of the previous ping from farther away arrives during this ping: range far - c interval / 2.
 
     Far is `trips` times the distance of the target when that ping was fired, and `far_m`: another reflector with 0, the
-    target itself or what stands behind it with 1, a further round trip to the target with 2 or 3. Within a burst, each ping
-    is fired a fixed wait after the last echo, so that the reading is far - last reading - `wait_m`: each depends on the
-    last. With `wait_m` = 0 the logged interval is used.
+    target itself or what stands behind it with 1, a further round trip to the target with 2 or 3. Within a burst, each
+    ping is fired a fixed wait after the last echo, so that the reading is far - last reading - `wait_m`: each depends
+    on the last. With `wait_m` = 0 the logged interval is used.
     """
 
     name = "previous_ping"
