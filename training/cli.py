@@ -81,6 +81,7 @@ GROUPS = {
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 COMPLETION = "completion"
+SPECIFICATION = "COMPLETION_SPEC = "  # the line of the script that holds commands, options and descriptions
 SHELLS = ("bash", "zsh", "fish")
 FOOT = """`sonar-gym COMMAND --help` lists the options of each; --debug shows the traceback of a failure.
 `sonar-gym --version`; `sonar-gym completion bash|zsh|fish` prints a script for the shell."""
@@ -131,7 +132,9 @@ def completion(argv: Sequence[str]) -> str:
     script = io.StringIO()
     with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
         tyro.extras.subcommand_cli_from_dict(settings, prog="sonar-gym", args=["--tyro-print-completion", argv[0]])
-    return script.getvalue()
+    # a shell takes every line of a description for another completion
+    lines = script.getvalue().splitlines(keepends=True)
+    return "".join(line.replace(r"\n", " ") if line.startswith(SPECIFICATION) else line for line in lines)
 
 
 def _run(name: str, argv: Sequence[str]) -> None:

@@ -41,6 +41,8 @@ def test_a_shell_completes_commands_and_options(shell, capsys):
     text = capsys.readouterr().out
     assert all(name in text for name in COMMANDS)
     assert "--range-register" in text
+    specification = [line for line in text.splitlines() if line.startswith("COMPLETION_SPEC = ")]
+    assert not any(r"\n" in line for line in specification)
 
 
 def test_an_unknown_shell_is_named(capsys):
