@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -47,6 +48,40 @@ def test_an_interruption_ends_the_workers_at_once(tmp_path, to):
     _, error = process.communicate()  # pytest's own limit of time is shorter than the jobs
     assert (process.returncode, error) == (130, "")
     assert list(tmp_path.iterdir()) == [path]
+
+
+KILLED = """
+import os, time
+from training.common.workers import worker_processes
+if __name__ == "__main__":
+    with worker_processes(2) as pool:
+        print(*{pool.submit(os.getpid).result() for _ in range(20)}, flush=True)
+        time.sleep(3600)
+"""
+
+
+def is_alive(pid):
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return status.rsplit(")", 1)[1].split()[0] != "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux, which tells what a process does")
+def test_workers_end_with_a_command_that_is_killed(tmp_path):
+    path = tmp_path / "pool.py"
+    path.write_text(KILLED)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    with subprocess.Popen([sys.executable, str(path)], env=environment, **streams) as process:
+        workers = [int(pid) for pid in process.stdout.readline().split()]
+        process.kill()
+    assert workers
+    end = time.monotonic() + 30.0
+    while any(map(is_alive, workers)):
+        assert time.monotonic() < end, "workers outlive the command"
+        time.sleep(0.05)
 
 
 def test_the_results_of_the_workers_are_those_of_their_jobs():

@@ -1,14 +1,15 @@
-"""Worker processes that end with their command, also where Ctrl-C interrupts it."""
+"""Worker processes that end with their command, also where Ctrl-C interrupts it or it is killed."""
 
 from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 
 from acquisition.io.files import UNFINISHED
@@ -46,8 +47,17 @@ def worker_processes(
 def _begin(begin: Callable[[], object] | None) -> None:
     """Begin in a worker."""
     signal.signal(signal.SIGTERM, _end)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if begin is not None:
         begin()
+
+
+def _end_with_parent() -> None:
+    """End when the process that started this one is no more, which a worker that waits for work does not see."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        _end(signal.SIGTERM, None)
 
 
 def _end(number: int, _: object) -> None:

@@ -8,10 +8,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from acquisition import Recording
 from acquisition.extras import require
 from training.common.commit import ROOT
+from training.common.workers import worker_processes
 from training.diagnosis.generators.trial import RECORDINGS
 from training.diagnosis.judging.record import judged
 from training.diagnosis.judging.tasks import Case, Task, case_of
@@ -115,7 +114,7 @@ def _scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:
 @contextmanager
 def local(workers: int) -> Iterator[Call]:
     """Yield the calls of processes on this machine."""
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with worker_processes(workers) as pool:
         yield lambda function, *arguments: pool.submit(function, *arguments).result()
 
 
