@@ -53,9 +53,8 @@ class PreviousPing(Effect):
         length = self.far_m + self.trips * self._distance_before(state)
         early, possible = self._since_last(state)
         possible = possible & (early < length)
-        repeated = torch.clamp(
-            self.trips - 1.0, min=0.0, max=1.0
-        )  # the level of a second trip is known, that of others is not
+        # the level of a second trip is known, that of other reflectors is not
+        repeated = torch.clamp(self.trips - 1.0, min=0.0, max=1.0)
         level_db = heard_level_db(length) + repeated * (wall_level_db(length) - heard_level_db(length))
         path = new_path("previous", length, level_db, self.presence * possible.to(torch.float64))
         return state.with_path(replace(path, lag=-early))
