@@ -123,7 +123,7 @@ def readings(axes: Axes, compared: Compared, name: str) -> None:
     size = 6 if len(rows) < 500 else 3
     axes.plot(
         value[rows][echo],
-        batch.reading.range[rows][echo],
+        1000.0 * batch.reading.range[rows][echo],
         ".",
         ms=size,
         color=INK,
@@ -132,9 +132,9 @@ def readings(axes: Axes, compared: Compared, name: str) -> None:
         label="recorded",
     )
     for prediction, colour, text, style in compared.each:
-        x, y = binned(value, np.where(prediction.median > 0, prediction.median, np.nan), np.nanmedian)
+        x, y = binned(value, 1000.0 * np.where(prediction.median > 0, prediction.median, np.nan), np.nanmedian)
         axes.plot(x, y, style, color=colour, lw=1.8, label=text)
-    axes.set(xlabel=axis(name, compared.before.batch)[0], ylabel="reading (m)")
+    axes.set(xlabel=axis(name, compared.before.batch)[0], ylabel="reading (mm)")
     axes.legend(loc="best")
 
 

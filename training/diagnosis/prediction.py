@@ -22,7 +22,7 @@ MAX_PINGS = 10_000  # in a figure; more cost seconds and are not visible
 DEG = 180.0 / np.pi
 # column -> label of its axis, factor to the unit of the label
 AXES = {
-    "distance": ("true distance (m)", 1.0),
+    "distance": ("true distance (mm)", 1000.0),
     "angle": ("angle (deg)", DEG),
     "incidence": ("incidence angle (deg)", DEG),
     "reflectance": ("reflectance", 1.0),
