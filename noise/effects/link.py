@@ -133,7 +133,7 @@ class Stuck(Effect):
 
 
 class NoiseBurst(Effect):
-    """With `probability` an echo has a normal error of `sigma_m` about the true range: the thesis's NOISE fault."""
+    """With `probability` an echo has a normal error of `sigma_m` about what it would read: the thesis's NOISE fault."""
 
     name = "noise_burst"
     stage = Stage.SEQUENCE
@@ -149,7 +149,7 @@ class NoiseBurst(Effect):
 
     def apply(self, state: State) -> State:
         """Add a replacement by a wide normal about the reading of the direct echo."""
-        centre = state.scale * state.direct.length + state.offset
+        centre = state.scale * (state.direct.length + _mean_level(state.direct.lag)) + state.offset
         zero = number(0.0)
         atom = Atom(self.probability, lambda edge: ndtr((edge - centre) / self.sigma_m), zero, zero, of_echo=True)
         return state.with_atom(atom)

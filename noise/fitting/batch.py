@@ -23,7 +23,7 @@ MAX_STATIONARY_M = 0.01  # change of the logged distance of a stationary target;
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Answered pings sorted by visit and, within a visit, by time.
+    """Answered pings sorted by visit and, within a visit, as in the recording.
 
     Attributes:
         ping: pings, (n,).

@@ -19,10 +19,10 @@ from torch import Tensor
 from acquisition import Recording
 from acquisition.arrays import Floats
 from noise.fitting.batch import Batch
-from noise.fitting.likelihood import likeliest, log_likelihood
+from noise.fitting.likelihood import at_each, likeliest
 from noise.fitting.stack import JITTER, NUISANCES, SIMULATION_CORRELATION, SPREAD, STEPWISE, VISITS, Key, Stack
 from noise.fitting.starts import nuisance_start
-from noise.fitting.visit_effects import law_of, log_prob
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob
 from noise.physical import PhysicalModel
 
 # all values chosen here
@@ -124,9 +124,13 @@ class Objective:
         low = np.array([min(p.low, p.null) for p in known])
         return low, np.array([max(p.high, p.null) for p in known])
 
-    def visit_nats(self, x: Floats) -> Floats:
-        """Return the log-likelihood of each visit at x, nats."""
-        return self.batch.visit_sums(log_likelihood(self.stack.put(self.free, x), self.batch))
+    def unit_nats(self, points: Floats) -> Floats:
+        """Return the log-likelihood of each independent unit at each of k points, (k, p), nats, (k, units)."""
+
+        def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
+            return log_prob(law_of(model, self.batch), visits, self.batch, exact=True)
+
+        return np.stack([self.batch.unit_sums(each) for each in at_each(self.stack, self.free, points, nats)])
 
     def scale(self, x: Floats, known: Scales | None = None) -> Floats:
         """Return the step in each parameter that costs about half a nat, from finite differences of the gradient.
@@ -357,9 +361,10 @@ def fit(
 def covariance(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
     """Return the covariance of the free parameters, robust to dependence within visits, (p, p).
 
-    Huber's sandwich estimator clustered by visit, at least the inverse curvature. Rows and columns of a parameter at a
-    bound are zero, and so are those of one in which the likelihood jumps: readings bound it so closely that the others
-    are known as if it were. A wide normal prior (half the bounds) keeps unidentified parameters finite.
+    Huber's sandwich estimator clustered by visit, or by run of a robot, at least the inverse curvature. Rows and
+    columns of a parameter at a bound are zero, and so are those of one in which the likelihood jumps: readings bound it
+    so closely that the others are known as if it were. A wide normal prior (half the bounds) keeps unidentified
+    parameters finite.
     """
     objective = Objective(fitted.stack, fitted.free, batch)
     x = np.array([fitted.stack.get(key) for key in fitted.free])
@@ -375,20 +380,16 @@ def covariance(fitted: Fit, batch: Batch) -> NDArray[np.float64]:
 def _sandwich(objective: Objective, x: Floats, inside: NDArray[np.int64], scale: Floats) -> NDArray[np.float64]:
     """Return the robust covariance of the parameters at `inside`."""
     low, high = objective.bounds()
-    curvature, score = [], []
-    for j in inside:
-        step = np.zeros_like(x)
-        step[j] = min(0.5 * scale[j], 0.5 * (x[j] - low[j]), 0.5 * (high[j] - x[j]))
-        difference = objective(x + step)[1] - objective(x - step)[1]
-        curvature.append(difference[inside] / (2.0 * step[j]) * scale[j] * scale[inside])
-        above, below = (objective.visit_nats(x + sign * step) for sign in (1, -1))
-        score.append((above - below) / (2.0 * step[j]) * scale[j])
+    step = np.minimum(0.5 * scale, 0.5 * np.minimum(x - low, high - x))[inside]
+    moves = step[:, None] * np.eye(len(x))[inside]
+    unit = (scale[inside] / (2.0 * step))[:, None]
+    slopes = objective.gradients(x + moves) - objective.gradients(x - moves)
+    curvature = slopes[:, inside] * unit * scale[inside]
     prior = np.diag((scale / (0.5 * (high - low)))[inside] ** 2)
-    matrix = (np.stack(curvature) + np.stack(curvature).T) / 2.0 + prior
-    eigenvalue, vector = np.linalg.eigh(matrix)
+    eigenvalue, vector = np.linalg.eigh((curvature + curvature.T) / 2.0 + prior)
     inverse = (vector / np.maximum(eigenvalue, 0.02)) @ vector.T
-    by_visit = np.stack(score, axis=1)
-    n_visits, p = by_visit.shape
-    robust = inverse @ (by_visit.T @ by_visit) @ inverse * n_visits / max(n_visits - p, 1)
+    by_unit = ((objective.unit_nats(x + moves) - objective.unit_nats(x - moves)) * unit).T
+    n_units, p = by_unit.shape
+    robust = inverse @ (by_unit.T @ by_unit) @ inverse * n_units / max(n_units - p, 1)
     robust += np.diag(np.maximum(np.diag(inverse) - np.diag(robust), 0.0))
     return robust * np.outer(scale[inside], scale[inside])

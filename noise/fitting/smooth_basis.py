@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition.arrays import Floats
@@ -89,11 +88,6 @@ class Basis:
         by_condition, by_level = kernel(x, self.term.centres), level_kernel(level, self.term.level_centres)
         return torch.cat([by_condition @ self.root, by_level @ self.level_root], dim=1)
 
-    @property
-    def none(self) -> Coefficients:
-        """No correction."""
-        return Coefficients((), np.zeros((self.root.shape[1] + self.level_root.shape[1], 0)))
-
     def with_weights(self, coefficients: dict[str, Floats]) -> Smooth:
         """Return the correction with given coefficients, (p,) for each aspect."""
         m, old = self.root.shape[1], self.term
@@ -149,10 +143,6 @@ class Problem:
     @cached_property
     def _functions(self) -> dict[int, Tensor]:
         return {}
-
-    def select(self, rows: NDArray[np.bool_]) -> Problem:
-        """Return the problem for some visits."""
-        return replace(self, batch=self.batch.select(rows))
 
 
 def basis_of(problem: Problem, names: Sequence[str], rng: np.random.Generator) -> Basis:
@@ -213,11 +203,6 @@ class Coefficients:
 
     heads: tuple[str, ...]
     value: Floats
-
-    def scaled(self, functions: Tensor, basis: Basis) -> dict[str, Tensor]:
-        """Return the corrections, (n,) each."""
-        eta = functions @ torch.from_numpy(self.value)
-        return {head: basis.prior_sd[head] * eta[:, k] for k, head in enumerate(self.heads)}
 
     def of(self, heads: Sequence[str]) -> Floats:
         """Return the coefficients of some aspects, zero where there are none, (p, aspects)."""

@@ -36,6 +36,7 @@ SHARED = (
 )
 STEPWISE = ("step_m", "unit_m")  # parameters that a law has no derivative in
 NUISANCES: tuple[Key, ...] = (*SPREAD, *SHARED)
+OF_A_KIND = tuple(key for key in NUISANCES if key != SIMULATION_CORRELATION)  # alike in recordings of such a sonar
 FAMILIAR_SD = float(np.log(2.0))  # of the ratio of a nuisance parameter in two recordings of one kind; chosen here
 
 

@@ -97,21 +97,20 @@ def guesses_of(effect: type[Effect], batch: Batch) -> list[dict[str, float]]:
 
 def _one_at_a_time(stack: Stack, keys: Sequence[Key], batch: Batch) -> list[list[float]]:
     """Return the parameter values with each one in turn fitted to the target's echo."""
-    here = [stack.get(key) for key in keys]
-    moved = [(j, fitting_value(stack, key, batch)) for j, key in enumerate(keys)]
+    if not keys or stack.known[keys[0][0]].stage == Stage.SEQUENCE:  # it acts after the echo was timed
+        return []
+    here, expected = [stack.get(key) for key in keys], target_echo(stack, batch)
+    moved = [(j, fitting_value(stack, key, batch, expected)) for j, key in enumerate(keys)]
     return [[*here[:j], value, *here[j + 1 :]] for j, value in moved if value is not None]
 
 
-def fitting_value(stack: Stack, key: Key, batch: Batch) -> float | None:
+def fitting_value(stack: Stack, key: Key, batch: Batch, expected: Floats) -> float | None:
     """Return the least-absolute-error value of a parameter, from a linear model of the target's echo.
 
     It is the median of error / slope weighted by |slope|, which outliers hardly affect. None if the parameter does not
-    shift the echo.
+    shift the echo, `expected`, m, (n,).
     """
-    if stack.known[key[0]].stage == Stage.SEQUENCE:  # after the echo was timed
-        return None
-    p, expected = stack.parameter(key), target_echo(stack, batch)
-    rate, error = slope(stack, key, batch, expected), batch.reading.range - expected
+    p, rate, error = stack.parameter(key), slope(stack, key, batch, expected), batch.reading.range - expected
     moves = batch.is_target(error) & (np.abs(rate) * (p.high - p.low) > MIN_SHIFT_M)
     if not moves.any():
         return None

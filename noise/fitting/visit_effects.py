@@ -183,7 +183,7 @@ def log_weights(log_likelihood: Tensor, batch: Batch) -> Tensor:
 
 
 def all_banks(law: PhysicalLaw, visits: VisitEffects, batch: Batch) -> PhysicalLaw:
-    """Return the laws of `sequential` as one law with a batch dimension, (banks, n), for a single evaluation."""
+    """Return the law of each bank as one law with a batch dimension, (banks, n), for a single evaluation."""
     mean, variance = predicted_offset(law, visits, batch)
     return shifted(law, mean[:, None], variance[:, None])
 
@@ -201,7 +201,7 @@ def with_floor_and_urn(own: Tensor, visits: VisitEffects, batch: Batch, last_ste
 
 
 def _own(law: PhysicalLaw, visits: VisitEffects, batch: Batch, exact: bool) -> Tensor:
-    """Return the probability of each reading under both banks, (banks, n), given the echoes before it in its visit."""
+    """Return the probability of each reading under each bank, (banks, n), given the echoes before it in its visit."""
     banks = all_banks(law, visits, batch)
     echo, place = torch.from_numpy(batch.reading.echo), banks.echo_tensor(banks.step(batch.reading.range))
     # 1 where there is no echo: what is not used there would still make the gradient NaN

@@ -271,7 +271,7 @@ class Halves:
     @classmethod
     def of(cls, stack: Stack, batch: Batch, rng: np.random.Generator) -> Halves:
         """Divide the visits, and fit the spread of a law to each half."""
-        half = rng.permutation(np.arange(batch.n_visits) % 2)[batch.visit]
+        half = rng.permutation(np.arange(batch.unit.max() + 1) % 2)[batch.unit]
         parts = batch.select(half == 0), batch.select(half == 1)
         return cls(parts, _crossed(stack, SPREAD, parts))
 

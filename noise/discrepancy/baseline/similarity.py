@@ -166,5 +166,5 @@ def similarity(
     reached = trees.leaves(x)
     times = float(batch.ping.time.min()), float(batch.ping.time.max())
     found = Similarity(tuple(names), times, np.median(x, axis=0), trees, np.where(drawn, reached, -1))
-    # with a single visit every tree was grown on it, and it can only be predicted from itself
-    return found, reached, ~drawn if batch.n_visits > 1 else drawn
+    # where all were grown on one visit, it can only be predicted from itself
+    return found, reached, drawn if drawn.all() else ~drawn

@@ -116,7 +116,7 @@ def grow(batch: Batch, x: Floats, y: Floats, rng: np.random.Generator) -> tuple[
     """Return extremely randomised trees (Geurts et al. 2006), each grown without one fold of the visits.
 
     Args:
-        batch: readings.
+        batch: readings; of a robot, runs are dealt to folds.
         x: inputs, (n, d).
         y: what the leaves are to agree in, (n, k).
         rng: deals visits to folds, and draws thresholds.
@@ -125,9 +125,10 @@ def grow(batch: Batch, x: Floats, y: Floats, rng: np.random.Generator) -> tuple[
         The trees, and whether each was grown on each ping, (n, t).
     """
     single, grown, drawn = x.astype(np.float32), [], []
-    n_folds = min(N_FOLDS, batch.n_visits)
+    n_units = int(batch.unit.max()) + 1
+    n_folds = min(N_FOLDS, n_units)
     for _ in range(N_DEALS):
-        fold = rng.permutation(np.arange(batch.n_visits) % n_folds)[batch.visit]
+        fold = rng.permutation(np.arange(n_units) % n_folds)[batch.unit]
         for k in range(n_folds):
             used = fold != k if n_folds > 1 else fold == k
             seed = int(rng.integers(2**31))

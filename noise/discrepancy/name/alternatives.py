@@ -45,12 +45,13 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     after it, or where the law of the simulation has changed; those that are not far behind have all nuisance parameters
     free at last, as the selected effects had.
     """
-    given = next((effects for effects, tried in search.tried.items() if name in tried), None)
-    if given is None:  # added first or last, without others in its place
+    others = {each for each in found.effects if each != name}
+    rounds = [effects for effects, tried in search.tried.items() if name in tried]
+    if not rounds:  # added first or last, without others in its place
         return Place(name, {name: 1.0}, np.inf, {name: found.stacks[0]})
-    others = tuple(each for each in found.effects if each != name)
+    given = max(rounds, key=lambda effects: (others.issuperset(effects), len(effects)))
     fits = {other: hypothesis for other, hypothesis in search.tried[given].items() if other not in found.effects}
-    if set(given) != set(others) or search.base[given][0] is not search.common:
+    if set(given) != others or search.base[given][0] is not search.common:
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
     fits = {other: search.polished(fit) if _is_near(search, found, fit) else fit for other, fit in fits.items()}

@@ -83,15 +83,24 @@ def keys_of(base: Stack, name: str, batch: Batch) -> tuple[Key, ...]:
     return tuple((name, p.name) for p in every if p.low < p.high and p.identifiable(batch.ping.covariates))
 
 
-def starts_of(stack: Stack, name: str, grid: Batch, whole: Batch, rng: np.random.Generator) -> list[Stack]:
+def starts_of(
+    stack: Stack, narrow: Stack, name: str, grid: Batch, whole: Batch, rng: np.random.Generator
+) -> list[Stack]:
     """Return starting points of an effect: with the present scatter, and for outliers with that of most readings.
 
     Outliers stretch the scatter of a law without them, and no local fit leads back from there.
+
+    Args:
+        stack: without the effect.
+        narrow: the same with the scatter of most readings, `narrowed`.
+        name: effect id.
+        grid: readings for the extra modes.
+        whole: readings for the other estimates.
+        rng: scrambles the design.
     """
     points = starting_points(stack, name, grid, rng, DESIGN, whole)
     if not stack.known[name].localised:
         return points
-    narrow = narrowed(stack, whole)
     if narrow.get(SPREAD[0]) > 0.7 * stack.get(SPREAD[0]) and narrow.get(SPREAD[2]) > 0.5 * stack.get(SPREAD[2]):
         return points
     values = [{key: point.get(key) for key in keys_of(stack, name, whole)} for point in points]

@@ -55,8 +55,8 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     """Return the interval of every parameter of the effects.
 
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
-    the simulation is known no better than its readings allow. A two-sided parameter, such as an offset, and the
-    probability of lost readings are those of the difference: what the law of the simulation has, and what its own
+    the simulation is known no better than its readings allow. A size that may have either sign, such as an offset, and
+    the probability of lost readings are those of the difference: what the law of the simulation has, and what its own
     readings would add, are subtracted. Where the curvature says nothing, the likelihood itself gives the interval.
     """
     fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
@@ -102,7 +102,8 @@ def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
     """Return how far a parameter of a difference lies from its null value in the simulation, and the standard error."""
     p, effect = search.common.parameter(key), search.common.known[key[0]]
     alone = effect.by_ping and len(effect.parameters) == 1 and key[0] in search.common.values
-    adds = p.low < p.null < p.high or alone  # with other parameters, the simulation may have another fault of the kind
+    # a place or a width is the recording's own; with several parameters, the simulation may have another such fault
+    adds = (p.typical > 0.0 and p.low < p.null < p.high) or alone
     if search.simulated is None or not adds:
         return 0.0, 0.0
     fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)

@@ -10,14 +10,14 @@ import numpy as np
 
 from acquisition.arrays import Floats
 from noise.discrepancy.locate.few import COARSER
-from noise.discrepancy.name.candidates import starts_of
+from noise.discrepancy.name.candidates import DESIGN
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.effects.receiver import MAX_STEP_M
 from noise.fitting.batch import Batch, share_without_echo
 from noise.fitting.likelihood import likeliest
 from noise.fitting.stack import Key, Stack
-from noise.fitting.starts import nuisance_starts
+from noise.fitting.starts import nuisance_starts, starting_points
 
 REGISTERS, STEP = ("quantisation", "truncation"), "step_m"
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
@@ -86,7 +86,7 @@ def with_threshold(search: Fits, current: Hypothesis) -> Hypothesis:
     known = THRESHOLD in search.common.values or THRESHOLD in search.without
     if known or share_without_echo(search.folds.first) <= FEW_MISSED:
         return current
-    starts = starts_of(current.stacks[0], THRESHOLD, search.screen, search.parts[0], search.rng)
+    starts = starting_points(current.stacks[0], THRESHOLD, search.screen, search.rng, DESIGN, search.parts[0])
     best = likeliest(starts, search.screen)
     found = search.crossed(best, current, (*current.effects, THRESHOLD), own_scatter=False)
     gain = found.nats - current.nats

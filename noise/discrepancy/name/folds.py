@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from acquisition.arrays import Bits, Floats, Ints
+from acquisition.arrays import Bits, Ints
 from noise.discrepancy.moments.sample import MIN_CLUSTERS, positions
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -50,11 +49,6 @@ class Folds:
         part = np.concatenate(dealt)[np.argsort(order)][index]
         first, second, unseen = (batch.select(part == k) for k in range(3))
         return cls(first, second, batch.select(part != UNSEEN), unseen, part == UNSEEN)
-
-    def crossed(self, nats: Callable[[int, Batch], Floats]) -> Floats:
-        """Return sums over units of both folds: `nats(k, other)` scores what was fitted on fold k on the other."""
-        parts = [(0, self.second), (1, self.first)]
-        return np.concatenate([batch.unit_sums(nats(k, batch)) for k, batch in parts])
 
     def divided(self, batch: Batch) -> tuple[Batch, ...]:
         """Return the pings of a batch in each fold; in one part where a fold would hold too few conditions."""

@@ -26,6 +26,7 @@ from noise.discrepancy.name.candidates import (
     keys_of,
     leading,
     log_prior,
+    narrowed,
     starts_of,
     with_sampled_bounds,
 )
@@ -38,7 +39,7 @@ from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MI
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
 from noise.fitting.likelihood import log_likelihoods, predictive
-from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, SPREAD, Key, Stack
+from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, OF_A_KIND, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
@@ -99,7 +100,7 @@ class Search:
 
     def _familiar(self, common: Stack) -> Stack:
         """Return the law of the simulation with its nuisance parameters as the expectation for the recording."""
-        known = {} if self.simulated is None else {key: common.get(key) for key in NUISANCES}
+        known = {} if self.simulated is None else {key: common.get(key) for key in OF_A_KIND}
         return replace(common, familiar=known)
 
     @property
@@ -229,7 +230,7 @@ class Search:
         """
         if self.simulated is None or stack.log_nuisance_prior() > -MISSED:
             return []
-        begin = stack.put(self.nuisances, [self.common.get(key) for key in self.nuisances])
+        begin = stack.at({key: value for key, value in self.common.familiar.items() if key in self.nuisances})
         return [self.fitted(begin, self.keys(effects), batch, LONG).stack]
 
     def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
@@ -308,10 +309,10 @@ class Search:
 
     def screened(self, current: Hypothesis, tried: Container[str]) -> dict[str, Fit]:
         """Return the most promising candidates but those tried, each fitted to a part of the first fold, best first."""
-        stack, points = current.stacks[0], {}
+        stack, narrow, points = current.stacks[0], narrowed(current.stacks[0], self.parts[0]), {}
         for name in self.names:
             if name not in current.effects and name not in tried:
-                starts = starts_of(stack, name, self.screen, self.parts[0], self.rng)
+                starts = starts_of(stack, narrow, name, self.screen, self.parts[0], self.rng)
                 scored = log_likelihoods(starts, self.screen)
                 best = np.argsort(scored)[::-1][:2]
                 # a second start is worth a fit where a few readings cannot tell it from the best

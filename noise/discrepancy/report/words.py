@@ -52,7 +52,7 @@ BADGES = {
 }
 SENTENCES = {  # sentence, and its word for a positive and for a negative size
     Aspect.BIAS: ("Echoes read {size} {sign}", "long", "short"),
-    Aspect.SPREAD: ("The variance of echoes is {size} {sign}", "larger", "smaller"),
+    Aspect.SPREAD: ("Echoes scatter {size} {sign}", "more", "less"),
     Aspect.SKEW: ("Errors have a longer tail towards {sign} readings", "long", "short"),
     Aspect.DETECTION: ("{size} {sign} of the pings have an echo", "more", "fewer"),
     Aspect.EARLY: ("{size} {sign} of the readings lie far before the target", "more", "fewer"),

@@ -234,3 +234,12 @@ def test_values_outside_the_bounds_raise(name):
         CATALOGUE[name](**{p.name: p.high + (p.high - p.low)})
     with pytest.raises(TypeError, match="has no parameter 'colour'"):
         CATALOGUE[name](colour=1.0)
+
+
+def test_a_burst_lies_about_what_the_echo_would_have_read():
+    weak = {"distance": 2.5, "angle": 0.4, "incidence": 0.4, "reflectance": 0.1}
+    late = [CATALOGUE["sensitivity"](loss_db=30.0), CATALOGUE["time_walk"](scale=1.0)]
+    burst = CATALOGUE["noise_burst"](probability=0.9, sigma_m=0.02)
+    plain, scattered = (PhysicalModel(effects).law(Ping.of(**weak)) for effects in (late, [*late, burst]))
+    assert plain.quantile(0.5)[0] > 2.51  # the threshold is crossed late
+    assert scattered.quantile(0.5) == pytest.approx(plain.quantile(0.5), abs=0.002)

@@ -90,6 +90,24 @@ def test_intervals_cover_the_truth_when_pings_of_a_visit_share_an_offset():
     assert inside >= 14
 
 
+def test_pieces_of_one_run_of_a_robot_are_no_independent_evidence():
+    # 12 runs of 10 places, and one error of the pose in each run: the mean is as uncertain as that of 12 errors
+    rng, sd = np.random.default_rng(5), 0.02
+    run = np.repeat(np.arange(12), 10)
+    ping = Ping.of(distance=rng.uniform(0.5, 3.0, 120), time=np.arange(120) * 20.0, run=run)
+    truth = rng.normal(0.0, sd, 12)[run]
+    moved = np.round(ping.distance + truth + rng.normal(0.0, 0.001, 120), 3)
+    piece = np.arange(120)
+    batch = replace(Batch.of(Recording.of(ping, Reading.of(moved))), by_run=True, visit=piece, condition=piece)
+    key = ("zero_offset", "offset_m")
+    start = Stack.of(PhysicalModel()).at({("travel_time_jitter", "sigma_m"): sd})
+    by_run, by_visit = (
+        np.sqrt(covariance(maximise(start, [key], each), each)[0, 0]) for each in (batch, replace(batch, by_run=False))
+    )
+    assert by_visit == pytest.approx(np.std(truth) / np.sqrt(120), rel=0.3)
+    assert by_run == pytest.approx(np.std(truth) / np.sqrt(12), rel=0.3)
+
+
 def test_a_fit_is_never_worse_than_its_start():
     batch = Batch.of(recording_of(2))
     stack = nuisance_start(Stack.of(PhysicalModel()), batch)

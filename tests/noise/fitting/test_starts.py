@@ -12,7 +12,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import maximise
 from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import NUISANCES, Stack
-from noise.fitting.starts import fitting_value, nuisance_start, starting_points
+from noise.fitting.starts import fitting_value, nuisance_start, starting_points, target_echo
 from noise.physical import PhysicalModel
 
 torch.set_num_threads(1)
@@ -27,11 +27,16 @@ def batch_of(outliers=0.0, seed=0, visits=40, **effects):
     return Batch.of(Recording.of(ping, model.law(ping).sample(rng)))
 
 
+def fitted(key, batch):
+    ideal = Stack.of(PhysicalModel())
+    return fitting_value(ideal, key, batch, target_echo(ideal, batch))
+
+
 @settings(max_examples=20, deadline=None)
 @given(error=st.floats(-0.04, 0.04), outliers=st.sampled_from([0.0, 0.2]))
 def test_a_clock_starts_at_its_error_in_spite_of_outliers(error, outliers):
     batch = batch_of(outliers, clock_scale={"error": error})
-    found = fitting_value(Stack.of(PhysicalModel()), ("clock_scale", "error"), batch)
+    found = fitted(("clock_scale", "error"), batch)
     assert found == pytest.approx(error, abs=0.002)
 
 
@@ -40,11 +45,11 @@ def test_a_clock_starts_at_its_error_in_spite_of_outliers(error, outliers):
 )
 def test_an_offset_starts_at_the_median_error(name, parameter, value):
     batch = batch_of(zero_offset={"offset_m": value})
-    assert fitting_value(Stack.of(PhysicalModel()), (name, parameter), batch) == pytest.approx(value, abs=0.003)
+    assert fitted((name, parameter), batch) == pytest.approx(value, abs=0.003)
 
 
 def test_a_parameter_that_shifts_no_echo_has_no_estimate():
-    assert fitting_value(Stack.of(PhysicalModel()), ("spike", "probability"), batch_of()) is None
+    assert fitted(("spike", "probability"), batch_of()) is None
 
 
 @pytest.mark.parametrize("period_s", [200.0, 900.0])

@@ -9,6 +9,7 @@ from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
 from noise.discrepancy.baseline.forest import AnalogueForest, grown
 from noise.discrepancy.baseline.forest_law import LEVELS, quantiles
+from noise.discrepancy.baseline.trees import columns, grow
 from noise.fitting.batch import Batch
 from noise.metrics import crps_with_silence
 from noise.model import MAX_RANGE, order_of, simulate, with_order
@@ -238,3 +239,14 @@ def test_quantiles_of_equal_weights_are_those_of_the_values():
     found = quantiles(np.array([[1.0, 1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]), value)
     assert np.allclose(found[0], np.clip(5.0 * LEVELS - 0.5, 0.0, 4.0))
     assert np.allclose(found[1], 2.0)
+
+
+def test_no_tree_sees_a_part_of_a_run_of_a_robot_that_it_leaves_out():
+    ping, rng = survey(6), np.random.default_rng(6)
+    run = np.repeat(np.arange(12), len(ping) // 12)
+    robot = replace(batch_of(ping, 0.0, rng), ping=replace(ping, run=run), by_run=True)
+    x = columns(("log_distance",), robot.ping, robot.past, {})
+    _, drawn = grow(robot, x, robot.error[:, None], rng)
+    of_run = np.stack([drawn[run == k].mean(axis=0) for k in range(12)])
+    assert np.isin(of_run, (0.0, 1.0)).all()
+    assert 0.0 < of_run.mean() < 1.0

@@ -190,6 +190,35 @@ def test_lost_readings_are_those_that_the_simulation_does_not_lose():
     assert known.high < 0.15
 
 
+def test_where_a_reflector_stands_is_no_difference_from_where_another_stood():
+    def clutter(range_m):
+        return {"fixed_clutter": {"presence": 0.3, "range_m": range_m, "spread_m": 0.01}}
+
+    keys = [("fixed_clutter", p) for p in ("presence", "range_m", "spread_m")]
+    common = law_of().put(keys, clutter(2.0)["fixed_clutter"].values())
+    search = search_of(clutter(0.9), simulated=batch_of(clutter(2.0), seed=77), law=common)
+    none = search.null()
+    start = none.stacks[0].put(keys, clutter(0.9)["fixed_clutter"].values())
+    found = search.crossed(start, none, ("fixed_clutter",), own_scatter=False)
+    known = intervals(search, conclude(search, found))[("fixed_clutter", "range_m")]
+    assert known.low < 0.9 < known.high
+    assert known.value == pytest.approx(0.9, abs=0.01)
+
+
+def test_what_stands_in_a_place_is_what_was_tried_given_the_effects_before_it():
+    search = search_of({})
+    none, law = search.null(), search.null().stacks
+
+    def hypothesis(*effects):
+        return Hypothesis(effects, law, none.nats)
+
+    first, second = "zero_offset", "dropped_reading"
+    search.tried[()] = {name: hypothesis(name) for name in (first, second, "clock_scale")}
+    search.tried[(first,)] = {name: hypothesis(first, name) for name in (second, "time_walk")}
+    search.base |= {(): (search.common, none), (first,): (search.common, hypothesis(first))}
+    assert set(place_of(search, hypothesis(first, second), second).likely) == {second, "time_walk"}
+
+
 def test_no_period_is_sought_that_sampling_cannot_resolve():
     batch = batch_of(visits=40, pings=1, wait_s=600.0)
     low, high = resolved_periods(batch)
