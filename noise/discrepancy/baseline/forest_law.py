@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from acquisition import Ping
 from acquisition.arrays import Floats, Ints
@@ -62,27 +63,28 @@ class QuantileLaw(EchoLaw):
         return np.clip(step, 1, self.last_step).astype(np.int64)
 
 
-def quantiles(weight: Floats, value: Floats) -> Floats:
+def quantiles(weight: csr_array, value: Floats) -> Floats:
     """Return the quantiles of weighted values at `LEVELS`, (n, `N_LEVELS`); 0 where no value has a weight.
 
-    A value stands at the middle of its weight in the cumulative sum, and between values the quantile is linear.
+    A value stands at the middle of its weight in the cumulative sum. Between values that have a weight the quantile is
+    linear; others do not matter.
 
     Args:
-        weight: of each value, (n, k).
+        weight: of each value, (n, k), sorted by column.
         value: ascending, (k,).
     """
-    n, k = weight.shape
-    if k == 0:
-        return np.zeros((n, N_LEVELS))
-    total = np.cumsum(weight, axis=1)
-    middle = (total - 0.5 * weight) / np.maximum(total[:, -1:], 1e-300)
-    row, counted = np.arange(n)[:, None], weight > 0.0
-    first, last = counted.argmax(axis=1)[:, None], k - 1 - counted[:, ::-1].argmax(axis=1)[:, None]
+    count = np.diff(weight.indptr)[:, None]
+    # the weights of each row and their values, side by side, up to the longest row
+    stored = np.arange(max(count.max(initial=0), 1)) < count
+    each, at = np.zeros(stored.shape), np.zeros(stored.shape)
+    each[stored], at[stored] = weight.data, value[weight.indices]
+    total = np.cumsum(each, axis=1)
+    middle = (total - 0.5 * each) / np.maximum(total[:, -1:], 1e-300)
+    row = np.arange(len(each))[:, None]
     # levels lie in 0..1, so rows two apart make one sorted array
-    found = np.searchsorted((middle + 2.0 * row).ravel(), (LEVELS + 2.0 * row).ravel()).reshape(n, -1) - k * row
-    high = np.clip(found, first, last)
-    low = np.maximum(high - 1, first)
+    found = np.searchsorted((middle + 2.0 * row).ravel(), LEVELS + 2.0 * row) - stored.shape[1] * row
+    high = np.clip(found, 0, np.maximum(count - 1, 0))
+    low = np.maximum(high - 1, 0)
     below, above = middle[row, low], middle[row, high]
     share = np.divide(LEVELS - below, above - below, out=np.ones_like(above), where=above > below)
-    out = value[low] + np.clip(share, 0.0, 1.0) * (value[high] - value[low])
-    return np.where(total[:, -1:] > 0.0, out, 0.0)
+    return np.asarray(at[row, low] + np.clip(share, 0.0, 1.0) * (at[row, high] - at[row, low]))

@@ -53,6 +53,8 @@ class RecalibratedLaw(EchoLaw):
 
     def _arrival(self, z: Floats) -> Floats:
         own = self.law._arrival(z)
+        if self.share == 0.0:
+            return own
         u = np.clip(np.divide(own, self._answer, out=np.zeros_like(own), where=self._answer > 0.0), 0.0, 1.0)
         at = np.clip(np.searchsorted(LEVELS, u, side="right"), 1, N_LEVELS - 1)
         row = np.broadcast_to(np.arange(len(self)), u.shape)
@@ -175,21 +177,28 @@ def recalibrated(model: SonarModel, batch: Batch, rng: np.random.Generator) -> G
     few = batch.thin(MAX_PINGS)
     law = model.law(few.ping, few.past)
     law.origin = few.origin
-    every = (_pooled(model, law, few, names, rng) for names in input_groups(few))
-    return min((each for each in every if each), key=lambda each: each.crps.mean(), default=None)
+    every = [_recalibrated(model, law, few, names, rng) for names in input_groups(few)]
+    none = _mean_crps(every[0][1].pooled(0.0), few)  # the law itself, whatever the inputs
+    pooled = (_pooled(*each, few, none) for each in every)
+    return min((each for each in pooled if each), key=lambda each: each.crps.mean(), default=None)
 
 
-def _pooled(
+def _recalibrated(
     model: SonarModel, law: EchoLaw, batch: Batch, names: tuple[str, ...], rng: np.random.Generator
-) -> Grown | None:
+) -> tuple[Recalibrated, RecalibratedLaw]:
+    """Return a model recalibrated by readings, and the law of these by trees that lack their visits, unpooled."""
     low, high = transforms(law, batch.reading)
     given = 0.5 * (low + high) / np.maximum(law.echo / np.maximum(1.0 - law.no_answer, RARE), RARE)
     alien = batch.reading.echo & ((given < UNEXPECTED) | (given > 1.0 - UNEXPECTED))
     similar, reached, unseen = similarity(batch, names, _outcomes(law, batch, given, alien), rng)
     order = np.lexsort((batch.error, ~alien))
     whole = Recalibrated(model, similar.ordered(order), low[order], high[order], batch.error[order][: alien.sum()], 1.0)
-    crossed = whole.mixture(law, batch.ping, reached, unseen)
-    share = _best_share(*(_mean_crps(crossed.pooled(share), batch) for share in (0.0, 0.5, 1.0)))
+    return whole, whole.mixture(law, batch.ping, reached, unseen)
+
+
+def _pooled(whole: Recalibrated, crossed: RecalibratedLaw, batch: Batch, none: float) -> Grown | None:
+    """Return the pool with the share of the least CRPS, m, which is `none` at share 0; None where share 0 has it."""
+    share = _best_share(none, *(_mean_crps(crossed.pooled(share), batch) for share in (0.5, 1.0)))
     return Grown(replace(whole, share=share), batch, crossed.pooled(share)) if share > 0.0 else None
 
 

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_array
 
 from acquisition import Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
@@ -22,7 +22,7 @@ from noise.fitting.smooth import MEMORY
 
 N_TIMES = 8  # that stand for all recorded times
 TIME = "time"
-MAX_VALUES = 4_000_000  # computed at once; bounds the memory
+MAX_VALUES = 4_000_000  # computed at once; bounds the memory where all readings share a leaf
 INTEGERS, NUMBERS = ("root", "feature", "left", "right"), ("threshold",)
 
 
@@ -72,8 +72,8 @@ class Similarity:
             leaves.append(self.trees.leaves(x))
         return np.concatenate(leaves, axis=1)
 
-    def weights(self, reached: Ints, used: Bits | None = None) -> Iterator[tuple[slice, Floats]]:
-        """Yield rows of pings and the weights of the stored readings for them, (k, m), which sum to one.
+    def weights(self, reached: Ints, used: Bits | None = None) -> Iterator[tuple[slice, csr_array]]:
+        """Yield rows of pings and the weights of the stored readings for them, (k, m), sorted, which sum to one.
 
         Args:
             reached: leaves of n pings, (n, t).
@@ -83,17 +83,19 @@ class Similarity:
         n, n_trees = reached.shape
         of_ping = np.repeat(np.arange(n), n_trees)[used.ravel()]
         each = np.repeat(1.0 / used.sum(axis=1), used.sum(axis=1))
-        chosen = csr_matrix((each, (of_ping, reached[used])), shape=(n, len(self.trees.feature)))
+        chosen = csr_array((each, (of_ping, reached[used])), shape=(n, len(self.trees.feature)))
         step = max(1, MAX_VALUES // len(self.leaf))
         for k in range(0, n, step):
-            yield slice(k, k + step), (chosen[k : k + step] @ self._members).toarray()
+            rows = chosen[k : k + step] @ self._members
+            rows.sort_indices()
+            yield slice(k, k + step), rows
 
     @cached_property
-    def _members(self) -> csr_matrix:
+    def _members(self) -> csr_array:
         """Share of each stored reading in its leaf, (nodes, m)."""
         stored, shape = self.leaf >= 0, (len(self.trees.feature), len(self.leaf))
         size = np.bincount(self.leaf[stored], minlength=shape[0])
-        return csr_matrix((1.0 / size[self.leaf[stored]], (self.leaf[stored], np.nonzero(stored)[0])), shape=shape)
+        return csr_array((1.0 / size[self.leaf[stored]], (self.leaf[stored], np.nonzero(stored)[0])), shape=shape)
 
     def to_dict(self) -> dict[str, object]:
         """Return the weights' rule as plain data."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import t as student
@@ -71,7 +72,7 @@ class Simulation:
                 near = crps_of_each(model, few, CREDENCE_TOLERANCE)
         return cls(model, base.readings, _excess(few, chosen), _excess(few, near, CREDENCE_TOLERANCE))
 
-    @property
+    @cached_property
     def near(self) -> Simulation:
         """The same, scored within the tolerance of credence: readings that are no use all count alike."""
         return replace(self, excess=self.near_excess, tolerance=CREDENCE_TOLERANCE)
@@ -80,21 +81,35 @@ class Simulation:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""
         return self._scored(batch)[0]
 
+    @cached_property
+    def _scores(self) -> dict[Batch, tuple[Floats, Bits]]:
+        """What has been scored: several models are compared with the simulation on the same readings."""
+        return {}
+
     def _scored(self, batch: Batch) -> tuple[Floats, Bits]:
         """Return the CRPS of each reading, m, (n,), and whether it is an estimate, (n,)."""
-        out, estimated = crps_of_each(self.model, batch, self.tolerance), np.ones(len(batch), dtype=bool)
-        out = out - self.excess[0]
+        if batch not in self._scores:
+            known = self._by_readings(batch)
+            estimated = np.isnan(known)
+            if estimated.any():
+                known[estimated] = (crps_of_each(self.model, batch, self.tolerance) - self.excess[0])[estimated]
+            self._scores[batch] = known, estimated
+        return self._scores[batch]
+
+    def _by_readings(self, batch: Batch) -> Floats:
+        """Return the CRPS of each reading by those under its condition, m, (n,); NaN where there are too few."""
+        out = np.full(len(batch), np.nan)
         if self.readings is None:
-            return out, estimated
+            return out
         places = [positions(each)[each.visit] for each in (self.readings, batch)]
         place = np.unique(np.concatenate(places), axis=0, return_inverse=True)[1].ravel()
         own, asked = np.split(place, [len(self.readings)])
+        every, value = (ends(each, self.tolerance) for each in (self.readings, batch))
         for k in np.intersect1d(asked, own):
-            members = ends(self.readings, self.tolerance)[own == k]
+            members = every[own == k]
             if len(members) >= MIN_MEMBERS:
-                out[asked == k] = fair_crps(ends(batch, self.tolerance)[asked == k], members)
-                estimated[asked == k] = False
-        return out, estimated
+                out[asked == k] = fair_crps(value[asked == k], members)
+        return out
 
     def gain(self, *scored: tuple[Batch, Floats]) -> Floats:
         """Return what other predictions of batches, with CRPS (n,), gain on each unit, m."""
@@ -102,13 +117,11 @@ class Simulation:
 
     def gain_on(self, other: Simulation, batch: Batch) -> Floats:
         """Return the gain over another on each unit of a batch, m, under conditions for which both have readings."""
-        (own, own_estimated), (others, estimated) = self._scored(batch), other._scored(batch)
-        known = ~(own_estimated | estimated)
-        return batch.unit_sums(np.where(known, others - own, 0.0))
+        return batch.unit_sums(np.nan_to_num(other._by_readings(batch) - self._by_readings(batch)))
 
     def has_any_of(self, batch: Batch) -> bool:
         """Return whether there are readings under any condition of a batch."""
-        return not self._scored(batch)[1].all()
+        return not np.isnan(self._by_readings(batch)).all()
 
     def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
         """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
@@ -155,7 +168,8 @@ def _excess(batch: Batch, crps: Floats, tolerance: float | None = None) -> tuple
 
     Without visits of several readings it is unknown, and 0 as if the model were the simulation.
     """
-    own = [np.full(len(rows), repeatability(ends(batch, tolerance)[rows])) for rows in batch.visit_rows]
+    value = ends(batch, tolerance)
+    own = [np.full(len(rows), repeatability(value[rows])) for rows in batch.visit_rows]
     beyond = crps - np.concatenate(own)
     known = ~np.isnan(beyond)
     if not known.any():

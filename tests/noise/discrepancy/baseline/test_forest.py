@@ -4,6 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from scipy.sparse import csr_array
 
 from acquisition import ModelError, Ping, Reading, Recording
 from noise import load_model, save_model
@@ -236,7 +240,7 @@ def test_what_depends_on_the_order_in_a_visit_is_simulated_ping_by_ping():
 
 def test_quantiles_of_equal_weights_are_those_of_the_values():
     value = np.arange(5.0)
-    found = quantiles(np.array([[1.0, 1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]), value)
+    found = quantiles(csr_array([[1.0, 1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]), value)
     assert np.allclose(found[0], np.clip(5.0 * LEVELS - 0.5, 0.0, 4.0))
     assert np.allclose(found[1], 2.0)
 
@@ -250,3 +254,39 @@ def test_no_tree_sees_a_part_of_a_run_of_a_robot_that_it_leaves_out():
     of_run = np.stack([drawn[run == k].mean(axis=0) for k in range(12)])
     assert np.isin(of_run, (0.0, 1.0)).all()
     assert 0.0 < of_run.mean() < 1.0
+
+
+def test_quantiles_rise_evenly_between_the_only_two_values_with_a_weight():
+    found = quantiles(csr_array([[0.5, 0.0, 0.0, 0.0, 0.5]]), np.arange(5.0))
+    assert np.allclose(found[0], 4.0 * np.clip(2.0 * LEVELS - 0.5, 0.0, 1.0))
+
+
+WEIGHTS = arrays(float, array_shapes(min_dims=2, max_dims=2), elements=st.sampled_from([0.0, 0.0, 0.1, 1.0, 3.0]))
+
+
+@given(WEIGHTS, st.integers(0, 2**32 - 1))
+def test_quantiles_are_linear_between_the_middles_of_weighted_values(weight, seed):
+    value = np.sort(np.random.default_rng(seed).normal(size=weight.shape[1]))
+    found = quantiles(csr_array(weight), value)
+    for row, own in zip(weight, found, strict=True):
+        counted = row > 0.0
+        middle = np.cumsum(row[counted]) - 0.5 * row[counted]
+        expected = np.interp(LEVELS * row.sum(), middle, value[counted]) if counted.any() else 0.0
+        np.testing.assert_allclose(own, expected, atol=1e-9)
+
+
+@given(WEIGHTS, st.integers(0, 2**32 - 1))
+def test_values_without_a_weight_do_not_matter(weight, seed):
+    value = np.sort(np.random.default_rng(seed).normal(size=weight.shape[1]))
+    for row in weight:
+        counted = row > 0.0
+        whole, part = (quantiles(csr_array(row[None, c]), value[c]) for c in (np.ones_like(counted), counted))
+        np.testing.assert_array_equal(whole, part)
+
+
+def test_weights_of_readings_sum_to_one_over_those_that_share_a_leaf(forest, batch):
+    reached = forest.similar.reached(batch.ping, batch.past)
+    every = np.concatenate([each.toarray() for _, each in forest.similar.weights(reached)])
+    assert np.allclose(every.sum(axis=1), 1.0)
+    alike = (reached[:, None, :] == forest.similar.leaf[None, :, :]).any(axis=2)
+    np.testing.assert_array_equal(every > 0.0, alike)

@@ -96,6 +96,13 @@ def test_the_share_is_that_of_least_crps_on_visits_that_trees_lack():
     assert mean_crps(found.crossed, found.batch) <= min(scores.values()) + 1e-6
 
 
+def test_a_pool_without_a_share_is_the_law_itself():
+    found = recalibrated(LAW, batch_of(longer), np.random.default_rng(0))
+    law, z = LAW.law(found.batch.ping), np.linspace(0.2, 4.5, 40)[:, None]
+    np.testing.assert_array_equal(found.crossed.pooled(0.0).arrival(z), law.arrival(z))
+    assert mean_crps(found.crossed.pooled(0.0), found.batch) == pytest.approx(mean_crps(law, found.batch))
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_transforms_enclose_probabilities_that_sum_to_one(seed):

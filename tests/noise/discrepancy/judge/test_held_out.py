@@ -85,3 +85,40 @@ def test_two_visits_that_gain_unequally_are_no_evidence():
         before = Simulation(model_of(loud))
         gain = np.where(batch.visit % 2 == 0, 0.001, 0.003)
         assert before.is_beaten((batch, before.crps_of_each(batch) - gain)) is expected
+
+
+class Asked:
+    """A model that counts how often it is asked."""
+
+    resolution, remembers = 0.001, False
+
+    def __init__(self):
+        self.model, self.times = model_of(), 0
+
+    def law(self, ping, past=None):
+        self.times += 1
+        return self.model.law(ping, past)
+
+
+def test_a_model_is_asked_once_and_only_where_readings_do_not_speak():
+    readings, elsewhere = batch_of({}, seed=1), batch_of({}, seed=2)
+    simulation, asked = Simulation(Asked(), readings), []
+    for batch in (readings, elsewhere):
+        for _ in range(2):
+            simulation.is_beaten((batch, np.zeros(len(batch))))
+            simulation.near.gain((batch, np.zeros(len(batch))))
+            assert simulation.gain_on(simulation, batch).sum() == 0.0
+        asked.append((simulation.has_any_of(batch), simulation.model.times))
+    assert asked == [(True, 0), (False, 2)]  # with and without a tolerance
+
+
+def test_readings_speak_for_their_own_conditions_and_the_model_for_others():
+    recorded, model = batch_of({}, seed=1), model_of()
+    known = recorded.condition % 2 == 0
+    both = Simulation(model, recorded.select(known), (0.001, 0.0))
+    expected = np.where(
+        known, Simulation(model, recorded).crps_of_each(recorded), crps_of_each(model, recorded) - both.excess[0]
+    )
+    np.testing.assert_allclose(both.crps_of_each(recorded), expected, atol=1e-12)
+    gain = both.gain_on(Simulation(model, recorded), recorded)
+    np.testing.assert_allclose(gain, 0.0, atol=1e-12)
