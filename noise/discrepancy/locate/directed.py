@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acquisition import previous
+from acquisition import Reading, previous
 from acquisition.arrays import Floats, Ints, Singles
 from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
 from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, studentised
 from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.sample import DISTINCT, Sample, dependence
-from noise.discrepancy.moments.scores import ping_law, scores
+from noise.discrepancy.moments.scores import level_of, ping_law
 from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
@@ -60,12 +60,7 @@ def directed_test(
     both, cluster = _thinned(law, sample, rng)
     if len(np.unique(cluster)) < MIN_VISITS:
         return nothing
-    start = (0, len(both.recorded))
-    pairs = [
-        (law.without_part(int(k)), batch.select(part == k), np.flatnonzero(part == k) + start)
-        for batch, part, start in zip(both.batches, both.left_out(law), start, strict=True)
-        for k in np.unique(part)
-    ]
+    pairs = [(law.by_part(part), batch) for batch, part in zip(both.batches, both.left_out(law), strict=True)]
     in_one_order = abs(both.follows_more) <= DISTINCT
     tested = [name for name in CATALOGUE if in_one_order or not CATALOGUE[name].remembers]
     names, ratios = directions(law, pairs, joint_log_prob_after, tested)
@@ -106,7 +101,7 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
 
 
 def directions(
-    law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]], log_prob_after: After, tested: Iterable[str] = CATALOGUE
+    law: Stack, pairs: Sequence[tuple[Stack, Batch]], log_prob_after: After, tested: Iterable[str] = CATALOGUE
 ) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
 
@@ -115,12 +110,11 @@ def directions(
 
     Args:
         law: describes both files.
-        pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
+        pairs: law that judges each file, and its readings.
         log_prob_after: `joint_log_prob_after` or `single_log_prob_after`.
         tested: effects.
     """
-    back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])[back]
+    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch in pairs])
     names, ratios = [], []
     for name in tested:
         # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
@@ -129,7 +123,7 @@ def directions(
             continue
         every = changes(law, name)
         flat = [change for ends in every for change in ends]
-        nats = np.concatenate([log_prob_after(each, flat, batch) for each, batch, _ in pairs], axis=1)[:, back]
+        nats = np.concatenate([log_prob_after(each, flat, batch) for each, batch in pairs], axis=1)
         ends = np.split(nats, np.cumsum([len(each) for each in every])[:-1])
         for each in ends:
             ratio = np.clip(each[-1] - (each[0] if len(each) > 1 else base), -LIMIT_NATS, LIMIT_NATS)
@@ -186,12 +180,25 @@ def joint_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: B
     return _after(law, every, lambda model, visits: log_prob(law_of(model, batch), visits, batch, exact=True))
 
 
-def single_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
-    """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
+def single_log_prob_after(
+    law: Stack, every: Sequence[dict[Key, float]], batch: Batch, reading: Reading | None = None
+) -> Floats:
+    """Return the log probability of each reading as a single ping after each change of a law, nats.
+
+    Args:
+        law: of the pings.
+        every: changes.
+        batch: pings.
+        reading: of the pings, (..., n); those of the batch by default.
+
+    Returns:
+        Of each change and reading, (changes, ..., n).
+    """
+    given = batch.reading if reading is None else reading
 
     def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
         alone = single_ping_law(law_of(model, batch), visits)
-        return torch.log(torch.clamp(alone.probability_tensor(batch.reading), min=LEAST_PROBABILITY))
+        return torch.log(torch.clamp(alone.probability_tensor(given), min=LEAST_PROBABILITY))
 
     return _after(law, every, nats)
 
@@ -203,7 +210,7 @@ def _after(law: Stack, every: Sequence[dict[Key, float]], nats: Measure) -> Floa
 
 def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, n: int, rng: np.random.Generator) -> Floats:
     """Return the sums over clusters of (D - m) (U - g), (clusters, directions)."""
-    level = np.concatenate([scores(law, batch).level_db for batch in sample.batches])
+    level = np.concatenate([level_of(ping_law(law, batch)) for batch in sample.batches])
     level = np.clip(level, -20.0, 20.0)
     own = np.stack([level, np.exp(-0.5 * (level / DETECTION_WIDTH_DB) ** 2)], axis=1)
     x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
