@@ -28,12 +28,14 @@ from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, single_ping_law
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, placements, shifted, single_ping_law
+from noise.law import GivenNumbers
 from noise.physical import PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
+MAX_ROUNDS = 30  # of draws under a law that remembers; a chain of so many repeated readings is rare
 LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
 
@@ -95,9 +97,27 @@ def _thinned(law: Stack, sample: Sample, rng: np.random.Generator) -> tuple[Samp
 
 
 def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
-    """Return the batch with readings drawn from a law."""
-    reading = ping_law(law, batch).sample(rng)
-    return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
+    """Return the batch with readings drawn from a law, of which pings of a visit share the placement of the target.
+
+    Where the law remembers, each reading depends on the one before it in its run. Readings are drawn again from the
+    same random numbers until none changes, which takes as many rounds as the longest chain of such readings.
+    """
+    model, visits = law.build()
+    offset, uniform = placements(visits, batch, rng), GivenNumbers(rng.random(len(batch)))
+    drawn = batch
+    for _ in range(MAX_ROUNDS if model.remembers else 1):
+        before = drawn.reading
+        reading = shifted(law_of(model, drawn), offset, torch.zeros_like(offset)).sample(uniform)
+        drawn = replace(batch, reading=reading, past=_before_each(reading, batch))
+        if np.array_equal(reading.range, before.range):
+            break
+    return drawn
+
+
+def _before_each(reading: Reading, batch: Batch) -> Reading:
+    """Return the reading before each in its run, in the order of the recording, in which visits may alternate."""
+    order = np.arange(len(batch)) if batch.row is None else np.argsort(batch.row)
+    return previous(reading[order], batch.ping.run[order])[np.argsort(order)]
 
 
 def directions(
