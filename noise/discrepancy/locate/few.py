@@ -180,15 +180,16 @@ def far_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found
 def _far_shares(scored: Scores, sample: Sample) -> list[tuple[Floats, float]]:
     """Return the share of far readings beyond the law's at each position, and the variance of its mean, of each file.
 
-    The variance is at least the binomial one of the readings of both: shares of few positions may agree by chance.
+    The variance is at least the binomial one of the echoes of both: shares of few positions may agree by chance.
     """
     value, valid = scored.natural[:, FAR].sum(axis=1), scored.valid[:, FAR[0]]
-    share = float(np.mean(np.concatenate([batch.is_outlier(batch.error) for batch in sample.batches])))
+    n_far = sum(int(batch.is_outlier(batch.error).sum()) for batch in sample.batches)
+    share = n_far / max(int(valid.sum()), 1)
     out = []
     for rows in (sample.is_recorded, ~sample.is_recorded):
         if rows.any():
-            mean = _means(value, valid, sample, rows)[0]
-            out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / rows.sum())))
+            mean, n = _means(value, valid, sample, rows)[0], max(int((rows & valid).sum()), 1)
+            out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / n)))
     return out
 
 
