@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -33,6 +34,21 @@ class UniformSource(Protocol):
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of the given shape."""
         ...
+
+
+@dataclass(frozen=True)
+class GivenNumbers:
+    """A source that returns the same uniform numbers again, so that readings of two laws can be compared.
+
+    Attributes:
+        value: numbers, (n,).
+    """
+
+    value: Floats
+
+    def random(self, size: int | tuple[int, ...], /) -> Floats:
+        """Return the numbers."""
+        return np.broadcast_to(self.value, size if isinstance(size, tuple) else (size,))
 
 
 class ExtrapolationWarning(UserWarning):

@@ -189,9 +189,13 @@ class Smooth(Effect):
 
     def heads(self, state: State) -> dict[str, Tensor]:
         """Return the correction of each aspect, (n,)."""
-        by_level = level_kernel(self.level(state), self.level_centres)
-        total = self._by_condition(state.conditions) + by_level @ torch.stack(list(self.beta.values()), dim=-1)
+        by_level = self._expanded(level_kernel(self.level(state), self.level_centres), self.beta)
+        total = self._by_condition(state.conditions) + by_level
         return dict(zip(self.alpha, total.unbind(-1), strict=True))
+
+    def _expanded(self, covariance: Tensor, weights: Mapping[str, Tensor]) -> Tensor:
+        """Return the expansion of each aspect, (n, aspects), of covariances with the centres, (n, m)."""
+        return covariance @ torch.stack(list(weights.values()), dim=-1)
 
     def level(self, state: State) -> Tensor:
         """Return the level on its scale, limited to the fitted range, (n,)."""
@@ -204,8 +208,7 @@ class Smooth(Effect):
         for known, value in self._recent:
             if len(known) == len(key) and all(a is b for a, b in zip(known, key, strict=True)):
                 return value
-        weights = torch.stack(list(self.alpha.values()), dim=-1)
-        value = kernel(self.inputs.standardised(conditions), self.centres) @ weights
+        value = self._expanded(kernel(self.inputs.standardised(conditions), self.centres), self.alpha)
         if not value.requires_grad:
             self._recent = [(key, value), *self._recent[: KEPT - 1]]
         return value
@@ -269,6 +272,26 @@ class Smooth(Effect):
             "beta": {head: weight.tolist() for head, weight in self.beta.items()},
             **asdict(self.sizes),
         }
+
+
+class SmoothByPart(Smooth):
+    """Corrections with the same inputs, centres and sizes, of which each ping has one.
+
+    Args:
+        terms: corrections.
+        which: index of the correction of each ping, (n,).
+    """
+
+    def __init__(self, terms: Sequence[Smooth], which: Tensor) -> None:
+        first, heads = terms[0], list(terms[0].alpha)
+        alpha = {head: torch.stack([term.alpha[head] for term in terms], dim=-1) for head in heads}
+        beta = {head: torch.stack([term.beta[head] for term in terms], dim=-1) for head in heads}
+        super().__init__(first.inputs, first.centres, alpha, first.level_centres, beta, first.sizes)
+        self.which = which
+
+    def _expanded(self, covariance: Tensor, weights: Mapping[str, Tensor]) -> Tensor:
+        every = torch.tensordot(covariance, torch.stack(list(weights.values()), dim=-1), dims=1)
+        return every[torch.arange(len(self.which)), self.which]
 
 
 def term_of(data: Mapping[str, Any]) -> Smooth:

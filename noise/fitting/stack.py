@@ -15,7 +15,7 @@ from noise.effects import CATALOGUE, Effect, Parameter
 from noise.effects.state import number
 from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel, PlacementScatter
-from noise.fitting.smooth import Smooth
+from noise.fitting.smooth import Smooth, SmoothByPart
 from noise.fitting.visit_effects import VisitEffects, direct_median, law_of, placement_scatter
 from noise.physical import PhysicalModel
 
@@ -122,9 +122,14 @@ class Stack:
         """Return the stack with a smooth correction, which replaces an older one of the same id."""
         return replace(self, terms=(*(old for old in self.terms if old.name != term.name), term))
 
-    def without_part(self, part: int) -> Stack:
-        """Return the stack whose smooth correction was fitted without a part; unchanged for part -1."""
-        return self if self.left_out is None or part < 0 else self.with_term(self.left_out.terms[part])
+    def by_part(self, part: Ints) -> Stack:
+        """Return the stack in which each ping has the smooth correction that was fitted without its part, (n,).
+
+        Pings of part -1 have the correction that was fitted to all.
+        """
+        if self.left_out is None or part.max() < 0:
+            return self
+        return self.with_term(SmoothByPart([*self.terms, *self.left_out.terms], torch.from_numpy(part + 1)))
 
     def without_term(self, name: str) -> Stack:
         """Return the stack without a smooth correction."""

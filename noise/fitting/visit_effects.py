@@ -144,6 +144,13 @@ def _with_state(law: PhysicalLaw, state: State) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range, law.origin)
 
 
+def placements(visits: VisitEffects, batch: Batch, rng: np.random.Generator) -> Tensor:
+    """Return a random error of placement of each visit, careful or careless, at each of its pings, m, (n,)."""
+    wider, share = np.transpose(BANKS)
+    sd = float(visits.placement_m) * rng.choice(wider, batch.n_visits, p=share)
+    return torch.from_numpy(rng.normal(0.0, sd)[batch.visit])
+
+
 def widened(state: State, variance: Tensor, level_variance: Tensor | None = None) -> State:
     """Return a state whose direct path scatters more in length and in level, as pings of different visits do.
 

@@ -15,25 +15,27 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acquisition import previous
+from acquisition import Reading, previous
 from acquisition.arrays import Floats, Ints, Singles
 from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
 from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, studentised
 from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.sample import DISTINCT, Sample, dependence
-from noise.discrepancy.moments.scores import ping_law, scores
+from noise.discrepancy.moments.scores import level_of, ping_law
 from noise.discrepancy.result import PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, single_ping_law
+from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, placements, shifted, single_ping_law
+from noise.law import GivenNumbers
 from noise.physical import PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
+MAX_ROUNDS = 30  # of draws under a law that remembers; a chain of so many repeated readings is rare
 LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
 STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
 
@@ -60,12 +62,7 @@ def directed_test(
     both, cluster = _thinned(law, sample, rng)
     if len(np.unique(cluster)) < MIN_VISITS:
         return nothing
-    start = (0, len(both.recorded))
-    pairs = [
-        (law.without_part(int(k)), batch.select(part == k), np.flatnonzero(part == k) + start)
-        for batch, part, start in zip(both.batches, both.left_out(law), start, strict=True)
-        for k in np.unique(part)
-    ]
+    pairs = [(law.by_part(part), batch) for batch, part in zip(both.batches, both.left_out(law), strict=True)]
     in_one_order = abs(both.follows_more) <= DISTINCT
     tested = [name for name in CATALOGUE if in_one_order or not CATALOGUE[name].remembers]
     names, ratios = directions(law, pairs, joint_log_prob_after, tested)
@@ -100,13 +97,31 @@ def _thinned(law: Stack, sample: Sample, rng: np.random.Generator) -> tuple[Samp
 
 
 def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
-    """Return the batch with readings drawn from a law."""
-    reading = ping_law(law, batch).sample(rng)
-    return replace(batch, reading=reading, past=previous(reading, batch.ping.run))
+    """Return the batch with readings drawn from a law, of which pings of a visit share the placement of the target.
+
+    Where the law remembers, each reading depends on the one before it in its run. Readings are drawn again from the
+    same random numbers until none changes, which takes as many rounds as the longest chain of such readings.
+    """
+    model, visits = law.build()
+    offset, uniform = placements(visits, batch, rng), GivenNumbers(rng.random(len(batch)))
+    drawn = batch
+    for _ in range(MAX_ROUNDS if model.remembers else 1):
+        before = drawn.reading
+        reading = shifted(law_of(model, drawn), offset, torch.zeros_like(offset)).sample(uniform)
+        drawn = replace(batch, reading=reading, past=_before_each(reading, batch))
+        if np.array_equal(reading.range, before.range):
+            break
+    return drawn
+
+
+def _before_each(reading: Reading, batch: Batch) -> Reading:
+    """Return the reading before each in its run, in the order of the recording, in which visits may alternate."""
+    order = np.arange(len(batch)) if batch.row is None else np.argsort(batch.row)
+    return previous(reading[order], batch.ping.run[order])[np.argsort(order)]
 
 
 def directions(
-    law: Stack, pairs: Sequence[tuple[Stack, Batch, Ints]], log_prob_after: After, tested: Iterable[str] = CATALOGUE
+    law: Stack, pairs: Sequence[tuple[Stack, Batch]], log_prob_after: After, tested: Iterable[str] = CATALOGUE
 ) -> tuple[list[str], Floats]:
     """Return the effect of each direction, and the ratios of both files, (n, directions).
 
@@ -115,12 +130,11 @@ def directions(
 
     Args:
         law: describes both files.
-        pairs: laws without a part of the readings, the readings that each judges, and their rows in the result.
+        pairs: law that judges each file, and its readings.
         log_prob_after: `joint_log_prob_after` or `single_log_prob_after`.
         tested: effects.
     """
-    back = np.argsort(np.concatenate([rows for _, _, rows in pairs]))
-    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch, _ in pairs])[back]
+    base = np.concatenate([log_prob_after(each, [{}], batch)[0] for each, batch in pairs])
     names, ratios = [], []
     for name in tested:
         # regressors of time look for what follows the clock, and the aspect of spread for jitter, which the scatter of
@@ -129,7 +143,7 @@ def directions(
             continue
         every = changes(law, name)
         flat = [change for ends in every for change in ends]
-        nats = np.concatenate([log_prob_after(each, flat, batch) for each, batch, _ in pairs], axis=1)[:, back]
+        nats = np.concatenate([log_prob_after(each, flat, batch) for each, batch in pairs], axis=1)
         ends = np.split(nats, np.cumsum([len(each) for each in every])[:-1])
         for each in ends:
             ratio = np.clip(each[-1] - (each[0] if len(each) > 1 else base), -LIMIT_NATS, LIMIT_NATS)
@@ -186,12 +200,25 @@ def joint_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: B
     return _after(law, every, lambda model, visits: log_prob(law_of(model, batch), visits, batch, exact=True))
 
 
-def single_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
-    """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n)."""
+def single_log_prob_after(
+    law: Stack, every: Sequence[dict[Key, float]], batch: Batch, reading: Reading | None = None
+) -> Floats:
+    """Return the log probability of each reading as a single ping after each change of a law, nats.
+
+    Args:
+        law: of the pings.
+        every: changes.
+        batch: pings.
+        reading: of the pings, (..., n); those of the batch by default.
+
+    Returns:
+        Of each change and reading, (changes, ..., n).
+    """
+    given = batch.reading if reading is None else reading
 
     def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
         alone = single_ping_law(law_of(model, batch), visits)
-        return torch.log(torch.clamp(alone.probability_tensor(batch.reading), min=LEAST_PROBABILITY))
+        return torch.log(torch.clamp(alone.probability_tensor(given), min=LEAST_PROBABILITY))
 
     return _after(law, every, nats)
 
@@ -203,7 +230,7 @@ def _after(law: Stack, every: Sequence[dict[Key, float]], nats: Measure) -> Floa
 
 def _sums(law: Stack, sample: Sample, cluster: Ints, ratios: Floats, n: int, rng: np.random.Generator) -> Floats:
     """Return the sums over clusters of (D - m) (U - g), (clusters, directions)."""
-    level = np.concatenate([scores(law, batch).level_db for batch in sample.batches])
+    level = np.concatenate([level_of(ping_law(law, batch)) for batch in sample.batches])
     level = np.clip(level, -20.0, 20.0)
     own = np.stack([level, np.exp(-0.5 * (level / DETECTION_WIDTH_DB) ** 2)], axis=1)
     x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)

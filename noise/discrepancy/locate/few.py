@@ -30,7 +30,7 @@ from noise.discrepancy.moments.bootstrap import NOTHING, Found, exceeded, levera
 from noise.discrepancy.moments.moments import bin_sums
 from noise.discrepancy.moments.regressors import Column, Form, columns_of
 from noise.discrepancy.moments.sample import Sample, positions
-from noise.discrepancy.moments.scores import ASPECTS, BIAS, LIMIT, Scores, scores, scores_of_both
+from noise.discrepancy.moments.scores import ASPECTS, BIAS, LIMIT, Scores, ping_law, scores_of_both, target_of
 from noise.discrepancy.result import Aspect, Interval, Location, PValue
 from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M, SHARE_TOLERANCE, SPREAD_TOLERANCE
 from noise.fitting.batch import Batch
@@ -90,7 +90,7 @@ def _spread_within(scored: Scores, law_recorded: Stack, law_simulated: Stack, sa
     """Return scores with the spread about the mean of a position, which does not depend on where the target stands."""
     laws = [law.at({PLACEMENT: 0.0, LEVEL_SD: 0.0}) for law in (law_recorded, law_simulated)]
     pairs = zip(laws, sample.batches, sample.left_out(law_simulated), strict=False)
-    sigma = np.concatenate([scores(law, batch, part).sigma for law, batch, part in pairs])
+    sigma = np.concatenate([target_of(ping_law(law.by_part(part), batch))[1] for law, batch, part in pairs])
     place, valid = _places(sample), scored.valid[:, SPREAD]
     count = np.bincount(place, valid)[place]
     error = _within(scored.natural[:, BIAS], valid, place) / sigma
@@ -180,15 +180,16 @@ def far_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found
 def _far_shares(scored: Scores, sample: Sample) -> list[tuple[Floats, float]]:
     """Return the share of far readings beyond the law's at each position, and the variance of its mean, of each file.
 
-    The variance is at least the binomial one of the readings of both: shares of few positions may agree by chance.
+    The variance is at least the binomial one of the echoes of both: shares of few positions may agree by chance.
     """
     value, valid = scored.natural[:, FAR].sum(axis=1), scored.valid[:, FAR[0]]
-    share = float(np.mean(np.concatenate([batch.is_outlier(batch.error) for batch in sample.batches])))
+    n_far = sum(int(batch.is_outlier(batch.error).sum()) for batch in sample.batches)
+    share = n_far / max(int(valid.sum()), 1)
     out = []
     for rows in (sample.is_recorded, ~sample.is_recorded):
         if rows.any():
-            mean = _means(value, valid, sample, rows)[0]
-            out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / rows.sum())))
+            mean, n = _means(value, valid, sample, rows)[0], max(int((rows & valid).sum()), 1)
+            out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / n)))
     return out
 
 

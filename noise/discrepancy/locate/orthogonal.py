@@ -34,7 +34,7 @@ from noise.fitting.stack import Stack
 
 OVERLAP = (MIN_OVERLAP, 1.0 - MIN_OVERLAP)  # of m(x)
 MIN_CLUSTERS = 8  # of a statistic: 2^7 distinct sign patterns allow p < 0.01
-MIN_VARIANCE = 0.02  # of an indicator, when statistics are weighted by the inverse variance
+MIN_VARIANCE = 0.02  # of an indicator, whose score is divided by its standard deviation
 RATES = (Aspect.DETECTION, Aspect.EARLY, Aspect.LATE)
 INDICATORS = (*RATES, Aspect.REPEAT, Aspect.COINCIDENCE)
 
@@ -213,7 +213,10 @@ def _fitted(frame: _Frame, aspects: Ints, basis: Basis, folds: list[Ints]) -> tu
 
 
 def _weights(frame: _Frame, aspects: Ints, g: Floats) -> Floats:
-    """Return the inverse variance of indicators given the conditions, 1 for other scores, (n, aspects)."""
+    """Return the inverse standard deviation of rates given the conditions, 1 for other scores, (n, aspects).
+
+    Pings then have one variance in all regions, as `locate` expects, and as normal scores have.
+    """
     out = np.ones((len(frame.units), len(aspects)))
     for j, a in enumerate(aspects):
         if ASPECTS[a] in RATES:

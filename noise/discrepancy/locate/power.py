@@ -24,6 +24,7 @@ from noise.discrepancy.result import Aspect, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Key, Stack
+from noise.law import GivenNumbers
 
 POWER_QUANTILE = 1.2816  # standard normal, 90 %
 STEPS = 5  # of the search; the shift is nearly proportional to the size, so that a few secant steps suffice
@@ -153,20 +154,9 @@ class _Probe:
         return best
 
 
-@dataclass(frozen=True)
-class _Uniform:
-    """A source that returns given uniform numbers."""
-
-    value: Floats
-
-    def random(self, size: int | tuple[int, ...], /) -> Floats:
-        """Return the numbers."""
-        return np.broadcast_to(self.value, size if isinstance(size, tuple) else (size,))
-
-
 def _scores_of(truth: Stack, law: Stack, batch: Batch, uniform: Floats) -> Floats:
     """Return the scores under a law of readings that follow another."""
-    drawn = ping_law(truth, batch).sample(_Uniform(uniform))
+    drawn = ping_law(truth, batch).sample(GivenNumbers(uniform))
     reading = Reading.of(drawn.range, drawn.status)
     return scores(law, replace(batch, reading=reading)).value
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from acquisition import Reading
 from acquisition.arrays import Floats, Ints
 from noise.discrepancy.locate.directed import single_log_prob_after
 from noise.discrepancy.locate.orthogonal import Tested, compared
@@ -95,14 +96,10 @@ def _slopes(recorded: Stack, law: Stack, batch: Batch, part: Ints, key: Key, rng
 
     Each part of the readings has laws whose smooth corrections were fitted without it.
     """
-    out = np.empty((1 + DRAWN, len(batch)))
-    for k in np.unique(part):
-        rows, judge = part == k, recorded.without_part(int(k))
-        own = batch.select(rows)
-        drawing = ping_law(law.without_part(int(k)), own)
-        drawn = (replace(own, reading=drawing.sample(rng)) for _ in range(DRAWN))
-        out[:, rows] = [slope(judge, each, key) for each in (own, *drawn)]
-    return out
+    drawing = ping_law(law.by_part(part), batch)
+    readings = [batch.reading, *(drawing.sample(rng) for _ in range(DRAWN))]
+    every = Reading(np.stack([each.range for each in readings]), np.stack([each.status for each in readings]))
+    return slope(recorded.by_part(part), batch, key, every)
 
 
 def _change(tested: Tested, information: Floats) -> float:
@@ -136,10 +133,17 @@ def _only(scored: Scores, value: Floats) -> Scores:
     return Scores(every, valid, every, scored.level_db, scored.sigma, scored.probability)
 
 
-def slope(law: Stack, batch: Batch, key: Key) -> Floats:
-    """Return the derivative of the log probability of each reading with respect to a parameter, (n,)."""
+def slope(law: Stack, batch: Batch, key: Key, reading: Reading | None = None) -> Floats:
+    """Return the derivative of the log probability of each reading with respect to a parameter, (..., n).
+
+    Args:
+        law: of the pings.
+        batch: pings.
+        key: parameter.
+        reading: of the pings, (..., n), each after the past of the batch; those of the batch by default.
+    """
     p = law.parameter(key)
     step, value = STEP * (p.high - p.low), law.get(key)
     ends = np.clip([value - step, value + step], p.low, p.high)
-    low, high = single_log_prob_after(law, [{key: float(end)} for end in ends], batch)
+    low, high = single_log_prob_after(law, [{key: float(end)} for end in ends], batch, reading)
     return np.asarray((high - low) / (ends[1] - ends[0]))

@@ -24,6 +24,7 @@ from noise.discrepancy.moments.scores import ASPECTS, BIAS, Scores, scores_of_bo
 from noise.discrepancy.result import Aspect, Interval, Location, PValue, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.effects.medium import TEMPERATURE
+from noise.fitting.batch import Batch
 from noise.fitting.stack import Key, Stack
 from noise.fitting.starts import target_echo
 
@@ -101,10 +102,18 @@ def _of_rate(scored: Scores, sample: Sample, aspect: Aspect) -> _Line | None:
     if line is None:
         return None
     valid = scored.valid[:, a]
-    share = float(np.mean((scored.natural[:, a] + scored.probability[:, RATES.index(aspect)])[valid]))
+    # of the readings themselves: the laws of both files may expect different shares
+    share = float(np.mean(np.concatenate([_shows(batch, aspect) for batch in sample.batches])[valid]))
     n = np.bincount(sample.is_recorded[valid])
-    least = float(np.sqrt(max(share * (1.0 - share), 0.0) * (1.0 / n[n > 0]).sum()))
+    least = float(np.sqrt(share * (1.0 - share) * (1.0 / n[n > 0]).sum()))
     return replace(line, error=np.maximum(line.error, least))
+
+
+def _shows(batch: Batch, aspect: Aspect) -> Bits:
+    """Return which readings are an echo, or an early or late one, (n,)."""
+    if aspect is Aspect.DETECTION:
+        return batch.reading.echo
+    return batch.is_outlier(batch.error) & ((batch.error < 0.0) == (aspect is Aspect.EARLY))
 
 
 def compensation_is_unknown(law: Stack, sample: Sample) -> bool:

@@ -10,7 +10,7 @@ register step that all pings of a visit share cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -56,17 +56,32 @@ class Scores:
 
 
 @dataclass(frozen=True, eq=False)
-class _Terms:
-    """Probabilities under the law that the scores are made of, (n,) each; those of ranges given an echo."""
+class _Expected:
+    """What a law says of n pings, whatever was read.
+
+    Attributes:
+        middle: median of the target's echo, m, (n,).
+        sigma: its standard deviation, m, (n,).
+        echo: probability of an echo, (n,).
+        window: probability that an echo comes before the window of the target, and that it comes by its end, (2, n).
+    """
 
     middle: Floats
     sigma: Floats
-    level_db: Floats
     echo: Floats
-    step: tuple[Floats, Floats]
-    window: tuple[Floats, Floats]
-    again: Floats
-    agree: Floats
+    window: Floats
+
+    @classmethod
+    def of(cls, law: PhysicalLaw, batch: Batch) -> _Expected:
+        """Return what the law of the pings of a batch says."""
+        middle, sigma = target_of(law)
+        echo = law.arrival(np.full(len(batch), np.inf))
+        return cls(middle, sigma, echo, _given_echo(law, echo, middle - batch.reach, middle + batch.reach))
+
+    @property
+    def probability(self) -> Floats:
+        """Probability of detection, early and late, (n, 3)."""
+        return np.stack([self.echo, self.window[0], 1.0 - self.window[1]], axis=1)
 
 
 def ping_law(stack: Stack, batch: Batch) -> PhysicalLaw:
@@ -76,20 +91,33 @@ def ping_law(stack: Stack, batch: Batch) -> PhysicalLaw:
         return single_ping_law(law_of(model, batch), visits)
 
 
-def scores(stack: Stack, batch: Batch, part: Ints | None = None) -> Scores:
-    """Return the scores of the readings of a batch under a stack.
+def target_of(law: PhysicalLaw) -> tuple[Floats, Floats]:
+    """Return median and standard deviation of the target's echo under a law, m, (n,) each."""
+    middle, variance = (np.broadcast_to(part.numpy(), len(law)) for part in direct_median(law))
+    return middle, np.sqrt(variance)
 
-    Args:
-        stack: law.
-        batch: readings.
-        part: of the law's own readings that its smooth correction leaves out, for each ping, (n,), alike in a visit.
-    """
-    if part is None or stack.left_out is None:
-        return _scores(stack, batch)
-    rows = [np.flatnonzero(part == k) for k in np.unique(part)]
-    parts = [_scores(stack.without_part(int(part[at[0]])), batch.select(_mask(at, len(batch)))) for at in rows]
-    back = np.argsort(np.concatenate(rows), kind="stable")
-    return Scores(*(np.concatenate([getattr(each, f.name) for each in parts])[back] for f in fields(Scores)))
+
+def level_of(law: PhysicalLaw) -> Floats:
+    """Return the level of the direct path above the threshold, dB, (n,)."""
+    level = torch.broadcast_to(law.state.direct.level_db, (len(law.state.log_weight), len(law)))
+    return (torch.softmax(law.state.log_weight, dim=0) * level).sum(0).numpy()
+
+
+def _given_echo(law: PhysicalLaw, echo: Floats, *edges: Floats) -> Floats:
+    """Return the probability that an echo comes by each edge, m, (edges, n)."""
+    arrival = law.arrival(np.nan_to_num(np.stack(edges), neginf=-1e4, posinf=1e4))
+    return np.clip(arrival / np.maximum(echo, MIN_PROBABILITY), 0.0, 1.0)
+
+
+def scores(stack: Stack, batch: Batch) -> Scores:
+    """Return the scores of the readings of a batch under a stack."""
+    law = ping_law(stack, batch)
+    expected = _Expected.of(law, batch)
+    other = _earlier_outlier(expected.middle, batch)
+    step, past = law.step(batch.reading.range), law.step(batch.past.range)
+    edges = law.edge(step - 1), law.edge(step), law.edge(past - 1), law.edge(past), other - AGREEMENT_M
+    given = _given_echo(law, expected.echo, *edges, other + AGREEMENT_M)
+    return _of_readings(expected, given, level_of(law), batch, other)
 
 
 def scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
@@ -108,77 +136,59 @@ def scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) ->
 
 def _scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
     parts = sample.left_out(law_simulated)
-    own = scores(law_recorded, sample.recorded, parts[0])
-    common = own if law_recorded is law_simulated else scores(law_simulated, sample.recorded, parts[0])
+    own = scores(law_recorded.by_part(parts[0]), sample.recorded)
+    common = _Expected.of(ping_law(law_simulated.by_part(parts[0]), sample.recorded), sample.recorded)
     rescaled = own.value.copy()
-    rescaled[:, 0] *= own.sigma / common.sigma
-    both = [Scores(rescaled, own.valid, own.natural, own.level_db, common.sigma, common.probability)]
+    rescaled[:, BIAS] *= own.sigma / common.sigma
+    both = [replace(own, value=rescaled, sigma=common.sigma, probability=common.probability)]
     if sample.simulated is not None:
-        both.append(scores(law_simulated, sample.simulated, parts[1]))
+        both.append(scores(law_simulated.by_part(parts[1]), sample.simulated))
     out = Scores(*(np.concatenate([getattr(each, f.name) for each in both]) for f in fields(Scores)))
     if sample.follows_more < -DISTINCT:
         out.valid[:, KEPT] = False
     return out
 
 
-def _mask(rows: Ints, n: int) -> Bits:
-    out = np.zeros(n, dtype=bool)
-    out[rows] = True
-    return out
+def _of_readings(expected: _Expected, given: Floats, level_db: Floats, batch: Batch, other: Floats) -> Scores:
+    """Return the scores of readings.
 
-
-def _scores(stack: Stack, batch: Batch) -> Scores:
-    other = _earlier_outlier(stack, batch)
-    return _of_terms(_terms(ping_law(stack, batch), batch, other), batch, other)
-
-
-def _terms(law: PhysicalLaw, batch: Batch, other: Floats) -> _Terms:
-    with torch.no_grad():
-        middle, variance = (np.broadcast_to(part.numpy(), len(batch)) for part in direct_median(law))
-        level = torch.broadcast_to(law.state.direct.level_db, (len(law.state.log_weight), len(batch)))
-        weight = torch.softmax(law.state.log_weight, dim=0)
-        level_db = (weight * level).sum(0).numpy()
-    step, past = law.step(batch.reading.range), law.step(batch.past.range)
-    edges = [law.edge(step - 1), law.edge(step), middle - batch.reach, middle + batch.reach]
-    edges += [law.edge(past - 1), law.edge(past), other - AGREEMENT_M, other + AGREEMENT_M]
-    arrival = law.arrival(np.stack([np.full(len(batch), np.inf), *np.nan_to_num(edges, neginf=-1e4, posinf=1e4)]))
-    echo = arrival[0]
-    given = np.clip(arrival[1:] / np.maximum(echo, MIN_PROBABILITY), 0.0, 1.0)
-    outside = np.maximum(1.0 - (given[3] - given[2]), MIN_PROBABILITY)
-    again, agree = given[5] - given[4], np.clip((given[7] - given[6]) / outside, 0.0, 1.0)
-    return _Terms(middle, np.sqrt(variance), level_db, echo, (given[0], given[1]), (given[2], given[3]), again, agree)
-
-
-def _of_terms(terms: _Terms, batch: Batch, other: Floats) -> Scores:
-    n, echo = len(batch), batch.reading.echo
-    error = np.where(echo, batch.reading.range - terms.middle, 0.0)
-    target, outlier = batch.is_target(error), batch.is_outlier(error)
-    early, late = terms.window[0], 1.0 - terms.window[1]
-    normal = normal_scores(*_within(terms.step, terms.window))
+    Args:
+        expected: under the law.
+        given: probability that an echo comes by either edge of its step, of the step of the past reading, and of what
+            agrees with the earlier outlier, (6, n).
+        level_db: of the direct path, (n,).
+        batch: readings.
+        other: range of the earlier outlier, m, (n,).
+    """
+    error = np.where(batch.reading.echo, batch.reading.range - expected.middle, 0.0)
+    target, outlier, echo = batch.is_target(error), batch.is_outlier(error), batch.reading.echo
+    heard, early, late = expected.probability.T
+    normal = normal_scores(*_within(given[:2], expected.window))
     memory, ordered = _memory(np.where(target, normal[0], 0.0), target, batch)
-    repeat, comparable = _repeat(terms.again, batch)
+    repeat, comparable = _repeat(given[3] - given[2], batch)
     agree = np.abs(batch.reading.range - other) <= AGREEMENT_M
+    outside = np.maximum(1.0 - (expected.window[1] - expected.window[0]), MIN_PROBABILITY)
+    alike = np.clip((given[5] - given[4]) / outside, 0.0, 1.0)
     table = {
         Aspect.BIAS: (normal[0], target),
         Aspect.SPREAD: (normal[1], target),
         Aspect.SKEW: (normal[2], target),
-        Aspect.DETECTION: (echo - terms.echo, np.ones(n, dtype=bool)),
+        Aspect.DETECTION: (echo - heard, np.ones(len(batch), dtype=bool)),
         Aspect.EARLY: ((outlier & (error < 0)) - early, echo),
         Aspect.LATE: ((outlier & (error > 0)) - late, echo),
         Aspect.REPEAT: (repeat, comparable),
         Aspect.MEMORY: (memory, ordered),
-        Aspect.COINCIDENCE: (agree - terms.agree, outlier & np.isfinite(other)),
+        Aspect.COINCIDENCE: (agree - alike, outlier & np.isfinite(other)),
     }
     value = np.stack([np.where(table[a][1], table[a][0], 0.0) for a in ASPECTS], axis=1).astype(np.float64)
     natural = value.copy()
     natural[:, BIAS] = np.where(target, error, 0.0)
     natural[:, ASPECTS.index(Aspect.SPREAD)] /= 2.0  # d(sd) / sd = d(variance) / (2 variance)
     valid = np.stack([table[a][1] for a in ASPECTS], axis=1)
-    probability = np.stack([terms.echo, early, late], axis=1)
-    return Scores(value, valid, natural, terms.level_db, terms.sigma, probability)
+    return Scores(value, valid, natural, level_db, expected.sigma, expected.probability)
 
 
-def _within(step: tuple[Floats, Floats], window: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+def _within(step: Floats, window: Floats) -> tuple[Floats, Floats]:
     """Return the interval of a step under the law given the window, 0 to 1."""
     mass = np.maximum(window[1] - window[0], MIN_PROBABILITY)
     low, high = (np.clip((edge - window[0]) / mass, 0.0, 1.0) for edge in step)
@@ -243,10 +253,8 @@ def _back(batch: Batch, lag: int) -> Ints:
     return np.maximum(np.arange(len(batch)) - lag, 0)
 
 
-def _earlier_outlier(stack: Stack, batch: Batch) -> Floats:
+def _earlier_outlier(middle: Floats, batch: Batch) -> Floats:
     """Return the range of the outlier before each ping in its visit, m, (n,); nan where there is none."""
-    with torch.no_grad():
-        middle = np.broadcast_to(direct_median(ping_law(stack, batch))[0].numpy(), len(batch))
     outlier = batch.is_outlier(np.where(batch.reading.echo, batch.reading.range - middle, 0.0))
     row = np.maximum.accumulate(np.where(outlier, np.arange(len(batch)), -1))
     row = np.r_[-1, row[:-1]]
@@ -266,8 +274,9 @@ def with_own_placement(law: Stack, sample: Sample) -> tuple[Stack, Stack]:
 
 
 def _placed(law: Stack, batch: Batch, part: Ints) -> Stack:
-    scored = scores(law, batch, part)
-    valid, error = scored.valid[:, BIAS], scored.natural[:, BIAS]
+    own = ping_law(law.by_part(part), batch)
+    error = np.where(batch.reading.echo, batch.reading.range - target_of(own)[0], 0.0)
+    valid = batch.is_target(error)
     count = np.bincount(batch.visit, valid)
     if np.sum(count >= 2) < 2:
         return law
@@ -275,13 +284,8 @@ def _placed(law: Stack, batch: Batch, part: Ints) -> Stack:
     within = float(np.sum(valid * (error - mean[batch.visit]) ** 2) / np.sum(np.maximum(count - 1.0, 0.0)))
     several = count >= 2
     between = float(np.var(winsorised(mean[several]))) - within * float(np.mean(1.0 / count[several]))
-    between -= float(np.mean(_walked(law, batch)[valid] ** 2))
+    # the scatter of a visit's level scatters its readings by the time walk
+    walk = np.broadcast_to(own.state.direct.walk.numpy(), len(batch))[valid]
+    between -= float(np.mean((walk * law.get(LEVEL_SD)) ** 2))
     most = max(MAX_PLACEMENT_M, law.get(PLACEMENT))
     return law.put([PLACEMENT], [min(np.sqrt(max(between, 0.0)) / placement_scatter(1.0), most)])
-
-
-def _walked(law: Stack, batch: Batch) -> Floats:
-    """Return by how much the scatter of a visit's level scatters its readings by the time walk, m, (n,)."""
-    with torch.no_grad():
-        walk = ping_law(law, batch).state.direct.walk.numpy()
-    return np.broadcast_to(walk * law.get(LEVEL_SD), len(batch))

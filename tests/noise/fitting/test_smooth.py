@@ -15,10 +15,10 @@ from noise.fitting.batch import Batch
 from noise.fitting.empirical import EmpiricalModel, PlacementScatter
 from noise.fitting.fit import maximise
 from noise.fitting.learn_smooth import learn_smooth
-from noise.fitting.likelihood import log_likelihood
+from noise.fitting.likelihood import at_each, log_likelihood
 from noise.fitting.smooth import HEADS, MIRRORED, SHIFT, SPREAD, Inputs, Sizes, Smooth, column, term_of
 from noise.fitting.smooth_basis import single_log_prob
-from noise.fitting.stack import Stack
+from noise.fitting.stack import LeftOut, Stack
 from noise.fitting.starts import nuisance_start
 from noise.fitting.visit_effects import law_of, log_prob, single_ping_law
 from noise.physical import PhysicalModel
@@ -69,6 +69,24 @@ def test_a_corrected_loud_echo_is_heard_whatever_the_level_scatters_between_visi
     plain, smooth = (EmpiricalModel(effects).law(ping()).echo for effects in ([scatter], [scatter, zero]))
     assert plain.min() > 0.999
     assert smooth.min() > 0.999
+
+
+def test_each_ping_has_the_correction_of_its_part():
+    terms = [term(weight) for weight in (0.1, 0.2, 0.3)]
+    batch = survey(PhysicalModel([JITTER]))
+    law = replace(Stack.of(EmpiricalModel([JITTER, terms[0]])), left_out=LeftOut(tuple(terms[1:]), batch.condition))
+    part = batch.visit % 3 - 1
+
+    def nats(stack, rows):
+        def measure(model, visits):
+            return log_prob(law_of(model, rows), visits, rows, exact=True)
+
+        return at_each(stack, [("zero_offset", "offset_m")], np.array([[-0.01], [0.01]]), measure)
+
+    whole = nats(law.by_part(part), batch)
+    for k, each in enumerate(terms):
+        rows = part == k - 1
+        assert whole[:, rows] == pytest.approx(nats(law.with_term(each), batch.select(rows)), abs=1e-9)
 
 
 @pytest.mark.parametrize("added_m", [0.0, 0.003, 0.02])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import fisher_exact, kstest
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.few import far_test, placement_test, register_test, within_test
@@ -72,6 +72,17 @@ def test_one_reading_in_twenty_far_from_every_mark_is_found(law):
         assert place.size.value == pytest.approx(0.05, abs=0.03)
         back = far_test(law, law, Sample(marks(1000 + seed), with_early(marks(seed), 0.05, seed)))
         assert back.p_value.value == pytest.approx(found.p_value.value)
+
+
+def test_shares_of_the_few_echoes_among_many_silent_pings_are_no_surer_than_their_number(law):
+    """One far reading among six echoes of each mark, and none in the other file: Fisher's exact test knows how rare."""
+    recorded, simulated = marks(1), marks(2)
+    nth = np.arange(len(recorded)) % PINGS
+    near = [np.where(nth < 6, batch.reading.range, 0.0) for batch in (recorded, simulated)]
+    near[0][nth == 0] *= 0.5
+    files = [replace(recorded, reading=Reading.of(near[0])), replace(simulated, reading=Reading.of(near[1]))]
+    table = [[len(MARKS), 5 * len(MARKS)], [0, 6 * len(MARKS)]]
+    assert far_test(law, law, Sample(*files)).p_value.value > fisher_exact(table).pvalue
 
 
 def test_far_readings_of_one_disturbed_visit_are_no_difference(law):

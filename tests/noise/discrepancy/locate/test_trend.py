@@ -66,6 +66,14 @@ def test_shares_that_agree_between_positions_by_chance_are_not_certain(law):
     assert p > fisher_exact(table).pvalue
 
 
+def test_shares_have_the_error_of_the_readings_whatever_share_each_law_expects(law):
+    """The recording loses about every other reading of each mark, as its law says, and the simulation none."""
+    recorded, corrected = marks(1), law.put([("dropped_reading", "probability")], [0.5])
+    ranges = np.where(np.arange(len(recorded)) % 30 < 14, 0.0, recorded.reading.range)
+    sample = Sample(replace(recorded, reading=Reading.of(ranges)), marks(2))
+    assert trend_test(corrected, law, sample).p_value.value > 0.01
+
+
 def test_readings_without_any_error_in_reach_have_no_trend(law):
     far = Batch.of(Recording.of(Ping.of(distance=np.repeat(MARKS, 30)), Reading.of(np.full(300, 1e-9))))
     assert trend_test(law, law, Sample(far, None)).p_value.value > 0.01
