@@ -59,6 +59,18 @@ def test_environments_of_one_seed_draw_the_same_single_and_vector_and_each_episo
     check_env(gymnasium.make("SonarParking-v0", randomize=BOTH).unwrapped, skip_render_check=True)
 
 
+def test_the_info_of_an_episode_is_not_changed_by_the_next():
+    envs = SonarParkingVectorEnv(50, randomize=BOTH, max_episode_steps=1, autoreset_mode="SameStep")
+    info, episodes = envs.reset(seed=0)[1], []
+    for _ in range(3):
+        episodes.append(info["randomized"])
+        info = envs.step(np.zeros((50, 2)))[4]
+        final = info["final_info"]["randomized"]
+        for name in ("level", "mounts"):
+            assert np.array_equal(final[name], episodes[-1][name])
+    assert len({tuple(episode["level"]) for episode in episodes}) == 3
+
+
 def test_nothing_is_drawn_unless_asked_for():
     assert drawn(2)[1] is None
     plain, moved = SonarParkingEnv(), SonarParkingEnv(randomize={"street": {}})
