@@ -91,8 +91,9 @@ class HeardNode:
 
     def _scan(self, message: Any, out: tuple[Any, Any]) -> None:
         ranges = np.asarray(message.ranges, dtype=np.float64)
+        angles = float(message.angle_min), float(message.angle_increment)
         distance, bearing = scan_sectors(
-            ranges, float(message.angle_min), float(message.angle_increment), float(message.range_max), self.sectors
+            ranges, *angles, float(message.range_max), self.sectors, float(message.range_min)
         )
         frames = [f"{message.header.frame_id}_sector_{k}" for k in range(self.sectors)]
         view = abs(float(message.angle_increment)) * len(ranges) / self.sectors

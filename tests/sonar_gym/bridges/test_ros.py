@@ -96,6 +96,12 @@ def test_sectors_hold_the_nearest_return_and_its_bearing():
         scan_sectors(ranges, 0.0, 0.1, 5.0, 9)
 
 
+@given(st.lists(st.sampled_from([-np.inf, 0.0, 0.05, 0.3, 1.0, 4.0, np.inf, np.nan]), min_size=1, max_size=8))
+def test_a_return_of_a_scan_is_as_far_as_the_same_range(ranges):
+    distance, _ = scan_sectors(np.array(ranges), 0.0, 0.1, 4.0, len(ranges), 0.1)
+    np.testing.assert_array_equal(distance, ideal_distances(np.array(ranges), 0.1, 4.0))
+
+
 @given(st.lists(st.floats(0.0, 20.0), min_size=4, max_size=60), st.integers(1, 4))
 def test_the_nearest_of_all_sectors_is_the_nearest_of_the_scan(ranges, count):
     distance, _ = scan_sectors(np.array(ranges), 0.0, 0.1, 30.0, count)
@@ -170,6 +176,9 @@ def test_a_scan_is_heard_in_sectors():
     assert [round(m.range, 6) for m in out] == [1.0, 3.0]
     assert [m.header.frame_id for m in out] == ["bumper_sector_0", "bumper_sector_1"]
     assert out[0].field_of_view == pytest.approx(0.2)
+    scan.ranges = [1.0, 2.0, 3.0, -math.inf]  # too close to measure
+    node.callbacks["/scan"](scan)
+    assert [round(m.range, 6) for m in out[2:]] == [1.0, 0.1]
 
 
 def test_without_ros_the_node_says_what_it_needs(monkeypatch):
