@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, SettingError
+from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, RecordingError, SettingError
 from acquisition.io.logs.bags import GroundTruthSource, import_bag, reading_mm
 from noise import load_model
 from sonar_gym.bridges.ros.hearing import HeardRanges, scan_sectors
@@ -78,6 +78,20 @@ def test_a_recording_survives_the_way_to_a_bag_and_back(recording, tmp_path, sql
     assert np.all(credence[~echo] == 0.0)
     assert credence[echo].mean() > 0.5
     assert set(sensor) == {"front left"}
+
+
+def test_topics_are_valid_in_ros_2_and_one_for_each_sensor(recording, tmp_path):
+    from rosbags.highlevel import AnyReader
+
+    nameless = Recording.of(recording.ping, recording.reading)
+    write_bag(nameless, tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert set(reader.topics) == {"/sonar/sensor_0", "/sonar/sensor_0/true"}
+    sensor = np.where(np.arange(len(recording)) % 2, "front left", "front-left")
+    twice = Recording.of(recording.ping, recording.reading, sensor=sensor)
+    with pytest.raises(RecordingError, match="'front-left' and 'front left' would both be on /sonar/front_left: ren"):
+        write_bag(twice, tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_bag_without_a_model_has_no_credence_and_a_folder_that_exists_is_named(recording, tmp_path):
