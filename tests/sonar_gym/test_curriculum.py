@@ -45,7 +45,7 @@ def test_lengths_in_whole_numbers_are_not_rounded():
 
 def test_an_environment_whose_streets_cannot_be_changed_raises_an_error():
     envs = DummyVecEnv([lambda: gymnasium.make("SonarParking-v0")])
-    with pytest.raises(SettingError, match="Curriculum: .* no street_settings that can be changed: train on SonarVec"):
+    with pytest.raises(SettingError, match=r"Curriculum: .* no street_settings that can be changed: train on Sonar"):
         PPO("MultiInputPolicy", envs, n_steps=2, batch_size=2, device="cpu").learn(2, callback=Curriculum())
 
 
