@@ -27,7 +27,6 @@ TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no 
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
 START_BEFORE = 0.6  # m; least distance of the rear axle before the gap, so that the car passes both of its ends
 MAX_TURN_DEG = 20.0  # deg; beyond it a short box cannot be turned within its extent
-PATH_STEP = 0.01  # m; distance between poses of the reference path
 
 
 Length = Annotated[float, Limit(0.0, 100.0, "m")]
@@ -379,10 +378,3 @@ def rear_room(gap: float, car: CarSettings) -> float:
 def arc_radius(car: CarSettings) -> float:
     """Return the radius of the arcs of the reference path, m."""
     return ARC_MARGIN * car.turning_radius
-
-
-def arc_table(car: CarSettings) -> Floats:
-    """Return poses along an arc: angle, distance along x, distance along y, arc length: rad, m, m, m, (k, 4)."""
-    radius = arc_radius(car)
-    angle = np.arange(0.0, np.pi, PATH_STEP / radius)
-    return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])

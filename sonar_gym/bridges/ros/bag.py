@@ -24,6 +24,7 @@ from noise import CredenceTable
 from sonar_gym.bridges.ros.messages import (
     CREDENCE_TOPIC,
     DIAGNOSTIC_TYPE,
+    MIN_RANGE,
     RANGE_TYPE,
     ULTRASOUND,
     diagnostics,
@@ -35,7 +36,6 @@ from sonar_gym.sensing.sonar import SonarChoice, broad_table, resolve
 ROOT = "/sonar"
 TRUE_TOPIC = "true"
 MAX_STAMP = 2.0**31  # s since 1970; of builtin_interfaces/Time
-MIN_RANGE = 0.03  # m; SRF08 (Devantech)
 BAG_VERSION: Literal[9] = 9
 
 

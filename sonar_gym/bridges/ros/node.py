@@ -16,12 +16,18 @@ import numpy as np
 from acquisition import MissingExtraError, SettingError
 from acquisition.arrays import Floats
 from sonar_gym.bridges.ros.hearing import HeardRanges, scan_sectors
-from sonar_gym.bridges.ros.messages import CREDENCE_TOPIC, ULTRASOUND, diagnostics, ideal_distances, range_values
+from sonar_gym.bridges.ros.messages import (
+    CREDENCE_TOPIC,
+    MIN_RANGE,
+    ULTRASOUND,
+    diagnostics,
+    ideal_distances,
+    range_values,
+)
 from sonar_gym.sensing.sonar import SonarChoice
 
 SCAN_SUFFIX = ":LaserScan"
 HEARD = "heard"
-MIN_RANGE = 0.03  # m; SRF08 (Devantech)
 NODE_NAME = "sonar_gym"
 
 

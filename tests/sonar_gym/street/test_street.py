@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from acquisition import SettingError
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS, Mount, in_world, layout, mount_arrays
-from sonar_gym.sensing.scene import EMPTY_M, Box, Scene, WallSegment
+from sonar_gym.sensing.scene import Box, Scene, WallSegment
 from sonar_gym.street.street import MAX_TURN_DEG, START_BEFORE, StreetSettings, draw_street, start_of, street_of
 from sonar_gym.street.vehicle import CarSettings
 from tests.sonar_gym.parking.reference import reference_path
@@ -151,9 +151,9 @@ def test_box_without_extent_raises_an_error():
 def test_cones_on_an_empty_scene_are_empty():
     hits = Scene([]).cast(np.zeros((2, 3)), np.array([0.3, 0.4]), 3.0)
     assert not hits.in_cone.any()
-    ping = hits.ping(1.5)
-    assert np.all(ping.distance == EMPTY_M)
-    assert np.all(ping.time == 1.5)
+    assert np.all(hits.distance == 3.0)
+    assert np.all(hits.reflectance == 0.0)
+    assert np.all(hits.obstacle == -1)
 
 
 def test_mounts_rotate_with_the_car():
