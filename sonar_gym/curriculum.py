@@ -9,6 +9,7 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
+from acquisition import SettingError
 from acquisition.arguments import checked
 from acquisition.limits import Count, Rate, Share, check_value
 from sonar_gym.checks import check_observation
@@ -17,6 +18,8 @@ from sonar_gym.street.street import StreetSettings, replaced, street_settings
 
 def between(begin: StreetSettings, end: StreetSettings, share: float) -> StreetSettings:
     """Return settings between two others: every number and every limit is interpolated, and numbers of spaces rounded.
+
+    The kinds of obstacles are those of `end` as soon as the share is above 0.
 
     Args:
         begin: settings at a share of 0.
@@ -28,14 +31,12 @@ def between(begin: StreetSettings, end: StreetSettings, share: float) -> StreetS
     """
 
     def mixed(a: Any, b: Any) -> Any:
-        if isinstance(a, tuple):
-            return tuple(mixed(*pair) for pair in zip(a, b, strict=True))
-        value = (1.0 - share) * a + share * b
-        return round(value) if isinstance(a, int) and isinstance(b, int) else value
+        return tuple(map(mixed, a, b)) if isinstance(a, tuple) else (1.0 - share) * a + share * b
 
-    return StreetSettings(
-        **{one.name: mixed(getattr(begin, one.name), getattr(end, one.name)) for one in fields(begin)}
-    )
+    names = [one.name for one in fields(begin) if one.name != "obstacles"]
+    values = {name: mixed(getattr(begin, name), getattr(end, name)) for name in names}
+    values["decoys"] = tuple(map(round, values["decoys"]))
+    return StreetSettings(**values, obstacles=end.obstacles if share > 0.0 else begin.obstacles)
 
 
 class Curriculum(BaseCallback):
@@ -89,6 +90,10 @@ class Curriculum(BaseCallback):
         self._ends.extend(bool(parked) for parked in given["ends"])
 
     def _on_training_start(self) -> None:
+        if not self.training_env.has_attr("street_settings"):
+            raise SettingError(
+                "Curriculum: the training environment has no street_settings that can be changed: train on SonarVecEnv"
+            )
         self._set_streets()
 
     def _on_step(self) -> bool:

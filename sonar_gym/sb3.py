@@ -25,7 +25,7 @@ from sonar_gym.parking.vector import SonarParkingVectorEnv
 Observations = dict[str, NDArray[np.float32]]
 StepResult = tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
 # Attributes that take effect after the environment is made; streets with the next episode
-SETTABLE = ("max_episode_steps", "render_mode", "pictured", "street_settings")
+SETTABLE = ("max_episode_steps", "pictured", "street_settings")
 OUTCOMES = ("is_success", "collision", "left_street")
 NEAR_M = 0.3  # m; ranges below it are resolved best
 EGO_SCALE = (1.0, 1.0, 1.0, 3.0, 2.0, 4.0, 1.0)  # of the sine of the heading and of the odometry, which are small

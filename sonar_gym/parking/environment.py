@@ -213,7 +213,9 @@ class SonarParkingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
             check_number("seed", seed, SEEDS, whole=True)
         super().reset(seed=seed)
         if seed is not None or not self._streams_seeded:
-            self.fleet.seed(self.np_random_seed if seed is None else seed)
+            known = self.np_random_seed if seed is None else seed
+            # Gymnasium's seed of a generator that the user has set is -1
+            self.fleet.seed(known if known >= 0 else int(self.np_random.integers(2**63)))
             self._streams_seeded = True
         self.fleet.reset(ROW_0, [self.np_random], options)
         self._render_window()

@@ -374,9 +374,9 @@ class Fleet:
     def truth(self, which: int | slice | Ints) -> dict[str, Any]:
         """Return the info of one world or several: true conditions of the pings shown, and state of the episode."""
         ended = self.worlds.ended[which].copy()
-        drawn = {"level": self._levels[which], "mounts": self.worlds.mounts[which].copy()} if self._randomizes else {}
+        drawn = {"level": self._levels, "mounts": self.worlds.mounts} if self._randomizes else {}
         return {
-            **({"randomized": drawn} if self._randomizes else {}),
+            **({"randomized": {name: value[which].copy() for name, value in drawn.items()}} if drawn else {}),
             "is_success": ended[..., step_kernel.PARKED],
             "collision": ended[..., step_kernel.COLLISION],
             "left_street": ended[..., step_kernel.LEFT_STREET],

@@ -3,7 +3,8 @@
 A sonar that points along the street mostly faces kerbs at the edge of its cone; one that points sideways faces boxes at
 normal incidence; and a car that parks meets other conditions than one that drives at random. So streets like those of
 the task are driven by a driver of each kind, the model's readings from these places are drawn, and the right ones are
-counted. The tables of the shipped models on the registered streets are shipped; others are counted when needed.
+counted. Tables of `gaussian` and the SRF08's learned models on the registered streets are shipped; others are counted
+when needed.
 """
 
 from __future__ import annotations

@@ -276,7 +276,8 @@ def _overview(brush: Brush, world: WorldView, camera: Camera, top: float) -> Non
     left, right = max(camera.left, begin), min(camera.left + VIEW_M, street.end)
     x, width = span(left, right)
     brush.line([(x, top - 3), (x + width, top - 3)], drawing.FAINT, 2)
-    x, width = span(world.car.state[0] - world.car_settings.rear_overhang, world.car.state[0] + 0.36)
+    rear = world.car.state[0] - world.car_settings.rear_overhang
+    x, width = span(rear, rear + world.car_settings.length)
     brush.panel(x, top + 0.5 * MAP_HEIGHT - 4 * min(height_scale, 1.0), width, 8, drawing.CAR, 4)
 
 

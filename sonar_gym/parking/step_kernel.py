@@ -264,7 +264,6 @@ def begin(rows: Ints, w: WorldArrays, r: StepConstants, p: PingArrays) -> None:
 def drive(
     state: Floats,
     command: tuple[float, float],
-    begin_s: float,
     delay: Floats,
     mounts: Floats,
     faces: Faces,
@@ -278,8 +277,7 @@ def drive(
     Args:
         state: state of the car, (5,); modified.
         command: steering angle, rad, and speed, m/s.
-        begin_s: time at the begin of the step, s.
-        delay: delay of the ping of each sonar from there, s, (s,); not positive for none.
+        delay: delay of the ping of each sonar from the begin of the step, s, (s,); not positive for none.
         mounts: poses of the sonars in the frame of the car, (s, 3).
         faces: faces of the street; those that move are moved.
         r: constants.
@@ -335,7 +333,7 @@ def advance(rows: Ints, actions: Floats, w: WorldArrays, r: StepConstants, p: Pi
             delay[s] = firing_delay(begin_s, r.dt, r.timing[s, 0], r.timing[s, 1])
             p.fired[k, s], p.sent[k, s] = delay[s] > 0.0, begin_s + delay[s]
         command = actions[k, 0] * r.dynamics[5], actions[k, 1] * r.dynamics[6]
-        hit = drive(state, command, begin_s, delay, w.mounts[i], faces, r, p.paths[k], p.n_paths[k], sensors)
+        hit = drive(state, command, delay, w.mounts[i], faces, r, p.paths[k], p.n_paths[k], sensors)
         hear_others(faces, k, i, sensors, r, p)
         finish(i, hit, start, w, r)
 

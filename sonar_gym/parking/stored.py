@@ -22,9 +22,18 @@ import numpy as np
 
 from acquisition import SonarError
 from acquisition.arrays import Floats
+from acquisition.version import __version__
 from noise import save_model
 
-ROOMS = ("parking", "sensing", "control")  # whose sources the tables depend on
+# Files that the tables depend on: the environment, the driving agent with its weights, and the laws
+SOURCES = (
+    "sonar_gym/*.py",
+    *(f"sonar_gym/{room}/**/*.py" for room in ("control", "parking", "sensing", "street")),
+    "sonar_gym/weights/parking/*",
+    "noise/*.py",
+    "noise/effects/**/*.py",
+    "noise/learned/**/*.py",
+)
 WEIGHTS = Path(__file__).parents[1] / "weights"
 SHIPPED = WEIGHTS / "credence.npz"
 AGENT = WEIGHTS / "parking" / "weights.safetensors"  # of the agent that drives
@@ -38,11 +47,17 @@ def folder() -> Path:
 
 @lru_cache(maxsize=1)
 def _sources() -> bytes:
-    """Return a digest of the sources that the tables depend on."""
-    root, total = Path(__file__).parents[1], hashlib.sha256()
-    for file in sorted(file for room in ROOMS for file in (root / room).glob("*.py")):
+    """Return a digest of the sources that the tables depend on, and of the version, for those of other packages."""
+    total = hashlib.sha256(__version__.encode())
+    for file in source_files():
         total.update(file.read_bytes())
     return total.digest()
+
+
+def source_files() -> list[Path]:
+    """Return the files that the tables depend on, in order."""
+    root = Path(__file__).parents[2]
+    return sorted(file for pattern in SOURCES for file in root.glob(pattern))
 
 
 def stored(key: tuple[Any, ...], make: Callable[[], Floats]) -> Floats:

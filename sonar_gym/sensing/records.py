@@ -52,8 +52,8 @@ class PingArrays(NamedTuple):
     sent: Floats
     fired: Bits
     records: Floats
-    slot: Bytes
-    shown: Bytes
+    slot: Ints
+    shown: Ints
     before: Floats
     ranges: Singles
     credence: Singles
@@ -77,8 +77,8 @@ class PingArrays(NamedTuple):
         return cls(
             **cls.scratch(rows, s),
             records=np.zeros((n, s, depth, N_RECORD)),
-            slot=np.zeros((n, s), np.uint8),
-            shown=np.zeros((n, s), np.uint8),
+            slot=np.zeros((n, s), np.int64),
+            shown=np.zeros((n, s), np.int64),
             before=np.full((n, s, 4), -np.inf),
             cause=np.zeros((n, s), np.uint8),
             **observed,

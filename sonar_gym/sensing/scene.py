@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 
-from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from sonar_gym.sensing import kernels
@@ -128,18 +127,6 @@ class Hits:
     in_cone: Bits
     obstacle: Ints
     point: Floats
-
-    def ping(self, time: float) -> Ping:
-        """Return the conditions of pings at a time in s; each sensor is a run of its own."""
-        n = len(self.distance)
-        return Ping(
-            distance=np.where(self.in_cone, self.distance, EMPTY_M),
-            angle=self.bearing,
-            incidence=self.incidence,
-            reflectance=self.reflectance,
-            time=np.full(n, time),
-            run=np.arange(n),
-        )
 
 
 class Scene:

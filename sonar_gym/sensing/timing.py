@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from acquisition import SettingError
 from acquisition.arrays import Floats
 from acquisition.limits import as_numbers
+from sonar_gym.sensing.kernels import SOUND_SPEED
 from sonar_gym.sensing.records import SAME_TIME_S
 
 Times = tuple[ArrayLike, ArrayLike, ArrayLike | None]  # period, phase and latency, s
-SOUND_SPEED = 343.0  # m/s, air of 20 degC
 BUS_S = 0.002  # s; command, range gate and reading of the registers at 100 kHz (Devantech, SRF08)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
+from acquisition.limits import Limit, Metres, check_number, check_settings, shown
 from sonar_gym.street.street import LEVELS
 
 LEVEL_NAMES = tuple(LEVELS)
@@ -39,18 +40,20 @@ class Randomization:
     """
 
     street: Mapping[str, float] = field(default_factory=dict)
-    mounts: tuple[float, float] = (0.0, 0.0)
+    mounts: tuple[Metres, Annotated[float, Limit(0.0, 360.0, "deg")]] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Raise SettingError for unknown levels, weights that are no distribution, and limits that are negative."""
-        for name in self.street:
+        check_settings(self, lambda name: f"randomize {name}")
+        if not isinstance(self.street, Mapping):
+            raise SettingError(f"randomize street: expected a mapping of levels to weights, got {shown(self.street)}")
+        for name, weight in self.street.items():
             if name not in LEVELS:
                 raise SettingError(f"randomize street {name!r}: unknown level; expected {', '.join(LEVELS)}")
+            check_number(f"randomize street {name!r}", weight)
         weights = list(self.street.values())
         if weights and not (min(weights) >= 0.0 and 0.0 < sum(weights) < math.inf):
             raise SettingError(f"randomize street: weights must be >= 0 and one of them > 0, got {weights}")
-        if len(self.mounts) != 2 or not all(0.0 <= limit < math.inf for limit in self.mounts):
-            raise SettingError(f"randomize mounts must be two limits >= 0, in m and deg, got {self.mounts}")
 
     def draw(self, rng: np.random.Generator, sonars: int) -> Drawn:
         """Draw for one episode; nothing is taken from `rng` for what is not random."""

@@ -6,6 +6,7 @@ and the kerb. The scenario is that of Esmi (2016), section 6.1 and figure 6.1; i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from acquisition import SettingError
 from acquisition.arrays import Floats
-from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_settings
+from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_number, check_settings
 from sonar_gym.checks import check_fields
 from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.scene import Box, Scene, Texture, box_faces
@@ -26,7 +27,6 @@ TURN_ROOM = 0.27  # m; least excess of a gap over the car for one move, with no 
 ARC_MARGIN = 1.1  # radius of the arcs of the reference path relative to the turning radius
 START_BEFORE = 0.6  # m; least distance of the rear axle before the gap, so that the car passes both of its ends
 MAX_TURN_DEG = 20.0  # deg; beyond it a short box cannot be turned within its extent
-PATH_STEP = 0.01  # m; distance between poses of the reference path
 
 
 Length = Annotated[float, Limit(0.0, 100.0, "m")]
@@ -95,6 +95,22 @@ class StreetSettings:
             raise SettingError(
                 f"StreetSettings.gap must exceed decoy: shortest gap {self.gap[0]:g} m, "
                 f"longest decoy {self.decoy[1]:g} m"
+            )
+        self._check_boxes()
+
+    def _check_boxes(self) -> None:
+        """Raise SettingError if the shortest or the thinnest box has no sides at the greatest angle to the kerb."""
+        turned, slope = f"turned by {self.turn_deg[1]:g} deg", math.tan(math.radians(self.turn_deg[1]))
+        thin, wide = self.depth - self.recess[1], self.depth - self.recess[0]
+        if thin <= self.box[1] * slope:
+            raise SettingError(
+                f"StreetSettings.recess: a box {self.box[1]:g} m long and {turned} must be wider than "
+                f"{self.box[1] * slope:g} m, but depth - recess is {thin:g} m: make depth greater or recess smaller"
+            )
+        if self.box[0] <= wide * slope:
+            raise SettingError(
+                f"StreetSettings.box: a box {wide:g} m wide and {turned} must be longer than {wide * slope:g} m, "
+                f"got {self.box[0]:g} m: make box longer or turn_deg smaller"
             )
 
     @property
@@ -287,6 +303,8 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
     if not np.all(np.isfinite(strip)):
         raise SettingError(f"boxes must have finite fields, got {list(boxes)}")
     spaces = strip[1:, 0] - strip[:-1, :2].sum(axis=1)
+    for turn in strip[:, list(BOX_FIELDS).index("turn_deg")]:
+        check_number("boxes: turn_deg", turn, Limit(-MAX_TURN_DEG, MAX_TURN_DEG, "deg"))
     if np.min(spaces) < 0.0:
         raise SettingError(f"boxes overlap: a space between two of them is {np.min(spaces):g} m long")
     widest = int(np.argmax(spaces))
@@ -297,7 +315,7 @@ def street_of(settings: StreetSettings, boxes: Sequence[Mapping[str, float]]) ->
 
 
 def start_of(given: Any) -> Floats:
-    """Return x, y, heading of a start, m, m, rad, (3,).
+    """Return x, y, heading of a start, m, m, rad, (3,); the heading is within half a turn.
 
     Raises:
         SettingError: the start is not three finite numbers.
@@ -305,6 +323,7 @@ def start_of(given: Any) -> Floats:
     start = as_numbers("reset option 'start'", given).copy()
     if start.shape != (3,) or not np.all(np.isfinite(start)):
         raise SettingError(f"reset option 'start' must be x, y, heading in m, m, rad, got {given}")
+    start[2] = math.remainder(start[2], math.tau)
     return start
 
 
@@ -359,10 +378,3 @@ def rear_room(gap: float, car: CarSettings) -> float:
 def arc_radius(car: CarSettings) -> float:
     """Return the radius of the arcs of the reference path, m."""
     return ARC_MARGIN * car.turning_radius
-
-
-def arc_table(car: CarSettings) -> Floats:
-    """Return poses along an arc: angle, distance along x, distance along y, arc length: rad, m, m, m, (k, 4)."""
-    radius = arc_radius(car)
-    angle = np.arange(0.0, np.pi, PATH_STEP / radius)
-    return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])

@@ -61,9 +61,19 @@ def observed_sonars(
 
 
 def space_of(count: int, retained: dict[str, spaces.Space[Any]]) -> spaces.Dict:
-    """Return the observation space of one environment with sonars."""
-    age = spaces.Box(0.0, 1.0, (count,), np.float32)
-    return spaces.Dict({**retained, **sonar_spaces(count), "age": age})
+    """Return the observation space of one environment with sonars.
+
+    Raises:
+        SettingError: a retained part has the name of what the sonars observe.
+    """
+    own = {**sonar_spaces(count), "age": spaces.Box(0.0, 1.0, (count,), np.float32)}
+    hidden = [name for name in own if name in retained]
+    if hidden and set(hidden) != set(own) - {"ranges"}:  # these are of the environment's sonars, which are replaced
+        raise SettingError(
+            f"SonarObservation: the retained part {hidden[0]!r} of the observation has the name of a part that the "
+            "sonars give: rename it before you wrap the environment, as with gymnasium.wrappers.TransformObservation"
+        )
+    return spaces.Dict({**retained, **own})
 
 
 def fleet_of(base: Any, settings: SonarSettings, sonar: SonarChoice) -> Fleet | None:
@@ -162,8 +172,6 @@ class SonarObservation(gymnasium.Wrapper, RecordConstructorArgs):
             self.observed = observed_sonars(env.unwrapped, env.observation_space, sonar_settings, sonar, copies=1)
             self.source = self.observed.source
             self.observation_space = space_of(self.sonar.count, self.source.retained_spaces)
-        else:
-            self.observation_space = self.fleet.observation_space
 
     @property
     def sensing(self) -> Sensing:
@@ -257,9 +265,7 @@ class SonarVectorObservation(VectorWrapper, RecordConstructorArgs):
             self.observed = observed_sonars(inner, env.single_observation_space, sonar_settings, sonar, env.num_envs)
             self.source = self.observed.source
             self.single_observation_space = space_of(self.sonar.count, self.source.retained_spaces)
-        else:
-            self.single_observation_space = self.fleet.observation_space
-        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+            self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self.autoreset_mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self._rows = np.arange(env.num_envs)
         self._done = np.zeros(env.num_envs, dtype=np.bool_)

@@ -142,7 +142,7 @@ def calls_of_bridges(folder):
     yield "recording_of", recording_of, {"path": drive, "period_s": 0.0, "constants": {"distance_mm": 1000.0}}
     yield "write_rec", write_rec, {"recording": REC, "path": folder / "out.rec", "start_s": 1e9}
     yield "load_map", load_map, {"path": folder / "room.map"}
-    yield "scan_sectors", scan_sectors, scan
+    yield "scan_sectors", scan_sectors, {**scan, "range_min": 0.1}
     yield "range_values", range_values, {"reading": READ, "min_range": 0.03}
     yield "ideal_distances", ideal_distances, {"value": ROWS, "min_range": 0.03, "max_range": 3.0}
     yield "HeardRanges", HeardRanges, {"model": "ideal", "max_range": 6.0, "reflectance": 0.5, "seed": 0}

@@ -1,11 +1,12 @@
 """The curriculum: streets between two distributions, which become harder by success alone."""
 
+import gymnasium
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from acquisition import SettingError
 from sonar_gym import Curriculum, SonarVecEnv
@@ -27,6 +28,25 @@ def test_streets_between_two_distributions_lie_between_them(share, seed):
 def test_the_ends_are_the_two_distributions():
     assert between(EASY, HARD, 0.0) == EASY
     assert between(EASY, HARD, 1.0) == HARD
+
+
+@pytest.mark.parametrize(("first", "last"), [((), ("pole",)), (("pole", "car"), ("hedge",))])
+def test_the_ends_have_their_own_obstacles(first, last):
+    begin, end = StreetSettings(obstacles=first), StreetSettings(obstacles=last)
+    assert [between(begin, end, share).obstacles for share in (0.0, 0.5, 1.0)] == [first, last, last]
+
+
+def test_lengths_in_whole_numbers_are_not_rounded():
+    begin, end = StreetSettings(gap=(2, 2), tail=1), StreetSettings(gap=(1, 1), tail=2)
+    assert between(begin, end, 0.25).gap == (1.75, 1.75)
+    assert between(begin, end, 0.5).tail == 1.5
+    assert between(StreetSettings(decoys=(0, 1)), StreetSettings(decoys=(2, 4)), 0.6).decoys == (1, 3)
+
+
+def test_an_environment_whose_streets_cannot_be_changed_raises_an_error():
+    envs = DummyVecEnv([lambda: gymnasium.make("SonarParking-v0")])
+    with pytest.raises(SettingError, match=r"Curriculum: .* no street_settings that can be changed: train on Sonar"):
+        PPO("MultiInputPolicy", envs, n_steps=2, batch_size=2, device="cpu").learn(2, callback=Curriculum())
 
 
 def trained(success, still):

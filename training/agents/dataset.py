@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,12 +31,13 @@ from noise.store import ModelName
 from sonar_gym.parking.fleet import MAX_STEPS, Fleet, Observation
 from sonar_gym.sensing.odometry import OdometryName
 from training.agents.drivers import Driver, pool_by_name
-from training.agents.evaluate import SCRIPTED, STREETS_AT_ONCE, DriverPool, Rate, evaluate
+from training.agents.evaluate import SCRIPTED, STREETS_AT_ONCE, DriverPool, Rate, driver_name, evaluate
 from training.agents.zoo.settings import ALGORITHMS
 from training.common.commit import commit
 from training.common.progress import progress_bars
 
 NAMESPACE, PLACE = "sonar-parking", "MINARI_DATASETS_PATH"
+NO_NAME = re.compile(r"[^\w-]")  # characters that a dataset's name cannot have
 
 
 @dataclass(frozen=True)
@@ -138,9 +140,7 @@ def dataset_id(driver: str, sonar: str) -> str:
     >>> dataset_id("runs/ppo/model.zip", "srf08-mlp")
     'sonar-parking/ppo-srf08-mlp-v0'
     """
-    path = Path(driver)
-    name = path.parent.name if path.stem == "model" else path.stem
-    return f"{NAMESPACE}/{name.replace(':', '-')}-{Path(sonar).name}-v0"
+    return f"{NAMESPACE}/{NO_NAME.sub('-', f'{driver_name(driver)}-{Path(sonar).name}')}-v0"
 
 
 def record(args: Args, driver: str, sonar: str, on_progress: Any) -> tuple[list[EpisodeBuffer], Rate]:
@@ -153,7 +153,7 @@ def record(args: Args, driver: str, sonar: str, on_progress: Any) -> tuple[list[
         outcomes = evaluate(lambda count, one=recorder: one, settings, seeds, watch=recorder.watch)  # type: ignore[misc]
         episodes += recorder.episodes(seeds)
         parked += int(outcomes.success.sum())
-        on_progress(f"{Path(driver).name}, {Path(sonar).name}", len(episodes), args.episodes)
+        on_progress(f"{driver_name(driver)}, {Path(sonar).name}", len(episodes), args.episodes)
     return episodes, Rate(parked, args.episodes)
 
 
@@ -175,7 +175,10 @@ def write(args: Args, name: str, episodes: list[EpisodeBuffer], about: dict[str,
 
 def main(args: Args) -> None:
     """Drive, write, and print the rate of parking of each dataset."""
-    for name in (dataset_id(*pair) for pair in product(args.drivers, args.sonars)):
+    names = [dataset_id(*pair) for pair in product(args.drivers, args.sonars)]
+    for name in names:
+        if names.count(name) > 1:
+            raise SettingError(f"--drivers, --sonars: {name} would be written twice; rename a folder or file")
         if (args.out / name).exists():
             raise SettingError(f"--out {args.out}: {name} exists; give another folder or remove it")
     version = commit()
@@ -187,7 +190,7 @@ def main(args: Args) -> None:
             f"{args.episodes} episodes of {args.env} with the sonar {Path(sonar).name}, odometry {args.odometry}, "
             f"streets from seed {args.seed}; parked in {rate}; commit {version}."
         )
-        about = {"env": env, "algorithm_name": Path(driver).name, "description": description}
+        about = {"env": env, "algorithm_name": driver_name(driver), "description": description}
         place = write(args, dataset_id(driver, sonar), episodes, about)
         env.close()
         print(f"{place}: {description}")

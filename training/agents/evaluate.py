@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -37,6 +38,7 @@ from training.common.statistics import PairedComparison
 STREETS_AT_ONCE = 250
 SCRIPTED = "scripted"  # name of the scripted driver
 FRAME_STEPS = 3  # steps from frame to frame of a film
+OF_COMMANDS = ("agent", "model.zip")  # names of what every `train-agent` and `zoo` writes into its own folder
 
 # ---- evaluation ------------------------------------------------------------------------------------------------------
 
@@ -81,6 +83,18 @@ def pool_of(policy: Policy | str) -> Callable[[int], DriverPool]:
     if policy != SCRIPTED:
         raise SettingError(f"driver {policy!r}: expected a policy or {SCRIPTED!r}")
     return ScriptedPool
+
+
+def driver_name(driver: str) -> str:
+    """Return a short name of a driver, that of the folder for what a command has written into it.
+
+    >>> [driver_name(one) for one in ("scripted", "runs/first/agent", "runs/ppo/model.zip", "mine.zip", "cars:Pool")]
+    ['scripted', 'first', 'ppo', 'mine', 'cars:Pool']
+    """
+    path = Path(os.path.abspath(driver))
+    if path.name in OF_COMMANDS:
+        return path.parent.name
+    return path.stem if path.suffix == ".zip" else path.name
 
 
 @dataclass(frozen=True)
@@ -263,7 +277,7 @@ def compare(args: Args, on_progress: OnProgress = lambda name, done, total: None
     seeds, pooled = range(args.seed, args.seed + args.episodes), args.believed is not None
     for sonar in args.sonars:
         for name, pool in pools.items():
-            update = partial(on_progress, f"{Path(name).name}, {Path(sonar).name}")
+            update = partial(on_progress, f"{driver_name(name)}, {Path(sonar).name}")
             results[name, sonar] = evaluate(pool, args.env_settings(sonar), seeds, update, pooled)
     return results
 
@@ -274,13 +288,13 @@ def table(args: Args, results: Results) -> Table:
     assumed = "" if args.believed is None else f"credence from {Path(args.believed).name}; "
     title = f"streets {args.seed} to {last}, {args.difficulty}, odometry {args.odometry}; {assumed}intervals at 95 %"
     out = Table("sonar", "agent", title=title)
-    for heading in ("parked", "collided", "seconds", f"difference to {Path(reference).name}, points"):
+    for heading in ("parked", "collided", "seconds", f"difference to {driver_name(reference)}, points"):
         out.add_column(heading, justify="right")
     for (name, sonar), one in results.items():
         first = results[reference, sonar]
         change = "" if one is first else str(PairedComparison.of(first.success, one.success))
         rates = (str(one.successes), str(one.collisions))
-        out.add_row(Path(sonar).name, Path(name).name, *rates, f"{one.mean_seconds:.1f}", change)
+        out.add_row(Path(sonar).name, driver_name(name), *rates, f"{one.mean_seconds:.1f}", change)
     return out
 
 

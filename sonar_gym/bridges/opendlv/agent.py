@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from acquisition import EchoStatus, NoAnswerError, Reading, SettingError
+from acquisition import EchoStatus, NoAnswerError, Reading
 from acquisition.arrays import Floats, Singles
 from sonar_gym.agent import AgentDriver, Policy, load_policy
 from sonar_gym.bridges.opendlv.car import Controls
@@ -68,8 +68,6 @@ class SessionAgent:
         self._driver = AgentDriver(load_policy("parking") if policy is None else policy)
         self._sonar = Fleet(1, self.options.sonar).sonar
         self.count = len(LAYOUTS["eight"])
-        if self._sonar.count != self.count:
-            raise SettingError(f"agent: needs {self.count} sonars, the layout has {self._sonar.count}")
         self._range, self._at = np.zeros(self.count), np.full(self.count, -np.inf)  # m and s
         self._speed = self._turn = self._steering = 0.0  # m/s, rad/s, rad
         self._acted, self._start, self._pose = -np.inf, np.zeros(3), np.full(3, np.nan)

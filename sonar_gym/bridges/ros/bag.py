@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +24,7 @@ from noise import CredenceTable
 from sonar_gym.bridges.ros.messages import (
     CREDENCE_TOPIC,
     DIAGNOSTIC_TYPE,
+    MIN_RANGE,
     RANGE_TYPE,
     ULTRASOUND,
     diagnostics,
@@ -34,7 +36,6 @@ from sonar_gym.sensing.sonar import SonarChoice, broad_table, resolve
 ROOT = "/sonar"
 TRUE_TOPIC = "true"
 MAX_STAMP = 2.0**31  # s since 1970; of builtin_interfaces/Time
-MIN_RANGE = 0.03  # m; SRF08 (Devantech)
 BAG_VERSION: Literal[9] = 9
 
 
@@ -105,10 +106,11 @@ def _write(bag: _Bag, recording: Recording, table: CredenceTable | None, max_ran
             f"{recording.name}: time_s runs from {span}; a bag that begins at {start_s:g} s holds 0 to {MAX_STAMP:g} s"
         )
     names = recording.table["sensor"].astype(str).to_numpy() if recording.has("sensor") else np.full(len(ping), "0")
+    topics = _topics(recording.name, names)
     credence = np.zeros(len(ping)) if table is None else table.given(reading)
     values, states = range_values(reading, MIN_RANGE), diagnostics(reading, credence)
     for k in np.argsort(ping.time, kind="stable"):
-        stamp, topic = round((start_s + float(ping.time[k])) * 1e9), f"{ROOT}/{_topic(names[k])}"
+        stamp, topic = round((start_s + float(ping.time[k])) * 1e9), topics[names[k]]
         bag.write(topic, RANGE_TYPE, _range(bag, stamp, names[k], float(values[k]), max_range), stamp)
         true = _range(bag, stamp, names[k], float(ping.distance[k]), np.inf)
         bag.write(f"{topic}/{TRUE_TOPIC}", RANGE_TYPE, true, stamp)
@@ -116,9 +118,27 @@ def _write(bag: _Bag, recording: Recording, table: CredenceTable | None, max_ran
             bag.write(f"{topic}/{CREDENCE_TOPIC}", DIAGNOSTIC_TYPE, _array(bag, stamp, names[k], states[k]), stamp)
 
 
+def _topics(recording: str, names: Iterable[str]) -> dict[str, str]:
+    """Return the topic of each sensor of a recording."""
+    owner: dict[str, str] = {}
+    for name in dict.fromkeys(names):
+        topic = _topic(name)
+        if topic in owner:
+            raise RecordingError(
+                f"{recording}: sensors {owner[topic]!r} and {name!r} would both be on {topic}: rename one of them"
+            )
+        owner[topic] = name
+    return {name: topic for topic, name in owner.items()}
+
+
 def _topic(name: str) -> str:
-    """Return a name as part of a topic: letters, digits and underscores."""
-    return re.sub(r"\W", "_", name, flags=re.ASCII) or "_"
+    """Return the topic of a sensor; a part of it has letters, digits and underscores, and does not begin with a digit.
+
+    >>> _topic("front left"), _topic("0")
+    ('/sonar/front_left', '/sonar/sensor_0')
+    """
+    part = re.sub(r"\W", "_", name, flags=re.ASCII) or "_"
+    return f"{ROOT}/sensor_{part}" if part[0].isdigit() else f"{ROOT}/{part}"
 
 
 def _range(bag: _Bag, stamp_ns: int, frame: str, value: float, max_range: float) -> Any:

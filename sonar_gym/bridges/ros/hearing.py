@@ -10,6 +10,7 @@ from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.limits import SEEDS, Limit, PositiveMetres, Share, check_number
+from sonar_gym.bridges.ros.messages import ideal_distances
 from sonar_gym.bridges.server.sensors import Sensors
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import SonarChoice, resolve
@@ -54,12 +55,13 @@ class HeardRanges:
 
 @checked
 def scan_sectors(
-    ranges: Floats, angle_min: float, angle_increment: float, range_max: float, count: int
+    ranges: Floats, angle_min: float, angle_increment: float, range_max: float, count: int, range_min: float = 0.0
 ) -> tuple[Floats, Floats]:
     """Return distance and bearing of the nearest return in each sector of a scan, m and rad, (count,) each.
 
     The sectors divide the scan equally; the bearing counts from the middle of the sector. A sector without a return
-    within `range_max` is infinitely far, one whose returns all are NaN is NaN.
+    within `range_max` is infinitely far, one whose returns all are NaN is NaN. What is too close to measure, -Inf or
+    below `range_min`, is at `range_min`.
 
     Args:
         ranges: of a `sensor_msgs/LaserScan`, m, (n,).
@@ -67,17 +69,18 @@ def scan_sectors(
         angle_increment: between two, rad.
         range_max: maximum range of the scan, m.
         count: number of sectors, at most n.
+        range_min: minimum range of the scan, m.
     """
     if ranges.ndim != 1:
         raise SettingError(f"ranges has shape {ranges.shape}, expected (n,)")
     check_number("count", count, Limit(1, len(ranges)), whole=True)
     angles = angle_min + angle_increment * np.arange(len(ranges))
-    distance, bearing = np.full(count, np.nan), np.zeros(count)
+    true, distance, bearing = ideal_distances(ranges, range_min, range_max), np.full(count, np.nan), np.zeros(count)
     for k, rows in enumerate(np.array_split(np.arange(len(ranges)), count)):
-        value = np.where(np.isnan(ranges[rows]), np.inf, ranges[rows])
+        value = np.where(np.isnan(true[rows]), np.inf, true[rows])
         nearest = int(np.argmin(value))
-        seen = np.isfinite(value[nearest]) and value[nearest] < range_max
-        if not np.all(np.isnan(ranges[rows])):
-            distance[k] = max(float(value[nearest]), 0.0) if seen else np.inf
-            bearing[k] = angles[rows[nearest]] - 0.5 * (angles[rows[0]] + angles[rows[-1]]) if seen else 0.0
+        if not np.all(np.isnan(true[rows])):
+            distance[k] = value[nearest]
+        if np.isfinite(value[nearest]):
+            bearing[k] = angles[rows[nearest]] - 0.5 * (angles[rows[0]] + angles[rows[-1]])
     return distance, bearing

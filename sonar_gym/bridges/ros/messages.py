@@ -16,6 +16,7 @@ from acquisition.arrays import Floats
 RANGE_TYPE = "sensor_msgs/msg/Range"
 DIAGNOSTIC_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 ULTRASOUND = 0  # radiation_type
+MIN_RANGE = 0.03  # m; SRF08 (Devantech)
 CREDENCE_TOPIC = "credence"  # below the topic of the ranges
 OK, WARN = 0, 1  # levels of a DiagnosticStatus; an answer that failed is a warning
 STATUS = {"no echo": EchoStatus.NO_ECHO, "echo": EchoStatus.ECHO, "no answer": EchoStatus.NO_ANSWER}

@@ -16,12 +16,18 @@ import numpy as np
 from acquisition import MissingExtraError, SettingError
 from acquisition.arrays import Floats
 from sonar_gym.bridges.ros.hearing import HeardRanges, scan_sectors
-from sonar_gym.bridges.ros.messages import CREDENCE_TOPIC, ULTRASOUND, diagnostics, ideal_distances, range_values
+from sonar_gym.bridges.ros.messages import (
+    CREDENCE_TOPIC,
+    MIN_RANGE,
+    ULTRASOUND,
+    diagnostics,
+    ideal_distances,
+    range_values,
+)
 from sonar_gym.sensing.sonar import SonarChoice
 
 SCAN_SUFFIX = ":LaserScan"
 HEARD = "heard"
-MIN_RANGE = 0.03  # m; SRF08 (Devantech)
 NODE_NAME = "sonar_gym"
 
 
@@ -91,8 +97,9 @@ class HeardNode:
 
     def _scan(self, message: Any, out: tuple[Any, Any]) -> None:
         ranges = np.asarray(message.ranges, dtype=np.float64)
+        angles = float(message.angle_min), float(message.angle_increment)
         distance, bearing = scan_sectors(
-            ranges, float(message.angle_min), float(message.angle_increment), float(message.range_max), self.sectors
+            ranges, *angles, float(message.range_max), self.sectors, float(message.range_min)
         )
         frames = [f"{message.header.frame_id}_sector_{k}" for k in range(self.sectors)]
         view = abs(float(message.angle_increment)) * len(ranges) / self.sectors

@@ -63,12 +63,12 @@ class SonarClient:
             SettingError: the server refused a value.
             NoAnswerError: no answer in time.
         """
+        if not len(ping):
+            return Reading.of([]), np.empty(0)
         parts = [self._ask(ping[k : k + BATCH]) for k in range(0, len(ping), BATCH)]
-        range_, status, credence = (
-            np.concatenate(column) if parts else np.empty(0)
-            for column in zip(*((r.range, r.status, c) for r, c in parts), strict=True)
-        )
-        return Reading(range_, status.astype(np.uint8)), credence
+        columns = zip(*((reading.range, reading.status, credence) for reading, credence in parts), strict=True)
+        range_, status, credence = map(np.concatenate, columns)
+        return Reading(range_, status), credence
 
     def _ask(self, ping: Ping) -> tuple[Reading, Floats]:
         reading, credence = self._exchange(protocol.ping_message(ping))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, SettingError
+from acquisition import EchoStatus, MissingExtraError, Ping, Reading, Recording, RecordingError, SettingError
 from acquisition.io.logs.bags import GroundTruthSource, import_bag, reading_mm
 from noise import load_model
 from sonar_gym.bridges.ros.hearing import HeardRanges, scan_sectors
@@ -80,6 +80,20 @@ def test_a_recording_survives_the_way_to_a_bag_and_back(recording, tmp_path, sql
     assert set(sensor) == {"front left"}
 
 
+def test_topics_are_valid_in_ros_2_and_one_for_each_sensor(recording, tmp_path):
+    from rosbags.highlevel import AnyReader
+
+    nameless = Recording.of(recording.ping, recording.reading)
+    write_bag(nameless, tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert set(reader.topics) == {"/sonar/sensor_0", "/sonar/sensor_0/true"}
+    sensor = np.where(np.arange(len(recording)) % 2, "front left", "front-left")
+    twice = Recording.of(recording.ping, recording.reading, sensor=sensor)
+    with pytest.raises(RecordingError, match="'front-left' and 'front left' would both be on /sonar/front_left: ren"):
+        write_bag(twice, tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
 def test_a_bag_without_a_model_has_no_credence_and_a_folder_that_exists_is_named(recording, tmp_path):
     write_bag(recording, tmp_path / "bag")
     assert credence_in(tmp_path / "bag")[0] == []
@@ -94,6 +108,12 @@ def test_sectors_hold_the_nearest_return_and_its_bearing():
     np.testing.assert_allclose(bearing, [0.05, 0.0, 0.0, -0.05])
     with pytest.raises(SettingError, match="count: expected a whole number from 1 to 8, got 9"):
         scan_sectors(ranges, 0.0, 0.1, 5.0, 9)
+
+
+@given(st.lists(st.sampled_from([-np.inf, 0.0, 0.05, 0.3, 1.0, 4.0, np.inf, np.nan]), min_size=1, max_size=8))
+def test_a_return_of_a_scan_is_as_far_as_the_same_range(ranges):
+    distance, _ = scan_sectors(np.array(ranges), 0.0, 0.1, 4.0, len(ranges), 0.1)
+    np.testing.assert_array_equal(distance, ideal_distances(np.array(ranges), 0.1, 4.0))
 
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=4, max_size=60), st.integers(1, 4))
@@ -170,6 +190,9 @@ def test_a_scan_is_heard_in_sectors():
     assert [round(m.range, 6) for m in out] == [1.0, 3.0]
     assert [m.header.frame_id for m in out] == ["bumper_sector_0", "bumper_sector_1"]
     assert out[0].field_of_view == pytest.approx(0.2)
+    scan.ranges = [1.0, 2.0, 3.0, -math.inf]  # too close to measure
+    node.callbacks["/scan"](scan)
+    assert [round(m.range, 6) for m in out[2:]] == [1.0, 0.1]
 
 
 def test_without_ros_the_node_says_what_it_needs(monkeypatch):

@@ -75,6 +75,12 @@ def pings(n, sensors=8):
     return Ping.of(0.5 + 0.1 * (k % 20), 0.1, 0.05, 0.8, time=0.1 * k, run=k % sensors)
 
 
+def test_no_pings_have_no_readings(noisy):
+    with SonarClient(*noisy.address) as client:
+        reading, credence = client.ask(pings(3)[:0])
+    assert (len(reading), credence.shape) == (0, (0,))
+
+
 def test_readings_are_those_of_the_model_with_their_credence(noisy):
     ping = pings(3000)
     with SonarClient(*noisy.address) as client:

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from sonar_gym.street.street import BEHIND, PATH_STEP, Goal, arc_radius, arc_table
+from sonar_gym.street.street import BEHIND, Goal, arc_radius
+
+PATH_STEP = 0.01  # m; distance between poses
 
 
 def reference_path(street, car):
@@ -22,6 +24,13 @@ def reference_path(street, car):
     first = np.column_stack([goal.ready_x - along, -across, angle, arcs - arc_length])
     second = np.column_stack([goal.x + along, goal.y + across, angle, arc_length])[::-1]
     return np.vstack([lane, first, second])
+
+
+def arc_table(car):
+    """Return poses along an arc: angle, distance along x, distance along y, arc length: rad, m, m, m, (k, 4)."""
+    radius = arc_radius(car)
+    angle = np.arange(0.0, np.pi, PATH_STEP / radius)
+    return np.column_stack([angle, radius * np.sin(angle), radius * (1.0 - np.cos(angle)), radius * angle])
 
 
 def _arc_end(radius, turn):

@@ -102,6 +102,15 @@ def test_same_seed_gives_same_episode():
         assert all(np.array_equal(first[key], second[key]) for key in first)
 
 
+def test_a_generator_that_the_user_has_set_gives_the_episode():
+    readings = []
+    for seed in (5, 5, 6):
+        env = SonarParkingEnv(sonar="gaussian")
+        env.np_random = np.random.default_rng(seed)
+        readings.append(env.reset()[0]["ranges"].tolist())
+    assert readings[0] == readings[1] != readings[2]
+
+
 SCRIPT = """
 import gymnasium, numpy, hashlib, sonar_gym
 env = gymnasium.make("SonarParking-v0", sonar="gaussian")

@@ -50,6 +50,15 @@ def test_the_car_starts_as_given_with_its_odometry_at_zero():
     assert list(observation["ego"]) == [0, 0, 1, 0, 0, 0, 0]
 
 
+def test_a_start_turned_by_a_whole_turn_has_the_same_rewards():
+    rewards = []
+    for turn in (0.0, 2.0 * np.pi):
+        env = SonarParkingEnv()
+        env.reset(seed=0, options={"start": [0.0, 0.0, turn]})
+        rewards.append([env.step(np.array([0.1, 1.0]))[1] for _ in range(5)])
+    assert rewards[0] == pytest.approx(rewards[1], abs=1e-9)
+
+
 def test_a_street_can_be_reused_and_options_apply_to_one_episode():
     env = SonarParkingEnv()
     env.reset(seed=0)

@@ -48,6 +48,21 @@ def test_car_and_background_are_in_the_image():
     assert share(frame, drawing.PAPER) > 0.1
 
 
+def test_the_car_in_the_overview_is_as_long_as_it_is(monkeypatch):
+    widths, draw = [], Brush.panel
+
+    def measured(self, x, y, width, height, colour, *more):
+        if colour == drawing.CAR and height == 8:
+            widths.append(width)
+        draw(self, x, y, width, height, colour, *more)
+
+    monkeypatch.setattr(Brush, "panel", measured)
+    for length in (0.45, 0.60):
+        image(car={"length": length})
+    assert len(widths) == 2
+    assert widths[1] / widths[0] == pytest.approx(0.60 / 0.45)
+
+
 def test_readings_of_low_credence_are_red_and_others_green():
     high, low = credence_colour(1.0), credence_colour(0.0)
     ideal = image(sonar="ideal")

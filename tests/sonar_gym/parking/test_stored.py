@@ -1,6 +1,9 @@
 """Shipped tables of credence: which tasks have one, and when one is out of date."""
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,6 +67,34 @@ def test_another_street_layout_or_agent_has_no_shipped_table(monkeypatch):
         assert shipped(model, other) is None
     monkeypatch.setattr(stored, "_agent", lambda: "other weights")
     assert shipped(model, own) is None
+
+
+COUNTS = """
+import sys
+import sonar_gym.agent, sonar_gym.control.driver, sonar_gym.parking.vector
+from noise import load_model
+load_model("srf08-lstm")
+for name, module in list(sys.modules.items()):
+    if name.split(".")[0] in ("noise", "sonar_gym"):
+        print(module.__file__)
+"""
+
+
+def test_the_key_of_the_cache_holds_every_module_that_counts_and_the_weights_of_the_agent():
+    done = subprocess.run([sys.executable, "-c", COUNTS], capture_output=True, text=True, check=True)
+    used = {Path(line) for line in done.stdout.split()}
+    assert len(used) > 50
+    assert used | {stored.AGENT} <= set(stored.source_files())
+
+
+def test_a_changed_source_changes_the_key_of_the_cache(tmp_path, monkeypatch):
+    file = tmp_path / "law.py"
+    monkeypatch.setattr(stored, "source_files", lambda: [file])
+    digests = set()
+    for text in ("a = 1", "a = 2"):
+        file.write_text(text)
+        digests.add(stored._sources.__wrapped__())
+    assert len(digests) == 2
 
 
 def test_other_weights_have_no_shipped_table():

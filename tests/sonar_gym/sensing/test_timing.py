@@ -94,6 +94,13 @@ def test_latency_of_whole_steps_is_exact():
     assert ranges == pytest.approx([1.0, 1.0, 1.0, 1.0, *DISTANCES[1:7]], abs=1e-3)
 
 
+def test_latency_of_several_hundred_steps_is_exact():
+    walls = 1.0 + 0.01 * np.arange(400)
+    ranges, age = observed(Schedule(latency=30.0), walls)
+    assert ranges == pytest.approx(walls[np.maximum(np.arange(400) - 300, 0)], abs=1e-3)
+    assert age[300:] == pytest.approx(1.0)  # the greatest that is shown
+
+
 def test_the_real_sensor_pings_at_every_second_observation_if_it_needs_longer_than_a_step():
     when = timing(["a", "b"], 0.02, (0.0, 0.0, [np.nan, 0.01]), 6.0)
     assert when[0] == pytest.approx([0.04, 0.04 - (12.0 / 343.0 + 0.002 - 0.02), 12.0 / 343.0 + 0.002])

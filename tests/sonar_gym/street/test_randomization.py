@@ -59,6 +59,18 @@ def test_environments_of_one_seed_draw_the_same_single_and_vector_and_each_episo
     check_env(gymnasium.make("SonarParking-v0", randomize=BOTH).unwrapped, skip_render_check=True)
 
 
+def test_the_info_of_an_episode_is_not_changed_by_the_next():
+    envs = SonarParkingVectorEnv(50, randomize=BOTH, max_episode_steps=1, autoreset_mode="SameStep")
+    info, episodes = envs.reset(seed=0)[1], []
+    for _ in range(3):
+        episodes.append(info["randomized"])
+        info = envs.step(np.zeros((50, 2)))[4]
+        final = info["final_info"]["randomized"]
+        for name in ("level", "mounts"):
+            assert np.array_equal(final[name], episodes[-1][name])
+    assert len({tuple(episode["level"]) for episode in episodes}) == 3
+
+
 def test_nothing_is_drawn_unless_asked_for():
     assert drawn(2)[1] is None
     plain, moved = SonarParkingEnv(), SonarParkingEnv(randomize={"street": {}})
@@ -81,8 +93,12 @@ def test_options_fix_the_difficulty():
         ({"street": {"lunar": 1.0}}, "randomize street 'lunar': unknown level; expected easy, normal, hard, manoeuvre"),
         ({"street": {"easy": -1.0}}, r"randomize street: weights must be >= 0 and one of them > 0, got \[-1.0\]"),
         ({"street": {"easy": 0.0}}, "weights must be >= 0 and one of them > 0"),
-        ({"mounts": (0.01,)}, "randomize mounts must be two limits >= 0, in m and deg"),
-        ({"mounts": (0.01, np.nan)}, "randomize mounts must be two limits >= 0, in m and deg"),
+        ({"street": {"easy": "a"}}, "randomize street 'easy': expected a finite number, got 'a'"),
+        ({"street": ["easy"]}, r"randomize street: expected a mapping of levels to weights, got \['easy'\]"),
+        ({"mounts": (0.01,)}, r"randomize mounts: expected 2 values, got \(0.01,\)"),
+        ({"mounts": 0.1}, "randomize mounts: expected a list, got 0.1"),
+        ({"mounts": (-0.1, 5.0)}, "randomize mounts: expected a number from 0 to 1000 m, got -0.1 m"),
+        ({"mounts": (0.01, np.nan)}, "randomize mounts: expected a number from 0 to 360 deg, got nan deg"),
         ({"weather": 1.0}, "Randomization: unknown field 'weather'; expected street, mounts"),
     ],
 )

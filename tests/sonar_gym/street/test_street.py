@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from acquisition import SettingError
 from sonar_gym.sensing.kernels import touches
 from sonar_gym.sensing.mounts import LAYOUTS, Mount, in_world, layout, mount_arrays
-from sonar_gym.sensing.scene import EMPTY_M, Box, Scene, WallSegment
-from sonar_gym.street.street import START_BEFORE, StreetSettings, draw_street
+from sonar_gym.sensing.scene import Box, Scene, WallSegment
+from sonar_gym.street.street import MAX_TURN_DEG, START_BEFORE, StreetSettings, draw_street, start_of, street_of
 from sonar_gym.street.vehicle import CarSettings
 from tests.sonar_gym.parking.reference import reference_path
 
@@ -80,6 +82,53 @@ def test_pair_out_of_order_raises_an_error():
         StreetSettings(box=(0.7, 0.3))
 
 
+def pairs(low, high):
+    return st.tuples(st.floats(low, high), st.floats(low, high)).map(sorted)
+
+
+@settings(max_examples=200)
+@given(pairs(0.0, 0.8), pairs(0.0, 0.4), pairs(0.0, 20.0), st.integers(0, 9))
+def test_every_box_of_valid_settings_has_an_extent(box, recess, turn_deg, seed):
+    try:
+        valid = StreetSettings(box=box, recess=recess, turn_deg=turn_deg)
+    except SettingError:
+        return
+    assert draw_street(valid, np.random.default_rng(seed)).boxes  # a `Box` has positive sides
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"recess": (0.0, 0.35)}, r"recess: a box 0.7 m .* wider than 0 m, but depth - recess is 0 m: make depth"),
+        ({"recess": (0.4, 0.5)}, r"recess: a box 0.7 m .* wider than 0 m, but depth - recess is -0.15 m: make depth"),
+        ({"turn_deg": (0, 20), "box": (0.3, 1.0)}, r"recess: .* turned by 20 deg must be wider than 0.36397 m, but"),
+        ({"box": (0, 0)}, r"box: a box 0.35 m wide and turned by 0 deg must be longer than 0 m, got 0 m: make box"),
+        ({"turn_deg": (20, 20), "box": (0.05, 0.1)}, r"box: a box 0.35 m .* longer than 0.12739 m, got 0.05 m: make"),
+    ],
+)
+def test_boxes_without_an_extent_raise_an_error(given, message):
+    with pytest.raises(SettingError, match=message):
+        StreetSettings(**given)
+
+
+def test_a_given_box_is_turned_within_the_limits_of_a_street():
+    def street(turn_deg):
+        return street_of(StreetSettings(), [{"begin": x, "length": 0.5, "turn_deg": turn_deg} for x in (0.6, 2.0)])
+
+    for turn_deg in (-MAX_TURN_DEG, MAX_TURN_DEG):
+        assert np.degrees(street(turn_deg).boxes[0].heading) == pytest.approx(turn_deg)
+    with pytest.raises(SettingError, match="boxes: turn_deg: expected a number from -20 to 20 deg, got 45 deg"):
+        street(45)
+
+
+@given(st.floats(-1e3, 1e3))
+def test_headings_of_a_start_that_differ_by_whole_turns_are_one(heading):
+    start = start_of([1.0, -0.1, heading])
+    assert np.abs(start[2]) <= np.pi
+    assert [np.cos(start[2]), np.sin(start[2])] == pytest.approx([np.cos(heading), np.sin(heading)], abs=1e-9)
+    assert start_of(start).tolist() == start.tolist()
+
+
 def test_box_faces_are_closed_and_have_its_reflectance():
     box = Box(1.0, 2.0, 0.4, 0.2, 0.3, reflectance=0.7)
     assert np.allclose(box.faces[:, 2:], np.roll(box.faces[:, :2], -1, axis=0))
@@ -102,9 +151,9 @@ def test_box_without_extent_raises_an_error():
 def test_cones_on_an_empty_scene_are_empty():
     hits = Scene([]).cast(np.zeros((2, 3)), np.array([0.3, 0.4]), 3.0)
     assert not hits.in_cone.any()
-    ping = hits.ping(1.5)
-    assert np.all(ping.distance == EMPTY_M)
-    assert np.all(ping.time == 1.5)
+    assert np.all(hits.distance == 3.0)
+    assert np.all(hits.reflectance == 0.0)
+    assert np.all(hits.obstacle == -1)
 
 
 def test_mounts_rotate_with_the_car():

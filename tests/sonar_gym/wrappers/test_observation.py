@@ -102,6 +102,21 @@ def test_a_whole_box_of_ranges():
     assert observation in env.observation_space
 
 
+@pytest.mark.parametrize(
+    "inner",
+    [
+        lambda: gymnasium.make("SonarParkingGoal-v0"),
+        lambda: gymnasium.wrappers.FlattenObservation(gymnasium.make("SonarParking-v0")),
+    ],
+    ids=["goal", "flattened"],
+)
+def test_replaced_sonars_leave_the_form_of_the_observation(inner):
+    env, plain = SonarObservation(inner(), "gaussian"), inner()
+    assert env.observation_space == plain.observation_space
+    assert env.reset(seed=0)[0] in env.observation_space
+    assert env.step(np.float32([0.0, 0.5]))[0] in env.observation_space
+
+
 TIMED = {"period_s": 0.2, "phase_s": 0.05, "latency_s": 0.03}
 
 
@@ -362,3 +377,23 @@ def test_wrong_keys_raise_and_are_named():
     env = rays(incidence="beside", dictionary=True)
     with pytest.raises(SettingError, match=r"incidence 'beside' has shape \(2,\), expected \(3,\)"):
         env.reset(seed=0)
+
+
+class Named(Rays):
+    """The ranges and the two other numbers under one name, and a number under another."""
+
+    def __init__(self, key, other):
+        super().__init__()
+        self.names = key, other
+        number = gymnasium.spaces.Box(0.0, 100.0, (1,), np.float32)
+        self.observation_space = gymnasium.spaces.Dict({key: self.observation_space, other: number})
+
+    def _see(self):
+        return dict(zip(self.names, (super()._see(), np.float32([50.0])), strict=True))
+
+
+@pytest.mark.parametrize(("key", "other"), [("ranges", "speed"), ("rays", "age"), ("rays", "echo"), ("rays", "ranges")])
+def test_retained_parts_with_a_name_of_the_sonars_raise(key, other):
+    hidden = key if key == "ranges" else other
+    with pytest.raises(SettingError, match=f"the retained part '{hidden}' of the observation has the name .*: rename"):
+        SonarObservation(Named(key, other), key=key, indices=[0, 1, 2], metres_per_unit=0.01)

@@ -129,6 +129,14 @@ def test_readings_in_streets_equal_those_of_single_wrappers(mode):
         assert truncated.all() == (step == 6)
 
 
+def test_replaced_sonars_leave_the_form_of_the_observations():
+    inner = gymnasium.wrappers.vector.FlattenObservation(gymnasium.make_vec("SonarParking-v0", N))
+    envs = SonarVectorObservation(inner, "gaussian")
+    assert envs.single_observation_space == inner.single_observation_space
+    assert envs.observation_space == inner.observation_space
+    assert envs.reset(seed=0)[0] in envs.observation_space
+
+
 def test_ranges_in_a_dict_and_infinite_ones():
     class Keyed(Walk):
         observation_space = gymnasium.spaces.Dict(

@@ -1,15 +1,20 @@
 """`sonar-gym dataset`: Minari reads what was written, and the environment repeats it; a clone of the driver."""
 
 import runpy
+import shutil
 from pathlib import Path
 
 import minari
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from minari.dataset.minari_dataset import parse_dataset_id
 
-from sonar_gym.agent import load_policy
+from sonar_gym.agent import WEIGHTS, load_policy
 from sonar_gym.control.memory import ObservationMemory
+from training.agents.dataset import dataset_id
 from training.agents.evaluate import evaluate, pool_of
 from training.cli import main
 
@@ -63,6 +68,21 @@ def test_a_dataset_is_not_written_over(folder, capsys):
         main(["dataset", "--out", str(folder), "--drivers", "scripted", "--sonars", "gaussian"])
     assert stopped.value.code == 2
     assert f"{NAME} exists" in capsys.readouterr().err
+
+
+def test_two_drivers_of_one_name_are_named_before_any_drives(tmp_path, capsys):
+    folders = [tmp_path / place / "run" / "agent" for place in ("a", "b")]
+    for folder in folders:
+        shutil.copytree(WEIGHTS / "parking", folder)
+    with pytest.raises(SystemExit) as stopped:
+        main(["dataset", "--out", str(tmp_path / "out"), "--drivers", *map(str, folders), "--sonars", "ideal"])
+    assert stopped.value.code == 2
+    assert "sonar-parking/run-ideal-v0 would be written twice" in capsys.readouterr().err
+
+
+@given(st.text("ab./:- é", min_size=1), st.text("ab.", min_size=1))
+def test_minari_takes_the_name_of_every_dataset(driver, sonar):
+    assert parse_dataset_id(dataset_id(driver, sonar))[0] == "sonar-parking"
 
 
 @pytest.fixture(scope="module")

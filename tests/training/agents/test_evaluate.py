@@ -1,6 +1,7 @@
 """`sonar-gym evaluate-agent` and `ship-agent`: episodes, intervals, files, cards."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import gymnasium
@@ -8,7 +9,7 @@ import pytest
 
 from acquisition import SettingError
 from noise import GaussianModel, IdealModel
-from sonar_gym.agent import AgentDriver, load_policy
+from sonar_gym.agent import WEIGHTS, AgentDriver, load_policy
 from sonar_gym.control.driver import ParkingDriver, run_episode
 from training.agents.evaluate import Args, Rate, evaluate, pool_of
 from training.agents.ship import command
@@ -46,6 +47,16 @@ def test_intervals_are_wilson_s():
     # Newcombe (1998), table I: 81 of 263 and 0 of 20, method 3
     assert Rate(81, 263).interval == pytest.approx((0.2553, 0.3662), abs=5e-5)
     assert Rate(0, 20).interval == pytest.approx((0.0, 0.1611), abs=5e-5)
+
+
+def test_agents_of_two_trainings_have_two_names(tmp_path, capsys):
+    for run in ("first", "second"):
+        shutil.copytree(WEIGHTS / "parking", tmp_path / run / "agent")
+    agents = [str(tmp_path / run / "agent") for run in ("first", "second")]
+    main(["evaluate-agent", "--agent", *agents, "--sonars", "ideal", "--episodes", "1"])
+    printed = capsys.readouterr().out
+    assert "first" in printed
+    assert "second" in printed
 
 
 def test_the_command_compares_and_films(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """`sonar-gym leaderboard`: damage of the sonars, drivers, rows that cannot be changed, and the published table."""
 
 import json
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 from acquisition import EchoStatus, ModelError, Ping
 from acquisition.errors import SampleOnlyError
 from noise import IdealModel, load_model
+from sonar_gym.agent import WEIGHTS
 from sonar_gym.parking.vector import SonarParkingVectorEnv
 from sonar_gym.sb3 import SonarExtractor, SonarVecEnv
 from training.agents.drivers import ModelPool, load_zip, pool_by_name
@@ -164,6 +166,27 @@ def test_drivers_are_scored_and_the_table_is_verified(tmp_path, capsys):
     assert printed.endswith(table(rows) + "\n")
     main(["leaderboard", "--out", str(tmp_path)])
     assert capsys.readouterr().out == table(rows) + "\n"
+
+
+@pytest.mark.usefixtures("short")
+def test_a_row_is_replaced_by_that_of_the_same_driver_alone(tmp_path, capsys):
+    words = ["--name", "mine", "--out", str(tmp_path)]
+    main(["leaderboard", "scripted", *words])
+    main(["leaderboard", "scripted", *words])
+    before = (tmp_path / "mine.json").read_bytes()
+    with pytest.raises(SystemExit) as stopped:
+        main(["leaderboard", "training.agents.evaluate:ScriptedPool", *words])
+    assert stopped.value.code == 2
+    assert "mine.json: is the row of another driver" in capsys.readouterr().err
+    assert (tmp_path / "mine.json").read_bytes() == before
+
+
+@pytest.mark.usefixtures("short")
+def test_agents_of_two_trainings_have_two_rows(tmp_path):
+    for run in ("first", "second"):
+        shutil.copytree(WEIGHTS / "parking", tmp_path / run / "agent")
+        main(["leaderboard", str(tmp_path / run / "agent"), "--out", str(tmp_path / "rows")])
+    assert {row["name"] for row in read_rows(tmp_path / "rows")} == {"first", "second"}
 
 
 @pytest.mark.usefixtures("short")

@@ -19,7 +19,8 @@ from acquisition.io.places import OutputFolder
 from acquisition.limits import OneOf
 from noise.fitting.threads import one_thread
 from training.agents.drivers import Driver, digest_of, pool_by_name
-from training.agents.leaderboard.rows import read_rows, row_of, table, write_row
+from training.agents.evaluate import driver_name
+from training.agents.leaderboard.rows import check_free, read_rows, row_of, table, write_row
 from training.agents.leaderboard.tracks import drive_all
 from training.agents.zoo.settings import ALGORITHMS
 from training.common.commit import commit
@@ -51,7 +52,7 @@ class Args:
     @property
     def row_name(self) -> str:
         """Name of the row."""
-        return self.name if self.name is not None else NO_NAME.sub("-", Path(self.driver or "").stem)
+        return self.name if self.name is not None else NO_NAME.sub("-", driver_name(self.driver or ""))
 
 
 def main(args: Args) -> None:
@@ -59,11 +60,12 @@ def main(args: Args) -> None:
     if args.driver is not None:
         about = {
             "name": args.row_name,
-            "driver": Path(args.driver).name,
+            "driver": driver_name(args.driver),
             "algorithm": args.algorithm,
             "driver_sha256": digest_of(args.driver),
             "commit": commit(),
         }
+        check_free(args.out, about["name"], about["driver_sha256"])
         with one_thread(), progress_bars() as on_progress:
             outcomes = drive_all(pool_by_name(args.driver, args.algorithm), on_progress)
         write_row(args.out, row_of(about, outcomes))

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from annotated_types import Len
 from pydantic import StringConstraints
 
-from acquisition import ModelError
+from acquisition import ModelError, SettingError
 from acquisition.io.files import write_text
 from acquisition.io.schema import Schema, read_json
 from training.agents.evaluate import Outcomes, Rate
@@ -60,9 +60,21 @@ def row_of(about: Mapping[str, str], outcomes: Mapping[str, Outcomes]) -> Row:
     return {**row, CHECKSUM: sha256(canonical(row))}
 
 
+def row_path(folder: Path, name: str) -> Path:
+    """Return the file of a row in a folder, by its name."""
+    return folder / f"{name.replace(' ', '-')}.json"
+
+
+def check_free(folder: Path, name: str, driver_sha256: str) -> None:
+    """Raise SettingError where a folder has a row of that name of another driver."""
+    path = row_path(folder, name)
+    if path.exists() and read_json(path, _Row)["driver_sha256"] != driver_sha256:
+        raise SettingError(f"{path}: is the row of another driver, or of this one before a change; give --name")
+
+
 def write_row(folder: Path, row: Row) -> Path:
     """Write a row into a folder, under its name."""
-    return write_text(folder / f"{row['name'].replace(' ', '-')}.json", json.dumps(row, indent=1) + "\n")
+    return write_text(row_path(folder, row["name"]), json.dumps(row, indent=1) + "\n")
 
 
 def read_row(path: Path, board: str) -> Row:
