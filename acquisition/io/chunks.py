@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
-from acquisition.io.columns import CONDITION, REQUIRED, TEXT, RowFault, convert, read_columns, valid_rows
+from acquisition.io.columns import CONDITION, DIGITS, REQUIRED, TEXT, RowFault, convert, read_columns, valid_rows
 from acquisition.io.files import write_atomic
 from acquisition.io.parquet import SUFFIX, is_parquet, read_batches, write_parquet
 from acquisition.io.recording import Recording, unfinished_path
@@ -169,4 +169,4 @@ def _visits(recording: Recording) -> list[pd.DataFrame]:
 
 def _write_csv(file: IO[str], tables: Iterable[pd.DataFrame]) -> None:
     for k, table in enumerate(tables):
-        table.to_csv(file, index=False, header=k == 0, float_format="%.10g")
+        table.to_csv(file, index=False, header=k == 0, float_format=f"%{DIGITS}")

@@ -28,6 +28,7 @@ LIMITS = {
 }
 MAX_FAULTS = 500_000  # that are listed; a file with more is no recording
 MAX_COVARIATE = 1e15  # larger numbers are text: sums of their squares overflow in single precision
+DIGITS = ".15g"  # of numbers that are written: a float64 keeps so many of any decimal number
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def _is_text(number: pd.Series, empty: NDArray[np.bool_]) -> bool:
 def _as_text(column: pd.Series) -> pd.Series:
     if not pd.api.types.is_numeric_dtype(column):
         return column
-    return column.map(lambda x: "" if pd.isna(x) else f"{x:.10g}").astype(str)
+    return column.map(lambda x: "" if pd.isna(x) else f"{x:{DIGITS}}").astype(str)
 
 
 def valid_rows(

@@ -25,6 +25,7 @@ from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
 from acquisition.io.columns import (
     CONDITION,
+    DIGITS,
     ECHO_COLUMN,
     REQUIRED,
     TEXT,
@@ -296,7 +297,7 @@ class Recording:
         path = Path(path)
         if path.suffix.lower() == SUFFIX:
             return write_parquet(path, [self.table])
-        return write_atomic(path, lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
+        return write_atomic(path, lambda file: self.table.to_csv(file, index=False, float_format=f"%{DIGITS}"))
 
 
 def _is_column(value: Any, n: int) -> bool:

@@ -27,6 +27,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
 from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.extras import require
+from acquisition.io.columns import DIGITS
 from acquisition.io.memory import memory_limited
 from acquisition.io.recording import Recording
 from acquisition.io.tables import read_text_table
@@ -182,7 +183,7 @@ def _recording(table: pd.DataFrame, path: Path) -> Recording:
 
 
 def _text(value: Any) -> str:
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
+    return f"{value:{DIGITS}}" if isinstance(value, float) else str(value)
 
 
 def read_table(path: Path, first_stamp: float) -> TimeSeries:

@@ -16,7 +16,7 @@ import pandas as pd
 
 from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
-from acquisition.io.columns import ECHO_COLUMN, TEXT
+from acquisition.io.columns import DIGITS, ECHO_COLUMN, TEXT
 from acquisition.io.logs.serial_log import is_serial_log, read_serial_log
 from acquisition.io.recording import Recording
 from acquisition.io.tables import COMMAS, Dialect, parse_table, read_bytes
@@ -199,7 +199,7 @@ def _column(text: pd.Series, mapping: ColumnMap, no_echo: float | None) -> pd.Se
         value -= value.dropna().iloc[0] if number.notna().any() else 0.0
     if no_echo is not None and (mapping.name == "reading_mm" or ECHO_COLUMN.fullmatch(mapping.name)):
         value = value.mask(number == no_echo, 0.0)
-    return value.map(lambda x: f"{x:.10g}").where(number.notna(), text)
+    return value.map(lambda x: f"{x:{DIGITS}}").where(number.notna(), text)
 
 
 def _seconds(text: pd.Series) -> pd.Series:

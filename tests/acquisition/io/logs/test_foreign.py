@@ -99,3 +99,15 @@ def test_a_damaged_logger_file_is_named(tmp_path, damage, reason):
     path.write_text(damage(TOA5))
     with pytest.raises(RecordingError, match=f"snow.dat.*{reason}"):
         import_table(path, maps("time_s=TIMESTAMP", "reading_mm=TCDT", "distance_mm=Pole"), {"angle_deg": 0.0})
+
+
+def test_dates_and_numbers_of_a_log_keep_their_digits(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "true,got,when,time_s\n1,1,2024-01-01T00:00:00.25Z,1700000000.1\n1,1,2024-01-01T00:00:00.5Z,1700000000.2\n"
+    )
+    recording = import_table(
+        path, maps("distance_mm=true:m", "reading_mm=got:m", "clock=when:date"), {"angle_deg": 0.0}
+    )
+    assert recording.table["clock"].diff()[1] == 0.25
+    assert recording.table["time_s"].tolist() == [1700000000.1, 1700000000.2]
