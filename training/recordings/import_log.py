@@ -38,7 +38,7 @@ class Args:
     """Recording to write: Parquet if the name ends in .parquet, otherwise CSV."""
     columns: tuple[str, ...] = ()
     """CSV: columns of the recording as name=source:unit, with units mm cm m in us deg rad s ms min h date text;
-    us is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0.
+    us of a length is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0.
     Without it, columns and delimiter are guessed and shown."""
     accept_guess: bool = False
     """CSV without --columns: use the columns that were guessed and shown."""
@@ -122,19 +122,20 @@ def _guessed(args: Args, dialect: Dialect) -> list[ColumnMap]:
         SettingError: the guess has not been accepted, or a required column is missing; the message is the next step.
     """
     log, units, _ = read_log(args.source, dialect)
-    columns = [replace(m, unit=units.get(m.source, m.unit)) for m in guess_columns(log)]
+    constants = parse_constants(args.constants)
+    columns = [replace(m, unit=units.get(m.source, m.unit)) for m in guess_columns(log) if m.name not in constants]
     print(f"{args.source}: separated by {dialect.delimiter!r}, decimal {dialect.decimal!r}; guessed columns:")
     for m in columns:
         unit = f", in {m.unit}" if m.unit else ""
         print(f"  {m.name} = {m.source}{unit}: {', '.join(log[m.source][:4].astype(str))}, ...")
-    given = {m.name for m in columns} | set(parse_constants(args.constants))
+    given = {m.name for m in columns} | set(constants)
     missing = [name for name in REQUIRED if name not in given]
     if missing:
         raise SettingError(
             f"{args.source}: no column seems to be {missing[0]}; give --columns, or --constants {missing[0]}=..."
         )
     if not args.accept_guess:
-        maps = " ".join(shlex.quote(f"{m.name}={m.source}{f':{m.unit}' if m.unit else ''}") for m in columns)
+        maps = " ".join(shlex.quote(str(m)) for m in columns)
         dialects = "" if dialect == Dialect() else f" --delimiter {dialect.delimiter!r} --decimal '{dialect.decimal}'"
         raise SettingError(
             f"nothing is written yet: repeat with --accept-guess, or with what is right of --columns {maps}{dialects}"

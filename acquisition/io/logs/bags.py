@@ -28,6 +28,7 @@ from acquisition.arrays import Bits, Floats
 from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.extras import require
 from acquisition.io.columns import DIGITS
+from acquisition.io.logs.foreign import check_once
 from acquisition.io.memory import memory_limited
 from acquisition.io.recording import Recording
 from acquisition.io.tables import read_text_table
@@ -145,7 +146,7 @@ def import_bag(
     Raises:
         RecordingNotFoundError: the file does not exist.
         RecordingError: the bag is unreadable, a topic is missing, or no ping has a true distance.
-        SettingError: the true distance has no source.
+        SettingError: the true distance has no source, or a column has two.
         MissingExtraError: rosbags is not installed.
     """
     truth, constants = truth or GroundTruthSource(), dict(constants or {})
@@ -164,7 +165,9 @@ def import_bag(
     stamp = pings["stamp_s"].to_numpy()
     given = {} if known is None else known.interpolate(stamp, truth.longest_gap_s)
     valid = np.all([np.isfinite(column) for column in given.values()] or [np.ones(len(pings), bool)], axis=0)
-    table = pings.assign(time_s=stamp - first, session=path.name, **{"angle_deg": 0.0, **given, **constants})
+    check_once([*given, *constants])
+    columns = {"time_s": stamp - first, "session": path.name, "angle_deg": 0.0, **given, **constants}
+    table = pings.assign(**columns)
     table, too_close = table[valid], int(pings["too_close"].sum())
     if table.empty:
         raise RecordingError(

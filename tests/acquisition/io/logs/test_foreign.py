@@ -41,10 +41,47 @@ def test_a_missing_column_is_an_error(log):
         import_table(log, maps("distance_mm=nope"), {})
 
 
-@pytest.mark.parametrize("text", ["distance_mm", "=x", "distance_mm=x:furlong"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "distance_mm",
+        "=x",
+        "distance_mm=x:furlong",
+        "distance_mm=t:s",
+        "angle_deg=x:cm",
+        "time_s=t:mm",
+        "echo_2_mm=x:pct",
+    ],
+)
 def test_an_invalid_map_is_an_error(text):
     with pytest.raises(SettingError, match="column map"):
         ColumnMap.parse(text)
+
+
+def test_a_unit_of_another_quantity_is_named_with_those_that_fit():
+    with pytest.raises(
+        SettingError, match=r"'angle_deg=x:cm': expected a unit of angle_deg \(text, deg, rad\), got 'cm'"
+    ):
+        ColumnMap.parse("angle_deg=x:cm")
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("us", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)])
+def test_times_are_converted_to_seconds(tmp_path, unit, seconds):
+    (tmp_path / "log.csv").write_text("t,true\n7,1\n8,1\n10,1\n")
+    columns = maps(f"time_s=t:{unit}", f"wait_s=t:{unit}", "distance_mm=true:m", "reading_mm=true:m")
+    table = import_table(tmp_path / "log.csv", columns, {"angle_deg": 0.0}).table
+    assert table["time_s"].tolist() == pytest.approx([0.0, seconds, 3.0 * seconds])
+    assert table["wait_s"].tolist() == pytest.approx([7.0 * seconds, 8.0 * seconds, 10.0 * seconds])
+
+
+def test_a_column_that_is_given_twice_is_an_error(log):
+    for columns in (maps("reading_mm=true:m", "reading_mm=got_us:us"), maps("reading_mm=true:m", "angle_deg=got_us")):
+        with pytest.raises(
+            SettingError, match=r"column (reading_mm|angle_deg): is given 2 times; give it once"
+        ):
+            import_table(log, [*columns, *maps("distance_mm=true:m")], {"angle_deg": 0.0})
+    with pytest.raises(SettingError, match="column angle_deg: is given 2 times"):
+        parse_constants(["angle_deg=5", "angle_deg=6"])
 
 
 def test_constants_are_numbers_except_in_text_columns():

@@ -26,6 +26,7 @@ def guess(header, row):
         ("millis,duration,laserMm", "1,5,9", "distance_mm=laserMm:mm reading_mm=duration:us time_s=millis:ms"),
         ("distance_mm,angle_deg", "1,2", "distance_mm=distance_mm:mm angle_deg=angle_deg:deg"),
         ("Reference [inches],Echo time [us]", "3,5", "distance_mm=Reference [inches]:in reading_mm=Echo time [us]:us"),
+        ("time_us,true_mm", "1,2", "distance_mm=true_mm:mm time_s=time_us:us"),
         ("foo,bar", "1,2", ""),
     ],
 )
