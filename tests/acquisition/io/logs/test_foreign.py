@@ -76,9 +76,7 @@ def test_times_are_converted_to_seconds(tmp_path, unit, seconds):
 
 def test_a_column_that_is_given_twice_is_an_error(log):
     for columns in (maps("reading_mm=true:m", "reading_mm=got_us:us"), maps("reading_mm=true:m", "angle_deg=got_us")):
-        with pytest.raises(
-            SettingError, match=r"column (reading_mm|angle_deg): is given 2 times; give it once"
-        ):
+        with pytest.raises(SettingError, match=r"column (reading_mm|angle_deg): is given 2 times; give it once"):
             import_table(log, [*columns, *maps("distance_mm=true:m")], {"angle_deg": 0.0})
     with pytest.raises(SettingError, match="column angle_deg: is given 2 times"):
         parse_constants(["angle_deg=5", "angle_deg=6"])
