@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +14,7 @@ import numpy as np
 from acquisition.arrays import Floats
 from acquisition.bench.rig import Rig
 from acquisition.drivers.driver import SonarDriver
+from acquisition.drivers.srf08 import Adjustable
 from acquisition.errors import DeviceError, NoAnswerError, SettingError
 from acquisition.io.files import read_limited
 from acquisition.ping import EchoStatus, Ping, Reading
@@ -169,7 +171,7 @@ def register_writer(sonar: SonarDriver) -> Callable[[Condition], None]:
     """Return a function that sets the swept registers of a condition, for `DriverSource.prepare`.
 
     Raises (when called):
-        SettingError: the plan sweeps a register that this sonar does not have.
+        SettingError: the plan sweeps a register that this sonar does not have, or a value that it cannot hold.
     """
 
     def write(condition: Condition) -> None:
@@ -178,8 +180,24 @@ def register_writer(sonar: SonarDriver) -> Callable[[Condition], None]:
                 if not hasattr(sonar, name):
                     raise SettingError(f"{sonar} has no {SWEEPS[name].label}: remove `sweep.{name}` from the plan")
                 setattr(sonar, name, int(value))
+                _check_registers(sonar, name)
 
     return write
+
+
+def _check_registers(sonar: SonarDriver, name: str) -> None:
+    try:
+        if isinstance(sonar, Adjustable):
+            sonar.check_registers()
+    except SettingError as error:
+        raise SettingError(f"{error}: change `sweep.{name}` in the plan") from None
+
+
+def check_sweep(sonar: SonarDriver, plan: SurveyPlan) -> None:
+    """Check before the first visit of a plan that the sonar has its registers and values; see `register_writer`."""
+    write = register_writer(copy(sonar))
+    for condition in plan.conditions:
+        write(condition)
 
 
 @dataclass

@@ -21,7 +21,14 @@ from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, Order, SurveyPlan
 from acquisition.survey.planfile import find_plan
 from acquisition.survey.session import NoOperator, Operator, Session
-from acquisition.survey.sources import DriverSource, PingSource, RigSource, Thermometer, register_writer
+from acquisition.survey.sources import (
+    DriverSource,
+    PingSource,
+    RigSource,
+    Thermometer,
+    check_sweep,
+    register_writer,
+)
 from acquisition.twins.devantech import BadWire, Srf08Twin
 from training.common.progress import TERMINAL, bars
 from training.recordings.live import visit_line
@@ -231,6 +238,7 @@ def _real_source(args: Args) -> PingSource:
     given = {name: getattr(args, name) for name in SETTINGS[args.driver]}
     where = {} if args.port is None else {"port": args.port}
     sonar = DRIVERS[args.driver].open(**where, **given)
+    check_sweep(sonar, plan_of(args))
     if isinstance(sonar, Devantech):
         TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
     return DriverSource(sonar, register_writer(sonar), _columns(args, sonar), args.patience)

@@ -10,11 +10,11 @@ import pytest
 
 from acquisition import DeviceError, EchoStatus, NoAnswerError, Ping, Recording, RecordingError, SettingError
 from acquisition.bench import Bus, Rig, Setup, Unit
-from acquisition.drivers import Echoes, Srf08
+from acquisition.drivers import Echoes, Srf08, Srf10
 from acquisition.io.recording import unfinished_path
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Answer, NoOperator, Session
-from acquisition.survey.sources import DriverSource, RigSource, Thermometer, register_writer
+from acquisition.survey.sources import DriverSource, RigSource, Thermometer, check_sweep, register_writer
 from acquisition.twins.devantech import BadWire, Srf08Twin
 
 SMALL = SurveyPlan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
@@ -202,6 +202,19 @@ def test_a_plan_that_sweeps_a_missing_register_is_an_error(tmp_path):
     source = DriverSource(Plain(), register_writer(Plain()), sleep=lambda s: None)
     with pytest.raises(SettingError, match=r"HC-SR04 has no gain code: remove `sweep.gain` from the plan"):
         Session(plan, source, tmp_path / "r.csv").run()
+
+
+def test_a_plan_that_sweeps_beyond_the_registers_of_the_sonar_is_an_error_before_the_first_visit():
+    sonar = Srf10(None, gain=5)
+    message = r"SRF10 gain must be a whole number from 0 to 16, got 31 \(.*\): change `sweep.gain` in the plan"
+    plan = replace(SMALL, sweep={"gain": (3.0, 31.0)})
+    with pytest.raises(SettingError, match=message):
+        check_sweep(sonar, plan)
+    assert sonar.gain == 5
+    loud = next(condition for condition in plan.conditions if condition.values["gain"] == 31.0)
+    with pytest.raises(SettingError, match=message):
+        register_writer(sonar)(loud)
+    check_sweep(sonar, replace(SMALL, sweep={"gain": (0.0, 16.0)}))
 
 
 class Prepared:

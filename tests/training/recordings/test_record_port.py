@@ -47,6 +47,15 @@ def test_records_from_a_port(tmp_path, driver, retry):
     retry(attempt)
 
 
+def test_a_survey_beyond_the_registers_of_the_sensor_does_not_begin(tmp_path, capsys):
+    with PseudoTerminal(DEVICES["srf10"]()) as far:
+        options = ["--driver", "srf10", "--port", far.path, "--plan", "gain-sweep", "--operator", "none"]
+        with pytest.raises(SystemExit):
+            main(["record", "--out", str(tmp_path / "r.csv"), *options])
+    assert "SRF10 gain must be a whole number from 0 to 16" in capsys.readouterr().err
+    assert not (tmp_path / "r.csv").exists()
+
+
 def test_no_answer_is_not_recorded_as_no_echo(tmp_path, capsys):
     plan, path = tmp_path / "p.toml", tmp_path / "r.csv"
     plan.write_text(PLAN, encoding="utf-8")
