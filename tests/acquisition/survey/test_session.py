@@ -190,6 +190,17 @@ def test_a_swept_register_is_written_to_the_sonar_and_logged(tmp_path):
     assert (middle[True] <= middle[False]).all()  # a stronger echo crosses the threshold earlier
 
 
+def test_a_session_that_logs_other_columns_does_not_resume(tmp_path):
+    path, source = tmp_path / "r.csv", twin_source()
+    with pytest.raises(PowerCut):
+        Session(SMALL, Failing(source, 1), path).run()
+    before, columns = path.read_bytes(), {**source.columns, "temperature_c": 20.0}
+    with pytest.raises(RecordingError, match=r"gain, this session logs .*, temperature_c; resume with"):
+        Session(SMALL, replace(source, columns=columns), path, resume=True).run()
+    assert path.read_bytes() == before
+    assert len(Recording.load(Session(SMALL, source, path, resume=True).run())) == 24
+
+
 def test_a_plan_that_sweeps_a_missing_register_is_an_error(tmp_path):
     class Plain:
         def ping(self):
