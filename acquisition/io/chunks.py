@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import os
+from codecs import BOM_UTF8
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import IO
@@ -51,7 +52,7 @@ def is_recording(path: Path) -> bool:
     """Return whether a file is Parquet, or CSV with the columns that a recording requires."""
     if is_parquet(path):
         return True
-    header = read_beginning(path).partition(b"\n")[0]
+    header = read_beginning(path).removeprefix(BOM_UTF8).partition(b"\n")[0]
     return {column.encode() for column in REQUIRED} <= {name.strip(b' "\r') for name in header.split(b",")}
 
 

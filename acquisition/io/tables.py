@@ -26,7 +26,13 @@ MAX_COLUMNS, MAX_FIELD = 1000, 100_000  # columns of a table, and characters of 
 MAX_BYTES = 2**30  # of a table, decompressed
 MAX_EXPANSION, SMALL = 100, 2**26  # of gzip, beyond so many bytes; tables of measurements compress 5- to 20-fold
 GZIP, ZIP, XZ, UTF16 = b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", (b"\xff\xfe", b"\xfe\xff")
-FORMATS = ((ZIP, "a ZIP archive"), (XZ, "compressed by xz"), (b"SQLite format 3", "a database"), (b"\x89HDF", "HDF5"))
+FORMATS = (
+    (ZIP, "a ZIP archive"),
+    (XZ, "compressed by xz"),
+    (b"SQLite format 3", "a database"),
+    (b"\x89HDF", "HDF5"),
+    (b"PAR1", "Parquet"),
+)
 HEADER_BYTES = 1_000_000
 MAX_ROW = 10 * 2**20  # bytes; the parser takes many times as much for a row of empty fields
 BLOCK = 2**24  # bytes of a file that is read in parts

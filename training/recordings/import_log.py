@@ -68,7 +68,7 @@ def main(args: Args) -> None:
     """Import one file and print a summary."""
     if args.truth_csv is not None and not is_bag(args.source):
         raise SettingError(f"--truth-csv {args.truth_csv}: only a bag needs true distances, {args.source} is none")
-    if not args.columns and not is_bag(args.source) and is_recording(args.source):
+    if not is_bag(args.source) and _is_unchanged(args) and is_recording(args.source):
         _convert(args)
         return
     recording, notes = (_bag if is_bag(args.source) else _table)(args)
@@ -82,19 +82,29 @@ def main(args: Args) -> None:
         print(note)
 
 
+def _is_unchanged(args: Args) -> bool:
+    """Return whether no option changes the columns of the source, how it is read, or what it means."""
+    return not (args.columns or args.constants) and (args.no_echo, args.delimiter, args.decimal) == (None, ",", ".")
+
+
 def _convert(args: Args) -> None:
     """Write a recording in the other format, in parts; a unit is doubtful if it is in all of them."""
-    doubts = list[set[str]]()
+    doubts, omitted = list[set[str]](), list[str]()
 
     def parts() -> Iterator[Recording]:
         for part in read_chunks(args.source, args.skip_bad_rows):
             doubts.append(set(doubtful_units(part)))
+            omitted.extend(_omitted(part))
             yield part
 
     n = write_chunks(args.out, parts())
     print(f"{args.out}: {n} pings; {args.source} is a recording already, and was converted in parts")
-    for warning in sorted(set.intersection(*doubts)):
-        print(_warning(warning))
+    for note in [*omitted, *map(_warning, sorted(set.intersection(*doubts)))]:
+        print(note)
+
+
+def _omitted(recording: Recording) -> list[str]:
+    return [f"omitted: {fault}" for fault in recording.rejected]
 
 
 def _warning(text: str) -> str:
@@ -106,7 +116,7 @@ def _table(args: Args) -> tuple[Recording, list[str]]:
     columns = [ColumnMap.parse(text) for text in args.columns] or _guessed(args, dialect)
     constants = parse_constants(args.constants)
     recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows, dialect)
-    return recording, [f"omitted: {fault}" for fault in recording.rejected]
+    return recording, _omitted(recording)
 
 
 def _dialect(args: Args) -> Dialect:

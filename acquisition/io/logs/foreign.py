@@ -17,7 +17,7 @@ import pandas as pd
 
 from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
-from acquisition.io.columns import DIGITS, ECHO_COLUMN, TEXT
+from acquisition.io.columns import DIGITS, TEXT, is_reading
 from acquisition.io.logs.serial_log import is_serial_log, read_serial_log
 from acquisition.io.recording import Recording
 from acquisition.io.tables import COMMAS, Dialect, parse_table, read_bytes
@@ -141,12 +141,11 @@ def import_table(
             found = ", ".join(log.columns)
             hint = near(mapping.source, log.columns)
             raise RecordingError(f"{path}, line 1: column {mapping.source!r} is missing, found {found}{hint}")
-    table = pd.DataFrame({m.name: _column(log[m.source], m, no_echo) for m in columns})
-    table = table.assign(**constants)
     named = [c for c in map(str, log.columns) if not c.startswith("Unnamed: ")]  # pandas' name for an empty header
-    used = {m.source for m in columns} | set(table.columns)
-    for column in (c for c in named if c not in used):
-        table[column] = log[column]
+    used = {m.source for m in columns} | {m.name for m in columns} | set(constants)
+    others = [ColumnMap(c, c, "" if is_reading(c) else "text") for c in named if c not in used]
+    mapped, rest = ({m.name: _column(log[m.source], m, no_echo) for m in maps} for maps in (columns, others))
+    table = pd.DataFrame({**mapped, **constants, **rest}, log.index)
     return Recording.from_text(table.astype(str), origin, skip_bad_rows)
 
 
@@ -212,7 +211,7 @@ def _column(text: pd.Series, mapping: ColumnMap, no_echo: float | None) -> pd.Se
     value = number.astype(np.float64) * units_of(mapping.name)[mapping.unit]
     if mapping.name == "time_s":
         value -= value.dropna().iloc[0] if number.notna().any() else 0.0
-    if no_echo is not None and (mapping.name == "reading_mm" or ECHO_COLUMN.fullmatch(mapping.name)):
+    if no_echo is not None and is_reading(mapping.name):
         value = value.mask(number == no_echo, 0.0)
     return value.map(lambda x: f"{x:{DIGITS}}").where(number.notna(), text)
 

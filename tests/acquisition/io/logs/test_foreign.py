@@ -30,6 +30,12 @@ def test_units_are_converted_and_other_columns_retained(log):
     assert recording.covariates == ("humidity",)
 
 
+def test_readings_that_have_their_names_already_know_the_value_for_no_echo(log):
+    log.write_text("distance_mm,angle_deg,reading_mm,echo_2_mm\n1000,0,400,4000\n1000,0,4000,4000\n")
+    recording = import_table(log, maps("distance_mm=distance_mm"), {}, no_echo=4000)
+    assert recording.table[["reading_mm", "echo_2_mm"]].to_numpy().tolist() == [[400.0, 0.0], [0.0, 0.0]]
+
+
 def test_an_error_quotes_the_value_in_the_file(log):
     log.write_text("true,got\n1.0,1.0\n2.0,abc\n", encoding="utf-8")
     with pytest.raises(RecordingError, match=r"log.csv, line 3, column reading_mm: 'abc', expected a number"):
