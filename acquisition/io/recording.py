@@ -122,7 +122,9 @@ class Recording:
     @classmethod
     @checked
     def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
-        """Check a table of text as read from a CSV file; see `load`. Row k is line k + 2 of the file."""
+        """Check a table of text as read from a CSV file; see `load`. The row with index k is line k + 2 of the file."""
+        if not (pd.api.types.is_integer_dtype(text.index) and text.index.is_unique):
+            text = text.reset_index(drop=True)
         return cls._of_columns(*convert(name, text), name, skip_bad_rows)
 
     @classmethod

@@ -207,13 +207,12 @@ def read_table(path: Path, first_stamp: float) -> TimeSeries:
     number = table[[time, *known]].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
     faulty = np.argwhere(~np.isfinite(number))
     if not len(number) or len(faulty):
-        line, column = (2, 0) if not len(number) else (int(faulty[0, 0]) + 2, int(faulty[0, 1]))
+        line, column = (2, 0) if not len(number) else (table.index[faulty[0, 0]] + 2, int(faulty[0, 1]))
         raise RecordingError(f"{path}, line {line}, column {[time, *known][column]}: expected a number")
     back = np.flatnonzero(np.diff(number[:, 0]) <= 0)
     if len(back):
-        raise RecordingError(
-            f"{path}, line {back[0] + 3}, column {time}: expected a larger value than in the previous line"
-        )
+        line = table.index[back[0] + 1] + 2
+        raise RecordingError(f"{path}, line {line}, column {time}: expected a larger value than in the previous line")
     stamp = number[:, 0] + (first_stamp if time == "time_s" else 0.0)
     return TimeSeries(stamp, {TRUTH_COLUMNS[n][0]: number[:, k] * TRUTH_COLUMNS[n][1] for k, n in enumerate(known, 1)})
 

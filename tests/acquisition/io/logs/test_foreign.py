@@ -4,6 +4,7 @@ import pytest
 
 from acquisition import EchoStatus, RecordingError, SettingError
 from acquisition.io.logs.foreign import ColumnMap, import_table, parse_constants
+from acquisition.io.tables import Dialect
 
 
 def maps(*texts):
@@ -152,3 +153,19 @@ def test_dates_and_numbers_of_a_log_keep_their_digits(tmp_path):
     )
     assert recording.table["clock"].diff()[1] == 0.25
     assert recording.table["time_s"].tolist() == [1700000000.1, 1700000000.2]
+
+
+def test_rows_of_a_log_are_counted_and_measured_as_those_of_a_recording(log):
+    log.write_text("true,got,note\n1,1,a\n\n1,1\n1,x,b\n")
+    columns, more = maps("distance_mm=true:m", "reading_mm=got:m"), {"angle_deg": 0.0}
+    with pytest.raises(
+        RecordingError, match=r"line 4, column note: '', expected a field; the row ends before it \(and 1"
+    ):
+        import_table(log, columns, more)
+    assert [fault.line for fault in import_table(log, columns, more, skip_bad_rows=True).rejected] == [4, 5]
+
+
+def test_a_column_without_a_name_may_be_the_first_of_a_table_with_tabs(tmp_path):
+    (tmp_path / "log.tsv").write_text("\tdistance_mm\tangle_deg\treading_mm\n0\t1000\t0\t1010\n")
+    recording = import_table(tmp_path / "log.tsv", [], {}, dialect=Dialect("\t"))
+    assert recording.table.to_dict("records") == [{"distance_mm": 1000.0, "angle_deg": 0.0, "reading_mm": 1010.0}]
