@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition import DeviceError, NoAnswerError, Ping, Reading, Recording
+from acquisition import DeviceError, EchoStatus, NoAnswerError, Ping, Reading, Recording
 from acquisition.drivers import Echoes
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.planfile import find_plan
@@ -195,3 +195,6 @@ def test_a_live_line_is_a_histogram_about_the_true_distance():
     picture = line.split("|")[1]
     assert (picture[15], picture[0], set(picture[1:15] + picture[16:])) == ("█", "▄", {" "})
     assert line.endswith("+0 mm; right 3, wrong 1, no echo 1 of 5")
+    dead = Reading.of([1.0, 0.0, 0.0, 0.0, 0.0], [EchoStatus.ECHO, EchoStatus.NO_ECHO, *[EchoStatus.NO_ANSWER] * 3])
+    line = visit_line(condition, VisitData(measured.ping, dead))
+    assert line.endswith("right 1, wrong 0, no echo 1, no answer 3 of 5")
