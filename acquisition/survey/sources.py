@@ -17,12 +17,14 @@ from acquisition.drivers.driver import SonarDriver
 from acquisition.drivers.srf08 import Adjustable
 from acquisition.errors import DeviceError, NoAnswerError, SettingError
 from acquisition.io.files import read_limited
+from acquisition.limits import shown
 from acquisition.ping import EchoStatus, Ping, Reading
 from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, SurveyPlan
 from acquisition.survey.quantities import SWEEPS
 
 MAX_CHARACTERS = 100  # of a thermometer's file
+MAX_FAILED_READS = 3  # in a row, of a thermometer during a survey
 DRIFT_STREAM = 2**31  # random stream of the drift; larger than any condition number
 TEST_PINGS, TEST_INTERVAL_S = 5, 0.07  # of the connection test before a session
 
@@ -219,13 +221,18 @@ class Thermometer:
         self._read()
 
     def __call__(self) -> float:
-        """Return the temperature, degC.
+        """Return the temperature, degC; the last one where the file cannot be read now and then, as on a 1-Wire bus.
 
         Raises:
-            DeviceError: the file is missing or has no valid temperature.
+            DeviceError: the file is missing or has had no valid temperature for a few reads.
         """
         if self.clock() - self._when > self.every_s:
-            self._read()
+            try:
+                self._read()
+            except DeviceError:
+                self._when, self._failed = self.clock(), self._failed + 1
+                if self._failed > MAX_FAILED_READS:
+                    raise
         return self._value
 
     def _read(self) -> None:
@@ -233,8 +240,11 @@ class Thermometer:
         data = read_limited(self.path, DeviceError, expected)
         try:
             value = int(data[:MAX_CHARACTERS]) / 1000.0
-        except ValueError as error:
-            raise DeviceError(f"thermometer {self.path}: {error}; expected thousandths of a degree Celsius") from None
+        except ValueError:
+            raise DeviceError(
+                f"thermometer {self.path}: reads {shown(data[:MAX_CHARACTERS].decode('ascii', 'replace'))}, expected "
+                "thousandths of a degree Celsius; check its wires"
+            ) from None
         if not -60.0 <= value <= 84.9:  # a DS18B20 returns 85 degC until its first conversion
             raise DeviceError(f"thermometer {self.path}: {value:g} degC, expected -60 to 84.9 degC; check its wires")
-        self._value, self._when = value, self.clock()
+        self._value, self._when, self._failed = value, self.clock(), 0
