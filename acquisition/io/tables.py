@@ -173,11 +173,13 @@ def _rows(data: bytes, delimiter: bytes) -> tuple[Ints, Ints]:
     text, blank = np.frombuffer(plain, np.uint8), b" \t".replace(delimiter, b"")
     ends = np.append(np.flatnonzero(text == ord("\n")), len(text))
     starts = np.append(0, ends[:-1] + 1)
-    fields = np.searchsorted(np.flatnonzero(text == ord(delimiter)), [starts, ends]).T @ [-1, 1] + 1
+    marks = np.flatnonzero(text == ord(delimiter))
+    fields = np.searchsorted(marks, ends) - np.searchsorted(marks, starts) + 1
     for k in np.flatnonzero(fields == 1):
         fields[k] = bool(plain[starts[k] : ends[k]].strip(blank))
     rows = np.flatnonzero(fields)
-    return rows + np.searchsorted(np.flatnonzero(text == 0), starts[rows]), fields[rows]
+    line = rows + np.searchsorted(np.flatnonzero(text == 0), starts[rows])
+    return line.astype(np.int64), fields[rows].astype(np.int64)
 
 
 @contextmanager
@@ -280,7 +282,7 @@ def _placed(table: pd.DataFrame, data: bytes, dialect: Dialect) -> tuple[pd.Data
 
     The rows are only sought where lines and rows may differ, or the last named field of a row is empty.
     """
-    named = max((k for k, column in enumerate(table, 1) if not column.startswith("Unnamed: ")), default=1)
+    named = max((k for k, column in enumerate(map(str, table), 1) if not column.startswith("Unnamed: ")), default=1)
     n_lines = data.count(b"\n") + (not data.endswith(b"\n"))
     if n_lines == len(table) + 1 and not table.iloc[:, named - 1].isna().any():
         return table, None

@@ -218,6 +218,7 @@ class Thermometer:
 
     def __post_init__(self) -> None:
         """Read the file once, so that a missing thermometer is an error before the survey."""
+        self._value, self._when, self._failed = 0.0, 0.0, 0
         self._read()
 
     def __call__(self) -> float:
