@@ -198,11 +198,14 @@ def _noise_factor(ambient: Ambient | None, ping: Ping, rng: np.random.Generator)
 def _through_wire(
     code: NDArray[np.uint16], ping: Ping, setup: Setup, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return the codes that the host reads and the bus fault of each ping; runs must be contiguous."""
+    """Return the codes that the host reads and the bus fault of each ping; runs must be contiguous.
+
+    After a lost write the registers hold the previous ping, whatever became of that one on its way to the host.
+    """
     fault = draw_faults(setup.bus, ping, rng)
-    code = np.where((fault == Link.DROPPED)[:, None], 0, code).astype(np.uint16)
-    flipped = np.flatnonzero(fault == Link.BIT_FLIP)
-    code[flipped, 0] ^= np.left_shift(1, rng.integers(0, 16, len(flipped))).astype(np.uint16)
     lost = fault == Link.LOST_WRITE
-    source = np.maximum.accumulate(np.where(lost, -1, np.arange(len(ping))))
-    return code[source], fault
+    held = code[np.maximum.accumulate(np.where(lost, -1, np.arange(len(ping))))]
+    read = np.where((fault == Link.DROPPED)[:, None], 0, held).astype(np.uint16)
+    flipped = np.flatnonzero(fault == Link.BIT_FLIP)
+    read[flipped, 0] ^= np.left_shift(1, rng.integers(0, 16, len(flipped))).astype(np.uint16)
+    return read, fault

@@ -19,6 +19,10 @@ from acquisition.errors import GarbledError, NoAnswerError, SettingError
 
 BAUD = 9600
 TIMEOUT_PERIODS = 4
+FULL_PULSE = (
+    0.98,
+    1.03,
+)  # widths without an echo, of the nominal one: the clocks of sensor and board differ by 1 to 2 %
 MAX_DISCARDS = 64  # reads of waiting lines before a ping; more means that the line does not pause
 
 
@@ -29,10 +33,11 @@ class OutputFormat:
     Attributes:
         digits: number of digits after the `R`.
         unit_m: of a count, m.
-        no_echo: count that means no echo.
+        no_echo: smallest count that means no echo.
         period_s: time between lines, s.
         nearest: smallest count; closer targets are reported at it.
         pulse_us: width of the pulse on the PW output, us per count.
+        largest: largest count, which means no echo too; 0 for `no_echo`.
     """
 
     digits: int
@@ -41,6 +46,7 @@ class OutputFormat:
     period_s: float
     nearest: int
     pulse_us: float
+    largest: int = 0
 
     def echoes(self, count: int, sensor: str) -> Echoes:
         """Return the range of a count, m, if there is an echo.
@@ -48,15 +54,22 @@ class OutputFormat:
         Raises:
             GarbledError: the count is not one of this model; the message names the sensor.
         """
-        if not 0 < count <= self.no_echo:
-            raise GarbledError(f"{sensor}: reads {count}, expected 1 to {self.no_echo}: check the model")
+        largest = self.largest or self.no_echo
+        if not 0 < count <= largest:
+            raise GarbledError(f"{sensor}: reads {count}, expected 1 to {largest}: check the model")
         return Echoes((count * self.unit_m,) if count < self.no_echo else ())
+
+    def timed_echoes(self, width_us: float, sensor: str) -> Echoes:
+        """Return the range of a pulse on the PW output, m, if there is an echo; see `echoes`."""
+        low, high = FULL_PULSE
+        is_full = low <= width_us / (self.no_echo * self.pulse_us) <= high
+        return self.echoes(self.no_echo if is_full else round(width_us / self.pulse_us), sensor)
 
 
 # from the data sheets of the families; for a sensor with another largest value, add a row
 MODELS = {
     "lv": OutputFormat(
-        3, 0.0254, 254, 0.05, 6, 147.0
+        3, 0.0254, 254, 0.05, 6, 147.0, largest=255
     ),  # LV-MaxSonar-EZ, inches; inverted line: use an inverting adapter
     "xl": OutputFormat(3, 0.01, 765, 0.1, 20, 58.0),  # XL-MaxSonar-EZ/-WR, cm
     "xl-long": OutputFormat(4, 0.01, 1068, 0.1, 20, 58.0),  # XL-MaxSonar-WRL, cm
@@ -169,8 +182,8 @@ class MaxBotixPwm:
             GarbledError: the pulse is longer than any of this model.
         """
         limit_us = round(2e6 * self._format.period_s)
-        count = round(self.bridge.pulse_us(f"P {self.echo:X} {limit_us:X}", str(self)) / self._format.pulse_us)
-        return self._format.echoes(count, str(self))
+        width_us = self.bridge.pulse_us(f"P {self.echo:X} {limit_us:X}", str(self))
+        return self._format.timed_echoes(width_us, str(self))
 
     def __str__(self) -> str:
         return f"MaxBotix {self.model} on pin {self.echo}"

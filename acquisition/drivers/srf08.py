@@ -58,6 +58,10 @@ class Adjustable(Devantech):
     def __post_init__(self) -> None:
         """Raise SettingError for invalid settings."""
         super().__post_init__()
+        self.check_registers()
+
+    def check_registers(self) -> None:
+        """Raise SettingError for a gain or range that the registers cannot hold."""
         table_end = f"code; the manual's table ends at {self.max_gain}"
         check_register(f"{self.name} gain", self.gain, self.max_gain, table_end)
         check_register(f"{self.name} range register", self.range_register, 255, "steps of 43 mm")

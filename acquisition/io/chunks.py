@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import os
+from codecs import BOM_UTF8
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import IO
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
-from acquisition.io.columns import CONDITION, REQUIRED, TEXT, RowFault, convert, read_columns, valid_rows
+from acquisition.io.columns import CONDITION, DIGITS, REQUIRED, TEXT, RowFault, convert, read_columns, valid_rows
 from acquisition.io.files import write_atomic
 from acquisition.io.parquet import SUFFIX, is_parquet, read_batches, write_parquet
 from acquisition.io.recording import Recording, unfinished_path
@@ -51,7 +52,7 @@ def is_recording(path: Path) -> bool:
     """Return whether a file is Parquet, or CSV with the columns that a recording requires."""
     if is_parquet(path):
         return True
-    header = read_beginning(path).partition(b"\n")[0]
+    header = read_beginning(path).removeprefix(BOM_UTF8).partition(b"\n")[0]
     return {column.encode() for column in REQUIRED} <= {name.strip(b' "\r') for name in header.split(b",")}
 
 
@@ -169,4 +170,4 @@ def _visits(recording: Recording) -> list[pd.DataFrame]:
 
 def _write_csv(file: IO[str], tables: Iterable[pd.DataFrame]) -> None:
     for k, table in enumerate(tables):
-        table.to_csv(file, index=False, header=k == 0, float_format="%.10g")
+        table.to_csv(file, index=False, header=k == 0, float_format=f"%{DIGITS}")

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from acquisition.errors import RecordingError
-from acquisition.io.tables import check_twins, parse_numbers, parse_table
+from acquisition.io.tables import MISSING, check_twins, parse_numbers, parse_table
 from acquisition.ping import MAX_RANGE
 
 REQUIRED = ("distance_mm", "angle_deg", "reading_mm")
@@ -28,6 +29,7 @@ LIMITS = {
 }
 MAX_FAULTS = 500_000  # that are listed; a file with more is no recording
 MAX_COVARIATE = 1e15  # larger numbers are text: sums of their squares overflow in single precision
+DIGITS = ".15g"  # of numbers that are written: a float64 keeps so many of any decimal number
 
 
 @dataclass(frozen=True)
@@ -119,11 +121,15 @@ def convert(
 ) -> tuple[pd.DataFrame, list[RowFault]]:
     """Convert fields, text or numbers, to the columns of a recording; see `read_columns`.
 
+    The row with index k is line k + `first_line`.
+
     Raises:
         RecordingError: a required column is missing.
     """
     check_header(file, list(fields.columns))
-    faults: list[RowFault] = []
+    lines = fields.index + first_line
+    faults, short = _short_rows(file, fields, lines)
+    fields = fields.mask(fields == MISSING, "") if faults else fields
     columns: dict[str, pd.Series] = {}
     for name in fields.columns:
         if name in TEXT:
@@ -131,17 +137,32 @@ def convert(
             continue
         number, empty = _numbers(fields[name]), _empty(fields[name])
         if name in CONDITION or is_reading(name):
-            rows = np.flatnonzero(_invalid(name, number, empty))
-            wanted = _expectation(name)
-            listed = rows[: MAX_FAULTS + 1]
-            faults += [RowFault(file, int(r) + first_line, name, str(fields[name].iloc[r]), wanted) for r in listed]
-            if len(rows) > MAX_FAULTS:
-                raise RecordingError(f"{faults[-len(listed)]} (and {len(rows) - 1:,} more, too many to omit)")
+            bad = _invalid(name, number, empty) & ~short
+            faults += _listed(file, name, lines[bad], fields[name][bad], _expectation(name))
             columns[name] = number
         else:
             is_text = _is_text(number, empty) if text is None else name in text
             columns[name] = _as_text(fields[name]) if is_text else number
     return pd.DataFrame(columns), sorted(faults, key=lambda fault: fault.line)
+
+
+def _short_rows(file: str, fields: pd.DataFrame, lines: pd.Index) -> tuple[list[RowFault], NDArray[np.bool_]]:
+    """Return a fault for the first field that each row lacks, and the mask of these rows."""
+    faults, short = list[RowFault](), np.zeros(len(fields), dtype=np.bool_)
+    for name in (name for name in fields.columns if not pd.api.types.is_numeric_dtype(fields[name])):
+        missing = (fields[name] == MISSING).to_numpy() & ~short
+        faults += _listed(file, name, lines[missing], repeat(""), "a field; the row ends before it")
+        short |= missing
+    return faults, short
+
+
+def _listed(file: str, name: str, lines: pd.Index, values: Iterable[object], expected: str) -> list[RowFault]:
+    """Return a fault for each value, or raise RecordingError where they are too many."""
+    listed = zip(lines[: MAX_FAULTS + 1], values, strict=False)
+    faults = [RowFault(file, int(line), name, str(value), expected) for line, value in listed]
+    if len(faults) > MAX_FAULTS:
+        raise RecordingError(f"{faults[0]} (and {len(lines) - 1:,} more, too many to omit)")
+    return faults
 
 
 def _is_text(number: pd.Series, empty: NDArray[np.bool_]) -> bool:
@@ -152,7 +173,7 @@ def _is_text(number: pd.Series, empty: NDArray[np.bool_]) -> bool:
 def _as_text(column: pd.Series) -> pd.Series:
     if not pd.api.types.is_numeric_dtype(column):
         return column
-    return column.map(lambda x: "" if pd.isna(x) else f"{x:.10g}").astype(str)
+    return column.map(lambda x: "" if pd.isna(x) else f"{x:{DIGITS}}").astype(str)
 
 
 def valid_rows(

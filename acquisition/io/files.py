@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import secrets
 import stat
 import sys
 import tempfile
@@ -50,22 +51,27 @@ def _made(folder: Path) -> Iterator[None]:
 def write_atomic(path: Path, write: Callable[[IO[Any]], object], binary: bool = False) -> Path:
     """Write a temporary file beside `path`, force it to disk, and rename it to `path`.
 
+    A link remains one, and a file that exists keeps its permissions.
+
     Args:
         path: file to write; missing parent folders are created.
         write: receives the open file; if it raises, `path` remains unchanged.
         binary: open the file for bytes instead of text.
     """
     check_path(path, "file")
-    with _made(path.parent):
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    exists = path.exists()
+    target = path.resolve() if exists else path
+    temporary = f"{target}{secrets.token_hex(4)}.part"
+    with _made(target.parent):
         UNFINISHED.add(temporary)
         try:
-            with _named(path), os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", **TEXT) as file:
+            with _named(path), open(temporary, "xb") if binary else open(temporary, "x", **TEXT) as file:
                 write(file)
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
+            if exists:
+                os.chmod(temporary, stat.S_IMODE(target.stat().st_mode))
+            os.replace(temporary, target)
         finally:
             Path(temporary).unlink(missing_ok=True)
             UNFINISHED.discard(temporary)

@@ -108,8 +108,14 @@ class Journal:
         """Write a visit (and, first, the header) and return when it is on disk.
 
         Raises:
-            RecordingError: the disk is full or fails; the file keeps its previous content.
+            RecordingError: the file has other columns, or the disk is full or fails; it keeps its previous content.
         """
+        if self.table is not None and list(rows.columns) != list(self.table.columns):
+            has, logs = ", ".join(self.table.columns), ", ".join(rows.columns)
+            raise RecordingError(
+                f"{self.path}: has columns {has}, this session logs {logs}; resume with the original settings, or give "
+                "another file"
+            )
         header = rows.iloc[:0].to_csv(index=False, lineterminator="\n").encode() if not self.ends else b""
         body = rows.to_csv(index=False, header=False, float_format="%.10g", lineterminator="\n").encode()
         before = self.ends[-1] if self.ends else 0

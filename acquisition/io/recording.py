@@ -25,6 +25,7 @@ from acquisition.errors import RecordingError, SettingError
 from acquisition.extras import FigureLike, load_extra
 from acquisition.io.columns import (
     CONDITION,
+    DIGITS,
     ECHO_COLUMN,
     REQUIRED,
     TEXT,
@@ -121,7 +122,9 @@ class Recording:
     @classmethod
     @checked
     def from_text(cls, text: pd.DataFrame, name: str, skip_bad_rows: bool = False) -> Recording:
-        """Check a table of text as read from a CSV file; see `load`. Row k is line k + 2 of the file."""
+        """Check a table of text as read from a CSV file; see `load`. The row with index k is line k + 2 of the file."""
+        if not (pd.api.types.is_integer_dtype(text.index) and text.index.is_unique):
+            text = text.reset_index(drop=True)
         return cls._of_columns(*convert(name, text), name, skip_bad_rows)
 
     @classmethod
@@ -296,7 +299,7 @@ class Recording:
         path = Path(path)
         if path.suffix.lower() == SUFFIX:
             return write_parquet(path, [self.table])
-        return write_atomic(path, lambda file: self.table.to_csv(file, index=False, float_format="%.10g"))
+        return write_atomic(path, lambda file: self.table.to_csv(file, index=False, float_format=f"%{DIGITS}"))
 
 
 def _is_column(value: Any, n: int) -> bool:

@@ -20,14 +20,22 @@ from typing import IO, Any
 import numpy as np
 import pandas as pd
 
+from acquisition.arrays import Bits, Ints
 from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError, SonarError
 
 MAX_COLUMNS, MAX_FIELD = 1000, 100_000  # columns of a table, and characters of one field
 MAX_BYTES = 2**30  # of a table, decompressed
 MAX_EXPANSION, SMALL = 100, 2**26  # of gzip, beyond so many bytes; tables of measurements compress 5- to 20-fold
 GZIP, ZIP, XZ, UTF16 = b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", (b"\xff\xfe", b"\xfe\xff")
-FORMATS = ((ZIP, "a ZIP archive"), (XZ, "compressed by xz"), (b"SQLite format 3", "a database"), (b"\x89HDF", "HDF5"))
+FORMATS = (
+    (ZIP, "a ZIP archive"),
+    (XZ, "compressed by xz"),
+    (b"SQLite format 3", "a database"),
+    (b"\x89HDF", "HDF5"),
+    (b"PAR1", "Parquet"),
+)
 HEADER_BYTES = 1_000_000
+MISSING = "\0"  # in place of a field that a row lacks; no field of a file holds this character
 MAX_ROW = 10 * 2**20  # bytes; the parser takes many times as much for a row of empty fields
 BLOCK = 2**24  # bytes of a file that is read in parts
 LONG_ROW = f"{{}}: a row of more than {MAX_ROW // 2**20} MiB; the file is damaged or no table"
@@ -145,12 +153,33 @@ def _check_rows(data: bytes, name: str) -> None:
 
 def _row_end(data: bytes) -> int:
     """Return the place behind the last line end that is not inside quotes, 0 for none."""
+    return _unquoted(data, b",").rfind(b"\n") + 1
+
+
+def _unquoted(data: bytes, delimiter: bytes) -> bytes:
+    """Return text with a null character for each line end in quotes and a space for each delimiter there.
+
+    As in the parser, only a quotation mark that begins a field opens quotes, not the one of 5" in a note.
+    """
     if b'"' not in data:
-        return data.rfind(b"\n") + 1
-    text = np.frombuffer(data, dtype=np.uint8)
-    outside = np.bitwise_xor.accumulate((text == ord('"')).view(np.uint8)) == 0
-    ends = np.flatnonzero((text == ord("\n")) & outside)
-    return int(ends[-1]) + 1 if len(ends) else 0
+        return data
+    quoted = rb'(?:\A|(?<=[\r\n%s])) *"[^"]*(?:""[^"]*)*(?:"|\Z)' % re.escape(delimiter)
+    return re.sub(quoted, lambda field: field[0].replace(b"\n", b"\0").replace(delimiter, b" "), data)
+
+
+def _rows(data: bytes, delimiter: bytes) -> tuple[Ints, Ints]:
+    """Return the line, from 0, and the number of fields of each row, the header's included; blank lines are no rows."""
+    plain = _unquoted(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), delimiter)
+    text, blank = np.frombuffer(plain, np.uint8), b" \t".replace(delimiter, b"")
+    ends = np.append(np.flatnonzero(text == ord("\n")), len(text))
+    starts = np.append(0, ends[:-1] + 1)
+    marks = np.flatnonzero(text == ord(delimiter))
+    fields = np.searchsorted(marks, ends) - np.searchsorted(marks, starts) + 1
+    for k in np.flatnonzero(fields == 1):
+        fields[k] = bool(plain[starts[k] : ends[k]].strip(blank))
+    rows = np.flatnonzero(fields)
+    line = rows + np.searchsorted(np.flatnonzero(text == 0), starts[rows])
+    return line.astype(np.int64), fields[rows].astype(np.int64)
 
 
 @contextmanager
@@ -188,27 +217,38 @@ def parse_numbers(
         dialect: delimiter of the file.
 
     Returns:
-        None where a column is neither text nor finite numbers up to `largest`: the text has to decide.
+        None where a column is neither text nor finite numbers up to `largest`, or a row lacks a field: the text has to
+        decide.
     """
-    table = _parsed(data, name, dialect, False, dtype=dict.fromkeys(text, str), na_values=[""], low_memory=False)
+    options = {"dtype": dict.fromkeys(text, str), "na_values": [""], "low_memory": False}
+    table, missing = _parsed(data, name, dialect, False, **options)
     number = table.select_dtypes(["int64", "float64"])
     others = table.columns.difference(number.columns)
-    known = all(pd.api.types.is_string_dtype(table[column]) for column in others)
+    known = missing is None and all(pd.api.types.is_string_dtype(table[column]) for column in others)
     if table.empty or not known or any((number[column].abs() > largest).any() for column in number):
         return None
     return table.fillna(dict.fromkeys(others, ""))
 
 
 def parse_table(data: bytes, name: str, dialect: Dialect = COMMAS, number_twins: bool = False) -> pd.DataFrame:
-    """Return the fields of CSV text as text; see `read_text_table`."""
+    """Return the fields of CSV text as text, `MISSING` where a row lacks one; see `read_text_table`.
+
+    The index is that of the line, 0 for the second one.
+    """
     # as missing values, empty fields are also recognised behind a delimiter at the end of each row
-    table = _parsed(data, name, dialect, number_twins, dtype=str, na_values=[""]).fillna("")
+    table, missing = _parsed(data, name, dialect, number_twins, dtype=str, na_values=[""])
+    table = table.fillna("")
+    if missing is not None:
+        table = table.mask(missing, MISSING)
     if dialect.decimal == ",":
         table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
     return table
 
 
-def _parsed(data: bytes, name: str, dialect: Dialect, number_twins: bool, **options: Any) -> pd.DataFrame:
+def _parsed(
+    data: bytes, name: str, dialect: Dialect, number_twins: bool, **options: Any
+) -> tuple[pd.DataFrame, Bits | None]:
+    """Return a table, by line, and the mask of the fields that its rows lack, (n, columns), if there are any."""
     columns = _header(_checked_beginning(data, name), name, dialect)
     _check_header(columns, name, number_twins)
     try:
@@ -234,7 +274,24 @@ def _parsed(data: bytes, name: str, dialect: Dialect, number_twins: bool, **opti
             "quotation marks and line ends from the names"
         )
     table.columns = pd.Index(_numbered(columns))
-    return table
+    return _placed(table, data, dialect)
+
+
+def _placed(table: pd.DataFrame, data: bytes, dialect: Dialect) -> tuple[pd.DataFrame, Bits | None]:
+    """Return a table with the lines of its rows as index, and which fields its rows lack; see `_parsed`.
+
+    The rows are only sought where lines and rows may differ, or the last named field of a row is empty.
+    """
+    named = max((k for k, column in enumerate(map(str, table), 1) if not column.startswith("Unnamed: ")), default=1)
+    n_lines = data.count(b"\n") + (not data.endswith(b"\n"))
+    if n_lines == len(table) + 1 and not table.iloc[:, named - 1].isna().any():
+        return table, None
+    line, fields = _rows(data, dialect.delimiter.encode("latin-1", "replace"))  # the parser takes one byte
+    if len(line) != len(table) + 1:
+        return table, None
+    order = np.arange(len(table.columns))
+    missing = (order >= fields[1:, None]) & (order < named)
+    return table.set_axis(line[1:] - 1), missing if missing.any() else None
 
 
 def _checked_beginning(data: bytes, name: str) -> str:
@@ -261,7 +318,7 @@ def _checked_beginning(data: bytes, name: str) -> str:
 
 def _header(text: str, name: str, dialect: Dialect) -> list[str]:
     """Return the names of the columns; an empty one becomes `Unnamed: k`, as in pandas."""
-    first = re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0]
+    first = re.split(r"[\r\n]", text.lstrip(" \t\r\n".replace(dialect.delimiter, "")), maxsplit=1)[0]
     if not first:
         raise RecordingError(f"{name}, line 1: the file is empty, expected a header with the names of the columns")
     if first.count(dialect.delimiter) >= MAX_COLUMNS:

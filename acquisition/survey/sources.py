@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -13,14 +14,17 @@ import numpy as np
 from acquisition.arrays import Floats
 from acquisition.bench.rig import Rig
 from acquisition.drivers.driver import SonarDriver
+from acquisition.drivers.srf08 import Adjustable
 from acquisition.errors import DeviceError, NoAnswerError, SettingError
 from acquisition.io.files import read_limited
+from acquisition.limits import shown
 from acquisition.ping import EchoStatus, Ping, Reading
 from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, SurveyPlan
 from acquisition.survey.quantities import SWEEPS
 
 MAX_CHARACTERS = 100  # of a thermometer's file
+MAX_FAILED_READS = 3  # in a row, of a thermometer during a survey
 DRIFT_STREAM = 2**31  # random stream of the drift; larger than any condition number
 TEST_PINGS, TEST_INTERVAL_S = 5, 0.07  # of the connection test before a session
 
@@ -169,7 +173,7 @@ def register_writer(sonar: SonarDriver) -> Callable[[Condition], None]:
     """Return a function that sets the swept registers of a condition, for `DriverSource.prepare`.
 
     Raises (when called):
-        SettingError: the plan sweeps a register that this sonar does not have.
+        SettingError: the plan sweeps a register that this sonar does not have, or a value that it cannot hold.
     """
 
     def write(condition: Condition) -> None:
@@ -178,8 +182,24 @@ def register_writer(sonar: SonarDriver) -> Callable[[Condition], None]:
                 if not hasattr(sonar, name):
                     raise SettingError(f"{sonar} has no {SWEEPS[name].label}: remove `sweep.{name}` from the plan")
                 setattr(sonar, name, int(value))
+                _check_registers(sonar, name)
 
     return write
+
+
+def _check_registers(sonar: SonarDriver, name: str) -> None:
+    try:
+        if isinstance(sonar, Adjustable):
+            sonar.check_registers()
+    except SettingError as error:
+        raise SettingError(f"{error}: change `sweep.{name}` in the plan") from None
+
+
+def check_sweep(sonar: SonarDriver, plan: SurveyPlan) -> None:
+    """Check before the first visit of a plan that the sonar has its registers and values; see `register_writer`."""
+    write = register_writer(copy(sonar))
+    for condition in plan.conditions:
+        write(condition)
 
 
 @dataclass
@@ -198,16 +218,22 @@ class Thermometer:
 
     def __post_init__(self) -> None:
         """Read the file once, so that a missing thermometer is an error before the survey."""
+        self._value, self._when, self._failed = 0.0, 0.0, 0
         self._read()
 
     def __call__(self) -> float:
-        """Return the temperature, degC.
+        """Return the temperature, degC; the last one where the file cannot be read now and then, as on a 1-Wire bus.
 
         Raises:
-            DeviceError: the file is missing or has no valid temperature.
+            DeviceError: the file is missing or has had no valid temperature for a few reads.
         """
         if self.clock() - self._when > self.every_s:
-            self._read()
+            try:
+                self._read()
+            except DeviceError:
+                self._when, self._failed = self.clock(), self._failed + 1
+                if self._failed > MAX_FAILED_READS:
+                    raise
         return self._value
 
     def _read(self) -> None:
@@ -215,8 +241,11 @@ class Thermometer:
         data = read_limited(self.path, DeviceError, expected)
         try:
             value = int(data[:MAX_CHARACTERS]) / 1000.0
-        except ValueError as error:
-            raise DeviceError(f"thermometer {self.path}: {error}; expected thousandths of a degree Celsius") from None
+        except ValueError:
+            raise DeviceError(
+                f"thermometer {self.path}: reads {shown(data[:MAX_CHARACTERS].decode('ascii', 'replace'))}, expected "
+                "thousandths of a degree Celsius; check its wires"
+            ) from None
         if not -60.0 <= value <= 84.9:  # a DS18B20 returns 85 degC until its first conversion
             raise DeviceError(f"thermometer {self.path}: {value:g} degC, expected -60 to 84.9 degC; check its wires")
-        self._value, self._when = value, self.clock()
+        self._value, self._when, self._failed = value, self.clock(), 0

@@ -250,7 +250,7 @@ def _rec(args: OpendlvRec) -> None:
         return
     if args.map is not None and args.truth_csv is not None:
         raise SettingError("give --map or --truth-csv, not both")
-    constants = {name: float(value) for name, value in parse_constants(args.constants).items()}
+    constants = parse_constants(args.constants)
     recording = recording_of(args.source, _truth(args), args.period_s, constants=constants)
     recording.save(args.out)
     print(f"{args.out}: {len(recording)} pings, {int((~recording.reading.echo).sum())} without echo")

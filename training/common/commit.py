@@ -14,9 +14,13 @@ def commit() -> str:
 
     Call it before writing any file into the clone, which would count as a difference.
     """
-    words = ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"]
     try:
-        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+        if Path(_git("rev-parse", "--show-toplevel")).resolve() == ROOT:  # not a clone around an installed package
+            return _git("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
     except (OSError, subprocess.CalledProcessError):
-        return f"version {version('sonar-gym')}"
-    return done.stdout.strip()
+        pass
+    return f"version {version('sonar-gym')}"
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()

@@ -26,6 +26,7 @@ from training.common.canvas import AFTER, BEFORE, Axes, panels
 from training.recordings.figures import readings
 
 TEMPLATES = Path(__file__).parent / "templates"
+MARK = b": results of sonar_gym</title>"  # by which a page of this command is known
 MAX_DEPTH, MAX_ITEMS = 5, 200  # levels of folders that are searched, and results on a page
 MAX_BYTES = 50_000_000  # of a recording that is drawn
 PICTURES = (".png", ".gif", ".svg")
@@ -80,6 +81,8 @@ def main(args: Args) -> None:
     if not args.folder.is_dir():
         raise SettingError(f"{args.folder}: is not a folder; give one that holds results, such as demo/")
     path = args.out or args.folder / "index.html"
+    if args.out is None and is_file(path) and MARK not in path.read_bytes():
+        raise SettingError(f"{path}: exists already and is no page of `sonar-gym view`; give another file with --out")
     write_text(path, page(args.folder, path.parent))
     print(path)
     if args.open:

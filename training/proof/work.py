@@ -54,9 +54,9 @@ def files_of(case: Case) -> Files:
 
 
 def as_csv(recording: Recording) -> bytes:
-    """Return a recording as the bytes of its CSV file."""
-    with tempfile.TemporaryDirectory() as folder:
-        return recording.save(Path(folder) / "recording.csv").read_bytes()
+    """Return a recording as the bytes of a CSV file, with ten digits, as in the published ledgers."""
+    text: str = recording.table.to_csv(index=False, float_format="%.10g", lineterminator="\n")
+    return text.encode()
 
 
 def diagnosed(files: Files, without: tuple[str, ...] = ()) -> tuple[Result, bytes]:

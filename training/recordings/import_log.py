@@ -38,7 +38,7 @@ class Args:
     """Recording to write: Parquet if the name ends in .parquet, otherwise CSV."""
     columns: tuple[str, ...] = ()
     """CSV: columns of the recording as name=source:unit, with units mm cm m in us deg rad s ms min h date text;
-    us is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0.
+    us of a length is the time of flight, 58 us per cm; date is ISO 8601; time_s is shifted to begin at 0.
     Without it, columns and delimiter are guessed and shown."""
     accept_guess: bool = False
     """CSV without --columns: use the columns that were guessed and shown."""
@@ -68,7 +68,7 @@ def main(args: Args) -> None:
     """Import one file and print a summary."""
     if args.truth_csv is not None and not is_bag(args.source):
         raise SettingError(f"--truth-csv {args.truth_csv}: only a bag needs true distances, {args.source} is none")
-    if not args.columns and not is_bag(args.source) and is_recording(args.source):
+    if not is_bag(args.source) and _is_unchanged(args) and is_recording(args.source):
         _convert(args)
         return
     recording, notes = (_bag if is_bag(args.source) else _table)(args)
@@ -82,19 +82,29 @@ def main(args: Args) -> None:
         print(note)
 
 
+def _is_unchanged(args: Args) -> bool:
+    """Return whether no option changes the columns of the source, how it is read, or what it means."""
+    return not (args.columns or args.constants) and (args.no_echo, args.delimiter, args.decimal) == (None, ",", ".")
+
+
 def _convert(args: Args) -> None:
     """Write a recording in the other format, in parts; a unit is doubtful if it is in all of them."""
-    doubts = list[set[str]]()
+    doubts, omitted = list[set[str]](), list[str]()
 
     def parts() -> Iterator[Recording]:
         for part in read_chunks(args.source, args.skip_bad_rows):
             doubts.append(set(doubtful_units(part)))
+            omitted.extend(_omitted(part))
             yield part
 
     n = write_chunks(args.out, parts())
     print(f"{args.out}: {n} pings; {args.source} is a recording already, and was converted in parts")
-    for warning in sorted(set.intersection(*doubts)):
-        print(_warning(warning))
+    for note in [*omitted, *map(_warning, sorted(set.intersection(*doubts)))]:
+        print(note)
+
+
+def _omitted(recording: Recording) -> list[str]:
+    return [f"omitted: {fault}" for fault in recording.rejected]
 
 
 def _warning(text: str) -> str:
@@ -106,7 +116,7 @@ def _table(args: Args) -> tuple[Recording, list[str]]:
     columns = [ColumnMap.parse(text) for text in args.columns] or _guessed(args, dialect)
     constants = parse_constants(args.constants)
     recording = import_table(args.source, columns, constants, args.no_echo, args.skip_bad_rows, dialect)
-    return recording, [f"omitted: {fault}" for fault in recording.rejected]
+    return recording, _omitted(recording)
 
 
 def _dialect(args: Args) -> Dialect:
@@ -122,19 +132,20 @@ def _guessed(args: Args, dialect: Dialect) -> list[ColumnMap]:
         SettingError: the guess has not been accepted, or a required column is missing; the message is the next step.
     """
     log, units, _ = read_log(args.source, dialect)
-    columns = [replace(m, unit=units.get(m.source, m.unit)) for m in guess_columns(log)]
+    constants = parse_constants(args.constants)
+    columns = [replace(m, unit=units.get(m.source, m.unit)) for m in guess_columns(log) if m.name not in constants]
     print(f"{args.source}: separated by {dialect.delimiter!r}, decimal {dialect.decimal!r}; guessed columns:")
     for m in columns:
         unit = f", in {m.unit}" if m.unit else ""
         print(f"  {m.name} = {m.source}{unit}: {', '.join(log[m.source][:4].astype(str))}, ...")
-    given = {m.name for m in columns} | set(parse_constants(args.constants))
+    given = {m.name for m in columns} | set(constants)
     missing = [name for name in REQUIRED if name not in given]
     if missing:
         raise SettingError(
             f"{args.source}: no column seems to be {missing[0]}; give --columns, or --constants {missing[0]}=..."
         )
     if not args.accept_guess:
-        maps = " ".join(shlex.quote(f"{m.name}={m.source}{f':{m.unit}' if m.unit else ''}") for m in columns)
+        maps = " ".join(shlex.quote(str(m)) for m in columns)
         dialects = "" if dialect == Dialect() else f" --delimiter {dialect.delimiter!r} --decimal '{dialect.decimal}'"
         raise SettingError(
             f"nothing is written yet: repeat with --accept-guess, or with what is right of --columns {maps}{dialects}"

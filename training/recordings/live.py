@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from acquisition.ping import CREDENCE_TOLERANCE
+from acquisition.ping import CREDENCE_TOLERANCE, EchoStatus
 from acquisition.survey.plan import Condition
 from acquisition.survey.sources import VisitData
 
@@ -30,5 +30,7 @@ def visit_line(condition: Condition, measured: VisitData) -> str:
     picture = "".join(LEVELS[k] for k in level)
     middle = f"{1e3 * np.median(error[right]):+5.0f} mm" if right.any() else " " * 8
     place = f"{condition.distance_mm:5.0f} mm {condition.angle_deg:5.1f}° {condition.reflectance:4.2f}"
-    n = len(reading)
-    return f"{place} |{picture}| {middle}; right {right.sum()}, wrong {(~right).sum()}, no echo {n - len(error)} of {n}"
+    counts = f"right {right.sum()}, wrong {(~right).sum()}, no echo {(reading.status == EchoStatus.NO_ECHO).sum()}"
+    lost = (~reading.answered).sum()
+    silent = f", no answer {lost}" if lost else ""
+    return f"{place} |{picture}| {middle}; {counts}{silent} of {len(reading)}"

@@ -21,12 +21,21 @@ from acquisition.survey.apply_settings import apply_settings
 from acquisition.survey.plan import Condition, Order, SurveyPlan
 from acquisition.survey.planfile import find_plan
 from acquisition.survey.session import NoOperator, Operator, Session
-from acquisition.survey.sources import DriverSource, PingSource, RigSource, Thermometer, register_writer
+from acquisition.survey.sources import (
+    DriverSource,
+    PingSource,
+    RigSource,
+    Thermometer,
+    check_sweep,
+    register_writer,
+)
 from acquisition.twins.devantech import BadWire, Srf08Twin
 from training.common.progress import TERMINAL, bars
 from training.recordings.live import visit_line
 from training.recordings.operator import TerminalOperator
 
+AIR = {"temperature_c": 19.0, "humidity_pct": 50.0}  # of the rig and the twin
+REPLACE = "delete the file or give another"
 MAX_UNANSWERED = 0.05  # share of pings without an answer above which a warning is printed
 
 
@@ -70,10 +79,10 @@ class Args:
     """Name of the sensor in the recording."""
     unit: Seed = 0
     """rig, twin: serial number of the simulated sensor; 0 is the nominal sensor."""
-    temperature_c: Annotated[float, Limit(-40.0, 85.0, "degC")] = 19.0
-    """Air temperature, degC: of the rig, or measured beside the real sensor."""
-    humidity_pct: Annotated[float, Limit(0.0, 100.0, "%")] = 50.0
-    """Relative humidity, %."""
+    temperature_c: Annotated[float, Limit(-40.0, 85.0, "degC")] | None = None
+    """Air temperature, degC: of rig and twin, by default 19; or measured beside the real sensor, logged where given."""
+    humidity_pct: Annotated[float, Limit(0.0, 100.0, "%")] | None = None
+    """Relative humidity, %, likewise; of rig and twin, by default 50."""
     thermometer: Path | None = None
     """Real sensors: file with the air temperature in 0.001 degC, read every ten seconds, such as
     /sys/bus/w1/devices/28-*/temperature of a DS18B20; replaces `temperature_c`."""
@@ -129,7 +138,8 @@ def _on_disk(session: Session) -> str:
         conditions = len(Recording.load(session.path)) // session.plan.pings
     except (ValueError, OSError):
         conditions = 0
-    return f"{conditions} of {len(session.plan)} conditions are on disk; continue with --resume"
+    advice = REPLACE if session.settings.get("driver") == "twin" else "continue with --resume"
+    return f"{conditions} of {len(session.plan)} conditions are on disk; {advice}"
 
 
 def effort(plan: SurveyPlan) -> str:
@@ -152,10 +162,9 @@ def plan_of(args: Args) -> SurveyPlan:
 
 def session_settings(args: Args) -> dict[str, Any]:
     """Return the settings that must be unchanged when a session is resumed."""
-    simulated = ("gain", "range_register", "output", "unit", "temperature_c", "humidity_pct")
-    names = ["driver", *SETTINGS.get(args.driver, simulated)]
-    names += ["port"] if args.driver in SETTINGS else []
-    return {name: getattr(args, name) for name in names}
+    if args.driver in SETTINGS:
+        return {name: getattr(args, name) for name in ("driver", *SETTINGS[args.driver], "port")}
+    return {"driver": args.driver, "unit": args.unit, **_registers(args), **_air(args)}
 
 
 def summary(path: Path, plan: SurveyPlan) -> str:
@@ -178,14 +187,17 @@ def summary(path: Path, plan: SurveyPlan) -> str:
 
 
 def _rig(args: Args) -> Rig:
-    setup = Setup(
-        gain=args.gain,
-        range_register=args.range_register,
-        output=args.output,
-        temperature_c=args.temperature_c,
-        humidity_pct=args.humidity_pct,
-    )
+    setup = Setup(**_registers(args), **_air(args))
     return Rig(Unit.draw(args.unit) if args.unit else Unit.nominal(), setup)
+
+
+def _air(args: Args) -> dict[str, Any]:
+    """Return temperature and humidity of the simulated air."""
+    return {**AIR, **_measured_air(args)}
+
+
+def _measured_air(args: Args) -> dict[str, Any]:
+    return {name: getattr(args, name) for name in AIR if getattr(args, name) is not None}
 
 
 def _seed(args: Args) -> int:
@@ -198,7 +210,9 @@ def _rig_source(args: Args) -> PingSource:
 
 def _twin_source(args: Args) -> PingSource:
     if args.resume:
-        raise SettingError("--resume does not work with --driver twin, which does not save its state; record again")
+        raise SettingError(f"--resume does not work with --driver twin, which does not save its state; {REPLACE}")
+    if args.out.exists():
+        raise SettingError(f"{args.out}: exists already; {REPLACE}")
     rig = _rig(args)
     twin = Srf08Twin(rig, np.random.default_rng([_seed(args), args.unit]))
     sonar = Srf08(twin, twin.address, **_registers(args), sleep=twin.clock.sleep, clock=twin.clock)
@@ -212,7 +226,13 @@ def _twin_source(args: Args) -> PingSource:
         twin.place(Ping.of(condition.distance_mm * 1e-3, bearing, incidence, condition.reflectance))
 
     return DriverSource(
-        sonar, place, _columns(args, sonar), args.patience, sleep=twin.clock.sleep, clock=twin.clock, simulated=True
+        sonar,
+        place,
+        _air(args) | _columns(args, sonar),
+        args.patience,
+        sleep=twin.clock.sleep,
+        clock=twin.clock,
+        simulated=True,
     )
 
 
@@ -231,6 +251,7 @@ def _real_source(args: Args) -> PingSource:
     given = {name: getattr(args, name) for name in SETTINGS[args.driver]}
     where = {} if args.port is None else {"port": args.port}
     sonar = DRIVERS[args.driver].open(**where, **given)
+    check_sweep(sonar, plan_of(args))
     if isinstance(sonar, Devantech):
         TERMINAL.print(f"{sonar} answers, revision {sonar.revision()}")
     return DriverSource(sonar, register_writer(sonar), _columns(args, sonar), args.patience)
@@ -249,11 +270,10 @@ def _registers(args: Args) -> dict[str, Any]:
 
 
 def _columns(args: Args, sonar: Any) -> dict[str, float | Callable[[], float]]:
-    """Return the logged columns: temperature, humidity, and the sensor's registers."""
-    columns: dict[str, float | Callable[[], float]] = {
-        "temperature_c": Thermometer(args.thermometer) if args.thermometer else args.temperature_c,
-        "humidity_pct": args.humidity_pct,
-    }
+    """Return the logged columns: temperature and humidity where they are measured, and the sensor's registers."""
+    columns: dict[str, float | Callable[[], float]] = {**_measured_air(args)}
+    if args.thermometer:
+        columns["temperature_c"] = Thermometer(args.thermometer)
     if hasattr(sonar, "range_register"):
         columns |= {"gain": lambda: float(sonar.gain), "range_mm": lambda: RANGE_STEP_MM * (sonar.range_register + 1)}
     return columns

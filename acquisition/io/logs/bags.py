@@ -27,6 +27,8 @@ from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
 from acquisition.errors import RecordingError, RecordingNotFoundError, SettingError
 from acquisition.extras import require
+from acquisition.io.columns import DIGITS
+from acquisition.io.logs.foreign import check_once
 from acquisition.io.memory import memory_limited
 from acquisition.io.recording import Recording
 from acquisition.io.tables import read_text_table
@@ -144,7 +146,7 @@ def import_bag(
     Raises:
         RecordingNotFoundError: the file does not exist.
         RecordingError: the bag is unreadable, a topic is missing, or no ping has a true distance.
-        SettingError: the true distance has no source.
+        SettingError: the true distance has no source, or a column has two.
         MissingExtraError: rosbags is not installed.
     """
     truth, constants = truth or GroundTruthSource(), dict(constants or {})
@@ -163,7 +165,9 @@ def import_bag(
     stamp = pings["stamp_s"].to_numpy()
     given = {} if known is None else known.interpolate(stamp, truth.longest_gap_s)
     valid = np.all([np.isfinite(column) for column in given.values()] or [np.ones(len(pings), bool)], axis=0)
-    table = pings.assign(time_s=stamp - first, session=path.name, **{"angle_deg": 0.0, **given, **constants})
+    check_once([*given, *constants])
+    columns = {"time_s": stamp - first, "session": path.name, "angle_deg": 0.0, **given, **constants}
+    table = pings.assign(**columns)
     table, too_close = table[valid], int(pings["too_close"].sum())
     if table.empty:
         raise RecordingError(
@@ -182,7 +186,7 @@ def _recording(table: pd.DataFrame, path: Path) -> Recording:
 
 
 def _text(value: Any) -> str:
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
+    return f"{value:{DIGITS}}" if isinstance(value, float) else str(value)
 
 
 def read_table(path: Path, first_stamp: float) -> TimeSeries:
@@ -203,13 +207,12 @@ def read_table(path: Path, first_stamp: float) -> TimeSeries:
     number = table[[time, *known]].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
     faulty = np.argwhere(~np.isfinite(number))
     if not len(number) or len(faulty):
-        line, column = (2, 0) if not len(number) else (int(faulty[0, 0]) + 2, int(faulty[0, 1]))
+        line, column = (2, 0) if not len(number) else (table.index[faulty[0, 0]] + 2, int(faulty[0, 1]))
         raise RecordingError(f"{path}, line {line}, column {[time, *known][column]}: expected a number")
     back = np.flatnonzero(np.diff(number[:, 0]) <= 0)
     if len(back):
-        raise RecordingError(
-            f"{path}, line {back[0] + 3}, column {time}: expected a larger value than in the previous line"
-        )
+        line = table.index[back[0] + 1] + 2
+        raise RecordingError(f"{path}, line {line}, column {time}: expected a larger value than in the previous line")
     stamp = number[:, 0] + (first_stamp if time == "time_s" else 0.0)
     return TimeSeries(stamp, {TRUTH_COLUMNS[n][0]: number[:, k] * TRUTH_COLUMNS[n][1] for k, n in enumerate(known, 1)})
 

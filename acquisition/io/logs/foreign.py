@@ -7,7 +7,8 @@ columns without a mapping become covariates under their own names. `time_s` is s
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,30 +17,23 @@ import pandas as pd
 
 from acquisition.arguments import checked
 from acquisition.errors import RecordingError, SettingError
-from acquisition.io.columns import ECHO_COLUMN, TEXT
+from acquisition.io.columns import DIGITS, TEXT, is_reading
 from acquisition.io.logs.serial_log import is_serial_log, read_serial_log
 from acquisition.io.recording import Recording
 from acquisition.io.tables import COMMAS, Dialect, parse_table, read_bytes
 from acquisition.limits import near
 
 MICROSECONDS_PER_CM = 58.0  # round trip; the constant in the data sheets of the HC-SR04 family
-UNITS: Mapping[str, float] = {  # factor to the unit in the name of the recording's column
-    "": 1.0,
-    "mm": 1.0,
-    "cm": 10.0,
-    "m": 1000.0,
-    "in": 25.4,
-    "us": 10.0 / MICROSECONDS_PER_CM,
-    "deg": 1.0,
-    "rad": 180.0 / np.pi,
-    "s": 1.0,
-    "ms": 1e-3,
-    "min": 60.0,
-    "h": 3600.0,
-    "date": 1.0,  # date and time of day, ISO 8601, converted to seconds
-    "pct": 1.0,
-    "text": 1.0,
+ANY: Mapping[str, float] = {"": 1.0, "text": 1.0}
+LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "us": 10.0 / MICROSECONDS_PER_CM}  # us: time of flight
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0, "date": 1.0}  # date: ISO 8601
+# end of the name of a recording's column -> units of the log, with their factors to the unit in that name
+QUANTITIES: Mapping[str, Mapping[str, float]] = {
+    "_mm": {**ANY, **LENGTHS},
+    "_deg": {**ANY, "deg": 1.0, "rad": 180.0 / np.pi},
+    "_s": {**ANY, **TIMES},
 }
+UNITS: Mapping[str, float] = {**TIMES, **QUANTITIES["_deg"], "pct": 1.0, **QUANTITIES["_mm"]}  # of any other column
 BEGINNING = 4096  # bytes
 TOA5 = (b'"TOA5"', b"TOA5,")  # how such a file begins
 TOA5_UNITS = {"ts": "date", "meters": "m", "meter": "m", "millimeters": "mm", "degrees": "deg", "%": "pct"}
@@ -52,38 +46,50 @@ class ColumnMap:
     Attributes:
         name: column of the recording.
         source: column of the log.
-        unit: unit of the log's column, a key of `UNITS`; "" for that which a TOA5 file states, or none.
+        unit: unit of the log's column, a key of `units_of`; "" for that which a TOA5 file states, or none.
     """
 
     name: str
     source: str
     unit: str
 
+    def __post_init__(self) -> None:
+        """Raise SettingError for a unit that is unknown or of another quantity than the column."""
+        if self.unit not in units_of(self.name):
+            known = ", ".join(filter(None, units_of(self.name)))
+            raise SettingError(f"column map {str(self)!r}: expected a unit of {self.name} ({known}), got {self.unit!r}")
+
+    def __str__(self) -> str:
+        return f"{self.name}={self.source}{self.unit and f':{self.unit}'}"
+
     @classmethod
     def parse(cls, text: str) -> ColumnMap:
         """Parse `name=source` or `name=source:unit`.
 
         Raises:
-            SettingError: no `=`, or an unknown unit.
+            SettingError: no `=`, or a unit that the column cannot have.
         """
         name, equals, right = text.partition("=")
         source, colon, unit = right.rpartition(":")
         source, unit = (source, unit) if colon else (right, "")
         if not (equals and name and source):
             raise SettingError(f"column map {text!r}: expected name=source or name=source:unit")
-        if unit not in UNITS:
-            known = ", ".join(filter(None, UNITS))
-            raise SettingError(f"column map {text!r}: unknown unit {unit!r}, expected one of {known}")
         return cls(name.strip(), source.strip(), unit)
+
+
+def units_of(name: str) -> Mapping[str, float]:
+    """Return the units that a column of a recording can have in a log, with their factors to that in its name."""
+    return UNITS if name in TEXT else next((u for end, u in QUANTITIES.items() if name.endswith(end)), UNITS)
 
 
 def parse_constants(texts: Sequence[str]) -> dict[str, float | str]:
     """Parse `name=value` settings; the values of text columns remain text.
 
     Raises:
-        SettingError: no `=`, or the value of a numeric column is not a number.
+        SettingError: no `=`, a name is given twice, or the value of a numeric column is not a number.
     """
     out: dict[str, float | str] = {}
+    check_once(text.partition("=")[0] for text in texts)
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
@@ -93,6 +99,13 @@ def parse_constants(texts: Sequence[str]) -> dict[str, float | str]:
         except ValueError:
             raise SettingError(f"constant {text!r}: expected a number after =") from None
     return out
+
+
+def check_once(names: Iterable[str]) -> None:
+    """Raise SettingError where a column of a recording is given twice."""
+    name, count = max(Counter(names).items(), key=lambda item: item[1], default=("", 0))
+    if count > 1:
+        raise SettingError(f"column {name}: is given {count} times; give it once")
 
 
 @checked
@@ -117,8 +130,10 @@ def import_table(
     Raises:
         RecordingNotFoundError: the file does not exist.
         RecordingError: a mapped column is missing, or a value violates the format; the message names the place.
+        SettingError: a column of the recording is given twice.
     """
     path = Path(path)
+    check_once([*(m.name for m in columns), *constants])
     log, units, origin = read_log(path, dialect)
     columns = [replace(m, unit=m.unit or units.get(m.source, "")) for m in columns]
     for mapping in columns:
@@ -126,12 +141,11 @@ def import_table(
             found = ", ".join(log.columns)
             hint = near(mapping.source, log.columns)
             raise RecordingError(f"{path}, line 1: column {mapping.source!r} is missing, found {found}{hint}")
-    table = pd.DataFrame({m.name: _column(log[m.source], m, no_echo) for m in columns})
-    table = table.assign(**constants)
     named = [c for c in map(str, log.columns) if not c.startswith("Unnamed: ")]  # pandas' name for an empty header
-    used = {m.source for m in columns} | set(table.columns)
-    for column in (c for c in named if c not in used):
-        table[column] = log[column]
+    used = {m.source for m in columns} | {m.name for m in columns} | set(constants)
+    others = [ColumnMap(c, c, "" if is_reading(c) else "text") for c in named if c not in used]
+    mapped, rest = ({m.name: _column(log[m.source], m, no_echo) for m in maps} for maps in (columns, others))
+    table = pd.DataFrame({**mapped, **constants, **rest}, log.index)
     return Recording.from_text(table.astype(str), origin, skip_bad_rows)
 
 
@@ -194,12 +208,12 @@ def _column(text: pd.Series, mapping: ColumnMap, no_echo: float | None) -> pd.Se
     if mapping.unit == "text" or mapping.name in TEXT:
         return text
     number = _seconds(text) if mapping.unit == "date" else pd.to_numeric(text.replace("", None), errors="coerce")
-    value = number.astype(np.float64) * UNITS[mapping.unit]
+    value = number.astype(np.float64) * units_of(mapping.name)[mapping.unit]
     if mapping.name == "time_s":
         value -= value.dropna().iloc[0] if number.notna().any() else 0.0
-    if no_echo is not None and (mapping.name == "reading_mm" or ECHO_COLUMN.fullmatch(mapping.name)):
+    if no_echo is not None and is_reading(mapping.name):
         value = value.mask(number == no_echo, 0.0)
-    return value.map(lambda x: f"{x:.10g}").where(number.notna(), text)
+    return value.map(lambda x: f"{x:{DIGITS}}").where(number.notna(), text)
 
 
 def _seconds(text: pd.Series) -> pd.Series:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from acquisition.io.logs.foreign import UNITS, ColumnMap
+from acquisition.io.logs.foreign import ColumnMap, units_of
 from acquisition.io.tables import Dialect
 
 # column of a recording -> words in the name of a log's column, the most specific first
@@ -45,15 +45,6 @@ UNIT_WORDS: Mapping[str, str] = {
     "µs": "us",
     "duration": "us",
     "milli": "ms",
-}
-QUANTITY = {
-    "mm": "length",
-    "cm": "length",
-    "m": "length",
-    "in": "length",
-    "us": "length",
-    "deg": "angle",
-    "rad": "angle",
 }
 DELIMITERS = ",;\t|"
 
@@ -115,7 +106,5 @@ def _unit(name: str, source: str, column: pd.Series) -> str:
         return "text"
     if name == "time_s" and pd.to_numeric(column.replace("", None), errors="coerce").isna().all():
         return "date"
-    named = [unit for word in _words(source) for unit in (UNIT_WORDS.get(word, word),) if unit in UNITS and unit]
-    wanted = {"distance_mm": "length", "reading_mm": "length", "angle_deg": "angle"}.get(name, "time")
-    fitting = [unit for unit in named if QUANTITY.get(unit, "time") == wanted or (wanted == "time" and unit == "us")]
-    return fitting[-1] if fitting else ""
+    named = [UNIT_WORDS.get(word, word) for word in _words(source)]
+    return next((unit for unit in reversed(named) if unit in units_of(name)), "")

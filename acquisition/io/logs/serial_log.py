@@ -92,7 +92,7 @@ def read_serial_log(text: str) -> SerialLog:
 
 
 def _items(line: str) -> list[tuple[str, str, str]] | None:
-    """Return name, number and unit of each item of a line; None where it holds anything else."""
+    """Return name, number and unit of each item of a line; None where it holds anything else or only says no echo."""
     found, at, end = list[tuple[str, str, str]](), 0, len(line.rstrip())
     while at < end:
         item = ITEM.match(line, at)
@@ -101,7 +101,7 @@ def _items(line: str) -> list[tuple[str, str, str]] | None:
         name, number, unit = (part or "" for part in item.groups())
         found.append((name, number, ALIASES.get(unit, unit)))
         at = item.end()
-    return found or None
+    return None if all(OUT_OF_RANGE.search(name) for name, _, _ in found) else found
 
 
 def _named_fields(items: Sequence[tuple[str, str, str]]) -> dict[str, str]:

@@ -7,7 +7,7 @@ without a reading is recorded as no echo.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.io.files import is_file, write_bytes
 from acquisition.io.logs.bags import TimeSeries
+from acquisition.io.logs.foreign import check_once
 from sonar_gym.bridges.opendlv.messages import FRAME, HEADER, HEADER_SIZE, INT32, READING, encode
 from sonar_gym.bridges.opendlv.session import seconds_of, time_of
 from sonar_gym.bridges.opendlv.walls import interpolate_pose
@@ -82,7 +83,7 @@ def recording_of(
     truth: Geometry | TimeSeries | None = None,
     period_s: float = 0.0,
     longest_gap_s: float = 0.5,
-    constants: dict[str, float] | None = None,
+    constants: Mapping[str, float | str] | None = None,
 ) -> Recording:
     """Return the DistanceReadings of a `.rec` file as a recording; the sensor is the senderStamp.
 
@@ -95,7 +96,7 @@ def recording_of(
         constants: columns with one value in all rows.
 
     Raises:
-        SettingError: the true distance has no source.
+        SettingError: the true distance has no source, or a column has two.
         RecordingError: the file has no reading, no Frame, or none of them at the same time.
     """
     constants = constants or {}
@@ -108,14 +109,15 @@ def recording_of(
     else:
         stamp = pings["stamp_s"].to_numpy()
         known = pd.DataFrame({} if truth is None else truth.interpolate(stamp, longest_gap_s), index=pings.index)
+    check_once([*map(str, known), *constants])
     columns: dict[str, Any] = {"angle_deg": 0.0, **{str(name): known[name] for name in known}, **constants}
     table = pings.assign(**columns)
     table = table[np.isfinite(table["distance_mm"].to_numpy()) & np.isfinite(table["angle_deg"].to_numpy())]
     if table.empty:
         raise RecordingError(f"{path}: no reading lies within {longest_gap_s:g} s of a true distance; check the clocks")
     first = float(table["stamp_s"].iloc[0])
-    table = table.assign(time_s=(table["stamp_s"] - first).round(6), session=path.stem).drop(columns="stamp_s")
-    return Recording.from_text(table.astype(str), str(path))
+    columns = {"time_s": (table["stamp_s"] - first).round(6), "session": path.stem, **constants}
+    return Recording.from_text(table.assign(**columns).drop(columns="stamp_s").astype(str), str(path))
 
 
 def _pings(readings: Sequence[Envelope], path: Path, period_s: float) -> pd.DataFrame:

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from acquisition import (
     BoardResetError,
@@ -196,6 +198,26 @@ def test_maxbotix_discards_readings_from_before_the_ping():
     clock.sleep(0.5)
     twin.place(Ping.of(distance=2.0, reflectance=0.9))
     assert sonar.ping().ranges[0] == pytest.approx(2.01, abs=0.05)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@given(clock_error=st.floats(-0.0199, 0.0299), share=st.floats(0.1, 0.9))
+def test_a_pulse_of_full_width_is_silence_whatever_the_clocks(model, clock_error, share):
+    family = MODELS[model]
+    full_us = family.no_echo * family.pulse_us
+    assert family.timed_echoes(full_us * (1.0 + clock_error), "x").ranges == ()
+    distance = share * family.no_echo * family.unit_m
+    assert family.timed_echoes(full_us * share, "x").ranges == pytest.approx((distance,), abs=family.unit_m)
+    with pytest.raises(GarbledError, match=r"x: reads \d+, expected 1 to \d+: check the model"):
+        family.timed_echoes(1.1 * full_us, "x")
+
+
+def test_the_widths_and_counts_that_data_sheets_state_for_no_target_are_silence():
+    for model, width_us in (("lv", 37_500), ("xl", 44_400), ("xl-long", 62_000), ("hrlv", 5_000)):
+        assert MODELS[model].timed_echoes(width_us, "x").ranges == ()
+    assert MODELS["lv"].echoes(255, "x").ranges == MODELS["lv"].echoes(254, "x").ranges == ()
+    with pytest.raises(GarbledError, match="reads 256, expected 1 to 255"):
+        MODELS["lv"].echoes(256, "x")
 
 
 def test_another_maxbotix_model_is_an_error():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from acquisition import Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
+from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError, SettingError
 from acquisition.io import chunks, columns, parquet, tables
 from acquisition.io.chunks import read_chunks, sample_visits, write_chunks
 from acquisition.io.columns import convert, read_columns
@@ -92,6 +92,62 @@ def test_blocks_are_whole_rows_and_nothing_is_lost(tmp_path_factory, rows, size,
         before = path.read_bytes().find(block.removeprefix(header[0] + header[1]))
         assert line >= 2
         assert before >= 0
+
+
+def test_a_quotation_mark_within_a_field_opens_no_quotes(tmp_path):
+    rows = ['1000,0,1010,5" post', *["1000,0,1011,a"] * 9, '1000,0,1012,"a\nb"', "1000,0,1013,c"]
+    (tmp_path / "x.csv").write_text("\n".join(["distance_mm,angle_deg,reading_mm,note", *rows, ""]))
+    blocks = [block.partition(b"\n")[2].decode() for block, _ in read_blocks(tmp_path / "x.csv", 30)]
+    assert len(blocks) > 5
+    assert "".join(blocks) == "\n".join([*rows, ""])
+    assert not [block for block in blocks if not block.startswith("1000")]
+
+
+PIECES = (
+    "1000,0,1010,a\n",
+    "\n",
+    "  \n",
+    '1000,0,1010,"a\nb,c"\n',
+    '1000,0,1010, "a""\n\n"\n',
+    '1000,0,1010,5" x\n',
+    "1000,0,,\n",
+)
+
+
+@settings(max_examples=60)
+@given(
+    pieces=st.lists(st.sampled_from(PIECES), max_size=9),
+    more=st.lists(st.sampled_from(PIECES), max_size=9),
+    bad=st.sampled_from(["oops,0,1010,a", "1000,0,1010", "1000,0", "1000", '1000,0,"1\n"']),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+)
+@example(pieces=["\n", "\n"], more=[], bad="oops,0,1010,a", end="\n")
+@example(pieces=[], more=[], bad="1000,0,1010", end="\n")
+def test_a_fault_is_named_by_its_line_whatever_stands_before_it(tmp_path_factory, pieces, more, bad, end):
+    before = "".join(["distance_mm,angle_deg,reading_mm,note\n", *pieces])
+    path = tmp_path_factory.mktemp("lines") / "x.csv"
+    path.write_text(f"{before}{bad}\n{''.join(more)}", newline=end)
+    line = before.count("\n") + 1
+    with pytest.raises(RecordingError, match=rf"x.csv, line {line}, column"):
+        Recording.load(path)
+    path.write_text(f"{before}{bad}\n{''.join(more)}1000,0,1010,z\n", newline=end)
+    recording = Recording.load(path, skip_bad_rows=True)
+    assert [fault.line for fault in recording.rejected] == [line]
+    assert len(recording) == 1 + sum(bool(piece.strip()) for piece in [*pieces, *more])
+
+
+def test_a_row_that_ends_early_is_no_missing_answer(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("distance_mm,angle_deg,reading_mm,light\n1000,0,1010,5\n1000,0\n1000,0,,6\n")
+    with pytest.raises(
+        RecordingError, match=r"line 3, column reading_mm: '', expected a field; the row ends before it$"
+    ):
+        Recording.load(path)
+    for recording in (Recording.load(path, skip_bad_rows=True), *read_chunks(path, skip_bad_rows=True)):
+        assert recording.reading.status.tolist() == [EchoStatus.ECHO, EchoStatus.NO_ANSWER]
+        assert recording.covariates == ("light",)
+    path.write_text("distance_mm,angle_deg,reading_mm,\n1000,0,1010\n")
+    assert len(Recording.load(path)) == 1, "a column without a name needs no field"
 
 
 def survey(n_visits=30, pings=7):

@@ -1,15 +1,17 @@
-"""Folders that are replaced as a whole."""
+"""Files and folders that are replaced as a whole."""
 
 import errno
 import multiprocessing
 import os
 import signal
+import stat
+import sys
 import time
 
 import pytest
 
 from acquisition.io import files
-from acquisition.io.files import whole_folder, write_atomic
+from acquisition.io.files import whole_folder, write_atomic, write_text
 
 NAMES = ("a", "b", "c")
 
@@ -59,6 +61,30 @@ def test_a_folder_is_replaced_or_remains(tmp_path, monkeypatch, can_exchange):
         (fresh / "a").write_text(3)
     assert content(folder) == {"2"}
     assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs links and permissions")
+def test_a_link_and_the_permissions_of_a_file_remain(tmp_path):
+    target, link = tmp_path / "private" / "a.txt", tmp_path / "b.txt"
+    target.parent.mkdir()
+    target.write_text("old")
+    target.chmod(0o600)
+    link.symlink_to(target)
+    assert write_text(link, "new") == link
+    assert link.is_symlink()
+    assert (target.read_text(), stat.S_IMODE(target.stat().st_mode)) == ("new", 0o600)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.txt", "b.txt", "private"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs permissions")
+@pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o022, 0o644)])
+def test_a_new_file_has_the_permissions_that_the_user_gives_to_new_files(tmp_path, mask, mode):
+    before = os.umask(mask)
+    try:
+        write_text(tmp_path / "a.txt", "new")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == mode
 
 
 def is_full(_):

@@ -2,6 +2,7 @@
 
 import os
 import stat
+from decimal import Decimal
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from acquisition import EchoStatus, Ping, Reading, Recording, RecordingError, RecordingNotFoundError
+from acquisition.io.chunks import write_chunks
 
 HEADER = "distance_mm,angle_deg,reading_mm"
 
@@ -212,6 +214,29 @@ def test_saving_and_loading_changes_nothing(tmp_path_factory, rows):
     np.testing.assert_allclose(again.ping.angle, angle, atol=1e-7)
     np.testing.assert_array_equal(again.reading.status, recording.reading.status)
     assert again.covariates == ("temperature_c",)
+
+
+@settings(max_examples=40)
+@example("time_s", 1_700_000_000_100, 3)
+@example("unix_ms", 1_700_000_000_100, 0)
+@given(st.sampled_from(["time_s", "unix_ms", "light"]), st.integers(-(10**14), 10**14), st.just(3))
+def test_numbers_of_up_to_15_digits_are_written_as_they_were_read(tmp_path_factory, name, count, places):
+    folder = tmp_path_factory.mktemp("r")
+    numbers = [f"{Decimal(count + k).scaleb(-places)}" for k in range(3)]
+    text = "".join(f"{number},1000,0,1003\n" for number in numbers)
+    recording = Recording.load(write(folder / "r.csv", f"{name},{HEADER}\n{text}"))
+    write_chunks(folder / "parts.csv", [recording])
+    for path in (recording.save(folder / "again.csv"), folder / "parts.csv"):
+        found = [line.partition(",")[0] for line in path.read_text().splitlines()[1:]]
+        assert list(map(Decimal, found)) == list(map(Decimal, numbers))
+
+
+def test_long_numbers_of_sessions_stay_apart():
+    table = pd.DataFrame(
+        {"distance_mm": 1000.0, "angle_deg": 0.0, "reading_mm": 1003.0, "session": [20240101123456, 20240101123457]}
+    )
+    recording = Recording.from_text(table, "r")
+    assert recording.table["session"].tolist() == ["20240101123456", "20240101123457"]
 
 
 def test_a_failed_save_leaves_the_old_file_unchanged(tmp_path, monkeypatch):

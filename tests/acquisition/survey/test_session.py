@@ -10,11 +10,11 @@ import pytest
 
 from acquisition import DeviceError, EchoStatus, NoAnswerError, Ping, Recording, RecordingError, SettingError
 from acquisition.bench import Bus, Rig, Setup, Unit
-from acquisition.drivers import Echoes, Srf08
+from acquisition.drivers import Echoes, Srf08, Srf10
 from acquisition.io.recording import unfinished_path
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Answer, NoOperator, Session
-from acquisition.survey.sources import DriverSource, RigSource, Thermometer, register_writer
+from acquisition.survey.sources import DriverSource, RigSource, Thermometer, check_sweep, register_writer
 from acquisition.twins.devantech import BadWire, Srf08Twin
 
 SMALL = SurveyPlan(angles_deg=(0.0, 5.0), distances_mm=(300.0, 700.0), reflectances=(0.9,), pings=6, seed=2)
@@ -190,6 +190,17 @@ def test_a_swept_register_is_written_to_the_sonar_and_logged(tmp_path):
     assert (middle[True] <= middle[False]).all()  # a stronger echo crosses the threshold earlier
 
 
+def test_a_session_that_logs_other_columns_does_not_resume(tmp_path):
+    path, source = tmp_path / "r.csv", twin_source()
+    with pytest.raises(PowerCut):
+        Session(SMALL, Failing(source, 1), path).run()
+    before, columns = path.read_bytes(), {**source.columns, "temperature_c": 20.0}
+    with pytest.raises(RecordingError, match=r"gain, this session logs .*, temperature_c; resume with"):
+        Session(SMALL, replace(source, columns=columns), path, resume=True).run()
+    assert path.read_bytes() == before
+    assert len(Recording.load(Session(SMALL, source, path, resume=True).run())) == 24
+
+
 def test_a_plan_that_sweeps_a_missing_register_is_an_error(tmp_path):
     class Plain:
         def ping(self):
@@ -202,6 +213,19 @@ def test_a_plan_that_sweeps_a_missing_register_is_an_error(tmp_path):
     source = DriverSource(Plain(), register_writer(Plain()), sleep=lambda s: None)
     with pytest.raises(SettingError, match=r"HC-SR04 has no gain code: remove `sweep.gain` from the plan"):
         Session(plan, source, tmp_path / "r.csv").run()
+
+
+def test_a_plan_that_sweeps_beyond_the_registers_of_the_sonar_is_an_error_before_the_first_visit():
+    sonar = Srf10(None, gain=5)
+    message = r"SRF10 gain must be a whole number from 0 to 16, got 31 \(.*\): change `sweep.gain` in the plan"
+    plan = replace(SMALL, sweep={"gain": (3.0, 31.0)})
+    with pytest.raises(SettingError, match=message):
+        check_sweep(sonar, plan)
+    assert sonar.gain == 5
+    loud = next(condition for condition in plan.conditions if condition.values["gain"] == 31.0)
+    with pytest.raises(SettingError, match=message):
+        register_writer(sonar)(loud)
+    check_sweep(sonar, replace(SMALL, sweep={"gain": (0.0, 16.0)}))
 
 
 class Prepared:
@@ -356,6 +380,15 @@ def test_the_thermometer_is_read_again_when_its_value_is_old(tmp_path):
     assert thermometer() == 21.437
     now[0] = 11.0
     assert thermometer() == 22.0
+    file.write_text("")
+    for now[0] in (22.0, 25.0, 33.0, 44.0):  # it fails at three of these, as a 1-Wire bus may
+        assert thermometer() == 22.0
+    now[0] = 55.0
+    with pytest.raises(DeviceError, match="temperature: reads '', expected thousandths of a degree Celsius; check its"):
+        thermometer()
+    file.write_text("23000")
+    now[0] = 66.0
+    assert thermometer() == 23.0
 
 
 @pytest.mark.parametrize(("content", "message"), [("", "expected thousandths"), ("85000", "85 degC, expected -60 to")])

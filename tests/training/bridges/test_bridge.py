@@ -67,6 +67,19 @@ def test_a_recording_becomes_a_rec_file_and_a_recording_again(recording, tmp_pat
     np.testing.assert_allclose(Recording.load(back).reading.range, Recording.load(recording).reading.range, atol=1e-6)
 
 
+def test_constants_of_a_rec_file_are_numbers_or_text(recording, tmp_path, capsys):
+    rec, back = tmp_path / "drive.rec", tmp_path / "back.csv"
+    main(["bridge", "opendlv-rec", str(recording), "--out", str(rec)])
+    words = ["bridge", "opendlv-rec", str(rec), "--out", str(back), "--constants", "session=morning", "distance_mm=900"]
+    main(words)
+    assert Recording.load(back).table[["session", "distance_mm"]].drop_duplicates().to_numpy().tolist() == [
+        ["morning", 900.0]
+    ]
+    with pytest.raises(SystemExit):
+        main([*words, "--truth-csv", str(recording)])
+    assert "column distance_mm: is given 2 times; give it once" in capsys.readouterr().err
+
+
 def test_tables_of_webots_become_models(tmp_path, capsys):
     world = tmp_path / "world.wbt"
     world.write_text('DistanceSensor { name "front left" lookupTable [0 0 0.1, 5 5 0.1] }')

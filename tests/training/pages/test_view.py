@@ -68,6 +68,21 @@ def test_names_that_are_not_utf_8_are_spelled_and_linked(results):
     assert 'src="%FF.png"' in page
 
 
+def test_a_page_of_the_user_is_not_replaced(tmp_path, capsys):
+    page = tmp_path / "index.html"
+    page.write_text("<p>mine</p>")
+    with pytest.raises(SystemExit):
+        main(["view", str(tmp_path)])
+    assert "index.html: exists already and is no page of `sonar-gym view`; give another file with --out" in (
+        capsys.readouterr().err
+    )
+    assert page.read_text() == "<p>mine</p>"
+    page.unlink()
+    for _ in range(2):
+        main(["view", str(tmp_path)])
+    assert "No recording" in page.read_text()
+
+
 def test_an_empty_folder_says_so(tmp_path):
     main(["view", str(tmp_path)])
     assert "No recording, model, diagnosis or agent" in (tmp_path / "index.html").read_text()

@@ -153,10 +153,28 @@ def test_guessed_columns_are_shown_and_used_only_if_accepted(tmp_path, capsys):
     assert recording.ping.time.tolist() == [0.0, 0.5, 1.0]
 
 
-def test_a_recording_is_converted_to_parquet_and_back(tmp_path):
+def test_options_hold_for_a_source_that_has_the_columns_of_a_recording(tmp_path, capsys):
+    path, out = tmp_path / "a.csv", tmp_path / "b.csv"
+    path.write_text("distance_mm,angle_deg,reading_mm\n1000,0,1010\n1000,0,4000\nx,0,1\n", encoding="utf-8-sig")
+    words = ["import", str(path), "--out", str(out), "--skip-bad-rows"]
+    main(words)
+    assert "is a recording already" in (shown := capsys.readouterr().out)
+    assert shown.count("omitted: ") == 1
+    assert "line 4, column distance_mm: 'x', expected a number" in shown
+    main([*words, "--no-echo", "4000", "--constants", "reflectance=0.9", "--accept-guess"])
+    table = Recording.load(out).table
+    assert table[["reading_mm", "reflectance"]].to_numpy().tolist() == [[1010.0, 0.9], [0.0, 0.9]]
+    with pytest.raises(SystemExit):
+        main([*words, "--delimiter", ";"])
+
+
+def test_a_recording_is_converted_to_parquet_and_back(tmp_path, capsys):
     pytest.importorskip("pyarrow", reason="needs the extra sonar-gym[parquet]")
     ping = Ping.of(np.repeat([1.0, 2.0], 3), temperature_c=20.0)
     path = Recording.of(ping, Reading.of(np.repeat([1.01, 0.0], 3))).save(tmp_path / "a.csv")
     main(["import", str(path), "--out", str(tmp_path / "b.parquet")])
     main(["import", str(tmp_path / "b.parquet"), "--out", str(tmp_path / "c.csv")])
     assert (tmp_path / "c.csv").read_bytes() == path.read_bytes()
+    with pytest.raises(SystemExit):
+        main(["import", str(tmp_path / "b.parquet"), "--out", str(tmp_path / "d.csv"), "--constants", "light=1"])
+    assert "b.parquet: is Parquet, expected a CSV file in UTF-8" in capsys.readouterr().err

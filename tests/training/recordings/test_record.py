@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition import DeviceError, NoAnswerError, Ping, Reading, Recording
+from acquisition import DeviceError, EchoStatus, NoAnswerError, Ping, Reading, Recording
 from acquisition.drivers import Echoes
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.planfile import find_plan
@@ -59,7 +59,10 @@ def test_the_seed_determines_the_file_and_resuming_a_complete_one_changes_nothin
             ["--driver", "srf08", "--port", "/dev/i2c-987", "--address", "224"],
             "--address: expected a whole number from 112 to 127, got 224",
         ),
-        (["--driver", "twin", "--resume"], "--resume does not work with --driver twin"),
+        (
+            ["--driver", "twin", "--resume"],
+            "--resume does not work with --driver twin, which does not save its state; delete",
+        ),
     ],
 )
 def test_an_invalid_setting_is_an_error_message_of_one_line(tmp_path, capsys, options, message):
@@ -111,6 +114,21 @@ def test_a_lost_connection_reports_what_is_on_disk_and_how_to_resume(tmp_path, f
     with pytest.raises(type(fault), match=r"; 2 of 3 conditions are on disk; continue with --resume"):
         measure(Session(plan, source, tmp_path / "r.csv"), lambda done, total: None)
     assert len(Recording.load(tmp_path / "r.csv")) == 4
+
+
+def test_an_interrupted_twin_is_recorded_again(tmp_path, capsys, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    command = ["record", "--driver", "twin", "--out", str(tmp_path / "r.csv"), *FEW]
+    monkeypatch.setattr(Session, "run", interrupt)
+    with pytest.raises(SystemExit):
+        main(command)
+    assert "0 of 120 conditions are on disk; delete the file or give another" in capsys.readouterr().err
+    (tmp_path / "r.csv").write_text("")
+    with pytest.raises(SystemExit):
+        main(command)
+    assert "r.csv: exists already; delete the file or give another" in capsys.readouterr().err
 
 
 def test_a_survey_with_an_operator(tmp_path, capsys, monkeypatch):
@@ -177,3 +195,6 @@ def test_a_live_line_is_a_histogram_about_the_true_distance():
     picture = line.split("|")[1]
     assert (picture[15], picture[0], set(picture[1:15] + picture[16:])) == ("█", "▄", {" "})
     assert line.endswith("+0 mm; right 3, wrong 1, no echo 1 of 5")
+    dead = Reading.of([1.0, 0.0, 0.0, 0.0, 0.0], [EchoStatus.ECHO, EchoStatus.NO_ECHO, *[EchoStatus.NO_ANSWER] * 3])
+    line = visit_line(condition, VisitData(measured.ping, dead))
+    assert line.endswith("right 1, wrong 0, no echo 1, no answer 3 of 5")

@@ -43,8 +43,42 @@ def test_records_from_a_port(tmp_path, driver, retry):
         recording = Recording.load(path)
         assert recording.reading.range == pytest.approx(np.full(3, 1.0), abs=0.04)
         assert ("gain" in recording.ping.covariates) == (driver in ("srf08", "srf10"))
+        assert not {"temperature_c", "humidity_pct"} & set(recording.table), "nobody measured them"
 
     retry(attempt)
+
+
+def test_the_air_beside_a_real_sensor_is_logged_where_it_was_measured(tmp_path, retry):
+    (tmp_path / "p.toml").write_text(PLAN, encoding="utf-8")
+    (tmp_path / "w1").write_text("21250\n")
+
+    def attempt():
+        with PseudoTerminal(DEVICES["hcsr04"]()) as far:
+            options = [
+                "--driver",
+                "hcsr04",
+                "--port",
+                far.path,
+                "--plan",
+                str(tmp_path / "p.toml"),
+                "--operator",
+                "none",
+            ]
+            air = ["--humidity-pct", "40", "--thermometer", str(tmp_path / "w1")]
+            main(["record", "--out", str(tmp_path / "r.csv"), *options, *air])
+
+    retry(attempt)
+    table = Recording.load(tmp_path / "r.csv").table
+    assert table[["temperature_c", "humidity_pct"]].drop_duplicates().to_numpy().tolist() == [[21.25, 40.0]]
+
+
+def test_a_survey_beyond_the_registers_of_the_sensor_does_not_begin(tmp_path, capsys):
+    with PseudoTerminal(DEVICES["srf10"]()) as far:
+        options = ["--driver", "srf10", "--port", far.path, "--plan", "gain-sweep", "--operator", "none"]
+        with pytest.raises(SystemExit):
+            main(["record", "--out", str(tmp_path / "r.csv"), *options])
+    assert "SRF10 gain must be a whole number from 0 to 16" in capsys.readouterr().err
+    assert not (tmp_path / "r.csv").exists()
 
 
 def test_no_answer_is_not_recorded_as_no_echo(tmp_path, capsys):

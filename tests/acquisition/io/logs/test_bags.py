@@ -171,6 +171,18 @@ def test_true_distance_from_a_table(tmp_path):
         import_bag(bag.path, truth=GroundTruthSource(table=table))
 
 
+def test_a_constant_replaces_what_the_import_adds_and_nothing_else(tmp_path):
+    with Bag(tmp_path) as bag:
+        bag.range("/sonar", BEGAN, 1.0)
+    constants = {"distance_mm": 1000.0, "session": "morning", "time_s": 5.0, "angle_deg": 10.0}
+    table = import_bag(bag.path, constants=constants).recording.table
+    assert table[list(constants)].to_dict("records") == [constants]
+    (tmp_path / "truth.csv").write_text("time_s,distance_m\n0,2\n1,2\n")
+    truth = GroundTruthSource(table=tmp_path / "truth.csv", longest_gap_s=2.0)
+    with pytest.raises(SettingError, match="column distance_mm: is given 2 times"):
+        import_bag(bag.path, truth=truth, constants=constants)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -4,6 +4,7 @@ import pytest
 
 from acquisition import EchoStatus, RecordingError, SettingError
 from acquisition.io.logs.foreign import ColumnMap, import_table, parse_constants
+from acquisition.io.tables import Dialect
 
 
 def maps(*texts):
@@ -30,6 +31,12 @@ def test_units_are_converted_and_other_columns_retained(log):
     assert recording.covariates == ("humidity",)
 
 
+def test_readings_that_have_their_names_already_know_the_value_for_no_echo(log):
+    log.write_text("distance_mm,angle_deg,reading_mm,echo_2_mm\n1000,0,400,4000\n1000,0,4000,4000\n")
+    recording = import_table(log, maps("distance_mm=distance_mm"), {}, no_echo=4000)
+    assert recording.table[["reading_mm", "echo_2_mm"]].to_numpy().tolist() == [[400.0, 0.0], [0.0, 0.0]]
+
+
 def test_an_error_quotes_the_value_in_the_file(log):
     log.write_text("true,got\n1.0,1.0\n2.0,abc\n", encoding="utf-8")
     with pytest.raises(RecordingError, match=r"log.csv, line 3, column reading_mm: 'abc', expected a number"):
@@ -41,10 +48,45 @@ def test_a_missing_column_is_an_error(log):
         import_table(log, maps("distance_mm=nope"), {})
 
 
-@pytest.mark.parametrize("text", ["distance_mm", "=x", "distance_mm=x:furlong"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "distance_mm",
+        "=x",
+        "distance_mm=x:furlong",
+        "distance_mm=t:s",
+        "angle_deg=x:cm",
+        "time_s=t:mm",
+        "echo_2_mm=x:pct",
+    ],
+)
 def test_an_invalid_map_is_an_error(text):
     with pytest.raises(SettingError, match="column map"):
         ColumnMap.parse(text)
+
+
+def test_a_unit_of_another_quantity_is_named_with_those_that_fit():
+    with pytest.raises(
+        SettingError, match=r"'angle_deg=x:cm': expected a unit of angle_deg \(text, deg, rad\), got 'cm'"
+    ):
+        ColumnMap.parse("angle_deg=x:cm")
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("us", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)])
+def test_times_are_converted_to_seconds(tmp_path, unit, seconds):
+    (tmp_path / "log.csv").write_text("t,true\n7,1\n8,1\n10,1\n")
+    columns = maps(f"time_s=t:{unit}", f"wait_s=t:{unit}", "distance_mm=true:m", "reading_mm=true:m")
+    table = import_table(tmp_path / "log.csv", columns, {"angle_deg": 0.0}).table
+    assert table["time_s"].tolist() == pytest.approx([0.0, seconds, 3.0 * seconds])
+    assert table["wait_s"].tolist() == pytest.approx([7.0 * seconds, 8.0 * seconds, 10.0 * seconds])
+
+
+def test_a_column_that_is_given_twice_is_an_error(log):
+    for columns in (maps("reading_mm=true:m", "reading_mm=got_us:us"), maps("reading_mm=true:m", "angle_deg=got_us")):
+        with pytest.raises(SettingError, match=r"column (reading_mm|angle_deg): is given 2 times; give it once"):
+            import_table(log, [*columns, *maps("distance_mm=true:m")], {"angle_deg": 0.0})
+    with pytest.raises(SettingError, match="column angle_deg: is given 2 times"):
+        parse_constants(["angle_deg=5", "angle_deg=6"])
 
 
 def test_constants_are_numbers_except_in_text_columns():
@@ -99,3 +141,31 @@ def test_a_damaged_logger_file_is_named(tmp_path, damage, reason):
     path.write_text(damage(TOA5))
     with pytest.raises(RecordingError, match=f"snow.dat.*{reason}"):
         import_table(path, maps("time_s=TIMESTAMP", "reading_mm=TCDT", "distance_mm=Pole"), {"angle_deg": 0.0})
+
+
+def test_dates_and_numbers_of_a_log_keep_their_digits(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "true,got,when,time_s\n1,1,2024-01-01T00:00:00.25Z,1700000000.1\n1,1,2024-01-01T00:00:00.5Z,1700000000.2\n"
+    )
+    recording = import_table(
+        path, maps("distance_mm=true:m", "reading_mm=got:m", "clock=when:date"), {"angle_deg": 0.0}
+    )
+    assert recording.table["clock"].diff()[1] == 0.25
+    assert recording.table["time_s"].tolist() == [1700000000.1, 1700000000.2]
+
+
+def test_rows_of_a_log_are_counted_and_measured_as_those_of_a_recording(log):
+    log.write_text("true,got,note\n1,1,a\n\n1,1\n1,x,b\n")
+    columns, more = maps("distance_mm=true:m", "reading_mm=got:m"), {"angle_deg": 0.0}
+    with pytest.raises(
+        RecordingError, match=r"line 4, column note: '', expected a field; the row ends before it \(and 1"
+    ):
+        import_table(log, columns, more)
+    assert [fault.line for fault in import_table(log, columns, more, skip_bad_rows=True).rejected] == [4, 5]
+
+
+def test_a_column_without_a_name_may_be_the_first_of_a_table_with_tabs(tmp_path):
+    (tmp_path / "log.tsv").write_text("\tdistance_mm\tangle_deg\treading_mm\n0\t1000\t0\t1010\n")
+    recording = import_table(tmp_path / "log.tsv", [], {}, dialect=Dialect("\t"))
+    assert recording.table.to_dict("records") == [{"distance_mm": 1000.0, "angle_deg": 0.0, "reading_mm": 1010.0}]

@@ -26,6 +26,7 @@ def guess(header, row):
         ("millis,duration,laserMm", "1,5,9", "distance_mm=laserMm:mm reading_mm=duration:us time_s=millis:ms"),
         ("distance_mm,angle_deg", "1,2", "distance_mm=distance_mm:mm angle_deg=angle_deg:deg"),
         ("Reference [inches],Echo time [us]", "3,5", "distance_mm=Reference [inches]:in reading_mm=Echo time [us]:us"),
+        ("time_us,true_mm", "1,2", "distance_mm=true_mm:mm time_s=time_us:us"),
         ("foo,bar", "1,2", ""),
     ],
 )
@@ -60,6 +61,8 @@ def test_the_dialect_is_guessed(text, delimiter, decimal):
         ("12in, 30cm\n13in, 33cm\n", ["value_1_in", "value_2_cm"], [["12", "30"], ["13", "33"]]),
         ("Ping: 12cm\nPing: 0cm\n", ["Ping_cm"], [["12"], ["0"]]),
         ("Ready\nDistance: 45.6 cm\nOut of range\n", ["Distance_cm"], [["45.6"], ["0"]]),
+        ("D: 45 cm\nOut of range: 400 cm\nOut of range\n", ["D_cm"], [["45"], ["0"], ["0"]]),
+        ("d: 45, timeout: 30\nd: 46, timeout: 30\n", ["d", "timeout"], [["45", "30"], ["46", "30"]]),
         ("10:00:00.5 -> D: 7 cm\n10:00:01 -> timeout\n", ["time", "D_cm"], [["36000.5", "7"], ["36001", "0"]]),
         ("left:120,right:98\nleft:121,right:\n", ["left", "right"], [["120", "98"]]),
         ("23:59:59.9 -> 5 cm\n0:00:00.1 -> 6 cm\n", ["time", "value_cm"], [["86399.9", "5"], ["86400.1", "6"]]),
