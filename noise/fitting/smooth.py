@@ -283,9 +283,9 @@ class SmoothByPart(Smooth):
     """
 
     def __init__(self, terms: Sequence[Smooth], which: Tensor) -> None:
-        first, heads = terms[0], list(terms[0].alpha)
-        alpha = {head: torch.stack([term.alpha[head] for term in terms], dim=-1) for head in heads}
-        beta = {head: torch.stack([term.beta[head] for term in terms], dim=-1) for head in heads}
+        first = terms[0]
+        alpha = {head: torch.stack([term.alpha[head] for term in terms], dim=-1) for head in first.alpha}
+        beta = {head: torch.stack([term.beta[head] for term in terms], dim=-1) for head in first.beta}
         super().__init__(first.inputs, first.centres, alpha, first.level_centres, beta, first.sizes)
         self.which = which
 

@@ -200,25 +200,15 @@ def joint_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: B
     return _after(law, every, lambda model, visits: log_prob(law_of(model, batch), visits, batch, exact=True))
 
 
-def single_log_prob_after(
-    law: Stack, every: Sequence[dict[Key, float]], batch: Batch, reading: Reading | None = None
-) -> Floats:
-    """Return the log probability of each reading as a single ping after each change of a law, nats.
+def single_log_prob_after(law: Stack, every: Sequence[dict[Key, float]], batch: Batch) -> Floats:
+    """Return the log probability of each reading as a single ping after each change of a law, nats, (changes, n).
 
-    Args:
-        law: of the pings.
-        every: changes.
-        batch: pings.
-        reading: of the pings, (..., n); those of the batch by default.
-
-    Returns:
-        Of each change and reading, (changes, ..., n).
+    Each ping may have several readings, (k, n), after the same past: (changes, k, n).
     """
-    given = batch.reading if reading is None else reading
 
     def nats(model: PhysicalModel, visits: VisitEffects) -> Tensor:
         alone = single_ping_law(law_of(model, batch), visits)
-        return torch.log(torch.clamp(alone.probability_tensor(given), min=LEAST_PROBABILITY))
+        return torch.log(torch.clamp(alone.probability_tensor(batch.reading), min=LEAST_PROBABILITY))
 
     return _after(law, every, nats)
 

@@ -355,7 +355,7 @@ def _located(
         if k < len(column.regressors):
             break
         k -= len(column.regressors)
-    natural = Scores(scored.natural, scored.valid, scored.natural, scored.level_db, scored.sigma, scored.probability)
+    natural = replace(scored, value=scored.natural)
     psi = _of_column(natural, sample, column, place, block, a)[0][:, k]
     value, error = float(psi.sum()), float(np.linalg.norm(psi * _leverage_of(place, block)))
     region = region_of(column.regressors[k], [column])

@@ -99,7 +99,7 @@ def _slopes(recorded: Stack, law: Stack, batch: Batch, part: Ints, key: Key, rng
     drawing = ping_law(law.by_part(part), batch)
     readings = [batch.reading, *(drawing.sample(rng) for _ in range(DRAWN))]
     every = Reading(np.stack([each.range for each in readings]), np.stack([each.status for each in readings]))
-    return slope(recorded.by_part(part), batch, key, every)
+    return slope(recorded.by_part(part), replace(batch, reading=every), key)
 
 
 def _change(tested: Tested, information: Floats) -> float:
@@ -130,20 +130,13 @@ def _only(scored: Scores, value: Floats) -> Scores:
     """Return scores with a value in the place of the bias, and no others."""
     every, valid = np.zeros_like(scored.value), np.zeros_like(scored.valid)
     every[:, BIAS], valid[:, BIAS] = value, True
-    return Scores(every, valid, every, scored.level_db, scored.sigma, scored.probability)
+    return replace(scored, value=every, valid=valid, natural=every)
 
 
-def slope(law: Stack, batch: Batch, key: Key, reading: Reading | None = None) -> Floats:
-    """Return the derivative of the log probability of each reading with respect to a parameter, (..., n).
-
-    Args:
-        law: of the pings.
-        batch: pings.
-        key: parameter.
-        reading: of the pings, (..., n), each after the past of the batch; those of the batch by default.
-    """
+def slope(law: Stack, batch: Batch, key: Key) -> Floats:
+    """Return the derivative of the log probability of each reading with respect to a parameter, (n,) or (k, n)."""
     p = law.parameter(key)
     step, value = STEP * (p.high - p.low), law.get(key)
     ends = np.clip([value - step, value + step], p.low, p.high)
-    low, high = single_log_prob_after(law, [{key: float(end)} for end in ends], batch, reading)
+    low, high = single_log_prob_after(law, [{key: float(end)} for end in ends], batch)
     return np.asarray((high - low) / (ends[1] - ends[0]))
