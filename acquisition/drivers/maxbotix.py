@@ -19,10 +19,8 @@ from acquisition.errors import GarbledError, NoAnswerError, SettingError
 
 BAUD = 9600
 TIMEOUT_PERIODS = 4
-FULL_PULSE = (
-    0.98,
-    1.03,
-)  # widths without an echo, of the nominal one: the clocks of sensor and board differ by 1 to 2 %
+# widths of a pulse without an echo, relative to the nominal one: the clocks of sensor and board differ by 1 to 2 %
+FULL_PULSE = (0.98, 1.03)
 MAX_DISCARDS = 64  # reads of waiting lines before a ping; more means that the line does not pause
 
 

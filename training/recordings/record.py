@@ -12,7 +12,7 @@ import numpy as np
 from acquisition import DeviceError, EchoStatus, Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.setup import RANGE_STEP_MM
-from acquisition.drivers import DRIVERS, Srf08
+from acquisition.drivers import DRIVERS, Srf08, Srf10
 from acquisition.drivers.devantech import Devantech
 from acquisition.errors import SettingError
 from acquisition.io.places import OutputFile
@@ -67,8 +67,8 @@ class Args:
     """Seconds between pings. Default: as in the plan."""
     pose: Literal["plan", "facing", "parallel"] = "plan"
     """Orientation of a reflector off the axis: facing the sensor, parallel to its face, or as in the plan."""
-    gain: Annotated[int, Limit(0, 31)] = 14
-    """Maximum amplifier gain, code 0..31."""
+    gain: Annotated[int, Limit(0, 31)] | None = None
+    """Maximum amplifier gain, code 0..31. Default: full, as a sensor has it after power-up (31; SRF10: 16)."""
     range_register: Annotated[int, Limit(0, 255)] = 140
     """0..255; the range limit is 43 mm * (value + 1)."""
     output: Literal["cm", "inch", "us"] = "cm"
@@ -105,6 +105,7 @@ class Args:
 
 def main(args: Args) -> None:
     """Record a survey with a progress bar, and print a summary."""
+    args = with_gain(args)
     plan = plan_of(args)
     source = SOURCES[args.driver](args)
     if not source.simulated:
@@ -263,6 +264,12 @@ SOURCES: dict[str, Callable[[Args], PingSource]] = {
     "twin": _twin_source,
     **dict.fromkeys(SETTINGS, _real_source),
 }
+
+
+def with_gain(args: Args) -> Args:
+    """Return the settings with the gain of the sensor after power-up where none is given."""
+    full = Srf10.max_gain if args.driver == "srf10" else Srf08.max_gain
+    return replace(args, gain=full) if args.gain is None else args
 
 
 def _registers(args: Args) -> dict[str, Any]:
