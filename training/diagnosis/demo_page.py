@@ -46,12 +46,26 @@ def gif(drives: Mapping[str, Drive], path: Path) -> Path:
     """
     length = max(len(drive.frames) for drive in drives.values())
     frames = [_grid({name: _panel(name, drive, k) for name, drive in drives.items()}) for k in range(length)]
-    palette = frames[length // 2].quantize(128)
+    palette = _palette(frames[length // 2])
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     buffer = io.BytesIO()
     durations = [FRAME_MS] * (length - 1) + [LAST_MS]
     small[0].save(buffer, "GIF", save_all=True, append_images=small[1:], duration=durations, loop=0, optimize=True)
     return write_bytes(path, buffer.getvalue())
+
+
+def _palette(frame: Image.Image) -> Image.Image:
+    """Return a picture whose palette has the colours of a frame and, as a gradient, those of credence.
+
+    The colours of a GIF are shared out by area, and the legend is small: it is enlarged here.
+    """
+    width, height = frame.size
+    whole = Image.new("RGB", (width, height + height // 4))
+    whole.paste(frame)
+    pen = ImageDraw.Draw(whole)
+    for x in range(width):
+        pen.line([(x, height), (x, whole.height)], credence_colour(x / (width - 1)))
+    return whole.quantize(256)
 
 
 def _grid(panels: Mapping[str, Image.Image]) -> Image.Image:

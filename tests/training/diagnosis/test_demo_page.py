@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from training.diagnosis.demo_page import DemoResult, gif, reason, render
+from training.diagnosis.demo_page import INK, PAPER, DemoResult, gif, reason, render
 from training.diagnosis.drive import Drive
 from training.diagnosis.envelope import Envelope
 
@@ -46,6 +46,17 @@ def test_films_are_side_by_side_and_the_shorter_ones_wait(tmp_path):
     with Image.open(gif(drives, tmp_path / "film.gif")) as film:
         assert film.n_frames == 5
         assert film.width > 1.5 * film.height
+
+
+def test_the_legend_of_a_film_is_a_gradient(tmp_path):
+    blue, red = np.meshgrid(np.linspace(60, 255, 600), np.linspace(60, 160, 300))
+    picture = np.stack([red, np.full_like(red, 60.0), blue], axis=-1).astype(np.uint8)
+    busy = Drive(True, False, 40, 12.0, 0.1, [picture] * 2)
+    with Image.open(gif({"ideal": busy, "srf08-mlp": busy}, tmp_path / "film.gif")) as film:
+        legend = np.asarray(film.convert("RGB"))[-20, : film.width // 2].astype(np.int64)
+    ink, paper = np.array(INK), np.array(PAPER)
+    coloured = legend[(np.ptp(legend, axis=1) > np.maximum(np.ptp(ink), np.ptp(paper)))]
+    assert len(np.unique(coloured, axis=0)) > 15
 
 
 def test_the_stand_in_has_the_attributes_of_the_real_class():
