@@ -5,7 +5,8 @@
 - MaxBotix MB1xxx: one transducer that rings down and then listens, an amplifier whose gain rises, a firmware that
   reports nothing nearer than 0.2 or 0.3 m, corrects the speed of sound and filters its last readings.
 
-No data sheet states the electronics; what has no source is a project choice.
+No data sheet states the electronics; what has no source is a project choice. All bursts are of 40 kHz, also those of
+MaxBotix, which states 42 kHz.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from acquisition.bench.laboratory.unit import DEG, Unit
 
 Drawn = dict[str, Any]
 
-# "effectual angle" below 15 deg: at -6 dB, there and back, 13 to 17 deg off the axis; 4 m on a wall; falling threshold
+# -6 dB, there and back, 16 to 24 deg off the axis, from transducers of 16 mm; the data sheet's "effectual angle" is
+# below 15 deg. 4 m on a wall; falling threshold
 HCSR04 = {
     "q_tx": (15.0, 45.0),
     "q_rx": (15.0, 45.0),

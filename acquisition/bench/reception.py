@@ -170,12 +170,27 @@ class Reception:
             rng: source of the noise.
             truth: whether to return the true echoes.
         """
-        if truth or len(self.segments) < len(self.rows):
+        if truth or (len(self.segments) < len(self.rows) and not self._moves):
             return self._receive_shared(others, rng, truth)
-        factor, delay = (part[self.paths.row, self.paths.group] for part in self.fluctuation)
-        own = Pulses(self.pulses.row, self.pulses.delay + delay, self.pulses.weight * factor)
-        wave = waveforms(self.unit, self.geometry.air.temperature_c, Pulses.joined([own, *others]), self.samples)
+        ping, pulse = self._pulses_of_pings()
+        factor, delay = (part[ping, self.paths.group[pulse]] for part in self.fluctuation)
+        own = Pulses(ping, self.pulses.delay[pulse] + delay, self.pulses.weight[pulse] * factor)
+        air = self.geometry.air.temperature_c[self.segment]
+        wave = waveforms(self.unit, air, Pulses.joined([own, *others]), self.samples)
         return self._comparator_echoes([SeparateWaveforms(wave)], slice(None), rng), None
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the reflector moves within a visit: by more than a shared waveform can be shifted, 5 mm."""
+        return bool(self.setup.sway_m > 0.0 or self._rate.any())
+
+    def _pulses_of_pings(self) -> tuple[Ints, Ints]:
+        """Return pairs of a ping and a pulse of its segment, (k,) each, by ping."""
+        order = np.argsort(self.pulses.row, kind="stable")
+        count = np.bincount(self.pulses.row, minlength=len(self.segments))
+        first, n = (np.cumsum(count) - count)[self.segment], count[self.segment]
+        ping = np.repeat(np.arange(len(self.rows)), n)
+        return ping, order[np.arange(len(ping)) + np.repeat(first - np.cumsum(n) + n, n)]
 
     def _receive_shared(
         self, others: list[Pulses], rng: np.random.Generator, truth: bool

@@ -18,7 +18,7 @@ from acquisition.bench.laboratory.setup import RANGE_STEP_MM, Setup, check_regis
 from acquisition.bench.laboratory.unit import DEG, Unit
 from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
 from acquisition.bench.registers import Registers, TrueEchoes
-from acquisition.bench.visits import Visits
+from acquisition.bench.visits import TILT, Visits
 from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
 from acquisition.brief import brief
 from acquisition.io.recording import Recording
@@ -111,14 +111,13 @@ class Rig:
     def _registers(self, ping: Ping) -> dict[str, Floats]:
         """Return gain and range gate of each ping, (n,) each: as given, or those of the setup."""
         own = {"gain": float(self.setup.gain), "range_mm": RANGE_STEP_MM * (self.setup.range_register + 1)}
-        given = {name: ping.covariates.get(name, np.full(len(ping), value)) for name, value in own.items()}
-        return {name: np.where(np.isnan(given[name]), value, given[name]) for name, value in own.items()}
+        return {name: _given(ping, name, value) for name, value in own.items()}
 
     def _draw(self, ping: Ping, drift: Drift, setting: Ints, rng: np.random.Generator) -> DrawnPings:
         """Draw all random quantities of n pings; `setting` is the number of each ping's register setting."""
         setup, deviation = self.setup, drift(ping.time)
-        temperature = ping.covariates.get(TEMPERATURE, setup.temperature_c) + setup.drift_c * deviation
-        humidity = ping.covariates.get("humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * deviation
+        temperature = _given(ping, TEMPERATURE, setup.temperature_c) + setup.drift_c * deviation
+        humidity = _given(ping, "humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * deviation
         humidity = np.clip(humidity, 0.0, 100.0)
         noise_rms = self.unit.noise * _noise_factor(setup.ambient, ping, rng)
         visits = Visits.of(ping, temperature, humidity, setting)
@@ -163,7 +162,9 @@ class Rig:
         }
 
     def place(self, ping: Ping, rng: np.random.Generator, visit: NDArray[np.int64] | None = None) -> Ping:
-        """Return the actual poses of the reflectors of n pings; covariate `tilt_back` is the backward tilt, rad.
+        """Return the actual poses of the reflectors of n pings.
+
+        Their covariate `tilt_back` is the tilt of the top towards the sensor, rad.
 
         Args:
             ping: nominal poses.
@@ -178,14 +179,20 @@ class Rig:
         bearing = ping.angle + setup.placement_deg * DEG * aside
         facing = bearing - ping.incidence - setup.tilt_deg * DEG * turn
         centre = (distance + setup.pivot_m) * np.exp(1j * bearing) - setup.pivot_m * np.exp(1j * facing)
-        lean = ping.covariates.get("tilt_back", np.zeros(len(ping))) + setup.tilt_deg * DEG * tilt
+        lean = ping.covariates.get(TILT, np.zeros(len(ping))) + setup.tilt_deg * DEG * tilt
         return replace(
             ping,
             distance=np.maximum(np.abs(centre), 0.005),
             angle=np.angle(centre),
             incidence=np.angle(centre) - facing,
-            covariates={**ping.covariates, "tilt_back": lean},
+            covariates={**ping.covariates, TILT: lean},
         )
+
+
+def _given(ping: Ping, name: str, otherwise: float) -> Floats:
+    """Return a covariate of n pings, (n,), or another value where a ping has none."""
+    given = ping.covariates.get(name, np.full(len(ping), np.nan))
+    return np.where(np.isnan(given), otherwise, given)
 
 
 def _noise_factor(ambient: Ambient | None, ping: Ping, rng: np.random.Generator) -> Floats:

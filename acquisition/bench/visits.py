@@ -12,6 +12,7 @@ from acquisition.arrays import Floats, Ints
 from acquisition.ping import Ping
 
 BATCH = 256  # pings per batch: about 10 MB of waveforms
+TILT = "tilt_back"  # covariate: tilt of the top of the reflector towards the sensor, rad
 SEGMENT_C = 0.4  # degC, width of the temperature bins into which a visit is divided
 
 
@@ -37,8 +38,8 @@ class Visits:
     @classmethod
     def of(cls, ping: Ping, temperature_c: Floats, humidity_pct: Floats, setting: Ints) -> Visits:
         """Group pings whose runs are contiguous; `setting` is the number of their register setting, (n,)."""
-        given = ping.covariates.get("humidity_pct", np.zeros(len(ping)))
-        table = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run, given])
+        given = [np.nan_to_num(ping.covariates.get(name, np.zeros(len(ping)))) for name in ("humidity_pct", TILT)]
+        table = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run, *given])
         start = np.ones(len(ping), dtype=np.bool_)
         start[1:] = (table[:, 1:] != table[:, :-1]).any(axis=0)
         visit = np.cumsum(start) - 1

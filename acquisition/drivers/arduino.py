@@ -28,7 +28,8 @@ BAUD = 115200
 PROTOCOL = 1
 NAME = "SONARBRIDGE"
 NO_SEQUENCE = "--"  # sequence of lines that answer no request
-PATIENCE_S = 0.5  # for an answer; the sketch limits I2C to 25 ms and pulses to the limit in the request
+# for an answer; the sketch limits I2C to 25 ms, and both the wait for a pulse and the pulse to the limit in the request
+PATIENCE_S = 0.5
 START_S = 5.0  # for the boot loader, which runs whenever the port is opened
 RETRY_S = 0.3
 MAX_LATE_LINES = 8  # lines examined after the deadline, which this host read too late

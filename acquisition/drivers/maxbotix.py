@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from acquisition.drivers.arduino import Bridge, check_pin, opened_at
+from acquisition.drivers.arduino import PATIENCE_S, Bridge, check_pin, opened_at
 from acquisition.drivers.driver import Echoes
 from acquisition.drivers.serialport import LineReader, Port, open_port
 from acquisition.errors import GarbledError, NoAnswerError, SettingError
@@ -21,6 +21,7 @@ BAUD = 9600
 TIMEOUT_PERIODS = 4
 # widths of a pulse without an echo, relative to the nominal one: the clocks of sensor and board differ by 1 to 2 %
 FULL_PULSE = (0.98, 1.03)
+MAX_PULSE_S = 0.48 * PATIENCE_S  # the sketch may wait so long twice: for the pulse, and for its end
 MAX_DISCARDS = 64  # reads of waiting lines before a ping; more means that the line does not pause
 
 
@@ -179,7 +180,7 @@ class MaxBotixPwm:
             NoAnswerError: no pulse begins or ends within two periods.
             GarbledError: the pulse is longer than any of this model.
         """
-        limit_us = round(2e6 * self._format.period_s)
+        limit_us = round(1e6 * min(2.0 * self._format.period_s, MAX_PULSE_S))
         width_us = self.bridge.pulse_us(f"P {self.echo:X} {limit_us:X}", str(self))
         return self._format.timed_echoes(width_us, str(self))
 

@@ -7,7 +7,7 @@ because a sensor that was reset would use full gain and a range of 11 m.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from acquisition.drivers.devantech import (
@@ -97,10 +97,10 @@ class Srf08(Adjustable):
         Raises:
             NoAnswerError: see `ping`.
         """
+        whole = replace(self, range_register=255)  # listens for as long as this mode
         self.write(RANGE, 255)
-        send_command([self], lambda: self.write(COMMAND, ANN[self.output]))
-        self.sleep(256 * STEP_S)
-        self.wait_until_idle()
+        send_command([whole], lambda: self.write(COMMAND, ANN[self.output]))
+        whole.wait_until_idle()
         first = self.counts()[0]
         values = self.retry(lambda: self.read_registers(FIRST_GATE, N_GATES))
         return Gates(first * METRES[self.output] if first else None, tuple(values))

@@ -56,19 +56,19 @@ class Srf08Twin(SimulatedSensor):
     address: int = 0x70
     wire: BadWire = field(default_factory=BadWire)
     busy_reads_ones: bool = False
+    full_gain: ClassVar[int] = 31
     min_range_cm: ClassVar[int] = 0  # echoes from closer are not registered; the rig simulates that of an SRF08
 
     def __post_init__(self) -> None:
         """Switch on."""
         super().__post_init__()
-        self._ready = 0.0
-        self._unlocking: list[int] = []
-        self._echoes = bytes(34)
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Reset gain and range, which the sensor holds in RAM."""
-        self.gain, self.range_register = 31, 255
+        """Reset what the sensor holds in RAM: gain, range, echoes, and a ping under way."""
+        self.gain, self.range_register = self.full_gain, 255
+        self._ready, self._echoes = 0.0, bytes(34)
+        self._unlocking: list[int] = []
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write register 0, 1 or 2."""
@@ -155,11 +155,8 @@ class Srf08Twin(SimulatedSensor):
 class Srf10Twin(Srf08Twin):
     """A simulated SRF10: one echo, no light sensor, 17 gains with the same ratio to the maximum as on the SRF08."""
 
+    full_gain: ClassVar[int] = 16
     min_range_cm: ClassVar[int] = SRF10_MIN_RANGE_CM
-
-    def power_cycle(self) -> None:
-        """Reset gain and range."""
-        self.gain, self.range_register = 16, 255
 
     def registers(self) -> bytes:
         """Return the readable registers."""

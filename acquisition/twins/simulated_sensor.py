@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from acquisition.bench import Rig
 from acquisition.bench.laboratory.interference import ECHO_OVERLAP_S
-from acquisition.bench.laboratory.setup import Output
+from acquisition.bench.laboratory.setup import Bus, Output
 from acquisition.ping import Ping
 
 CONDITION = ("distance", "angle", "incidence", "reflectance", "time")
-# the placement errors of a visit are drawn by `place`, not at every ping
-PLACED: dict[str, Any] = {"placement_m": 0.0, "placement_deg": 0.0, "tilt_deg": 0.0, "zero_m": 0.0, "pivot_m": 0.0}
+# the placement errors of a visit are drawn by `place`, not at every ping, and the twin's own wire has faults
+ALIKE = ("placement_m", "placement_deg", "tilt_deg", "zero_m", "pivot_m")
+PLACED: dict[str, Any] = {**dict.fromkeys(ALIKE, 0.0), "bus": Bus()}
+REGISTERS = ("gain", "range_mm")  # covariates that the twin's registers replace
 
 
 @dataclass
@@ -55,7 +57,9 @@ class SimulatedSensor:
 
     def place(self, ping: Ping) -> None:
         """Place the reflector of one ping, with random placement errors of the rig's setup, until the next call."""
-        self._placed = self.rig.place(ping[:1], self.rng)
+        placed = self.rig.place(ping[:1], self.rng)
+        known = {name: value for name, value in placed.covariates.items() if name not in REGISTERS}
+        self._placed = replace(placed, covariates=known)
 
     def fire(self, output: Output, gain: int = 31, range_register: int = 255) -> NDArray[np.uint16]:
         """Simulate a ping, including echoes of the previous one, and return the 17 echo registers."""
@@ -66,7 +70,10 @@ class SimulatedSensor:
         return Rig(self.rig.unit, setup).ping(pings, self.rng, self._drift).code[-1]
 
     def _recalls(self, previous: Ping) -> bool:
-        """Return whether the previous ping matters to one fired now: its sound is still heard, or the unit smooths."""
+        """Return whether the previous ping matters to one fired now: its sound is still heard, or the unit smooths.
+
+        Earlier ones are forgotten, so that a unit that averages several readings averages two.
+        """
         unit = self.rig.unit
         heard = self.clock() - previous.time[0] < ECHO_OVERLAP_S
         return bool(heard or unit.averaging > 1 or unit.deadband > 0.0)

@@ -39,7 +39,7 @@ class Poses:
     Attributes:
         distance: slant distance to the centre, m.
         bearing, incidence: rad; the normal points `bearing - incidence` to the left.
-        tilt: backward tilt, rad.
+        tilt: of the top towards the sensor, rad.
         above: height of the centre above the sensor, m.
     """
 
@@ -89,7 +89,7 @@ class PathGeometry:
         """Build from pings as returned by `Rig.place`; a vertical temperature gradient bends the paths."""
         lean = placed.covariates.get("tilt_back", np.zeros(len(placed)))
         bend = setup.gradient.bend(air)
-        # in coordinates of straight rays the reflector is higher and tilted back (circles of curvature `bend`)
+        # in coordinates of straight rays the reflector is higher and its top nearer (circles of curvature `bend`)
         above = setup.above_m + 0.5 * bend * placed.distance**2
         lean = lean + bend * placed.distance
         return cls(

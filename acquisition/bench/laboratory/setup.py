@@ -125,8 +125,8 @@ class Setup:
         output: unit of the echo registers.
         temperature_c, humidity_pct: of the air, overridden by covariates of the pings of the same names.
         extra_absorption_db: absorption beyond that of clean air, dB/m: fog, dust.
-        drift_c, humidity_drift_pct, drift_tau_s: standard deviations of the slow drift of temperature and humidity, and
-            its correlation time.
+        drift_c, humidity_drift_pct, drift_tau_s: standard deviations of the slow drift of temperature and humidity,
+            which rise and fall together, and its correlation time.
         scintillation_db: standard deviation of an echo's level at 6 m, dB.
         jitter_m: standard deviation of a range at 6 m due to turbulence, m; proportional to the root of the distance.
         flutter_tau_s: correlation time of scintillation and jitter, s.

@@ -54,7 +54,7 @@ class Unit:
         sensitivity_db: echo level relative to that at which a wall at 6 m just trips the comparator at full gain, dB.
         noise: rms of the noise at full gain relative to the comparator's threshold.
         hysteresis: of the comparator, as a fraction of its threshold.
-        rail: level at which the amplifier clips, relative to the threshold.
+        rail: level at which the amplifier clips, relative to the threshold of the moment.
         recovery: time without detection after clipping, s.
         t_offset: time that the firmware adds, s.
         tick: of the timer, s.

@@ -235,6 +235,45 @@ def test_swaying_stand_modulates_the_range_only():
     assert swung == pytest.approx(expected, abs=4.0)
 
 
+@pytest.mark.parametrize("sway_m", [0.02, 0.05])
+def test_a_stand_that_sways_far_still_modulates_the_range_only(sway_m):
+    ping = Ping.of(distance=1.0, reflectance=0.9, time=np.arange(60) * 0.065)
+    unit = replace(Unit.nominal(), noise=0.0)
+    static = fire(unit, replace(STATIC, gain=25, output="us"), ping).code[:, 0].astype(float)
+    setup = replace(STATIC, gain=25, output="us", sway_m=sway_m, sway_period_s=1.3)
+    swung = fire(unit, setup, ping).code[:, 0] - static
+    expected = sway_m * np.sin(2.0 * np.pi * ping.time / 1.3) * 2.0 / 343.36 * 1e6
+    assert swung == pytest.approx(expected, abs=4.0)
+
+
+@pytest.mark.parametrize("rate", [-5.0, 2.0, 5.0])
+def test_what_a_moving_target_reads_does_not_depend_on_other_pings(rate):
+    unit, setup = replace(Unit.nominal(), noise=0.0), replace(HALL, ambient=None)
+    one, two = (
+        Ping.of(distance=np.full(n, 3.0), time=np.arange(n) * 2.0, range_rate_mps=np.full(n, rate)) for n in (1, 2)
+    )
+    assert fire(unit, setup, two).code[:, 0].tolist() == 2 * fire(unit, setup, one).code[:, 0].tolist()
+
+
+@pytest.mark.parametrize(("name", "usual"), [("temperature_c", 19.0), ("humidity_pct", 50.0)])
+def test_a_ping_without_a_logged_temperature_has_that_of_the_laboratory(name, usual):
+    unit, setup = replace(Unit.nominal(), noise=0.0), replace(HALL, **{name: usual})
+    known, missing = (
+        Ping.of(distance=np.ones(3), time=np.arange(3) * 2.0, **{name: np.array([20.0, middle, 20.0])})
+        for middle in (usual, np.nan)
+    )
+    np.testing.assert_array_equal(fire(unit, setup, missing).code, fire(unit, setup, known).code)
+
+
+def test_each_ping_has_its_own_tilt():
+    unit, tilt = replace(Unit.nominal(), noise=0.0), np.array([0.0, 0.3, 0.3])
+    every = Ping.of(distance=np.ones(3), reflectance=0.9, time=np.arange(3) * 2.0, tilt_back=tilt)
+    setup = replace(STATIC, gain=31, output="us")
+    alone = [fire(unit, setup, every[k : k + 1]).code[0, 0] for k in range(3)]
+    assert fire(unit, setup, every).code[:, 0].tolist() == alone
+    assert alone[1] != alone[0]
+
+
 def test_asynchronous_neighbour_drifts_through_the_readings():
     """Another sonar 0.2 ms slower a ping moves away by 34 mm from ping to ping, until its burst leaves the window."""
     setup = replace(STATIC, output="us", gain=31, room=Room(None, None, None))

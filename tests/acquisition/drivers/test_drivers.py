@@ -7,7 +7,7 @@ import pytest
 from smbus2 import i2c_msg
 
 from acquisition import DeviceError, GarbledError, NoAnswerError, Ping, SettingError, StaleError
-from acquisition.bench import Rig, Room, Setup, Unit
+from acquisition.bench import Bus, Rig, Room, Setup, Unit
 from acquisition.drivers import DRIVERS, Srf02, Srf08, Srf10, fire_all
 from acquisition.twins.devantech import COUNT_US, OUTPUTS, BadWire, Srf02Twin, Srf08Twin, Srf10Twin
 from acquisition.twins.simulated_sensor import PLACED, SimulatedSensor
@@ -192,6 +192,27 @@ def test_each_ping_writes_the_settings_again_after_a_reset():
     assert (twin.gain, twin.range_register) == (3, 140)
 
 
+def test_a_sensor_that_lost_power_has_no_echoes_and_is_idle():
+    twin, sonar = pair()
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert sonar.ping().ranges
+    sonar.fire()
+    twin.power_cycle()
+    assert not any(sonar.counts())
+
+
+def test_the_registers_of_a_twin_decide_not_those_of_a_recorded_ping():
+    twin, sonar = pair(gain=31, range_register=140)
+    twin.place(Ping.of(distance=3.0, reflectance=0.9, gain=0.0, range_mm=1075.0))
+    assert sonar.ping().ranges[0] == pytest.approx(3.02, abs=0.05)
+
+
+def test_faults_of_a_twins_wire_are_those_of_its_own_wire():
+    twin, sonar = pair(setup=replace(QUIET, bus=Bus(dropped=1.0)))
+    twin.place(Ping.of(distance=1.0, reflectance=0.9))
+    assert sonar.ping().ranges
+
+
 def test_each_fault_of_the_wire_raises_its_own_error():
     twin, sonar = pair()
     twin.place(Ping.of(distance=1.0, reflectance=0.9))
@@ -341,8 +362,9 @@ def test_a_general_call_has_one_unit():
         fire_all([on(Scripted()), on(Scripted(), output="us")])
 
 
-def test_a_lost_ann_command_is_an_error():
-    twin, sonar = pair()
+@pytest.mark.parametrize("range_register", [24, 77, 140])
+def test_a_lost_ann_command_is_an_error(range_register):
+    twin, sonar = pair(range_register=range_register)
     sonar.ping()
     twin.wire.lost_write = 1.0
     with pytest.raises(StaleError, match="the command was lost"):
