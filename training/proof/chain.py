@@ -6,7 +6,7 @@ import io
 import json
 import lzma
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -87,11 +87,16 @@ class Chain:
     def of(self, event: str) -> dict[int, Line]:
         """Return the lines of an event by trial."""
         with self._turn:
-            return {line["trial"]: line for line in self.lines if line["event"] == event}
+            return of_event(self.lines, event)
 
     def close(self) -> None:
         """Release the file."""
         os.close(self._handle)
+
+
+def of_event(lines: Sequence[Line], event: str) -> dict[int, Line]:
+    """Return the lines of an event by trial."""
+    return {line["trial"]: line for line in lines if line["event"] == event}
 
 
 def load(path: Path) -> list[Line]:

@@ -25,6 +25,7 @@ MATCHED = ("matched_scale", "matched_offset")  # histogram, mean and standard de
 MATCHED_SHARE = 0.06
 SOURCES = ("acquisition", "noise", "training/common", "training/diagnosis", "training/proof")
 LIBRARIES = ("numpy", "scipy", "pandas", "torch", "scikit-learn")
+SCHEMA = 3  # of ledgers, with the rules by which their table is counted
 Cell = tuple[str, str]  # family, kind
 
 
@@ -51,7 +52,7 @@ def deck_of(trials: int, pings: int, left_out: int) -> dict[str, Any]:
     counts = planned(trials)
     card = json.loads(WEIGHTS.read_text())["card"]
     return {
-        "schema": 2,
+        "schema": SCHEMA,
         "trials": trials,
         "pings": pings,
         "left_out": left_out,

@@ -8,7 +8,7 @@ from typing import Any
 from noise.effects import CATALOGUE
 from training.diagnosis.generators.ensemble import SINGLE
 from training.diagnosis.judging.record import Record
-from training.proof.chain import Line
+from training.proof.chain import Line, of_event
 from training.proof.sealing import unseal
 from training.proof.work import task_of
 
@@ -16,11 +16,6 @@ from training.proof.work import task_of
 DECK, RESUMED, CLOSED = "deck", "resumed", "closed"
 SEALED, VERDICT, DISCLOSED, SCORED, LEFT_OUT = "sealed", "verdict", "disclosed", "scored", "left_out"
 ORDER = (SEALED, VERDICT, DISCLOSED, SCORED)  # of the events of a trial
-
-
-def of_event(lines: Sequence[Line], event: str) -> dict[int, Line]:
-    """Return the lines of an event by trial."""
-    return {line["trial"]: line for line in lines if line["event"] == event}
 
 
 def context_of(lines: Sequence[Line], trial: int) -> str:

@@ -21,7 +21,17 @@ from training.diagnosis.generators.ensemble import FAMILIES, SAME, SINGLE
 from training.diagnosis.judging.page import is_right
 from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.rows import Row, at_least, at_most, rows, share
-from training.diagnosis.judging.scoring import STRONG_SIZE, covered, gap_closed, leads, misled, stated, statements
+from training.diagnosis.judging.scoring import (
+    PARTS,
+    STRONG_SIZE,
+    covered,
+    gap_closed,
+    leads,
+    misled,
+    separation,
+    stated,
+    statements,
+)
 from training.diagnosis.judging.tasks import HARD_CASE
 from training.proof.baselines import LEVEL
 from training.proof.chain import Line
@@ -79,7 +89,7 @@ def _special(lines: Sequence[Line], answers: dict[int, dict[str, Any]], records:
 def _plain(row: Row) -> dict[str, Any]:
     numbers = {name: getattr(row, name) for name in ("value", "low", "high")}
     plain = {name: float(f"{value:.6g}") if np.isfinite(value) else None for name, value in numbers.items()}
-    return {"metric": row.metric, "target": row.aim, "n": row.n, "hit": row.hit, **plain}
+    return {"metric": row.metric, "target": row.aim, "n": row.n, "without": row.without, "hit": row.hit, **plain}
 
 
 def publish(lines: Sequence[Line], pages: Path, out: Path) -> str:
@@ -123,6 +133,7 @@ def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list
         met=hits[True],
         of=hits[True] + hits[False],
         table=target_table(found),
+        parts=", ".join(f"`{name}`" for name in PARTS.values()),
         baselines=baseline_table(records),
         real=real_table(real) if real else "None were at hand.",
         deck=deck["hash"],
@@ -152,7 +163,7 @@ def target_table(found: dict[str, list[Row]]) -> str:
 
 
 def _cell(row: Row) -> str:
-    text = f"{row.number(row.value)} ({row.n})" if row.n else "–"
+    text = f"{row.number(row.value)} ({row.count})" if row.n else "–"
     return f"**{text}**" if row.hit is False else text
 
 
@@ -244,13 +255,6 @@ def draw_coverage(axes: Axes, records: Sequence[Record]) -> None:
     axes.legend()
 
 
-def separation(record: Record) -> float:
-    """Return how far apart fresh readings of the two sonars are, nats: z^2 / 2 of the difference of their CRPS."""
-    scores = record["scores"]
-    z = (scores["before"] - scores["again"]) / scores["gap_error"] if scores["gap_error"] > 0 else 0.0
-    return 0.5 * max(z, 0.0) ** 2
-
-
 def _point(axes: Axes, x: float, outcomes: Sequence[bool], colour: str) -> None:
     """Draw a share with its Wilson interval."""
     if outcomes:
@@ -283,8 +287,9 @@ Each line holds the hash of the line before; that of the deck is published befor
 
 ## Result
 
-Misses are bold and first. Families never fitted are those that the decision model's fit left out. Beside the
-ledger, `proof-families.md` has each family.
+Misses are bold and first; a/b: only a of b trials have a gap to close. Families never fitted are those that the
+decision model's fit left out. Beside the ledger, `proof-families.md` has each family. Part of an unmodelled hold, loss
+or step is {parts}: such a name is not wrong.
 
 {table}
 

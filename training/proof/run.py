@@ -23,7 +23,7 @@ from training.common.checksum import sha256
 from training.common.progress import bar
 from training.diagnosis.judging.tasks import Task, case_of
 from training.proof import real
-from training.proof.chain import Chain, ProofError
+from training.proof.chain import Chain, ProofError, of_event
 from training.proof.deck import cells_of, deck_of, hashes
 from training.proof.diagnosing import RECORDED, SIMULATED
 from training.proof.ledger import (
@@ -39,7 +39,6 @@ from training.proof.ledger import (
     context_of,
     left_out_trials,
     lost_of,
-    of_event,
     without_of,
 )
 from training.proof.page import publish, table_of

@@ -17,8 +17,8 @@ from noise.effects import CATALOGUE
 from training.common.commit import ROOT
 from training.common.workers import worker_processes
 from training.diagnosis.judging.tasks import case_of
-from training.proof.chain import Line, ProofError, load
-from training.proof.deck import cells_of, hashes
+from training.proof.chain import Line, ProofError, load, of_event
+from training.proof.deck import SCHEMA, cells_of, hashes
 from training.proof.ledger import (
     CLOSED,
     DECK,
@@ -31,10 +31,9 @@ from training.proof.ledger import (
     answers_of,
     left_out_trials,
     lost_of,
-    of_event,
     without_of,
 )
-from training.proof.page import table_of
+from training.proof.page import Table, table_of
 from training.proof.real import EVENT as REAL
 from training.proof.run import given, hashes_of
 from training.proof.sealing import SEALED as SEALS
@@ -42,6 +41,8 @@ from training.proof.work import Diagnose, answer_of, diagnosed, files_of, scored
 
 ANNOUNCED = ROOT / "benchmarks" / "records" / "proof" / "announced.txt"
 RESULT = {"verdict", "error", "seconds"}
+# beginnings of rows that ledgers before `SCHEMA` counted by other rules: they cannot be compared
+OTHER_RULES = ("strong ", "unmodelled: ", "stated probabilities", "unseen visits")
 ENTRIES = {  # of each event, besides "event", "before" and "hash"
     SEALED: {"trial", "files", *SEALS},
     VERDICT: {"trial", "model_sha256", *RESULT},
@@ -145,8 +146,23 @@ def content_problems(lines: Sequence[Line]) -> Iterator[str]:
     closing = lines[-1]
     if (closing["disclosed"], closing["lost"]) != (len(answers), lost_of(lines)):
         yield "the closing line counts other trials than the ledger holds"
-    elif closing["table"] != table_of(lines, answers):
+    elif not follows(closing["table"], table_of(lines, answers), lines[0]["schema"]):
         yield "the table of the closing line does not follow from verdicts and answers"
+
+
+def follows(table: Table, own: Table, schema: int) -> bool:
+    """Return whether a table is that of this version, as far as the rules of the ledger's version are the same."""
+    if schema >= SCHEMA:
+        return table == own
+    return table.keys() == own.keys() and all(_same_rows(table[scope], own[scope]) for scope in own)
+
+
+def _same_rows(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> bool:
+    """Return whether rows agree in every number that both versions have, and no row that has values is missing."""
+    known = {row["metric"]: row for row in now}
+    kept = [row for row in before if not row["metric"].startswith(OTHER_RULES)]
+    missing = {row["metric"] for row in now if row["n"]} - {row["metric"] for row in before}
+    return not missing and all(row.items() <= known[row["metric"]].items() for row in kept)
 
 
 def _of_plan(lines: Sequence[Line], answers: Answers) -> Iterator[str]:
@@ -238,7 +254,8 @@ def passed(lines: Sequence[Line], args: Args) -> Iterator[str]:
     yield f"all {lines[0]['trials']} planned trials are there, each with one verdict; {lost} were interrupted and lost"
     yield f"{n} disclosed keys are those committed to, and open answers that no one could exchange"
     yield f"the recordings and answers of {n} trials follow from the disclosed seeds, bit by bit"
-    yield f"the table follows from verdicts, answers and scores; {min(args.rediagnose, n)} were diagnosed again"
+    rules = "" if lines[0]["schema"] >= SCHEMA else ", where rules are still the same"
+    yield f"the table follows from verdicts, answers and scores{rules}; {min(args.rediagnose, n)} were diagnosed again"
     if not args.unannounced:
         yield f"deck and closing line are those in {args.announced}"
 
@@ -250,5 +267,8 @@ def unchecked(lines: Sequence[Line], args: Args) -> Iterator[str]:
     yield "that no run was interrupted because of a verdict: every interruption and its lost trials are counted above"
     n = max(len(of_event(lines, SCORED)) - args.rediagnose, 0)
     yield f"verdicts, evidence and scores on fresh recordings of {n} trials: give --rediagnose to repeat them"
+    if lines and lines[0].get("schema", 0) < SCHEMA:
+        rows = ", ".join(f'"{name.strip(" :")} …"' for name in OTHER_RULES)
+        yield f"rows {rows} of the closing line, now counted by other rules: check out commit {lines[0].get('commit')}"
     if lines and lines[0].get("catalogue_sha256") != hashes()["catalogue_sha256"]:
         yield f"the catalogue of effects of the deck: this one has {len(CATALOGUE)} effects and another hash"

@@ -8,11 +8,24 @@ import pytest
 from tests.training.proof.conftest import forged, stub_diagnose, stub_verdict
 from training.cli import main as cli
 from training.common.checksum import canonical
+from training.diagnosis.judging import rows
+from training.proof.chain import load
+from training.proof.deck import SCHEMA
 from training.proof.ledger import answers_of
 from training.proof.page import PAGE, failures, publish, table_of
 from training.proof.run import LEDGER
 from training.proof.sealing import new_key, seal
-from training.proof.verify import Args, problems_of, rediagnosed, regenerated
+from training.proof.verify import (
+    ANNOUNCED,
+    Args,
+    announcement_problems,
+    content_problems,
+    follows,
+    order_problems,
+    problems_of,
+    rediagnosed,
+    regenerated,
+)
 
 
 def drop_trial(lines):
@@ -154,6 +167,29 @@ def test_what_only_published_hashes_show_is_noticed_by_them(finished, tmp_path):
     rerun = forged([{**lines[0], "salt": "another deck"}, *lines[1:]])
     assert problems_of(rerun, args)
     assert problems_of(lines, Args(None, workers=1, announced=tmp_path / "none.txt"))
+
+
+def test_the_published_ledger_holds(monkeypatch):
+    """Its recordings are compared by `sonar-gym verify-proof`, which takes minutes."""
+    monkeypatch.setattr(rows, "N_BOOTSTRAP", 1000)
+    args = Args(ANNOUNCED.with_name("ledger.jsonl.xz"))
+    lines = load(args.ledger)
+    assert [*order_problems(lines), *content_problems(lines), *announcement_problems(lines, args)] == []
+
+
+def test_rows_of_an_older_ledger_are_compared_where_their_rules_are_the_same():
+    strong, lost, near = (
+        {"metric": metric, "n": n, "without": 0, "value": 0.5}
+        for metric, n in (("strong single: aspect right", 9), ("trial lost by an interruption", 9), ("a new row", 0))
+    )
+    own = {"all families": [strong, lost, near]}
+    old = [{name: value for name, value in row.items() if name != "without"} for row in (strong, lost)]
+    assert follows({"all families": old}, own, SCHEMA - 1)
+    assert follows({"all families": [old[0] | {"value": 0.6}, old[1]]}, own, SCHEMA - 1)
+    for other in ([old[0], old[1] | {"value": 0.6}], old[:1], old[1:]):
+        assert not follows({"all families": other}, own, SCHEMA - 1)
+    assert not follows({"all families": old}, own, SCHEMA)
+    assert follows(own, own, SCHEMA)
 
 
 def test_a_trial_that_is_called_lost_needs_an_interruption_and_is_counted(finished):

@@ -11,17 +11,19 @@ from noise.discrepancy.thresholds import LISTED
 from training.common.tables import markdown_table
 from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.rows import Records, Row, rows
-from training.diagnosis.judging.scoring import STRONG_NATS, STRONG_P, STRONG_SIZE, leads, stated
+from training.diagnosis.judging.scoring import PARTS, STRONG_NATS, STRONG_P, STRONG_SIZE, leads, stated
 from training.diagnosis.judging.tasks import HARD_CASE, REAL, TIMED
 
 SECONDS = {2_000: 5.0, 10_000: 15.0, 133_100: 40.0}  # pings -> target of the design, s
 NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}.
 "{STRONG_NATS:g} nats apart" does not use the test: a second simulation describes a fresh recording worse than a second
-recording by so many nats. In brackets: the number of values, and the 95 % interval (Wilson; bootstrap for
-medians and percentiles). A gap is that
+recording by so many nats. In brackets: the number of values (a/b: only a of b trials have a gap), and the 95 % interval
+(Wilson; bootstrap for medians and percentiles). A gap is that
 between the simulation's own readings and a second recording in the same visits, in CRPS with silence counted, where it
-exceeds two standard errors; on unseen visits a forest of the recording stands for the second. "Corrected readings" are
-the simulation's own with what differs applied (`Diagnosis.correct`). Times: beside other work.
+exceeds two standard errors; on unseen visits a forest of the recording stands for the second. Within 10 %: readings are
+clipped to this error, so that silence hides no others. "Corrected readings" are
+the simulation's own with what differs applied (`Diagnosis.correct`). Part of an unmodelled hold, loss or step is
+{", ".join(f"`{name}`" for name in PARTS.values())}: such a name is not wrong. Times: beside other work.
 Not measured: the width of intervals relative to an oracle, and whether the next measurement settles. Causes below
 {100 * LISTED:g} % are not listed. Sealed trials: [the proof](proof.md)."""
 
@@ -85,7 +87,7 @@ def _misses(scopes: dict[str, list[Row]]) -> str:
 def _cell(row: Row, interval: bool = True) -> str:
     """Return value, number of values, and the interval if it is wanted; bold where the target is missed."""
     span = f"; {row.number(row.low)} – {row.number(row.high)}" if interval and row.low == row.low else ""
-    text = f"{row.number(row.value)} ({row.n:,}{span})" if row.n else "–"
+    text = f"{row.number(row.value)} ({row.count}{span})" if row.n else "–"
     return f"**{text}**" if row.hit is False else text
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from acquisition import EchoStatus, Reading, Recording
 from acquisition.arrays import Bits, Floats, Ints
+from acquisition.ping import CREDENCE_TOLERANCE
 from noise import discrepancy
 from noise.discrepancy.judge.held_out import fair_crps
 from noise.discrepancy.result import Diagnosis
@@ -27,6 +29,7 @@ from training.diagnosis.judging.tasks import Case, Task, case_of
 Record = dict[str, Any]
 Region = Mapping[str, Sequence[float]]  # column -> (low, high)
 Models = Mapping[str, SonarModel | None]
+NEAR = "near"  # entry of the scores within the tolerance of credence
 MAX_MEMBERS = 25  # readings of an ensemble; more hardly add information, and take memory
 
 
@@ -88,7 +91,10 @@ def _inside(batch: Batch, region: Region) -> Bits | None:
 
 
 def scores(offered: Models, fresh: tuple[Recording, ...]) -> Record:
-    """Return CRPS with silence counted, m, on a fresh recording.
+    """Return CRPS with silence counted, m, on a fresh recording, and the same within the tolerance of credence.
+
+    A silent ping counts as a reading at the end of the register, so that chance in the number of these hides errors of
+    range; within the tolerance it counts no more than any other reading that is no use.
 
     The user's simulation and the oracle, a second recording, are their own readings in the same visits; "own" is the
     simulation's own readings with what differs applied to them. Where no model is offered, its score is that of the
@@ -98,26 +104,33 @@ def scores(offered: Models, fresh: tuple[Recording, ...]) -> Record:
         offered: models of the diagnosis; see `judged`.
         fresh: recording, simulation, and second recording under the same conditions, ping by ping.
     """
+    near = _scores(offered, fresh, CREDENCE_TOLERANCE)
+    return {**_scores(offered, fresh, None), "offered": offered["corrected"] is not None, NEAR: near}
+
+
+def _scores(offered: Models, fresh: tuple[Recording, ...], tolerance: float | None) -> dict[str, float]:
     recording, simulated, again = fresh
-    batch = Batch.of(recording)
-    each = {"before": ensemble_crps(recording, simulated), "again": ensemble_crps(recording, again)}
+    batch, crps = Batch.of(recording), partial(ensemble_crps, recording, tolerance=tolerance)
+    each = {"before": crps(simulated), "again": crps(again)}
     models = {name: offered[name] for name in ("corrected", "causes_only")}
-    each |= {name: each["before"] if model is None else _crps(model, batch) for name, model in models.items()}
+    each |= {name: each["before"] if m is None else _crps(m, batch, tolerance) for name, m in models.items()}
     acting = offered["difference"]
-    each["own"] = each["before"] if acting is None else ensemble_crps(recording, simulated, acting)
+    each["own"] = each["before"] if acting is None else crps(simulated, acting)
     gap = ClusterMean.of(each["before"] - each["again"], batch.visit).error
     changes = {
         f"{name}_error": ClusterMean.of(each[name] - each["before"], batch.visit).error for name in ("corrected", "own")
     }
     means = {name: float(value.mean()) for name, value in each.items()}
-    return {**means, **changes, "gap_error": gap, "offered": offered["corrected"] is not None}
+    return {**means, **changes, "gap_error": gap}
 
 
-def _crps(model: SonarModel, batch: Batch) -> Floats:
-    return crps_with_silence(model.law(batch.ping, batch.past), batch.reading, MAX_RANGE)
+def _crps(model: SonarModel, batch: Batch, tolerance: float | None) -> Floats:
+    return crps_with_silence(model.law(batch.ping, batch.past), batch.reading, MAX_RANGE, tolerance=tolerance)
 
 
-def ensemble_crps(recording: Recording, other: Recording, model: SonarModel | None = None) -> Floats:
+def ensemble_crps(
+    recording: Recording, other: Recording, model: SonarModel | None = None, tolerance: float | None = None
+) -> Floats:
     """Return the CRPS of answered pings, m, in the order of a `Batch`; the ensemble is the same visit of another file.
 
     Readings of the ensemble are moved to the distance of the ping.
@@ -126,6 +139,7 @@ def ensemble_crps(recording: Recording, other: Recording, model: SonarModel | No
         recording: what is predicted.
         other: readings of the ensemble.
         model: changes each reading of the ensemble, at the ping's condition and past.
+        tolerance: share of the distance to which readings are clipped; see `crps_with_silence`.
     """
     batch, pairs = Batch.of(recording), list(_ensembles(recording, other))
     row = np.concatenate([np.repeat(rows, len(members)) for rows, members in pairs])
@@ -136,8 +150,9 @@ def ensemble_crps(recording: Recording, other: Recording, model: SonarModel | No
     if model is not None:
         law = model.law(with_simulated(with_order(batch.ping)[row], drawn), batch.past[row])
         drawn = law.sample(np.random.default_rng(0))
-    end, out = _ends(batch.reading), np.empty(len(batch))
-    ensembles = np.split(_ends(drawn), np.cumsum([len(rows) * len(members) for rows, members in pairs])[:-1])
+    distance, out = batch.ping.distance, np.empty(len(batch))
+    end, drawn_end = _ends(batch.reading, distance, tolerance), _ends(drawn, distance[row], tolerance)
+    ensembles = np.split(drawn_end, np.cumsum([len(rows) * len(members) for rows, members in pairs])[:-1])
     for (rows, members), values in zip(pairs, ensembles, strict=True):
         out[rows] = fair_crps(end[rows], values.reshape(len(rows), len(members)))
     return out
@@ -153,6 +168,7 @@ def _ensembles(recording: Recording, other: Recording) -> Iterator[tuple[Ints, I
         yield rows, (same if len(same) > 1 else answered)[:MAX_MEMBERS]
 
 
-def _ends(reading: Reading) -> Floats:
-    """Return ranges, m, with the end of the register for no echo."""
-    return np.where(reading.echo, reading.range, MAX_RANGE)
+def _ends(reading: Reading, distance: Floats, tolerance: float | None) -> Floats:
+    """Return ranges, m, with the end of the register for no echo, clipped as in `crps_with_silence`."""
+    reach = np.inf if tolerance is None else tolerance * distance
+    return np.clip(np.where(reading.echo, reading.range, MAX_RANGE), distance - reach, distance + reach)

@@ -30,6 +30,7 @@ from training.diagnosis.judging.scoring import (
 N_BOOTSTRAP = 1000
 USUAL_PINGS = 2000  # to which times of longer recordings are scaled
 SIZE = 0.05  # level at which the size of the test is checked
+MODELS = (("corrected model", "corrected"), ("corrected readings", "own"))
 NAMED = ("explained", "partly_explained")
 Records = Sequence[Record]
 
@@ -43,6 +44,7 @@ class Row:
         target: bounds of the target, (low, high), each end included; infinite where open.
         value, low, high: figure with its 95 % interval; NaN where there is none.
         n: number of trials or statements.
+        without: number of trials that have no such figure, as where there is no gap to close.
         percent: whether the figure is a share.
     """
 
@@ -53,6 +55,12 @@ class Row:
     high: float
     n: int
     percent: bool = True
+    without: int = 0
+
+    @property
+    def count(self) -> str:
+        """Number of values; "a/b" where only a of b trials have one."""
+        return f"{self.n:,}/{self.n + self.without:,}" if self.without else f"{self.n:,}"
 
     @property
     def hit(self) -> bool | None:
@@ -93,13 +101,16 @@ def at_most(value: float) -> tuple[float, float]:
     return -np.inf, value
 
 
-def share(metric: str, target: tuple[float, float], outcomes: Iterable[bool]) -> Row:
+def share(metric: str, target: tuple[float, float], outcomes: Iterable[bool | None]) -> Row:
     """Return a share with its Wilson interval (Wilson 1927)."""
-    outcome = np.array(list(outcomes), dtype=bool)
+    every = list(outcomes)
+    outcome = np.array([each for each in every if each is not None], dtype=bool)
+    without = len(every) - len(outcome)
     if not len(outcome):
-        return Row(metric, target, np.nan, np.nan, np.nan, 0)
+        return Row(metric, target, np.nan, np.nan, np.nan, 0, without=without)
     interval = binomtest(int(outcome.sum()), len(outcome)).proportion_ci(method="wilson")
-    return Row(metric, target, float(outcome.mean()), float(interval.low), float(interval.high), len(outcome))
+    low, high = float(interval.low), float(interval.high)
+    return Row(metric, target, float(outcome.mean()), low, high, len(outcome), without=without)
 
 
 def statistic(
@@ -110,20 +121,22 @@ def statistic(
     percent: bool = False,
 ) -> Row:
     """Return a statistic with its bootstrap interval."""
-    value = np.array([each for each in values if each is not None], dtype=np.float64)
+    every = list(values)
+    value = np.array([each for each in every if each is not None], dtype=np.float64)
+    without = len(every) - len(value)
     if not len(value):
-        return Row(metric, target, np.nan, np.nan, np.nan, 0, percent)
+        return Row(metric, target, np.nan, np.nan, np.nan, 0, percent, without)
     rng = np.random.default_rng(0)  # the table of the same records is the same
     draws = [of(rng.choice(value, len(value))) for _ in range(N_BOOTSTRAP)]
     low, high = np.quantile(draws, [0.025, 0.975])
-    return Row(metric, target, float(of(value)), float(low), float(high), len(value), percent)
+    return Row(metric, target, float(of(value)), float(low), float(high), len(value), percent, without)
 
 
 def rows(records: Records) -> list[Row]:
     """Return all rows; a record with an error counts as a failure of its own row and nowhere else."""
     done = [record for record in records if record["error"] is None]
     failed = share("diagnosis ended in an error", at_most(0.0), (r["error"] is not None for r in records))
-    parts = (_nulls, _places, _names, _probabilities, _corrections, _times)
+    parts = (_nulls, _places, _names, _probabilities, _corrections, _near_corrections, _times)
     return [failed, *(row for part in parts for row in part(done))]
 
 
@@ -179,16 +192,27 @@ def _corrections(records: Records) -> Iterator[Row]:
     causes_only = [gap_closed(record, "causes_only") for record in named]
     yield statistic("fresh recording, causes without empirical term: median gap", FREE, causes_only, np.median)
     other, simulator = of_kind(records, UNMODELLED), of_kind(records, SIMULATOR)
-    for of, model in (("corrected model", "corrected"), ("corrected readings", "own")):
+    for of, model in MODELS:
         fresh = [gap_closed(record, model) for record in named]
         yield from _gaps(f"fresh recording, {of}, known causes", fresh, 0.9, 0.7)
-        below = (gap < 0 for gap in fresh if gap is not None)
+        below = (None if gap is None else gap < 0 for gap in fresh)
         yield share(f"fresh recording, {of}, known causes: gap closed below 0", at_most(0.0), below)
         unknown, others = ([gap_closed(record, model) for record in some] for some in (other, simulator))
         yield statistic(f"fresh recording, {of}, unmodelled: median gap closed", at_least(0.6), unknown, np.median)
         yield statistic(f"fresh recording, {of}, other simulator: median gap closed", at_least(0.9), others, np.median)
-        worse = (made_worse(record, model) for record in records if record["scores"] is not None)
+        worse = (made_worse(record, model) for record in records)
         yield share(f"fresh recording, {of}: worse than the simulation", at_most(0.0), worse)
+
+
+def _near_corrections(records: Records) -> Iterator[Row]:
+    named, other = of_kind(records, SINGLE, PAIR), of_kind(records, UNMODELLED)
+    for of, model in MODELS:
+        near = f"{of} within 10 %"
+        yield from _gaps(f"{near}, known causes", [gap_closed(r, model, near=True) for r in named], 0.9, 0.7)
+        unknown = [gap_closed(record, model, near=True) for record in other]
+        yield statistic(f"{near}, unmodelled: median gap closed", at_least(0.6), unknown, np.median)
+        worse = (made_worse(record, model, near=True) for record in records)
+        yield share(f"{near}: worse than the simulation", at_most(0.0), worse)
 
 
 def _gaps(name: str, values: list[float | None], median: float, tenth: float) -> Iterator[Row]:

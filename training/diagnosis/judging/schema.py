@@ -57,7 +57,7 @@ class _Verdict(_Part):
     held_out: _HeldOut
 
 
-class _Scores(_Part):
+class _Crpses(_Part):
     before: float
     again: float
     corrected: float
@@ -66,6 +66,10 @@ class _Scores(_Part):
     corrected_error: float
     own_error: float
     gap_error: float
+
+
+class _Scores(_Crpses):
+    near: _Crpses | None = None  # records of older versions lack it
 
 
 class _Head(_Part):

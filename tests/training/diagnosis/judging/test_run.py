@@ -10,7 +10,7 @@ import pytest
 from acquisition import Recording, RecordingError
 from noise.fitting.batch import Batch
 from training.diagnosis.judging import real
-from training.diagnosis.judging.record import ensemble_crps, overlap
+from training.diagnosis.judging.record import ensemble_crps, overlap, scores
 from training.diagnosis.judging.run import RECORDS, append, read, run
 from training.diagnosis.judging.tasks import case_of, trials
 
@@ -144,6 +144,29 @@ def test_overlap_counts_pings():
     assert overlap(batch, here, {}) == pytest.approx(0.5)
     assert overlap(batch, here, {"distance": (0.25, 0.5)}) == pytest.approx(0.5)
     assert overlap(batch, {"previous_reading": (0.0, 1.0)}, {}) is None
+
+
+def test_silence_hides_no_error_of_range_within_the_tolerance():
+    """Half the readings of both are silent, which ones by chance; 20 mm of bias are all that differs."""
+    rng, table = np.random.default_rng(3), survey(120)
+    silent = [rng.random(len(table)) < 0.5 for _ in range(3)]
+    recording, again, biased = (
+        Recording(table.assign(reading_mm=np.where(gone, 0.0, table.reading_mm + shift)), "a")
+        for gone, shift in zip(silent, (0.0, 0.0, 20.0), strict=True)
+    )
+    found = scores(dict.fromkeys(("corrected", "causes_only", "difference")), (recording, biased, again))
+    plain, near = ((part["before"] - part["again"]) / part["gap_error"] for part in (found, found["near"]))
+    assert abs(plain) < 2.0 < 5.0 < near
+    assert found["near"]["before"] < 0.1 * 1.2  # no error is more than a tenth of the greatest distance
+
+
+def test_a_score_within_the_tolerance_clips_readings_to_it():
+    """Every reading is 500 mm late at 400 to 1200 mm: the error is the tolerance, a tenth of the distance."""
+    table = survey(12)
+    exact, late = (Recording(table.assign(reading_mm=table.distance_mm + by), "a") for by in (0.0, 500.0))
+    found = ensemble_crps(exact, late, tolerance=0.1)
+    assert found == pytest.approx(0.1 * Batch.of(exact).ping.distance)
+    assert ensemble_crps(exact, late) == pytest.approx(np.full(len(found), 0.5))
 
 
 def test_the_ensemble_score_is_that_of_the_law_that_drew_the_ensemble():

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from noise.discrepancy.moments.bootstrap import DRAWS, Greatest, joint
+from noise.discrepancy.moments.bootstrap import DRAWS, Greatest, any_of, joint
 from noise.discrepancy.result import PValue
+from noise.effects import CATALOGUE
+from training.diagnosis.generators.grammar import AT_ONE
 from training.diagnosis.judging import scoring
 from training.diagnosis.judging.page import as_json, is_right, judged, markdown
 from training.diagnosis.judging.rows import rows, share
@@ -74,9 +76,33 @@ def test_the_clearest_difference_that_the_tests_can_show_is_strong(record):
     assert scoring.is_strong(record(causes=(OFFSET,), p_value=joint(*clearest).value))
 
 
+def test_the_least_p_value_of_five_tests_is_strong(record):
+    """A recording of one position has tests of which none is joint with another."""
+    clearest = PValue(1.0 / (DRAWS + 1), DRAWS, 100, 6)
+    assert scoring.is_strong(record(p_value=any_of(*[clearest] * 5).value))
+    assert not scoring.is_strong(record(p_value=any_of(*[replace(clearest, value=2.0 / (DRAWS + 1))] * 5).value))
+
+
 def test_equivalent_ids_are_one_statement(record):
     one = record(causes=(SCALE,), named=[cause("clock_scale", 0.5, sound_speed=0.4, spike=0.1)])
     assert list(scoring.statements(one)) == [(pytest.approx(0.9), True), (0.1, False)]
+
+
+def test_a_true_cause_is_one_true_statement_in_its_likeliest_place(record):
+    alias, first = cause("sound_speed", 0.6, 0.3), cause("clock_scale", 0.9, 0.6)
+    twice = record(causes=(SCALE,), named=[alias, first])
+    assert sorted(scoring.statements(twice)) == [(0.6, False), (0.9, True)]
+    assert list(scoring.wrong_causes(twice)) == [alias]
+    assert not scoring.no_wrong_share(twice)
+    beside = record(causes=(SCALE,), named=[cause("spike", 0.5, clock_scale=0.4), cause("sound_speed", 0.3)])
+    assert sorted(scoring.statements(beside)) == [(0.3, True), (0.4, False), (0.5, False)]
+    assert [wrong["effect"] for wrong in scoring.wrong_causes(beside)] == ["spike"]
+
+
+def test_both_causes_of_a_pair_may_stand_in_one_place(record):
+    both = record(causes=(OFFSET, SCALE), named=[cause("zero_offset", 0.6, clock_scale=0.3, spike=0.1)])
+    assert sorted(scoring.statements(both)) == [(0.1, False), (0.3, True), (0.6, True)]
+    assert not list(scoring.wrong_causes(both))
 
 
 def test_a_pair_needs_a_cause_for_each(record):
@@ -89,6 +115,48 @@ def test_an_unmodelled_fault_misleads_only_by_a_large_believed_cause(record):
     assert scoring.misled(record(**fault))
     assert not scoring.misled(record(**fault, named=[cause(share=0.2)]))
     assert not scoring.misled(record(**fault, named=[cause(probability=0.4)]))
+
+
+@pytest.mark.parametrize(("change", "effect"), scoring.PARTS.items())
+def test_the_effect_that_is_part_of_a_fault_misleads_nobody(record, change, effect):
+    bias = "bias of 0.01 as a wave of the angle"
+    fault = {"kind": "unmodelled", "causes": (), "fault": f"{bias}; {change} of 0.3 as a box of the time"}
+    assert not scoring.misled(record(**fault, named=[cause(effect)]))
+    assert scoring.misled(record(**fault, named=[cause(effect), cause("spike")]))
+    assert scoring.misled(record(**fault | {"fault": bias}, named=[cause(effect)]))
+
+
+def test_the_parts_of_faults_are_changes_of_the_grammar_and_effects_of_the_catalogue():
+    assert scoring.PARTS.keys() <= AT_ONE.keys()
+    assert set(scoring.PARTS.values()) <= CATALOGUE.keys()
+
+
+def test_separation_is_the_gain_of_a_difference_in_nats(record):
+    scores = record()["scores"]
+    assert scoring.separation(record()) == pytest.approx(0.5 * 10.0**2)
+    for z, apart in ((5.4, False), (5.5, True), (-9.0, False)):  # 15 nats are 5.48 standard errors
+        assert scoring.is_apart(record(scores=scores | {"before": 0.002 + 0.001 * z})) == apart
+    assert scoring.separation(record(scores=scores | {"gap_error": 0.0})) == 0.0
+
+
+def test_a_gap_on_unseen_visits_within_two_errors_is_no_figure(record):
+    held = record()["verdict"]["held_out"]  # 10 mm from the simulation to the oracle, 9 of them closed
+    scores = record()["scores"]
+    assert scoring.gap_unseen(record()) == pytest.approx(0.9)
+    assert scoring.gap_unseen(record(scores=scores | {"gap_error": 0.0051})) is None
+    assert scoring.gap_unseen(record(verdict={"held_out": held | {"repeatability_mm": 13.0}})) is None
+    figures = found([record(), record(number=1, scores=scores | {"gap_error": 0.0051})])
+    assert figures["unseen visits, strong: median gap closed"].count == "1/2"
+
+
+def test_scores_within_the_tolerance_are_rows_of_their_own(record):
+    scores = record()["scores"]
+    near = {name: scores[name] for name in scores if name != "offered"} | {"corrected": 0.007}
+    figures = found([record(scores=scores | {"near": near}), record(number=1)])  # an older version has no near scores
+    row = figures["corrected model within 10 %, known causes: median gap closed"]
+    assert (row.value, row.count) == (pytest.approx(0.5), "1/2")
+    assert figures["fresh recording, corrected model, known causes: median gap closed"].value == pytest.approx(0.9)
+    assert figures["corrected readings within 10 %: worse than the simulation"].count == "1/2"
 
 
 def test_no_gap_is_no_figure_and_a_correction_that_harms_is_below_zero(record):
