@@ -36,6 +36,7 @@ from noise.physical import END, PhysicalLaw, PhysicalModel
 
 WEIGHTS = ("probability", "presence", "per_metre")  # parameters that say how often an effect acts
 N_NODES = 15  # equally probable points that stand for added normal scatter
+UNBOUNDED: dict[str, Any] = {"gate": number(END), "blind_range": None, "step": 0.0}  # of a state that takes no range away
 Values = Mapping[str, Mapping[str, float]]
 
 
@@ -141,6 +142,7 @@ class ComposedModel:
                 paths=(_learned_path(law, before, after), *after.paths[1:]),
                 scale=factor,
                 offset=after.offset - factor * before.offset,
+                **{name: none for name, none in UNBOUNDED.items() if getattr(before, name) == getattr(after, name)},
             )
         if np.any(law.no_answer > 0):
             state = state.with_atom(Atom(torch.tensor(law.no_answer), torch.zeros_like, number(0.0), number(1.0)))

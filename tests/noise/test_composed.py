@@ -10,7 +10,7 @@ import noise
 import sonar_gym  # noqa: F401  (registers the environment)
 from acquisition import Ping, Reading, SettingError
 from noise import GaussianModel, compose, load_model, save_model, simulate
-from noise.composed import ComposedModel, with_differences
+from noise.composed import ComposedModel, _adds, with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.effects import CATALOGUE
 from noise.physical import PhysicalModel
@@ -46,6 +46,24 @@ def test_without_causes_the_law_is_unchanged():
     reading = simulate(LEARNED, FAR, np.random.default_rng(0))
     np.testing.assert_allclose(composed.law(FAR).log_prob(reading), LEARNED.law(FAR).log_prob(reading), atol=1e-6)
     np.testing.assert_allclose(composed.law(FAR).echo, LEARNED.law(FAR).echo, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if not _adds(name)])
+def test_an_effect_that_the_recording_shares_with_the_simulation_leaves_the_law_alone(name):
+    starts = {p.name: p.starts[-1] for p in CATALOGUE[name].parameters if p.starts}
+    composed, left_out = with_differences(LEARNED, {name: starts}, {})
+    ping = Ping.of(distance=np.linspace(0.05, 9.0, 40), angle=0.1)
+    edges = np.linspace(0.0, 11.0, 300)[:, None]
+    np.testing.assert_allclose(composed.law(ping).arrival(edges), LEARNED.law(ping).arrival(edges), atol=1e-9)
+    assert not left_out
+
+
+def test_a_shorter_window_and_coarser_steps_than_the_simulation_has_act_in_full():
+    before = {"range_gate": {"listen_m": 4.0}, "rearm_dead_time": {"deaf_m": 0.1}, "quantisation": {"step_m": 0.01}}
+    causes = {"range_gate": {"listen_m": 2.0}, "rearm_dead_time": {"deaf_m": 0.3}, "quantisation": {"step_m": 0.1}}
+    law = with_differences(GaussianModel(0.001, 0.0), before, causes)[0].law(Ping.of(distance=[0.2, 1.22, 3.0]))
+    np.testing.assert_allclose(law.echo, [0.0, 1.0, 0.0], atol=1e-9)
+    assert law.quantile(0.5)[1] == pytest.approx(1.2)
 
 
 @pytest.mark.parametrize(
