@@ -223,10 +223,14 @@ class EchoLaw(ABC):
     @checked
     def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
+        below, upto = self._cdf_step(np.stack(self._right_steps(tolerance)))
+        return np.minimum(np.maximum(upto - below, 0.0), 1.0)
+
+    def _right_steps(self, tolerance: float) -> tuple[Ints, Ints]:
+        """Return the steps below the first and up to the last within +-tolerance of the true distance, (n,) each."""
         low = np.ceil(((1 - tolerance) * self.distance - self.origin) / self.resolution - 1e-9).astype(np.int64)
         high = np.floor(((1 + tolerance) * self.distance - self.origin) / self.resolution + 1e-9).astype(np.int64)
-        below, upto = self._cdf_step(np.stack([low - 1, high]))
-        return np.minimum(np.maximum(upto - below, 0.0), 1.0)
+        return low - 1, high
 
     def quantile(self, p: ArrayLike) -> Floats:
         """Return the p-quantile of the *echoes*, m, (n,); 0 where no echo is possible."""
