@@ -191,9 +191,12 @@ class EchoLaw(ABC):
 
     def _sample(self, rng: UniformSource) -> Reading:
         """Draw by inversion of the law on its grid, from one uniform number a ping."""
-        u = rng.random(len(self))
-        p_echo = self.echo
-        step = self._invert(np.minimum(u, p_echo))
+        u, p_echo = rng.random(len(self)), self.echo
+        return self._reading(u, p_echo, np.minimum(u, p_echo))
+
+    def _reading(self, u: Floats, p_echo: Floats, place: Floats) -> Reading:
+        """Return the readings of which u decides on the outcome, and a place in 0..`p_echo` on the step, (n,) each."""
+        step = self._invert(place)
         status = np.where(u < p_echo, EchoStatus.ECHO, EchoStatus.NO_ECHO)
         status = np.where(u >= 1.0 - self.no_answer, EchoStatus.NO_ANSWER, status)
         return Reading.of(np.where(status == EchoStatus.ECHO, self._range(step), 0.0), status)
