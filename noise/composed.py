@@ -24,18 +24,24 @@ from torch import Tensor
 
 from acquisition import ModelError, Ping, Reading, SettingError, previous
 from acquisition.arguments import checked
-from acquisition.arrays import Floats, Ints
+from acquisition.arrays import Bits, Floats, Ints
 from acquisition.ping import TEMPERATURE
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.state import number
 from noise.faults import HasWeights
 from noise.fitting.empirical import EmpiricalModel
-from noise.law import EchoLaw
+from noise.law import EchoLaw, UniformSource
+from noise.learned.persistence import Persistence
 from noise.model import SonarModel, StatefulModel, follow, listener
 from noise.physical import END, PhysicalLaw, PhysicalModel
 
 WEIGHTS = ("probability", "presence", "per_metre")  # parameters that say how often an effect acts
 N_NODES = 15  # equally probable points that stand for added normal scatter
+UNBOUNDED: dict[str, Any] = {
+    "gate": number(END),
+    "blind_range": None,
+    "step": 0.0,
+}  # of a state without limits
 Values = Mapping[str, Mapping[str, float]]
 
 
@@ -88,6 +94,32 @@ class LearnedPath(Path):
         return self.law.echo
 
 
+class ComposedLaw(PhysicalLaw):
+    """The law of a state whose first path is another law.
+
+    Attributes:
+        own: the other law, of n pings.
+        persists: whether outcome and range are drawn from a number each, so that a part of both may persist.
+    """
+
+    uniform_per_ping = True
+
+    def __init__(self, state: State, own: EchoLaw, distance: Floats, persists: bool) -> None:
+        super().__init__(state, distance, own.resolution, own.max_range)
+        self.own, self.persists = own, persists
+
+    @property
+    def extrapolates(self) -> Bits:
+        """Whether the other law extrapolates, (n,)."""
+        return self.own.extrapolates
+
+    def _sample(self, rng: UniformSource) -> Reading:
+        if not self.persists:
+            return super()._sample(rng)
+        (which, where), echo = rng.random((2, len(self))), self.echo
+        return self._reading(which, echo, where * echo)
+
+
 class ComposedModel:
     """A model with the differences between two stacks of effects: those of a simulation and of a recording.
 
@@ -108,6 +140,8 @@ class ComposedModel:
             )
         self.model = model
         self.before, self.after = (EmpiricalModel(stack, model.resolution, END) for stack in (before, after))
+        # what is added at random is drawn anew at every ping
+        self.persistence: Persistence | None = None if _adds(self.after) else getattr(model, "persistence", None)
 
     @property
     def resolution(self) -> float:
@@ -120,19 +154,19 @@ class ComposedModel:
         return self.model.remembers or self.after.remembers
 
     @checked
-    def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> PhysicalLaw:
+    def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> ComposedLaw:
         """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
         model = self.model
         own = model.law(ping, past, sensors) if isinstance(model, StatefulModel) else model.law(ping, past)
         return self._changed(own, Conditions.of(ping, past))
 
     @checked
-    def follow(self, ping: Ping, reading: Reading) -> PhysicalLaw:
+    def follow(self, ping: Ping, reading: Reading) -> ComposedLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         past = previous(reading, ping.run)
         return self._changed(follow(self.model, ping, reading), Conditions.of(ping, past))
 
-    def _changed(self, law: EchoLaw, conditions: Conditions) -> PhysicalLaw:
+    def _changed(self, law: EchoLaw, conditions: Conditions) -> ComposedLaw:
         with torch.no_grad():
             before, after = self.before.state(conditions), self.after.state(conditions)
             factor = after.scale / before.scale
@@ -141,10 +175,11 @@ class ComposedModel:
                 paths=(_learned_path(law, before, after), *after.paths[1:]),
                 scale=factor,
                 offset=after.offset - factor * before.offset,
+                **{name: none for name, none in UNBOUNDED.items() if getattr(before, name) == getattr(after, name)},
             )
         if np.any(law.no_answer > 0):
             state = state.with_atom(Atom(torch.tensor(law.no_answer), torch.zeros_like, number(0.0), number(1.0)))
-        return PhysicalLaw(state, conditions.distance.numpy(), law.resolution, law.max_range)
+        return ComposedLaw(state, law, conditions.distance.numpy(), self.persistence is not None)
 
     def fresh(self) -> ComposedModel:
         """Return a copy with an empty state of its own if the model is stateful."""
@@ -207,14 +242,14 @@ def with_differences(
         causes: parameters of the recording in the effects in which it differs, by effect.
         common: further effects that both have.
     """
-    shared = {name: values for name, values in before.items() if not _adds(name)}
+    shared = {name: values for name, values in before.items() if not adds(name)}
     after, left_out = dict(shared), dict[str, str]()
     for name, values in causes.items():
         own = before.get(name, {})
         if reason := _obstacle(name, own, values):
             left_out[name] = reason
         else:
-            after[name] = _known(name, _added(own, values) if _adds(name) else values)
+            after[name] = _known(name, _added(own, values) if adds(name) else values)
     return ComposedModel(model, [*_built(shared), *common], [*_built(after), *common]), left_out
 
 
@@ -222,9 +257,13 @@ def _built(values: Values) -> list[Effect]:
     return [CATALOGUE[name](**each) for name, each in values.items()]
 
 
-def _adds(name: str) -> bool:
+def adds(name: str) -> bool:
     """Return whether an effect adds a path, false alarms or replaced readings, rather than change the direct path."""
-    state = PhysicalModel([CATALOGUE[name]()]).state(Conditions.of(Ping.of(distance=1.0)))
+    return _adds(PhysicalModel([CATALOGUE[name]()]))
+
+
+def _adds(model: PhysicalModel) -> bool:
+    state = model.state(Conditions.of(Ping.of(distance=1.0)))
     return len(state.paths) > 1 or bool(state.atoms) or state.clutter is not None
 
 
@@ -234,7 +273,7 @@ def _obstacle(name: str, own: Mapping[str, float], values: Mapping[str, float]) 
         return "not an effect of the catalogue"
     if all(p.covariate and p.covariate != TEMPERATURE for p in CATALOGUE[name].parameters):
         return "a property of the log, which an environment with its own latency does not share"
-    if _adds(name) and any(values.get(key, 1.0) <= own.get(key, 0.0) for key in WEIGHTS if key in own):
+    if adds(name) and any(values.get(key, 1.0) <= own.get(key, 0.0) for key in WEIGHTS if key in own):
         return "less frequent than in the simulation, and a learned law cannot be freed of it"
     if name == "travel_time_jitter" and any(values[key] < own[key] for key in own if key in values):
         return "less scatter than in the simulation cannot be taken out of a learned law"

@@ -18,8 +18,8 @@ from acquisition import Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.brief import brief
 from acquisition.limits import Count, Limit, Metres, PositiveMetres, Share, as_numbers, check_settings, shown
-from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Tolerance
-from noise.model import SonarModel
+from noise.law import CREDENCE_TOLERANCE, EchoLaw, Floats, Ints, Tolerance
+from noise.model import SonarModel, listener
 
 DEG = np.pi / 180.0
 Angle = Annotated[float, Limit(-90.0, 90.0, "deg")]
@@ -119,14 +119,13 @@ class CredenceTable:
             edges: edges of the bins of range, m, increasing, (bins + 1,).
             tolerance: largest error of a right reading, relative to the true distance.
         """
-        law, edges = model.law(ping), as_bins("CredenceTable.over.edges", edges)
+        law, edges = listener(model).law(ping), as_bins("CredenceTable.over.edges", edges)
         if not law.has_probabilities:
             return cls.by_sampling(law, edges, tolerance)
-        every = np.repeat(edges[:, None], len(ping), axis=1)
-        right_only = np.clip(every, ping.distance * (1 - tolerance), ping.distance * (1 + tolerance))
-        total = np.diff(law.arrival(every), axis=0).sum(axis=1)
+        step = _steps_below(law, edges)[:, None]
         # a bin that contains a limit of the tolerance counts with its probability inside the tolerance
-        right = law.arrival(right_only[1:]).sum(axis=1) - law.arrival(right_only[:-1]).sum(axis=1)
+        right_only = np.clip(step, *law._right_steps(tolerance))
+        total, right = (np.diff(law.cdf_step(each), axis=0).sum(axis=1) for each in (step, right_only))
         return cls(edges, _ratio(np.clip(right, 0.0, total), total), total / len(ping))
 
     @classmethod
@@ -157,9 +156,10 @@ class CredenceTable:
 
     @checked
     def given(self, reading: Reading) -> Floats:
-        """Return the credence of each reading, (n,); 0 where there was no echo or no answer."""
+        """Return the credence of each reading, (n,); 0 without an echo, and outside the bins."""
         place = np.minimum(np.searchsorted(self.edges, reading.range, side="right") - 1, len(self.values) - 1)
-        return np.where(reading.echo & (reading.range <= self.edges[-1]), self.values[place], 0.0)
+        inside = (reading.range >= self.edges[0]) & (reading.range <= self.edges[-1])
+        return np.where(reading.echo & inside, self.values[place], 0.0)
 
 
 def as_bins(name: str, edges: ArrayLike) -> Floats:
@@ -168,6 +168,12 @@ def as_bins(name: str, edges: ArrayLike) -> Floats:
     if edge.ndim != 1 or len(edge) < 2 or not np.all(np.diff(edge) > 0):
         raise SettingError(f"{name}: expected two or more increasing numbers, got {shown(edges)}")
     return edge
+
+
+def _steps_below(law: EchoLaw, edges: Floats) -> Ints:
+    """Return the largest step of the register that reads less than each edge; that reads no more than the last."""
+    reading = law._range(np.arange(1, law.last_step + 1))
+    return np.r_[np.searchsorted(reading, edges[:-1]), np.searchsorted(reading, edges[-1], side="right")]
 
 
 def _ratio(part: Floats, whole: Floats) -> Floats:

@@ -191,9 +191,12 @@ class EchoLaw(ABC):
 
     def _sample(self, rng: UniformSource) -> Reading:
         """Draw by inversion of the law on its grid, from one uniform number a ping."""
-        u = rng.random(len(self))
-        p_echo = self.echo
-        step = self._invert(np.minimum(u, p_echo))
+        u, p_echo = rng.random(len(self)), self.echo
+        return self._reading(u, p_echo, np.minimum(u, p_echo))
+
+    def _reading(self, u: Floats, p_echo: Floats, place: Floats) -> Reading:
+        """Return the readings of which u decides on the outcome, and a place in 0..`p_echo` on the step, (n,) each."""
+        step = self._invert(place)
         status = np.where(u < p_echo, EchoStatus.ECHO, EchoStatus.NO_ECHO)
         status = np.where(u >= 1.0 - self.no_answer, EchoStatus.NO_ANSWER, status)
         return Reading.of(np.where(status == EchoStatus.ECHO, self._range(step), 0.0), status)
@@ -223,10 +226,14 @@ class EchoLaw(ABC):
     @checked
     def credence(self, tolerance: Tolerance = CREDENCE_TOLERANCE) -> Floats:
         """Return P(an echo reads within +-tolerance of the true distance), (n,): credence given the condition."""
+        below, upto = self._cdf_step(np.stack(self._right_steps(tolerance)))
+        return np.minimum(np.maximum(upto - below, 0.0), 1.0)
+
+    def _right_steps(self, tolerance: float) -> tuple[Ints, Ints]:
+        """Return the steps below the first and up to the last within +-tolerance of the true distance, (n,) each."""
         low = np.ceil(((1 - tolerance) * self.distance - self.origin) / self.resolution - 1e-9).astype(np.int64)
         high = np.floor(((1 + tolerance) * self.distance - self.origin) / self.resolution + 1e-9).astype(np.int64)
-        below, upto = self._cdf_step(np.stack([low - 1, high]))
-        return np.minimum(np.maximum(upto - below, 0.0), 1.0)
+        return low - 1, high
 
     def quantile(self, p: ArrayLike) -> Floats:
         """Return the p-quantile of the *echoes*, m, (n,); 0 where no echo is possible."""

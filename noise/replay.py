@@ -17,7 +17,7 @@ import numpy as np
 
 from acquisition import EchoStatus, Ping, Reading, Recording
 from acquisition.arguments import checked
-from acquisition.arrays import Floats
+from acquisition.arrays import Bits, Floats
 from acquisition.io.recording import MM
 from acquisition.ping import check_pairs
 from noise.law import EchoLaw
@@ -69,6 +69,11 @@ class ReplayLaw(EchoLaw):
     def no_answer(self) -> Floats:
         """P(the sensor does not answer): 1 where the simulator gave no answer, (n,)."""
         return (self.given.status == EchoStatus.NO_ANSWER).astype(np.float64)
+
+    @property
+    def extrapolates(self) -> Bits:
+        """Whether the range is that of the other law, and it extrapolates, (n,)."""
+        return np.asarray(~self.given.echo & self.other.extrapolates)
 
 
 @dataclass(frozen=True)

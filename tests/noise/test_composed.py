@@ -10,9 +10,10 @@ import noise
 import sonar_gym  # noqa: F401  (registers the environment)
 from acquisition import Ping, Reading, SettingError
 from noise import GaussianModel, compose, load_model, save_model, simulate
-from noise.composed import ComposedModel, with_differences
+from noise.composed import ComposedModel, adds, with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.effects import CATALOGUE
+from noise.law import ExtrapolationWarning
 from noise.physical import PhysicalModel
 from noise.rig import RigModel
 from tests.noise.discrepancy.made import batch_of
@@ -46,6 +47,24 @@ def test_without_causes_the_law_is_unchanged():
     reading = simulate(LEARNED, FAR, np.random.default_rng(0))
     np.testing.assert_allclose(composed.law(FAR).log_prob(reading), LEARNED.law(FAR).log_prob(reading), atol=1e-6)
     np.testing.assert_allclose(composed.law(FAR).echo, LEARNED.law(FAR).echo, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if not adds(name)])
+def test_an_effect_that_the_recording_shares_with_the_simulation_leaves_the_law_alone(name):
+    starts = {p.name: p.starts[-1] for p in CATALOGUE[name].parameters if p.starts}
+    composed, left_out = with_differences(LEARNED, {name: starts}, {})
+    ping = Ping.of(distance=np.linspace(0.05, 9.0, 40), angle=0.1)
+    edges = np.linspace(0.0, 11.0, 300)[:, None]
+    np.testing.assert_allclose(composed.law(ping).arrival(edges), LEARNED.law(ping).arrival(edges), atol=1e-9)
+    assert not left_out
+
+
+def test_a_shorter_window_and_coarser_steps_than_the_simulation_has_act_in_full():
+    before = {"range_gate": {"listen_m": 4.0}, "rearm_dead_time": {"deaf_m": 0.1}, "quantisation": {"step_m": 0.01}}
+    causes = {"range_gate": {"listen_m": 2.0}, "rearm_dead_time": {"deaf_m": 0.3}, "quantisation": {"step_m": 0.1}}
+    law = with_differences(GaussianModel(0.001, 0.0), before, causes)[0].law(Ping.of(distance=[0.2, 1.22, 3.0]))
+    np.testing.assert_allclose(law.echo, [0.0, 1.0, 0.0], atol=1e-9)
+    assert law.quantile(0.5)[1] == pytest.approx(1.2)
 
 
 @pytest.mark.parametrize(
@@ -168,6 +187,25 @@ def test_numbers_that_are_no_parameters_are_ignored():
 def test_a_model_that_can_only_be_sampled_is_rejected():
     with pytest.raises(SettingError, match="can only be sampled"):
         compose(RigModel(), diagnosed(zero_offset={"offset_m": 0.01}))
+
+
+def test_readings_are_drawn_from_the_law_also_where_outcome_and_range_have_a_number_each():
+    composed = compose(LEARNED, diagnosed(zero_offset={"offset_m": 0.05}))
+    assert composed.persistence == LEARNED.persistence
+    assert compose(LEARNED, diagnosed(spike={"probability": 0.1, "span_m": 3.0})).persistence is None
+    law = composed.law(Ping.of(distance=np.full(20_000, 2.5), angle=0.35, incidence=0.35, reflectance=0.4))
+    drawn = law.sample(np.random.default_rng(0))
+    reads = np.linspace(2.3, 2.8, 6)[:, None]
+    below = np.mean(drawn.echo & (drawn.range <= reads + 1e-9), axis=1)
+    np.testing.assert_allclose(below, law.cdf(reads)[:, 0], atol=0.015)
+    assert drawn.echo.mean() == pytest.approx(law.echo[0], abs=0.015)
+
+
+def test_the_composed_law_extrapolates_where_the_learned_one_does():
+    composed = compose("srf08-mlp", diagnosed(zero_offset={"offset_m": 0.05}))
+    with pytest.warns(ExtrapolationWarning):
+        law = composed.law(Ping.of(distance=[1.0, 1.0], temperature_c=[20.0, 80.0]))
+    assert law.extrapolates.tolist() == [False, True]
 
 
 @pytest.mark.parametrize("name", ["srf08-mlp", "srf08-lstm"])

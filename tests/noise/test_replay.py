@@ -84,6 +84,13 @@ def test_without_readings_of_the_simulator_the_other_model_stands_for_it():
     assert model.law(Ping.of(distance=[1.0])).quantile(0.5)[0] == pytest.approx(1.05, abs=0.0015)
 
 
+@pytest.mark.filterwarnings("ignore:the law extrapolates")
+def test_only_a_range_that_the_other_law_gives_is_extrapolated():
+    ping = Ping.of(distance=[1.0, 1.0, 1.0], temperature_c=[80.0, 80.0, 20.0])
+    law = Replay(load_model("srf08-mlp"), 0.01, 0.01).law(with_simulated(ping, Reading.of([1.0, 0.0, 0.0])))
+    assert law.extrapolates.tolist() == [False, True, False]
+
+
 def test_a_saved_model_acts_alike(tmp_path):
     model = acting(zero_offset={"offset_m": 0.012}, stale_repeat={"probability": 0.2})
     loaded = load_model(save_model(model, tmp_path / "difference"))

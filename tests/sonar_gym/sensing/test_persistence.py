@@ -5,11 +5,12 @@ import pytest
 from scipy.stats import kstest, norm
 
 from acquisition import Ping
-from noise import load_model
+from noise import CATALOGUE, ComposedModel, Faulty, load_model
 from noise.learned.persistence import Persistence
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.sensing import paths
 from sonar_gym.sensing.persistence import LATENTS, PersistentStream, latents
+from sonar_gym.sensing.sonar import persistence_of
 
 N = 4000
 KEYS = np.arange(N) * 7919
@@ -65,9 +66,15 @@ class Uniform:
         return self.rng.random(size)
 
 
-def test_the_law_of_a_single_ping_is_unchanged_and_identical_pings_agree():
-    model = load_model("srf08-mlp")
+def moved():
+    """Return a learned sonar with an offset that a diagnosis found."""
+    return ComposedModel(load_model("srf08-mlp"), [], [CATALOGUE["zero_offset"](offset_m=0.05)])
+
+
+@pytest.mark.parametrize("model", [load_model("srf08-mlp"), moved()], ids=["learned", "composed"])
+def test_the_law_of_a_single_ping_is_unchanged_and_identical_pings_agree(model):
     law = model.law(Ping.of(np.full(N, 2.5), np.radians(20.0), np.radians(20.0), 0.4))
+    assert model.persistence == persistence_of(Faulty(model, []))
     held = latents(facing(2.5), KEYS, model.persistence.lasting, model.persistence.length_m)
     first, second = (law.sample(PersistentStream(Uniform(k), held, model.persistence)) for k in (1, 2))
     alone = law.sample(np.random.default_rng(3))
