@@ -180,10 +180,10 @@ def train(recording: Recording, args: Args, report: Report = no_report) -> Train
             f"{recording.name}: too few echoes or answers{where} to train, validate and test on: record more"
         )
     parts = {name: TrainingPings.of(recording, mask, group) for name, mask in rows.items()}
-    head, inputs = shape_of(recording, args, rows["train"])
+    head, inputs = shape_of(recording, args, split.train & known)
     model = learn(parts["train"], parts["validation"], inputs, head, args, report)
     model.about["data"] = marks_of(recording, split)
-    answered = (rows["train"] | rows["validation"]) & recording.reading.answered
+    answered = ~split.test & recording.reading.answered
     baselines: dict[str, SonarModel] = {
         "ideal": IdealModel(head.resolution, head.max_range),
         "Gaussian, fitted": fit_gaussian(

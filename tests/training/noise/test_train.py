@@ -281,12 +281,16 @@ def test_test_rows_that_the_base_has_seen_are_warned_of(tmp_path):
     assert not doubts(recording(pings=2), replace(args, start=own, seed=1))
 
 
-def test_the_ranges_are_those_of_the_rows_that_are_trained_on(tmp_path):
+def test_ranges_and_lost_answers_are_those_of_the_rows_that_are_trained_on(tmp_path):
     args = Args(tmp_path / "rec.csv", tmp_path / "out", epochs=1, hidden=2)
     here = recording(pings=3)
-    distance = here.ping.distance[split_of(here, args)[2].train]
-    model = train(here, args).model
+    reading = here.reading
+    reading.range[::4], reading.status[::4] = 0.0, EchoStatus.NO_ANSWER
+    here = Recording.of(here.ping, reading)
+    rows = split_of(here, args)[2].train
+    distance, model = here.ping.distance[rows], train(here, args).model
     assert (model.inputs.low[0], model.inputs.high[0]) == (distance.min(), distance.max())
+    assert model.head.no_answer == pytest.approx(np.mean(~reading.answered[rows])) != 0.0
 
 
 def test_a_start_must_be_a_perceptron_for_a_perceptron(tmp_path):
