@@ -103,13 +103,16 @@ def crps_with_silence(
     """
     check_pairs("crps_with_silence.reading", law, reading)
     end, echo = law.max_range if silence is None else silence, law.echo
+    silent, nearer = 1.0 - echo, echo if end >= law.max_range else law.cdf(end)
     reach = np.inf if tolerance is None else tolerance * law.distance
     low, high = law.distance - reach, law.distance + reach
 
     def quantile(level: Floats) -> Floats:
         with np.errstate(over="ignore"):  # of the least probabilities of an echo: no level is a share of them
-            share = np.divide(level, echo, where=echo > 0, out=np.full((len(level), len(echo)), np.inf))
-        return np.clip(np.where(share < 1.0, law.quantile(np.minimum(share, 1.0)), end), low, high)
+            among = np.where(level < nearer, level, np.maximum(level - silent, 0.0))
+            share = np.divide(among, echo, where=echo > 0, out=np.zeros((len(level), len(echo))))
+        at_end = (level >= nearer) & (level < nearer + silent)
+        return np.clip(np.where(at_end, end, law.quantile(np.minimum(share, 1.0))), low, high)
 
     return _quantile_score(quantile, np.clip(np.where(reading.echo, reading.range, end), low, high), levels)
 
@@ -182,10 +185,14 @@ def credence_reliability(
         bins: number of bins of equal width over [0, 1].
         rows: pings to use; all by default.
     """
-    slack = 1e-9
     check_pairs("credence_reliability.reading", law, reading)
-    true = reading.echo & (np.abs(reading.range - law.distance) <= tolerance * law.distance + slack)
+    true = is_correct(law, reading, tolerance)
     return reliability(law.credence(tolerance)[rows], true[rows], _clusters(cluster, len(reading))[rows], bins)
+
+
+def is_correct(of: Ping | EchoLaw, reading: Reading, tolerance: float = CREDENCE_TOLERANCE) -> NDArray[np.bool_]:
+    """Return which readings are echoes within a relative tolerance of the true distance, (n,)."""
+    return reading.echo & (np.abs(reading.range - of.distance) <= tolerance * of.distance + 1e-9)
 
 
 @checked
@@ -242,6 +249,7 @@ def evaluate(
     reading: Reading,
     cluster: ArrayLike,
     counts: NDArray[np.bool_] | None = None,
+    answered: bool = False,
 ) -> Evaluation:
     """Score a model, each ping given the earlier pings of its run.
 
@@ -251,15 +259,21 @@ def evaluate(
         reading: readings, (n,).
         cluster: visit or session of each ping, (n,).
         counts: pings to score, (n,) bool, all by default; the others only serve as history.
+        answered: whether only answered pings are scored, by the law given an answer.
     """
     rows = np.ones(len(ping), dtype=bool) if counts is None else counts
-    return score_law(follow(model, ping, reading), reading, cluster, rows)
+    return score_law(follow(model, ping, reading), reading, cluster, rows, answered)
 
 
 @checked
-def score_law(law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_]) -> Evaluation:
-    """Score the given rows of a law of n pings on their readings."""
-    g, echo = _clusters(cluster, len(reading)), reading.echo & rows
-    likelihood = ClusterMean.of(law.log_prob(reading)[rows], g[rows])
-    crps_mm = _mean_or_nan(1e3 * crps(law, reading), g, echo)
-    return Evaluation(likelihood, crps_mm, credence_reliability(law, reading, g, rows=rows).gap)
+def score_law(
+    law: EchoLaw, reading: Reading, cluster: ArrayLike, rows: NDArray[np.bool_], answered: bool = False
+) -> Evaluation:
+    """Score the given rows of a law of n pings on their readings; see `evaluate`."""
+    g, answer = _clusters(cluster, len(reading)), np.ones(len(reading))
+    if answered:
+        rows, answer = rows & reading.answered, np.maximum(1.0 - law.no_answer, 1e-300)
+    likelihood = ClusterMean.of((law.log_prob(reading) - np.log(answer))[rows], g[rows])
+    crps_mm = _mean_or_nan(1e3 * crps(law, reading), g, reading.echo & rows)
+    credence = np.minimum(law.credence() / answer, 1.0)
+    return Evaluation(likelihood, crps_mm, reliability(credence[rows], is_correct(law, reading)[rows], g[rows]).gap)

@@ -90,7 +90,8 @@ class LstmModel:
         if sensors is None or self._state is None:
             self._state = None
             return
-        rows = np.flatnonzero(sensors) if np.asarray(sensors).dtype == bool else np.asarray(sensors)
+        given = np.asarray(sensors)
+        rows = np.flatnonzero(given) if given.dtype == bool else given.astype(np.int64)
         rows = rows[rows < len(self._state)]  # sensors without a ping have no state yet
         self._state.put(rows, LstmState.empty(len(rows), self.cell.hidden))
 

@@ -1,5 +1,7 @@
 """Metrics against closed forms, another library, and laws that are true by construction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scoringrules
@@ -8,8 +10,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Reading, SettingError
-from noise import GaussianModel, IdealModel
+from noise import GaussianModel, IdealModel, load_model
 from noise.effects import CATALOGUE
+from noise.learned.networks import MlpModel
 from noise.metrics import ClusterMean, credence_reliability, crps, crps_with_silence, evaluate, pit
 from noise.physical import PhysicalModel
 
@@ -127,6 +130,25 @@ def test_the_threshold_weighted_crps_is_the_integral_within_the_tolerance(read, 
     expected = 0.005 * np.sum((below - (value <= 0.005 * steps + 1e-9)) ** 2)
     score = crps_with_silence(law, Reading.of([0.0 if silent else value]), levels=4000, tolerance=0.1)
     assert score[0] == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize(("silence", "read", "expected"), [(4.0, 0.0, 1.0), (4.0, 8.0, 1.0), (11.008, 0.0, 0.752)])
+def test_silence_stands_in_its_place_among_the_ranges(silence, read, expected):
+    """Known answer: for two values, each with probability 1/2, the score of either is a quarter of their distance."""
+    law = GaussianModel(0.0, 0.0, 0.5).law(Ping.of(distance=[8.0]))
+    score = crps_with_silence(law, Reading.of([read]), silence, levels=4000)
+    assert score[0] == pytest.approx(expected, abs=2e-3)
+
+
+def test_scores_of_answered_pings_are_those_of_the_law_given_an_answer():
+    sure = load_model("srf08-mlp")
+    fails = MlpModel(sure.inputs, replace(sure.head, no_answer=0.3), sure.layers)
+    ping = Ping.of(distance=np.repeat(np.linspace(0.3, 4.0, 40), 10))
+    reading = fails.law(ping).sample(np.random.default_rng(0))
+    one, other = (evaluate(model, ping, reading, ping.distance, answered=True) for model in (sure, fails))
+    assert one.log_likelihood.mean == pytest.approx(other.log_likelihood.mean)
+    assert one.credence_gap == pytest.approx(other.credence_gap)
+    assert one.log_likelihood.pings == reading.answered.sum() < len(ping)
 
 
 SCORES = {

@@ -13,7 +13,8 @@ from acquisition import Ping, Reading, Recording
 from noise.effects import CATALOGUE
 from noise.fitting.fit import fit
 from noise.law import EchoLaw, Floats
-from noise.model import GaussianModel, SonarModel
+from noise.metrics import Evaluation, evaluate
+from noise.model import MAX_RANGE, GaussianModel, IdealModel, SonarModel
 from noise.physical import PhysicalModel
 from training.noise.corpus import first_pings
 
@@ -49,6 +50,15 @@ def fit_gaussian(ping: Ping, reading: Reading, resolution: float, max_range: flo
 
     found = minimize(loss, np.log([0.03, 0.02]), method="Nelder-Mead", options={"xatol": 0.01, "fatol": 1e-4})
     return model(found.x)
+
+
+def score(model: SonarModel, train: Recording, test: Recording) -> dict[str, Evaluation]:
+    """Return the scores of a model and of simple baselines on new sensors."""
+    answered = train.reading.answered
+    gaussian = fit_gaussian(train.ping[answered], train.reading[answered], model.resolution, MAX_RANGE)
+    baselines: dict[str, SonarModel] = {"ideal": IdealModel(model.resolution, MAX_RANGE), "Gaussian, fitted": gaussian}
+    condition = np.unique(np.stack([test.run, test.condition]), axis=1, return_inverse=True)[1].ravel()
+    return {k: evaluate(m, test.ping, test.reading, condition) for k, m in {**baselines, "network": model}.items()}
 
 
 class NearestConditionLaw(EchoLaw):

@@ -83,14 +83,15 @@ def alternate_pings(condition: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def repeatability(recording: Recording, scored: NDArray[np.bool_], base: SonarModel) -> Floats:
-    """Return the log probability of the scored pings, each given all other pings of its condition, (scored,).
+    """Return the log probability of the scored pings, each given all other answered pings of its condition, (scored,).
 
     This is the predictive probability of a Dirichlet process with base law `base` and concentration `PRIOR_PINGS`.
     """
     reading, condition = recording.reading, sensor_conditions(recording)
     step = np.rint(reading.range / recording.resolution).astype(np.int64)
     _, outcome = np.unique(np.stack([condition, reading.status, step]), axis=1, return_inverse=True)
-    equal, others = np.bincount(outcome)[outcome[scored]] - 1, np.bincount(condition)[condition[scored]] - 1
+    equal = np.bincount(outcome)[outcome[scored]] - 1
+    others = np.bincount(condition, reading.answered)[condition[scored]] - 1
     prior = np.exp(base.law(recording.ping[scored]).log_prob(reading[scored]))
     return np.log((equal + PRIOR_PINGS * prior) / (others + PRIOR_PINGS))
 
@@ -125,7 +126,7 @@ def compare(test: Recording, models: dict[str, SonarModel]) -> ModelComparison:
     if not scored.any():
         raise SettingError(f"{test.name}: no condition has two pings: record at least two of each")
     every = {name: Faulty(model, [OUTLIERS]) for name, model in models.items()}
-    scores = {name: evaluate(model, test.ping, test.reading, condition, scored) for name, model in every.items()}
+    scores = {name: evaluate(model, test.ping, test.reading, condition, scored, True) for name, model in every.items()}
     return ModelComparison(scores, ClusterMean.of(repeatability(test, scored, models[BEAM]), condition[scored]))
 
 

@@ -12,12 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from acquisition import Recording
-from acquisition.arrays import Bits, Floats
-from noise.law import CREDENCE_TOLERANCE, ExtrapolationWarning
-from noise.metrics import ClusterMean
+from noise.law import ExtrapolationWarning
+from noise.metrics import ClusterMean, is_correct, reliability
 from noise.model import SonarModel, follow
 from training.noise.corpus import SCENES, Sessions, record
 
@@ -65,18 +62,7 @@ def calibration(model: SonarModel, recording: Recording) -> Calibration:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExtrapolationWarning)
         law = follow(model, ping, reading)
-    off = np.abs(reading.range - ping.distance)
-    right = (reading.echo & (off <= CREDENCE_TOLERANCE * ping.distance + 1e-9))[answered]
+    right = is_correct(ping, reading)[answered]
     credence, sensor = law.credence()[answered], recording.table["sensor"].to_numpy()[answered]
     means = ClusterMean.of(right, sensor), ClusterMean.of(credence - right, sensor)
-    return Calibration(*means, calibration_error(credence, right), float(law.extrapolates.mean()))
-
-
-def calibration_error(credence: Floats, right: Bits) -> float:
-    """Return the mean over tenths of credence, weighted by pings, of the gap between credence and frequency.
-
-    >>> round(calibration_error(np.array([0.05, 0.05, 0.95, 0.95]), np.array([False, False, True, False])), 3)
-    0.25
-    """
-    tenth = np.minimum((10.0 * credence).astype(int), 9)
-    return float(np.abs(np.bincount(tenth, credence - right)).sum() / len(right))
+    return Calibration(*means, reliability(credence, right, sensor).gap, float(law.extrapolates.mean()))

@@ -17,15 +17,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from acquisition import Ping, Reading, Recording
+from acquisition import Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.setup import Bus
 from noise.fitting.threads import one_thread
-from noise.law import CREDENCE_TOLERANCE, Floats
+from noise.law import Floats
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.recent import N_FEATURES, RecentCredence, RecentReadings
-from noise.metrics import ClusterMean, Reliability, reliability
+from noise.metrics import ClusterMean, Reliability, is_correct, reliability
 from noise.model import MAX_RANGE, follow
 from noise.store import save_model
 from training.noise.networks import layers_of, perceptron
@@ -157,11 +157,6 @@ class RecentCredencePlan:
     batch: int = 1024
     learning_rate: float = 4e-3
     seed: int = 0
-
-
-def is_correct(ping: Ping, reading: Reading, tolerance: float = CREDENCE_TOLERANCE) -> NDArray[np.bool_]:
-    """Return which readings are echoes within a relative tolerance of the true distance, (n,)."""
-    return reading.echo & (np.abs(reading.range - ping.distance) <= tolerance * ping.distance + 1e-9)
 
 
 def learn_credence(train: Recording, validation: Recording, plan: RecentCredencePlan) -> RecentCredence:

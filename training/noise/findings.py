@@ -11,10 +11,10 @@ from acquisition import Recording
 from noise import SonarModel, follow
 from noise.credence import wilson
 from noise.faults import Faulty
-from noise.metrics import ClusterMean, credence_reliability
+from noise.metrics import ClusterMean, credence_reliability, is_correct
 from noise.model import steps
 from training.noise.compare import OUTLIERS, ModelComparison, sensor_conditions
-from training.noise.experiments import CORRELATED, UNCORRELATED, CredenceScore, MemoryGain, is_correct
+from training.noise.experiments import CORRELATED, UNCORRELATED, CredenceScore, MemoryGain
 
 BAYES, ALONE, RECENT = "Bayes over the training conditions", "learned, this reading", "learned, last 8 readings"
 TEST_SETS = {"conditions": "new conditions, known sensors", "sensors": "new sensors"}

@@ -21,12 +21,11 @@ from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
 from noise.learned.persistence import survey_persistence
-from noise.metrics import Evaluation, evaluate
-from noise.model import MAX_RANGE, IdealModel, SonarModel
+from noise.model import MAX_RANGE
 from noise.store import load_model, save_model
 from training.common.progress import bar
 from training.noise import make_front_ends
-from training.noise.baselines import fit_gaussian
+from training.noise.baselines import score
 from training.noise.card import card, scores_as_numbers
 from training.noise.conditions import CONDITIONS, NEW_SENSORS, calibration, recordings
 from training.noise.corpus import RECORDINGS, ensure_recorded, first_pings
@@ -174,12 +173,3 @@ def pings(recording: Recording, law: Law) -> TrainingPings:
     """Return the training data of a law in a recording."""
     rows = first_pings(recording, PINGS_PER_VISIT) if law == "mlp" else np.ones(len(recording), dtype=bool)
     return TrainingPings.of(recording, rows, run_segments(recording)[0])
-
-
-def score(model: SonarModel, train: Recording, test: Recording) -> dict[str, Evaluation]:
-    """Return the scores of a model and of simple baselines on new sensors."""
-    answered = train.reading.answered
-    gaussian = fit_gaussian(train.ping[answered], train.reading[answered], model.resolution, MAX_RANGE)
-    baselines: dict[str, SonarModel] = {"ideal": IdealModel(model.resolution, MAX_RANGE), "Gaussian, fitted": gaussian}
-    condition = np.unique(np.stack([test.run, test.condition]), axis=1, return_inverse=True)[1].ravel()
-    return {k: evaluate(m, test.ping, test.reading, condition) for k, m in {**baselines, "network": model}.items()}

@@ -7,18 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from acquisition import Recording
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel
 from noise.learned.persistence import survey_persistence
-from noise.metrics import Evaluation, evaluate
-from noise.model import MAX_RANGE, IdealModel, SonarModel
+from noise.metrics import Evaluation
+from noise.model import MAX_RANGE
 from noise.store import save_model
 from training.common.progress import bar
-from training.noise.baselines import fit_gaussian
+from training.noise.baselines import score
 from training.noise.card import card, scores_as_numbers
 from training.noise.conditions import Calibration, calibration
 from training.noise.corpus import Sessions, first_pings, record, record_session_file
@@ -99,14 +97,6 @@ def make(sensor: Sensor, settings: TrainArgs, folder: Path, report: Report, jobs
 
 def _pings(recording: Recording) -> TrainingPings:
     return TrainingPings.of(recording, first_pings(recording, PINGS_PER_VISIT), groups(recording)[0])
-
-
-def score(model: SonarModel, train: Recording, test: Recording) -> dict[str, Evaluation]:
-    """Return the scores of a model and of simple baselines on new sensors."""
-    gaussian = fit_gaussian(train.ping, train.reading, model.resolution, MAX_RANGE)
-    models: dict[str, SonarModel] = {"ideal": IdealModel(model.resolution, MAX_RANGE), "Gaussian, fitted": gaussian}
-    condition = np.unique(np.stack([test.run, test.condition]), axis=1, return_inverse=True)[1].ravel()
-    return {k: evaluate(m, test.ping, test.reading, condition) for k, m in {**models, "network": model}.items()}
 
 
 def _write(

@@ -20,7 +20,7 @@ from acquisition.limits import Count
 from noise import CredenceTable, SonarModel, follow, load_model
 from noise.learned.networks import MlpModel
 from noise.learned.recent import RecentCredence
-from noise.metrics import Reliability, credence_reliability
+from noise.metrics import Reliability, credence_reliability, is_correct
 from noise.store import ModelName
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.common.commit import commit
@@ -34,7 +34,6 @@ from training.noise.experiments import (
     CredenceScore,
     MemoryExperiment,
     RecentCredencePlan,
-    is_correct,
     learn_credence,
     measure,
 )

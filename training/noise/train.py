@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import pandas as pd
 import torch
 import tyro
 from numpy.typing import NDArray
@@ -23,12 +24,13 @@ from noise.discrepancy.inputs import warnings_of
 from noise.fitting.threads import one_thread
 from noise.fitting.visits import visits_of
 from noise.learned.inputs import Inputs
-from noise.learned.mixture import Head
+from noise.learned.mixture import END_EXCESS, Head
 from noise.learned.networks import MlpModel
 from noise.learned.recurrent import LstmModel
 from noise.metrics import Evaluation, evaluate
 from noise.model import MAX_RANGE, IdealModel, SonarModel, steps
 from noise.store import ModelName, check_model_folder, save_model
+from training.common.checksum import sha256
 from training.common.progress import bars
 from training.noise.baselines import fit_gaussian
 from training.noise.card import card, score_table, scores_as_numbers
@@ -166,17 +168,22 @@ def train(recording: Recording, args: Args, report: Report = no_report) -> Train
     Raises:
         SettingError: too few conditions or runs, no echo at all, or a covariate that was not logged in every row.
     """
-    group, unit = groups(recording) if args.law == "mlp" else run_segments(recording)
-    split = DataSplit.by_group(group, args.validation, args.test, np.random.default_rng(args.seed), unit)
+    group, unit, split = split_of(recording, args)
     rows = {name: getattr(split, name) for name in ("train", "validation", "test")}
     if args.law == "mlp":
         rows = {name: mask & recording.reading.answered for name, mask in rows.items()}
-    if not (recording.reading.echo & split.train).any() or not all(mask.any() for mask in rows.values()):
-        raise SettingError(f"{recording.name}: too few echoes or answers to train, validate and test on: record more")
+    known = ~beyond_start(recording, args)
+    rows |= {"train": rows["train"] & known, "validation": rows["validation"] & known}
+    if not (recording.reading.echo & rows["train"]).any() or not all(mask.any() for mask in rows.values()):
+        where = "" if args.start is None else f" in the ranges of {args.start}"
+        raise SettingError(
+            f"{recording.name}: too few echoes or answers{where} to train, validate and test on: record more"
+        )
     parts = {name: TrainingPings.of(recording, mask, group) for name, mask in rows.items()}
-    head, inputs = shape_of(recording, args)
+    head, inputs = shape_of(recording, args, split.train & known)
     model = learn(parts["train"], parts["validation"], inputs, head, args, report)
-    answered = (rows["train"] | rows["validation"]) & recording.reading.answered
+    model.about["data"] = marks_of(recording, split)
+    answered = ~split.test & recording.reading.answered
     baselines: dict[str, SonarModel] = {
         "ideal": IdealModel(head.resolution, head.max_range),
         "Gaussian, fitted": fit_gaussian(
@@ -185,10 +192,20 @@ def train(recording: Recording, args: Args, report: Report = no_report) -> Train
     }
     test = parts["test"]
     every: dict[str, SonarModel] = {**baselines, "network": model}
-    scores = {
-        name: evaluate(m, test.ping, test.reading, recording.condition[rows["test"]]) for name, m in every.items()
-    }
+    scores = {name: evaluate(m, test.ping, test.reading, test.ping.run, answered=True) for name, m in every.items()}
     return Trained(model, scores, unit)
+
+
+def split_of(recording: Recording, args: Args) -> tuple[NDArray[np.int64], str, DataSplit]:
+    """Return the groups of a recording, (n,), their name, and their split."""
+    group, unit = groups(recording) if args.law == "mlp" else run_segments(recording)
+    return group, unit, DataSplit.by_group(group, args.validation, args.test, np.random.default_rng(args.seed), unit)
+
+
+def marks_of(recording: Recording, split: DataSplit) -> dict[str, str]:
+    """Return checksums of a recording and of its test rows, by which a model that was trained on it is known."""
+    rows = pd.util.hash_pandas_object(recording.table).to_numpy()
+    return {"recording": sha256(rows.tobytes()), "test": sha256(split.test.tobytes())}
 
 
 @dataclass(frozen=True)
@@ -248,18 +265,45 @@ def start_of(args: Args) -> MlpModel | None:
     return start
 
 
-def shape_of(recording: Recording, args: Args) -> tuple[Head, Inputs]:
-    """Return head and inputs of the network: of the recording, or of the start with the recording's register.
+def shape_of(recording: Recording, args: Args, rows: NDArray[np.bool_] | slice = slice(None)) -> tuple[Head, Inputs]:
+    """Return head and inputs of the network: of rows of the recording, or of the start with the recording's register.
 
-    What the recording has and the start does not know is averaged over.
+    What the recording has and the start does not know, or knows at another value only, is averaged over.
     """
-    head, start = head_of(recording, args), start_of(args)
+    ping, head, start = recording.ping[rows], head_of(recording, args, rows), start_of(args)
     if start is None:
-        return head, Inputs.of(recording.ping, input_names(recording, args), args.horizon)
+        return head, Inputs.of(ping, input_names(recording, args), args.horizon)
     reach = max(head.max_range, start.head.max_range)
     own = replace(start.head, resolution=head.resolution, max_range=reach, no_answer=head.no_answer)
-    new = recording.ping.covariates.keys() - start.inputs.known
-    return own, replace(start.inputs, averaged=(*start.inputs.averaged, *sorted(new)))
+    logged, known = ping.covariates, start.inputs
+    fixed = {k: v for k, v in known.fixed.items() if k not in logged or np.allclose(logged[k], v)}
+    new = (logged.keys() - known.known) | (known.fixed.keys() - fixed.keys())
+    return own, replace(known, fixed=fixed, averaged=(*known.averaged, *sorted(new)))
+
+
+def beyond_start(recording: Recording, args: Args) -> NDArray[np.bool_]:
+    """Return which pings lie outside the ranges of the start, where its inputs cannot tell one from another, (n,)."""
+    start = start_of(args)
+    if start is None:
+        return np.zeros(len(recording), dtype=bool)
+    return start.inputs.features(start.inputs.equivalent(recording.ping)).excess > END_EXCESS
+
+
+def doubts(recording: Recording, args: Args) -> list[str]:
+    """Return sentences on pings that the start cannot tell apart, and on test rows that it or the base has seen."""
+    found, beyond = list[str](), int(beyond_start(recording, args).sum())
+    name = args.base if args.law == "hybrid" else args.start
+    if name is None:
+        return found
+    model: Any = load_model(name)
+    if beyond:
+        limits = zip(model.inputs.names, model.inputs.low, model.inputs.high, strict=True)
+        ranges = ", ".join(f"{quantity} {low:.4g} to {high:.4g}" for quantity, low, high in limits)
+        found.append(f"{beyond} pings lie outside the ranges of {name} ({ranges}) and are not trained on")
+    seen, own = getattr(model, "about", {}).get("data", {}), marks_of(recording, split_of(recording, args)[2])
+    if seen.get("recording") == own["recording"] and seen["test"] != own["test"]:
+        found.append(f"{name} was trained on test rows of this recording, so the scores are too good: record others")
+    return found
 
 
 def groups(recording: Recording) -> tuple[NDArray[np.int64], str]:
@@ -292,9 +336,9 @@ def input_names(recording: Recording, args: Args) -> tuple[str, ...]:
     return ("distance", "angle", "incidence", *reflectance, *args.covariates)
 
 
-def head_of(recording: Recording, args: Args) -> Head:
-    """Return a head whose register fits the recording."""
-    reading = recording.reading
+def head_of(recording: Recording, args: Args, rows: NDArray[np.bool_] | slice = slice(None)) -> Head:
+    """Return a head whose register fits the recording, with the reach and the lost answers of some of its rows."""
+    reading = recording.reading[rows]
     reach = max(MAX_RANGE, math.ceil(reading.range.max() + recording.resolution))
     return Head(args.components, args.fixed, recording.resolution, reach, float(1.0 - reading.answered.mean()))
 
@@ -313,7 +357,7 @@ def main(args: Args) -> None:
     """Print doubts about the data, train, print the scores, write the model and its card."""
     check_model_folder(args.out)
     recording, console = Recording.load(args.recording), Console()
-    for warning in warnings_of(recording):
+    for warning in (*warnings_of(recording), *doubts(recording, args)):
         print(f"warning: {warning}")
     with bars() as progress:
         task = progress.add_task("training", total=args.epochs)

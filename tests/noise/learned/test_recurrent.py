@@ -133,6 +133,7 @@ def test_reset_accepts_sensors_without_a_ping(model):
     own = model.fresh()
     initial = own.law(ping).credence()
     own.reset(np.arange(16))
+    own.reset([])
     np.testing.assert_allclose(own.law(ping, reading).credence(), initial)
 
 

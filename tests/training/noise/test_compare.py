@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition import Ping, Reading, Recording, SettingError
+from acquisition import EchoStatus, Ping, Reading, Recording, SettingError
 from noise import GaussianModel, simulate
 from noise.beam import BeamModel
 from training.noise.baselines import NearestConditionModel
@@ -55,6 +55,15 @@ def test_repeatability_of_a_constant_sensor_is_nearly_certain():
     value = repeatability(test, fresh, TRUTH)
     assert np.all(value >= np.log(19 / 20)), "19 equal other pings, and a prior weight of one"
     assert np.all(value < 0)
+
+
+def test_pings_without_an_answer_are_no_other_readings():
+    test = recorded(2, model=GaussianModel(sigma=1e-9, sigma_per_metre=0.0, resolution=STEP), pings=20)
+    reading = test.reading
+    reading.range[::4], reading.status[::4] = 0.0, EchoStatus.NO_ANSWER
+    test = Recording.of(test.ping, reading)
+    value = repeatability(test, alternate_pings(test.condition) & reading.answered, TRUTH)
+    assert np.all(value >= np.log(14 / 15)), "14 equal other pings"
 
 
 def test_gap_closed_is_zero_for_the_gaussian_and_full_for_the_repeatability(fitted):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from acquisition import Ping, Reading, Recording
-from training.noise.experiments import CredenceScore, RecentCredencePlan, is_correct, learn_credence
+from noise.metrics import is_correct
+from training.noise.experiments import CredenceScore, RecentCredencePlan, learn_credence
 
 
 def recording(seed, runs=500, pings=8):

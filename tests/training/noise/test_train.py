@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition import Ping, Reading, Recording, SettingError
+from acquisition import EchoStatus, Ping, Reading, Recording, SettingError
 from acquisition.io.logs.foreign import ColumnMap, import_table, parse_constants
 from noise import GaussianModel, follow, load_model, save_model, simulate
 from noise.effects import CATALOGUE
@@ -17,7 +17,7 @@ from noise.physical import PhysicalModel
 from training.cli import main
 from training.noise.networks import LstmNetwork, MixtureNetwork, TrainingBatch, recurrent_head
 from training.noise.restarts import draw_restarts
-from training.noise.train import Args, DataSplit, groups, run_segments, train
+from training.noise.train import Args, DataSplit, doubts, groups, run_segments, split_of, train
 
 torch.set_num_threads(1)
 
@@ -162,6 +162,21 @@ def test_moving_robot_is_split_by_visits():
     assert len(np.unique(condition)) == 200
 
 
+@pytest.mark.parametrize("law", ["mlp", "lstm"])
+def test_scores_are_of_answered_pings_with_errors_over_the_groups_of_the_split(law, tmp_path):
+    run = np.repeat(np.arange(20), 50)
+    ping = Ping.of(distance=np.linspace(0.5, 3.0, 1000), run=run, time=np.arange(1000) * 0.1)
+    reading = simulate(true_model(), ping, np.random.default_rng(0))
+    reading.range[::10], reading.status[::10] = 0.0, EchoStatus.NO_ANSWER
+    moving = Recording.of(ping, reading)
+    args = Args(tmp_path / "rec.csv", tmp_path / "out", law=law, epochs=1, hidden=4, state=4)
+    group, _, split = split_of(moving, args)
+    for score in (done := train(moving, args)).scores.values():
+        assert score.log_likelihood.clusters == len(np.unique(group[split.test])) < 15
+        assert score.log_likelihood.pings == (split.test & reading.answered).sum()
+    assert np.isfinite(done.scores["Gaussian, fitted"].log_likelihood.mean)
+
+
 def test_same_seed_same_weights(tmp_path):
     settings = Args(tmp_path / "rec.csv", tmp_path / "out", epochs=2, hidden=8)
     one, other = (train(recording(pings=3), settings).model for _ in range(2))
@@ -227,6 +242,55 @@ def test_training_begins_with_the_weights_of_a_start(trained, tmp_path):
         for given in (start, None)
     )
     assert of_start > of_nothing + 0.5
+
+
+def turned(angles_deg, **covariates):
+    """Return a recording in which every ping has an echo, at some angles."""
+    distance, angle = np.meshgrid(np.linspace(0.3, 3.0, 30), np.radians(angles_deg), indexing="ij")
+    ping = Ping.of(distance=np.repeat(distance.ravel(), 2), angle=np.repeat(angle.ravel(), 2), **covariates)
+    return Recording.of(ping, Reading.of(np.round(ping.distance, 3)))
+
+
+def test_a_start_is_trained_on_what_it_can_tell_apart_and_what_it_was_trained_on_is_inside(tmp_path, capsys):
+    few = turned([0.0, 30.0, 60.0], humidity_pct=40.0)
+    args = Args(tmp_path / "rec.csv", tmp_path / "net", start="hcsr04-mlp", epochs=1)
+    model = train(few, args).model
+    assert model.inputs.fixed == {}
+    assert "humidity_pct" in model.inputs.averaged
+    assert model.law(few.ping).extrapolates.tolist() == (few.ping.angle > 1.0).tolist()
+    start = load_model("hcsr04-mlp").inputs
+    assert (model.inputs.low, model.inputs.high) == (start.low, start.high)
+    main(["train-noise", str(few.save(tmp_path / "rec.csv")), "--out", str(args.out), "--start", "hcsr04-mlp",
+          "--epochs", "1"])  # fmt: skip
+    assert "warning: 60 pings lie outside the ranges of hcsr04-mlp (distance" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    with pytest.raises(SettingError, match="too few echoes or answers in the ranges of hcsr04-mlp"):
+        train(turned([60.0]), args)
+
+
+def test_test_rows_that_the_base_has_seen_are_warned_of(tmp_path):
+    path = recording(pings=13).save(tmp_path / "rec.csv")
+    here = Recording.load(path)
+    args = Args(path, tmp_path / "own", epochs=1, hidden=2)
+    own = str(save_model(train(here, args).model, args.out))
+    assert not doubts(here, replace(args, start=own)), "the same split"
+    for other in (replace(args, start=own, seed=1), replace(args, law="hybrid", base=own)):
+        (line,) = doubts(here, other)
+        assert "trained on test rows of this recording" in line
+    assert not doubts(recording(pings=2), replace(args, start=own, seed=1))
+
+
+def test_ranges_and_lost_answers_are_those_of_the_rows_that_are_trained_on(tmp_path):
+    args = Args(tmp_path / "rec.csv", tmp_path / "out", epochs=1, hidden=2)
+    here = recording(pings=3)
+    reading = here.reading
+    reading.range[::4], reading.status[::4] = 0.0, EchoStatus.NO_ANSWER
+    here = Recording.of(here.ping, reading)
+    rows = split_of(here, args)[2].train
+    distance, model = here.ping.distance[rows], train(here, args).model
+    assert (model.inputs.low[0], model.inputs.high[0]) == (distance.min(), distance.max())
+    assert model.head.no_answer == pytest.approx(np.mean(~reading.answered[rows])) != 0.0
 
 
 def test_a_start_must_be_a_perceptron_for_a_perceptron(tmp_path):
