@@ -2,6 +2,7 @@
 
 chain: the ledger, an append-only hash chain of JSON lines.
 sealing: authenticated encryption of answers, with a commitment to the key.
+secret: what fixes family, kind, seed and key of each trial once a deck is announced.
 deck: what is planned, and the hashes of the code that does it.
 run: `sonar-gym prove`.
 work: what worker processes do: diagnose two files in an empty folder, score a disclosed trial.

@@ -79,9 +79,14 @@ class Chain:
                 before = (new or self.lines)[-1]["hash"] if new or self.lines else FIRST
                 new.append(json.loads(canonical(linked(event, content, before))))
             data = "".join(canonical(line) + "\n" for line in new).encode()
-            while data:
-                data = data[os.write(self._handle, data) :]
-            os.fsync(self._handle)
+            length = os.fstat(self._handle).st_size
+            try:
+                while data:
+                    data = data[os.write(self._handle, data) :]
+                os.fsync(self._handle)
+            except BaseException:  # the disk is full: another thread must not write behind half a line
+                os.ftruncate(self._handle, length)
+                raise
             self.lines.extend(new)
 
     def of(self, event: str) -> dict[int, Line]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections import Counter
 from collections.abc import Mapping
@@ -25,7 +24,7 @@ MATCHED = ("matched_scale", "matched_offset")  # histogram, mean and standard de
 MATCHED_SHARE = 0.06
 SOURCES = ("acquisition", "noise", "training/common", "training/diagnosis", "training/proof")
 LIBRARIES = ("numpy", "scipy", "pandas", "torch", "scikit-learn")
-SCHEMA = 3  # of ledgers, with the rules by which their table is counted
+SCHEMA = 3  # of ledgers; before, trials followed from no secret, and the table was counted by other rules
 Cell = tuple[str, str]  # family, kind
 
 
@@ -41,13 +40,14 @@ def planned(trials: int) -> Counter[Cell]:
     return Counter(cells[:trials])
 
 
-def deck_of(trials: int, pings: int, left_out: int) -> dict[str, Any]:
+def deck_of(trials: int, pings: int, left_out: int, secret: bytes) -> dict[str, Any]:
     """Return the first line of a ledger.
 
     Args:
         trials: number of them.
         pings: approximate number in each recording.
         left_out: number of single causes that are also diagnosed without the true effect in the catalogue.
+        secret: from which the trials follow; no two decks have the same, so that none have the same hash.
     """
     counts = planned(trials)
     card = json.loads(WEIGHTS.read_text())["card"]
@@ -61,7 +61,7 @@ def deck_of(trials: int, pings: int, left_out: int) -> dict[str, Any]:
         "commit": commit(),
         **hashes(),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
-        "salt": os.urandom(16).hex(),  # no two decks have the same hash
+        "secret_sha256": sha256(secret),
     }
 
 

@@ -20,7 +20,7 @@ from training.common.tables import markdown_table
 from training.diagnosis.generators.ensemble import FAMILIES, SAME, SINGLE
 from training.diagnosis.judging.page import is_right
 from training.diagnosis.judging.record import Record
-from training.diagnosis.judging.rows import Row, at_least, at_most, rows, share
+from training.diagnosis.judging.rows import NAMED, Row, at_least, at_most, rows, share
 from training.diagnosis.judging.scoring import (
     PARTS,
     STRONG_SIZE,
@@ -37,6 +37,7 @@ from training.proof.baselines import LEVEL
 from training.proof.chain import Line
 from training.proof.ledger import answers_of, left_out_records, lost_of, records_of
 from training.proof.real import EVENT as REAL
+from training.proof.secret import has_secret
 
 PAGE, FAMILIES_PAGE, PICTURE = "proof.md", "proof-families.md", "proof.png"
 SILENT = ("none", "too_little_data")
@@ -78,10 +79,8 @@ def scopes(lines: Sequence[Line], answers: dict[int, dict[str, Any]]) -> dict[st
 def _special(lines: Sequence[Line], answers: dict[int, dict[str, Any]], records: list[Record]) -> Iterator[Row]:
     matched = [record for record in records if record["family"] == HARD_CASE]
     yield share("matched marginals: true cause most probable, no second", at_least(0.9), map(is_right, matched))
-    blind = [record for record in left_out_records(lines, answers) if record["error"] is None]
-    yield share(
-        "true effect not in the catalogue: no wrong cause believed", at_least(0.95), (not misled(r) for r in blind)
-    )
+    blind = (record["error"] is None and not misled(record) for record in left_out_records(lines, answers))
+    yield share("true effect not in the catalogue: no wrong cause believed", at_least(0.95), blind)
     lost = lost_of(lines)
     yield share("trial lost by an interruption", at_most(0.0), (t in lost for t in range(lines[0]["trials"])))
 
@@ -137,6 +136,8 @@ def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list
         baselines=baseline_table(records),
         real=real_table(real) if real else "None were at hand.",
         deck=deck["hash"],
+        drawn=SECRET if has_secret(deck) else DRAWN,
+        again="" if has_secret(deck) else " or run again",
         last=lines[-1]["hash"],
         picture=PICTURE,
     )
@@ -204,7 +205,8 @@ def real_table(real: Sequence[Line]) -> str:
         named = stated(line) if line["verdict"] else []
         best = max(named, key=lambda pair: pair[1])[0] if named else "–"
         verdict = line["verdict"]["verdict"] if line["verdict"] else line["error"]
-        table.append((line["name"], line["hidden"], verdict, best, "yes" if best in line["accepted"] else "**no**"))
+        right = verdict in NAMED and best in line["accepted"]
+        table.append((line["name"], line["hidden"], verdict, best, "yes" if right else "**no**"))
     return markdown_table(("recording", "hidden", "verdict", "most probable", "right"), table)
 
 
@@ -263,6 +265,9 @@ def _point(axes: Axes, x: float, outcomes: Sequence[bool], colour: str) -> None:
         axes.plot([x], [np.mean(outcomes)], "o", color=colour)
 
 
+DRAWN = "Family, kind, seed and key come from the operating system's generator"
+SECRET = """Family, kind, seed and key follow from a secret of the operating system's generator. Its hash stands in the
+   deck; the closing line discloses it"""
 TEXT = """# The diagnosis on concealed effects
 
 {trials} blind trials ({kinds}; {lost} lost by interruptions) at commit {commit}.
@@ -276,9 +281,8 @@ eighth and three times a plain effect.
 
 ## How it was sealed
 
-1. Family, kind and seed come from the operating system's generator. The answer is encrypted (ChaCha20-Poly1305; only
-   the parent process holds the key); ciphertext, hash of the key and hashes of all recordings are written
-   to the ledger.
+1. {drawn}. The answer is encrypted (ChaCha20-Poly1305); ciphertext, hash of the key and hashes of all recordings are
+   written to the ledger.
 2. A new process gets two CSV files in an empty folder, a cleaned environment, and nothing else.
 3. Its verdict is written to the ledger, then the key is.
 4. The corrected model, whose hash stands beside the verdict, is scored on recordings under fresh conditions.
@@ -288,8 +292,8 @@ Each line holds the hash of the line before; that of the deck is published befor
 ## Result
 
 Misses are bold and first; a/b: only a of b trials have a gap to close. Families never fitted are those that the
-decision model's fit left out. Beside the ledger, `proof-families.md` has each family. Part of an unmodelled hold, loss
-or step is {parts}: such a name is not wrong.
+decision model's fit left out. Beside the ledger, `proof-families.md` has each. Part of an unmodelled hold, loss or step
+is {parts}: such a name is not wrong.
 
 {table}
 
@@ -297,7 +301,8 @@ or step is {parts}: such a name is not wrong.
 
 ## Baselines
 
-Nulls, and single causes of at least half the plain size. The oracle is a second recording of the real sonar.
+Nulls, and single causes of at least half the plain size. The oracle is a second recording of the real sonar. The
+two-sample tests also see conditions, which differ between the files of a null.
 
 {baselines}
 
@@ -315,13 +320,13 @@ sonar-gym prove --out proof --workers 2                            # a deck of y
 
 `verify-proof` recomputes hashes, seals and the table, regenerates all recordings from the disclosed seeds bit by bit,
 and says what nobody can check afterwards. Verdicts repeat at the commit of the deck. An interruption loses the trials
-at work: their keys are gone, they are counted as lost and never run again.
+at work: they are counted as lost and never run again.
 
 Deck `{deck}`, closing line `{last}`.
 
 ## What it does not show
 
 - Simulated trials show internal validity only: that effects are found as these generators make them.
-- Sealing keeps the answer from the diagnosis. It cannot show that no deck was run and thrown away, nor that the
-  developers of the diagnosis did not learn from earlier trials of the same generators.
+- Sealing keeps the answer from the diagnosis. It cannot show that no deck was run and thrown away{again}, nor that
+  its developers did not learn from earlier trials of the same generators.
 """

@@ -64,7 +64,7 @@ CASES = (
     Case("hcsr04-ten-distances", "that the sketch truncates", ("quantisation", "truncation"), _echo_times),
     Case(
         "hcsr04-calibration",
-        "order in the burst, interval, temperature",
+        "interval, temperature",
         ("zero_offset", "sound_speed", "clock_scale"),
         _without("calibration", "interval_ms"),
     ),

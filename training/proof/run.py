@@ -1,19 +1,15 @@
 """Blind trials of the diagnosis: sealed, diagnosed, disclosed and scored, in a ledger that anybody can verify.
 
-The same command goes on with an interrupted run. Trials at work when it was interrupted are lost, since their keys
-were in memory only; they are recorded as lost and never run again.
+The same command goes on with an interrupted run. Trials at work when it was interrupted are recorded as lost and never
+run again, since their verdicts may have been seen.
 """
 
 from __future__ import annotations
 
-import os
-import secrets
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
 from typing import Annotated, Any
 
 from acquisition.io.files import write_bytes
@@ -24,7 +20,7 @@ from training.common.progress import bar
 from training.diagnosis.judging.tasks import Task, case_of
 from training.proof import real
 from training.proof.chain import Chain, ProofError, of_event
-from training.proof.deck import cells_of, deck_of, hashes
+from training.proof.deck import deck_of, hashes
 from training.proof.diagnosing import RECORDED, SIMULATED
 from training.proof.ledger import (
     CLOSED,
@@ -42,7 +38,8 @@ from training.proof.ledger import (
     without_of,
 )
 from training.proof.page import publish, table_of
-from training.proof.sealing import new_key, seal
+from training.proof.sealing import seal
+from training.proof.secret import key_of, new_secret, order_of, secret_of, seed_of
 from training.proof.work import (
     Call,
     Diagnose,
@@ -107,7 +104,7 @@ def opened(args: Args) -> Chain:
     chain = Chain.open(args.out / LEDGER)
     settings = {"trials": args.trials, "pings": args.pings, "left_out": args.left_out}
     if not chain.lines:
-        chain.append((DECK, deck_of(**settings)))
+        chain.append((DECK, deck_of(**settings, secret=new_secret(args.out))))
     for name, value in {"event": DECK, **settings, **hashes()}.items():
         before = chain.lines[0].get(name)
         if before != value:
@@ -126,16 +123,17 @@ def announce(path: Path | None, line: str) -> None:
 
 
 def close(chain: Chain, path: Path | None) -> None:
-    """Write the closing line, once, with the table that follows from all the others."""
-    if chain.lines[-1]["event"] != CLOSED:
-        answers = answers_of(chain.lines)
-        content = {"disclosed": len(answers), "lost": lost_of(chain.lines), "table": table_of(chain.lines, answers)}
-        chain.append((CLOSED, content))
+    """Write the closing line, once, with the secret and the table that follows from all the others."""
+    lines = chain.lines
+    if lines[-1]["event"] != CLOSED:
+        answers, secret = answers_of(lines), secret_of(chain.path.parent, lines[0])
+        content = {"disclosed": len(answers), "lost": lost_of(lines), "table": table_of(lines, answers)}
+        chain.append((CLOSED, {**content, "secret": secret.hex()}))
     announce(path, f"closed {chain.lines[0]['hash']} {chain.lines[-1]['hash']}")
 
 
 class Runner:
-    """Runs the trials of a deck in threads that wait for worker processes; keys stay in this process."""
+    """Runs the trials of a deck in threads that wait for worker processes; secret and keys stay in this process."""
 
     def __init__(
         self,
@@ -147,18 +145,16 @@ class Runner:
         score: Score = scored,
     ) -> None:
         self.chain, self.out, self.workers, self.call = chain, out, workers, call
-        self.diagnose, self.score, self.turn = diagnose, score, Lock()
+        self.diagnose, self.score = diagnose, score
 
     def run(self) -> None:
         """Run all trials that were never begun, score those that have no score, then leave effects out."""
         chain = self.chain
         if chain.lines[-1]["event"] == CLOSED:
             return
+        self.secret = secret_of(self.out, chain.lines[0])
+        self.cells = order_of(self.secret, chain.lines[0])
         self.resume()
-        answers = answers_of(chain.lines)
-        done = Counter((each["family"], each["kind"]) for each in answers.values())
-        cells = sorted((cells_of(chain.lines[0]) - done).elements())
-        self.cells = cells
         begun = chain.of(SEALED)
         self.each("trials", self.trial, [t for t in range(chain.lines[0]["trials"]) if t not in begun])
         answers, known = answers_of(chain.lines), chain.of(SCORED)
@@ -182,7 +178,7 @@ class Runner:
             pool.shutdown(cancel_futures=True)
 
     def resume(self) -> None:
-        """Record that a run goes on, and which trials are lost because their keys are gone."""
+        """Record that a run goes on, and which trials are lost because they were not disclosed."""
         lines = self.chain.lines
         lost = of_event(lines, SEALED).keys() - of_event(lines, DISCLOSED).keys() - set(lost_of(lines))
         if len(lines) > 1:
@@ -190,10 +186,9 @@ class Runner:
 
     def trial(self, trial: int) -> None:
         """Run one trial: draw, seal, diagnose, record the verdict, disclose, score."""
-        family, kind = self.draw()
-        task = Task(family, kind, trial, int.from_bytes(os.urandom(16)), self.chain.lines[0]["pings"])
+        task = Task(*self.cells[trial], trial, seed_of(self.secret, trial), self.chain.lines[0]["pings"])
         case = case_of(task)
-        answer, files, key = answer_of(task, case), files_of(case), new_key()
+        answer, files, key = answer_of(task, case), files_of(case), key_of(self.secret, trial)
         sealed = seal(answer, key, context_of(self.chain.lines, trial))
         self.chain.append((SEALED, {"trial": trial, **sealed, "files": hashes_of(files)}))
         result, model = self.call(self.diagnose, given(files))
@@ -202,27 +197,33 @@ class Runner:
         self.chain.append((VERDICT, verdict), (DISCLOSED, {"trial": trial, "key": key.hex()}))
         self.finish(trial, answer, model)
 
-    def draw(self) -> tuple[str, str]:
-        """Return family and kind of the next trial, drawn without replacement by the operating system's generator."""
-        with self.turn:
-            return self.cells.pop(secrets.randbelow(len(self.cells)))
-
     def model(self, trial: int) -> Path:
         """Return the file of a diagnosis that has not been scored."""
         return self.out / "unscored" / f"{trial}.json"
 
     def finish(self, trial: int, answer: dict[str, Any], model: bytes) -> None:
-        """Score a disclosed trial; a diagnosis that ended in an error, or was lost, has no scores."""
+        """Score a disclosed trial; a diagnosis that ended in an error has no scores."""
         content = self.call(self.score, answer, model) if model else None
         self.chain.append((SCORED, {"trial": trial, "content": content}))
         self.model(trial).unlink(missing_ok=True)
 
     def rescue(self, trial: int) -> None:
-        """Score a trial that was interrupted after its disclosure, by the diagnosis that its verdict names."""
-        path = self.model(trial)
+        """Score a trial that was interrupted after its disclosure, by the diagnosis that its verdict names.
+
+        Raises:
+            ProofError: its file is gone, and the diagnosis does not repeat bit by bit.
+        """
+        path, expected = self.model(trial), self.chain.of(VERDICT)[trial]["model_sha256"]
+        answer = answers_of(self.chain.lines)[trial]
         model = path.read_bytes() if path.is_file() else b""
-        same = sha256(model) == self.chain.of(VERDICT)[trial]["model_sha256"]
-        self.finish(trial, answers_of(self.chain.lines)[trial], model if same else b"")
+        if sha256(model) != expected:
+            _, model = self.call(self.diagnose, given(files_of(case_of(task_of(answer)))))
+        if sha256(model) != expected:
+            raise ProofError(
+                f"{path}: is not the diagnosis with SHA-256 {expected}, whose verdict the ledger holds, and a new one "
+                f"has {sha256(model)}; put the file back, or go on with the machine that made it"
+            )
+        self.finish(trial, answer, model)
 
     def leave_out(self, trial: int) -> None:
         """Diagnose a disclosed trial without the true effect in the catalogue."""

@@ -23,11 +23,6 @@ N_NONCE = 12  # bytes, as the cipher requires
 SEALED = ("ciphertext", "nonce", "key_sha256")  # entries of `seal`
 
 
-def new_key() -> bytes:
-    """Return a key of 256 bits from the operating system."""
-    return os.urandom(32)
-
-
 def seal(answer: Mapping[str, Any], key: bytes, context: str) -> dict[str, str]:
     """Return ciphertext, nonce and hash of the key, hexadecimal.
 

@@ -29,14 +29,18 @@ from training.proof.ledger import (
     SEALED,
     VERDICT,
     answers_of,
+    context_of,
     left_out_trials,
     lost_of,
     without_of,
 )
 from training.proof.page import Table, table_of
+from training.proof.real import CASES
 from training.proof.real import EVENT as REAL
 from training.proof.run import given, hashes_of
 from training.proof.sealing import SEALED as SEALS
+from training.proof.sealing import unseal
+from training.proof.secret import checked, has_secret, key_of, order_of, seed_of
 from training.proof.work import Diagnose, answer_of, diagnosed, files_of, scored, task_of
 
 ANNOUNCED = ROOT / "benchmarks" / "records" / "proof" / "announced.txt"
@@ -51,7 +55,7 @@ ENTRIES = {  # of each event, besides "event", "before" and "hash"
     LEFT_OUT: {"trial", "without", *RESULT},
     RESUMED: {"lost"},
     REAL: {"name", "hidden", "accepted", "files", *RESULT},
-    CLOSED: {"disclosed", "lost", "table"},
+    CLOSED: {"disclosed", "lost", "table", "secret"},
 }
 Answers = dict[int, dict[str, Any]]
 
@@ -110,9 +114,10 @@ def order_problems(lines: Sequence[Line]) -> Iterator[str]:
         yield "the ledger does not begin with a deck and end with a closing line: it is unfinished, or was cut"
         return
     seen: dict[Any, list[str]] = {}
+    missing = set() if has_secret(lines[0]) else {"secret"}
     for number, line in enumerate(lines[1:], 2):
         event = line["event"]
-        if event not in ENTRIES or line.keys() - {"event", "before", "hash"} != ENTRIES[event]:
+        if event not in ENTRIES or line.keys() - {"event", "before", "hash"} != ENTRIES[event] - missing:
             yield f"line {number}: not a line of a ledger"
             return
         if "trial" in line:
@@ -140,6 +145,9 @@ def content_problems(lines: Sequence[Line]) -> Iterator[str]:
         return
     yield from _of_plan(lines, answers)
     yield from _of_losses(lines)
+    yield from _of_lines(lines)
+    if lines[0]["schema"] >= SCHEMA:
+        yield from _of_secret(lines)
     expected, found = left_out_trials(lines, answers), of_event(lines, LEFT_OUT)
     if sorted(found) != expected or any(tuple(found[t]["without"]) != without_of(answers[t]) for t in expected):
         yield "the trials without the true effect are not those that the deck requires"
@@ -148,6 +156,33 @@ def content_problems(lines: Sequence[Line]) -> Iterator[str]:
         yield "the closing line counts other trials than the ledger holds"
     elif not follows(closing["table"], table_of(lines, answers), lines[0]["schema"]):
         yield "the table of the closing line does not follow from verdicts and answers"
+
+
+def _of_lines(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield verdicts without scores, and real recordings of which another answer was accepted."""
+    scores = of_event(lines, SCORED)
+    for trial, verdict in of_event(lines, VERDICT).items():
+        if trial in scores and scores[trial]["content"] is None and verdict["error"] is None:
+            yield f"trial {trial}: it has a verdict and no scores"
+    accepted = {case.name: list(case.accepted) for case in CASES}
+    for line in lines:
+        if line["event"] == REAL and line["accepted"] != accepted.get(line["name"]):
+            yield f"recording {line['name']}: the accepted answers are not those of this code"
+
+
+def _of_secret(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield trials that do not follow from the secret to which the deck is bound, lost ones included."""
+    deck, sealed = lines[0], of_event(lines, SEALED)
+    secret = checked(lines[-1]["secret"], deck)
+    cells = order_of(secret, deck)
+    for trial, seals in sealed.items():
+        try:
+            answer = unseal(seals, key_of(secret, trial).hex(), context_of(lines, trial))
+        except ProofError:
+            answer = {}
+        found = answer.get("family"), answer.get("kind"), answer.get("seed")
+        if found != (*cells[trial], seed_of(secret, trial)):
+            yield f"trial {trial}: family, kind, seed or key does not follow from the secret of the deck"
 
 
 def follows(table: Table, own: Table, schema: int) -> bool:
@@ -200,8 +235,12 @@ def announcement_problems(lines: Sequence[Line], args: Args) -> Iterator[str]:
     head, last = lines[0]["hash"], lines[-1]["hash"]
     if head not in (entry[1] for entry in entries if entry[0] == "deck"):
         yield f"the hash of the deck, {head}, is not in {args.announced}; --unannounced accepts a deck of your own"
-    elif ["closed", head, last] not in entries:
+        return
+    closing = {entry[2] for entry in entries if entry[:2] == ["closed", head]}
+    if last not in closing:
         yield f"the hash of the closing line, {last}, is not the one in {args.announced}"
+    elif len(closing) > 1:
+        yield f"{args.announced} has {len(closing)} closing lines of this deck: it was run more than once"
 
 
 def regeneration_problems(
@@ -213,7 +252,10 @@ def regeneration_problems(
     verdicts, scores = of_event(lines, VERDICT), of_event(lines, SCORED)
     chosen = SystemRandom().sample(sorted(answers), min(rediagnose, len(answers)))  # which no forger can foresee
     again = [(answers[t], verdicts[t], scores[t]["content"], diagnose) for t in chosen]
+    blind = of_event(lines, LEFT_OUT)
+    without = [(answers[t], blind[t], diagnose) for t in chosen if t in blind]
     found = [*_mapped(regenerated, jobs, workers), *_mapped(rediagnosed, again, workers)]
+    found += _mapped(rediagnosed_without, without, workers)
     return [text for text in found if text]
 
 
@@ -247,14 +289,23 @@ def rediagnosed(answer: dict[str, Any], verdict: Line, content: Any, diagnose: D
     return "" if same else f"trial {answer['number']}: diagnosed again, it has other scores"
 
 
+def rediagnosed_without(answer: dict[str, Any], line: Line, diagnose: Diagnose) -> str:
+    """Return "" where the verdict without the true effect repeats, else what differs."""
+    result, _ = diagnose(given(files_of(case_of(task_of(answer)))), tuple(line["without"]))
+    same = (result["verdict"], result["error"]) == (line["verdict"], line["error"])
+    return "" if same else f"trial {answer['number']}: diagnosed again without the true effect, it has another verdict"
+
+
 def passed(lines: Sequence[Line], args: Args) -> Iterator[str]:
     """Yield what was checked."""
     n, lost = lines[-1]["disclosed"], len(lost_of(lines))
     yield f"each of {len(lines):,} lines is bound to the one before"
     yield f"all {lines[0]['trials']} planned trials are there, each with one verdict; {lost} were interrupted and lost"
     yield f"{n} disclosed keys are those committed to, and open answers that no one could exchange"
+    if has_secret(lines[0]):
+        yield "all trials follow from the secret of the deck, which its hash fixed before they were run"
     yield f"the recordings and answers of {n} trials follow from the disclosed seeds, bit by bit"
-    rules = "" if lines[0]["schema"] >= SCHEMA else ", where rules are still the same"
+    rules = "" if has_secret(lines[0]) else ", where rules are still the same"
     yield f"the table follows from verdicts, answers and scores{rules}; {min(args.rediagnose, n)} were diagnosed again"
     if not args.unannounced:
         yield f"deck and closing line are those in {args.announced}"
@@ -263,11 +314,15 @@ def passed(lines: Sequence[Line], args: Args) -> Iterator[str]:
 def unchecked(lines: Sequence[Line], args: Args) -> Iterator[str]:
     """Yield what no reader of a ledger can check."""
     yield "that the deck's hash was published before it was run: see the history of the file of published hashes"
-    yield "that no other deck was run and thrown away unpublished"
-    yield "that no run was interrupted because of a verdict: every interruption and its lost trials are counted above"
+    yield "that no other deck was run and thrown away unpublished, nor this one run before it was published"
+    yield "that no run was interrupted because of a verdict: interruptions are counted above, but not those of copies"
+    old = lines and not has_secret(lines[0])
+    if old:
+        yield "that the deck was run once: trials were drawn after it was published, and anew in a copy of the ledger"
     n = max(len(of_event(lines, SCORED)) - args.rediagnose, 0)
     yield f"verdicts, evidence and scores on fresh recordings of {n} trials: give --rediagnose to repeat them"
-    if lines and lines[0].get("schema", 0) < SCHEMA:
+    yield "seconds, hashes of models, and verdicts on real recordings, which are no part of the project"
+    if old:
         rows = ", ".join(f'"{name.strip(" :")} …"' for name in OTHER_RULES)
         yield f"rows {rows} of the closing line, now counted by other rules: check out commit {lines[0].get('commit')}"
     if lines and lines[0].get("catalogue_sha256") != hashes()["catalogue_sha256"]:

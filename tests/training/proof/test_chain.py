@@ -1,7 +1,9 @@
 """Every altered byte and every moved line of a ledger is noticed; only one process writes it."""
 
+import errno
 import json
 import lzma
+import os
 
 import numpy as np
 import pytest
@@ -114,6 +116,25 @@ def test_a_line_that_was_cut_short_is_removed_and_others_are_kept(tmp_path):
     again.append(("two", {"n": 2}))
     again.close()
     assert path.read_bytes() == whole
+
+
+def test_a_write_that_fails_half_way_leaves_the_ledger_as_it_was(tmp_path, monkeypatch):
+    chain, write = Chain.open(tmp_path / "ledger.jsonl"), os.write
+    chain.append(("one", {"n": 1}))
+
+    def full(handle, data):
+        if len(data) < 20:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(handle, data[:-10])
+
+    with monkeypatch.context() as patch:
+        patch.setattr("training.proof.chain.os.write", full)
+        with pytest.raises(OSError, match="No space"):
+            chain.append(("two", {"n": 2}), ("three", {"n": 3}))
+    chain.append(("two", {"n": 2}))
+    chain.close()
+    assert [line["event"] for line in load(chain.path)] == ["one", "two"]
+    assert load(chain.path) == chain.lines
 
 
 def test_two_processes_cannot_write_one_ledger(tmp_path):

@@ -25,6 +25,7 @@ from training.proof.deck import planned
 from training.proof.ledger import answers_of, lost_of
 from training.proof.parcel import packed, unpacked
 from training.proof.run import LEDGER, Args, given, main, opened
+from training.proof.secret import FILE, secret_of
 from training.proof.verify import Args as VerifyArgs
 from training.proof.verify import problems_of
 from training.proof.work import diagnosed, environment, files_of
@@ -69,10 +70,11 @@ def test_an_answer_is_committed_to_before_its_diagnosis_begins(tmp_path):
 
 @pytest.mark.parametrize("seed", range(N_KILLS))
 def test_a_run_killed_at_any_byte_goes_on_without_a_second_verdict(finished, tmp_path, seed):
-    _, data, _ = finished
+    out, data, _ = finished
     first = data.index(b"\n") + 1
     place = int(np.random.default_rng(seed).integers(first, len(data)))
     (tmp_path / LEDGER).write_bytes(data[:place])
+    (tmp_path / FILE).write_bytes((out / FILE).read_bytes())
     before = parse(data[: data.rfind(b"\n", 0, place) + 1], "before")
     lines = run_stub(args_of(tmp_path))
     assert lines[: len(before)] == before
@@ -80,6 +82,57 @@ def test_a_run_killed_at_any_byte_goes_on_without_a_second_verdict(finished, tmp
     assert set(verdicts.values()) == {1}
     assert len(lost_of(lines)) <= args_of(tmp_path).workers
     assert problems(tmp_path / LEDGER) == []
+
+
+def test_a_copy_that_is_run_again_has_the_same_trials(finished, tmp_path):
+    out, data, lines = finished
+    (tmp_path / LEDGER).write_bytes(data[: data.index(b"\n") + 1])
+    (tmp_path / FILE).write_bytes((out / FILE).read_bytes())
+    again = run_stub(args_of(tmp_path))
+    assert answers_of(again) == answers_of(lines)
+    assert again[-1]["table"] == lines[-1]["table"]
+
+
+def test_a_deck_is_not_run_without_its_secret(finished, tmp_path):
+    _, data, lines = finished
+    (tmp_path / LEDGER).write_bytes(data[: data.index(b"\n") + 1])
+    for text in (None, "00", "no secret"):
+        if text is not None:
+            (tmp_path / FILE).write_text(text)
+        with pytest.raises(ProofError, match=f"is not the secret of deck {lines[0]['hash']}"):
+            run_stub(args_of(tmp_path))
+
+
+def test_only_the_owner_reads_a_secret_and_it_says_nothing_in_the_deck(tmp_path):
+    chain = opened(args_of(tmp_path))
+    chain.close()
+    assert (tmp_path / FILE).stat().st_mode & 0o077 == 0
+    assert secret_of(tmp_path, chain.lines[0]).hex() not in canonical(chain.lines[0])
+
+
+def rescued(finished, tmp_path, diagnose):
+    """Go on with a run that was interrupted when trial 1 had been disclosed, and whose unscored diagnosis is gone."""
+    out, data, lines = finished
+    end = next(k for k, line in enumerate(lines) if line["event"] == "disclosed" and line["trial"] == 1)
+    (tmp_path / LEDGER).write_bytes(b"".join(data.splitlines(keepends=True)[: end + 1]))
+    (tmp_path / FILE).write_bytes((out / FILE).read_bytes())
+    return run_stub(args_of(tmp_path), diagnose)
+
+
+def test_a_diagnosis_that_was_deleted_is_made_again(finished, tmp_path):
+    lines = rescued(finished, tmp_path, stub_diagnose)
+    (line,) = [line for line in lines if line["event"] == "scored" and line["trial"] == 1]
+    assert line["content"]["scores"]["before"] == 0.03
+    assert problems(tmp_path / LEDGER) == []
+
+
+def test_another_diagnosis_than_the_one_that_was_deleted_is_not_scored(finished, tmp_path):
+    def other(files, without=()):
+        return stub_diagnose(files)[0], b"model" if case["recorded.csv"] != sha256(files["recorded.csv"]) else b"other"
+
+    case = next(line["files"] for line in finished[2] if line["event"] == "sealed" and line["trial"] == 1)
+    with pytest.raises(ProofError, match=r"unscored.1\.json: is not the diagnosis with SHA-256"):
+        rescued(finished, tmp_path, other)
 
 
 def test_a_closed_ledger_is_not_continued(finished, tmp_path):

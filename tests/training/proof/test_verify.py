@@ -1,6 +1,7 @@
 """A stranger notices forgeries, also where every hash was computed anew; exit codes say whether all holds."""
 
 import json
+import os
 import re
 
 import pytest
@@ -11,10 +12,12 @@ from training.common.checksum import canonical
 from training.diagnosis.judging import rows
 from training.proof.chain import load
 from training.proof.deck import SCHEMA
-from training.proof.ledger import answers_of
-from training.proof.page import PAGE, failures, publish, table_of
+from training.proof.ledger import answers_of, context_of
+from training.proof.page import PAGE, failures, publish, real_table, table_of
+from training.proof.real import CASES
 from training.proof.run import LEDGER
-from training.proof.sealing import new_key, seal
+from training.proof.sealing import seal
+from training.proof.secret import key_of
 from training.proof.verify import (
     ANNOUNCED,
     Args,
@@ -24,6 +27,7 @@ from training.proof.verify import (
     order_problems,
     problems_of,
     rediagnosed,
+    rediagnosed_without,
     regenerated,
 )
 
@@ -94,7 +98,7 @@ def better_verdicts(lines):
 
 def easier_answer(lines):
     """Seal another answer with another key after the verdict."""
-    key, head = new_key(), lines[0]["hash"]
+    key, head = os.urandom(32), lines[0]["hash"]
     answer = {**answers_of(lines)[0], "fault": "another"}
     new = {"sealed": seal(answer, key, f"{head} 0"), "disclosed": {"key": key.hex()}}
     return [{**line, **new.get(line["event"], {})} if line.get("trial") == 0 else line for line in lines]
@@ -111,6 +115,25 @@ def no_number(lines):
 def better_table(lines):
     table = {"all families": []}
     return [{**line, "table": table} if line["event"] == "closed" else line for line in lines]
+
+
+def another_secret(lines):
+    return [{**line, "secret": "00" * 32} if line["event"] == "closed" else line for line in lines]
+
+
+def no_secret(lines):
+    deck = {name: value for name, value in lines[0].items() if name != "secret_sha256"}
+    return [deck, *lines[1:-1], {name: value for name, value in lines[-1].items() if name != "secret"}]
+
+
+def no_scores(lines):
+    return [{**line, "content": None} if line["event"] == "scored" else line for line in lines]
+
+
+def easier_recording(lines):
+    """Accept another answer for a real recording."""
+    line = {"event": "real", "name": CASES[0].name, "hidden": "", "accepted": ["stuck"], "files": {}}
+    return [*lines[:-1], {**line, **stub_verdict("stuck")}, lines[-1]]
 
 
 def smaller_deck(lines):
@@ -141,6 +164,10 @@ FORGERIES = (
     better_table,
     no_verdict,
     no_number,
+    another_secret,
+    no_secret,
+    no_scores,
+    easier_recording,
     smaller_deck,
     added_line,
     added_entry,
@@ -190,6 +217,60 @@ def test_rows_of_an_older_ledger_are_compared_where_their_rules_are_the_same():
         assert not follows({"all families": other}, own, SCHEMA - 1)
     assert not follows({"all families": old}, own, SCHEMA)
     assert follows(own, own, SCHEMA)
+
+
+@pytest.mark.parametrize("changed", ["key", "seed"])
+def test_a_trial_that_does_not_follow_from_the_secret_is_noticed(finished, changed):
+    """Its seal and its key agree, as if it had been drawn after the deck was published."""
+    _, _, lines = finished
+    key, answer = key_of(bytes.fromhex(lines[-1]["secret"]), 0), answers_of(lines)[0]
+    key, answer = (os.urandom(32), answer) if changed == "key" else (key, {**answer, "seed": answer["seed"] + 1})
+    new = {"sealed": seal(answer, key, context_of(lines, 0)), "disclosed": {"key": key.hex()}}
+    other = [{**line, **new.get(line["event"], {})} if line.get("trial") == 0 else line for line in lines]
+    assert list(content_problems(lines)) == []
+    assert list(content_problems(other)) == [
+        "trial 0: family, kind, seed or key does not follow from the secret of the deck"
+    ]
+
+
+def test_two_closing_lines_of_one_deck_are_noticed(finished, tmp_path):
+    _, _, lines = finished
+    head, last = lines[0]["hash"], lines[-1]["hash"]
+    announced = tmp_path / "announced.txt"
+    announced.write_text(f"deck {head} 8 trials\nclosed {head} {'0' * 64}\nclosed {head} {last}\n")
+    (problem,) = announcement_problems(lines, Args(None, announced=announced))
+    assert "has 2 closing lines of this deck" in problem
+
+
+def test_accepted_answers_of_real_recordings_are_those_of_the_code(finished):
+    _, _, lines = finished
+    line = {"event": "real", "name": CASES[0].name, "hidden": "", "accepted": list(CASES[0].accepted)}
+    assert list(content_problems([*lines[:-1], line, lines[-1]])) == []
+    (problem,) = content_problems([*lines[:-1], line | {"accepted": ["stuck"]}, lines[-1]])
+    assert problem == f"recording {CASES[0].name}: the accepted answers are not those of this code"
+
+
+def test_a_verdict_without_the_true_effect_is_repeated(finished):
+    _, _, lines = finished
+    line = next(line for line in lines if line["event"] == "left_out")
+    answer = answers_of(lines)[line["trial"]]
+    assert rediagnosed_without(answer, line, stub_diagnose) == ""
+    wrong = {**line, "verdict": stub_verdict("time_walk")["verdict"]}
+    assert "another verdict" in rediagnosed_without(answer, wrong, stub_diagnose)
+
+
+def test_a_diagnosis_without_the_true_effect_that_ends_in_an_error_counts(finished):
+    _, _, lines = finished
+    failed = [{**line, "verdict": None, "error": "E: x"} if line["event"] == "left_out" else line for line in lines]
+    table = table_of(failed, answers_of(lines))["all families"]
+    row = next(row for row in table if row["metric"].startswith("true effect not in the catalogue"))
+    assert (row["value"], row["n"]) == (0.0, 1)
+
+
+def test_an_unexplained_recording_is_not_answered_rightly():
+    line = {"name": "a", "hidden": "b", "accepted": ["zero_offset"], **stub_verdict("zero_offset")}
+    unexplained = {**line, "verdict": line["verdict"] | {"verdict": "unexplained"}}
+    assert [real_table([each]).endswith("| yes |") for each in (line, unexplained)] == [True, False]
 
 
 def test_a_trial_that_is_called_lost_needs_an_interruption_and_is_counted(finished):

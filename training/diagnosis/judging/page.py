@@ -16,13 +16,13 @@ from training.diagnosis.judging.tasks import HARD_CASE, REAL, TIMED
 
 SECONDS = {2_000: 5.0, 10_000: 15.0, 133_100: 40.0}  # pings -> target of the design, s
 NOTES = f"""A strong trial has causes of size ≥ {STRONG_SIZE} (1 is plain to see) and a test with p < {STRONG_P}.
-"{STRONG_NATS:g} nats apart" does not use the test: a second simulation describes a fresh recording worse than a second
-recording by so many nats. In brackets: the number of values (a/b: only a of b trials have a gap), and the 95 % interval
-(Wilson; bootstrap for medians and percentiles). A gap is that
-between the simulation's own readings and a second recording in the same visits, in CRPS with silence counted, where it
-exceeds two standard errors; on unseen visits a forest of the recording stands for the second. Within 10 %: readings are
-clipped to this error, so that silence hides no others. "Corrected readings" are
-the simulation's own with what differs applied (`Diagnosis.correct`). Part of an unmodelled hold, loss or step is
+"{STRONG_NATS:g} nats apart" does not use the test: by so many a second simulation describes a fresh recording worse
+than a second recording. In brackets: the number of values (a/b: only a of b trials have a gap), and the 95 % interval
+(Wilson; bootstrap for medians and percentiles). A gap is the difference in CRPS, with silence counted, between the
+simulation's own readings and a second recording in the same visits, where it exceeds two standard errors; on unseen
+visits a forest of the recording stands for the second, with the error of a fresh recording. Within 10 %: readings are
+clipped to this error. "Corrected readings" are the simulation's own with what differs applied (`Diagnosis.correct`).
+Part of an unmodelled hold, loss or step is
 {", ".join(f"`{name}`" for name in PARTS.values())}: such a name is not wrong. Times: beside other work.
 Not measured: the width of intervals relative to an oracle, and whether the next measurement settles. Causes below
 {100 * LISTED:g} % are not listed. Sealed trials: [the proof](proof.md)."""

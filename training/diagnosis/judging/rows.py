@@ -30,7 +30,7 @@ from training.diagnosis.judging.scoring import (
 N_BOOTSTRAP = 1000
 USUAL_PINGS = 2000  # to which times of longer recordings are scaled
 SIZE = 0.05  # level at which the size of the test is checked
-MODELS = (("corrected model", "corrected"), ("corrected readings", "own"))
+MODELS = (("model", "corrected"), ("readings", "own"))  # what is corrected -> its score
 NAMED = ("explained", "partly_explained")
 Records = Sequence[Record]
 
@@ -193,15 +193,15 @@ def _corrections(records: Records) -> Iterator[Row]:
     yield statistic("fresh recording, causes without empirical term: median gap", FREE, causes_only, np.median)
     other, simulator = of_kind(records, UNMODELLED), of_kind(records, SIMULATOR)
     for of, model in MODELS:
-        fresh = [gap_closed(record, model) for record in named]
-        yield from _gaps(f"fresh recording, {of}, known causes", fresh, 0.9, 0.7)
+        plain, fresh = f"fresh recording, corrected {of}", [gap_closed(record, model) for record in named]
+        yield from _gaps(f"{plain}, known causes", fresh, 0.9, 0.7)
         below = (None if gap is None else gap < 0 for gap in fresh)
-        yield share(f"fresh recording, {of}, known causes: gap closed below 0", at_most(0.0), below)
+        yield share(f"{plain}, known causes: gap closed below 0", at_most(0.0), below)
         unknown, others = ([gap_closed(record, model) for record in some] for some in (other, simulator))
-        yield statistic(f"fresh recording, {of}, unmodelled: median gap closed", at_least(0.6), unknown, np.median)
-        yield statistic(f"fresh recording, {of}, other simulator: median gap closed", at_least(0.9), others, np.median)
+        yield statistic(f"{plain}, unmodelled: median gap closed", at_least(0.6), unknown, np.median)
+        yield statistic(f"{plain}, other simulator: median gap closed", at_least(0.9), others, np.median)
         worse = (made_worse(record, model) for record in records)
-        yield share(f"fresh recording, {of}: worse than the simulation", at_most(0.0), worse)
+        yield share(f"{plain}: worse than the simulation", at_most(0.0), worse)
 
 
 def _near_corrections(records: Records) -> Iterator[Row]:

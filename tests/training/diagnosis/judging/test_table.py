@@ -153,10 +153,10 @@ def test_scores_within_the_tolerance_are_rows_of_their_own(record):
     scores = record()["scores"]
     near = {name: scores[name] for name in scores if name != "offered"} | {"corrected": 0.007}
     figures = found([record(scores=scores | {"near": near}), record(number=1)])  # an older version has no near scores
-    row = figures["corrected model within 10 %, known causes: median gap closed"]
+    row = figures["model within 10 %, known causes: median gap closed"]
     assert (row.value, row.count) == (pytest.approx(0.5), "1/2")
     assert figures["fresh recording, corrected model, known causes: median gap closed"].value == pytest.approx(0.9)
-    assert figures["corrected readings within 10 %: worse than the simulation"].count == "1/2"
+    assert figures["readings within 10 %: worse than the simulation"].count == "1/2"
 
 
 def test_no_gap_is_no_figure_and_a_correction_that_harms_is_below_zero(record):
