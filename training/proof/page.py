@@ -35,6 +35,7 @@ from training.diagnosis.judging.scoring import (
 from training.diagnosis.judging.tasks import HARD_CASE
 from training.proof.baselines import LEVEL
 from training.proof.chain import Line
+from training.proof.deck import SCHEMA
 from training.proof.ledger import answers_of, left_out_records, lost_of, records_of
 from training.proof.real import EVENT as REAL
 from training.proof.secret import has_secret
@@ -131,6 +132,7 @@ def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list
         failed=f" {failed}" if failed else "",
         met=hits[True],
         of=hits[True] + hits[False],
+        rules="" if deck["schema"] >= SCHEMA else LATER_RULES,
         table=target_table(found),
         parts=", ".join(f"`{name}`" for name in PARTS.values()),
         baselines=baseline_table(records),
@@ -266,12 +268,13 @@ def _point(axes: Axes, x: float, outcomes: Sequence[bool], colour: str) -> None:
 
 
 DRAWN = "Family, kind, seed and key come from the operating system's generator"
+LATER_RULES = " Rules of counting were corrected after this deck was closed (CHANGELOG)."
 SECRET = """Family, kind, seed and key follow from a secret of the operating system's generator. Its hash stands in the
    deck; the closing line discloses it"""
 TEXT = """# The diagnosis on concealed effects
 
 {trials} blind trials ({kinds}; {lost} lost by interruptions) at commit {commit}.
-**{met} of {of} targets are met over all families of generators.**{failed}
+**{met} of {of} targets are met over all families of generators.**{rules}{failed}
 
 ## What was asked
 
