@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.arrays import Floats
+from noise.discrepancy.moments.sample import logged_names
 from training.common.canvas import INK, SOFT, Axes, Draw, TwoSlopeNorm
 from training.diagnosis.prediction import Compared, Prediction, axis, column, outliers
 
@@ -25,11 +26,8 @@ def map_axes(compared: Compared) -> tuple[str, str] | None:
     """Return the two columns of a map; None if the target stays at one place or there are few visits."""
     batch = compared.before.batch
     place = ("distance", "angle", "incidence", "reflectance")
-    varying = [
-        name
-        for name in (*place, *batch.ping.covariates, "time")
-        if name != "interval_s" and column(batch, name) is not None
-    ]
+    names = (name for name in (*place, *logged_names(batch.ping), "time") if name != "interval_s")
+    varying = [name for name in names if column(batch, name) is not None]
     moves = len(varying) > 1 and varying[0] in place and batch.n_visits >= MIN_MAP_VISITS
     return (varying[0], varying[1]) if moves else None
 

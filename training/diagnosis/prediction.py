@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from acquisition.arrays import Bits, Floats
+from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report.numbers import time_unit
 from noise.discrepancy.result import Aspect, Diagnosis, Location
 from noise.effects.base import target_tolerance
@@ -152,7 +153,7 @@ class Compared:
 def column(batch: Batch, name: str) -> Floats | None:
     """Return a column of the conditions in the unit of its axis, (n,); None if it was not logged or does not vary."""
     ping = batch.ping
-    value = ping.covariates.get(name, vars(ping).get(name))
+    value = ping.covariates.get(name) if name in logged_names(ping) else vars(ping).get(name)
     if value is None or (name == "time" and not batch.timed) or np.ptp(value) < 1e-3 * max(1.0, np.abs(value).max()):
         return None
     return np.asarray(value, dtype=np.float64) * axis(name, batch)[1]
@@ -178,7 +179,7 @@ def along(found: Location | None, batch: Batch) -> str | None:
             widths[name] = float(inside.mean())
     if widths:
         return min(widths, key=lambda name: widths[name])
-    others = ("distance", "angle", "incidence", "reflectance", "time", *batch.ping.covariates, "run")
+    others = ("distance", "angle", "incidence", "reflectance", "time", *logged_names(batch.ping), "run")
     return next((name for name in others if column(batch, name) is not None), None)
 
 

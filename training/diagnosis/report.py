@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report import markup, words
 from noise.discrepancy.report.numbers import bounds, parameter, plain, quantity, readable, with_interval
 from noise.discrepancy.result import LEVEL, Cause, Diagnosis, HeldOut, Kind, Location, PValue, Visible
@@ -182,27 +183,27 @@ def worst_pings(diagnosis: Diagnosis) -> dict[str, Any]:
     batch = whole.select(np.isin(np.arange(len(whole)), np.lexsort((-np.abs(whole.error), certainty))[:N_WORST]))
     before = Prediction.of(model, batch)
     after = None if diagnosis.corrected is None else Prediction.of(diagnosis.corrected, batch)
-    logged = list(batch.ping.covariates)[:MAX_COLUMNS]
+    names = logged_names(batch.ping)[:MAX_COLUMNS]
     header = [
         "time (s)",
         "distance (mm)",
         "angle (°)",
-        *(axis(name, batch)[0] for name in logged),
+        *(axis(name, batch)[0] for name in names),
         "reading (mm)",
         "simulation expects (mm)",
     ]
     header += [] if after is None else ["corrected model expects (mm)"]
-    return {"header": header, "rows": [_row(batch, k, logged, before, after) for k in range(len(batch))]}
+    return {"header": header, "rows": [_row(batch, k, names, before, after) for k in range(len(batch))]}
 
 
-def _row(batch: Batch, k: int, logged: list[str], before: Prediction, after: Prediction | None) -> list[str]:
+def _row(batch: Batch, k: int, names: list[str], before: Prediction, after: Prediction | None) -> list[str]:
     ping, echo = batch.ping, bool(batch.reading.echo[k])
     expected = [before] if after is None else [before, after]
     return [
         f"{ping.time[k]:.1f}",
         f"{1000 * ping.distance[k]:.0f}",
         f"{np.degrees(ping.angle[k]):.1f}",
-        *(_four_digits(axis(name, batch)[1] * ping.covariates[name][k]) for name in logged),
+        *(_four_digits(axis(name, batch)[1] * ping.covariates[name][k]) for name in names),
         f"{1000 * batch.reading.range[k]:.0f}" if echo else "no echo",
         *(f"{1000 * each.median[k]:.0f}" if each.law.echo[k] > 0.5 else "no echo" for each in expected),
     ]

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import f_oneway, ks_2samp
 
+from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.moments.chains import Chains
 from noise.fitting.batch import Batch
@@ -217,10 +218,15 @@ def stays_in_place(batch: Batch) -> bool:
 
 
 def condition_columns(batch: Batch) -> dict[str, Floats]:
-    """Return the logged conditions of a batch by name, SI units and rad, (n,) each."""
+    """Return the logged conditions of a batch by name, SI units and rad, (n,) each; none hides one of the target."""
     ping = batch.ping
-    own = {"distance": ping.distance, "angle": ping.angle, "incidence": ping.incidence, "reflectance": ping.reflectance}
-    return {**own, **{name: value for name, value in ping.covariates.items() if name != "interval_s"}}
+    own = {name: getattr(ping, name) for name in GEOMETRY}
+    return {**own, **{name: ping.covariates[name] for name in logged_names(ping) if name != "interval_s"}}
+
+
+def logged_names(ping: Ping) -> list[str]:
+    """Return the names of logged columns other than those that the pings themselves have, such as "distance"."""
+    return [name for name in ping.covariates if name not in vars(ping)]
 
 
 def _merged(cluster: Ints, time: Floats) -> Ints:

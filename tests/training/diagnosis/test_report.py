@@ -2,6 +2,7 @@
 
 import html
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -177,6 +178,14 @@ def test_the_column_is_the_most_restricted_one_that_varies():
     assert along(Location(Aspect.BIAS, {}, size, P), batch) == "distance"
     assert column(batch, "temperature_c") is None
     assert column(batch, "unknown") is None
+
+
+def test_a_logged_column_does_not_replace_a_condition_of_its_name():
+    ping = Ping.of(np.linspace(1, 2, 50), angle=np.linspace(0, 0.5, 50), time=np.arange(50.0))
+    named = {"angle": np.linspace(40.0, 10.0, 50), "load_v": np.linspace(3.0, 5.0, 50)}
+    batch = Batch.of(Recording.of(replace(ping, covariates=named), Reading.of(ping.distance)))
+    np.testing.assert_allclose(column(batch, "angle"), np.rad2deg(ping.angle), atol=1e-5)
+    np.testing.assert_allclose(column(batch, "load_v"), named["load_v"], atol=1e-5)
 
 
 def test_bins_have_equal_counts_and_keep_the_mean():

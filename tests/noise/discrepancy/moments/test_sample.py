@@ -9,7 +9,7 @@ from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.orthogonal import orthogonal_test
 from noise.discrepancy.moments.bootstrap import signs_of
-from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.sample import Sample, condition_columns
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
@@ -123,3 +123,14 @@ def test_files_share_their_clusters_where_every_position_is_visited_once():
     for place in np.unique(recorded.ping.distance):
         at = [batch.ping.distance == place for batch in sample.batches]
         assert len(np.unique(sample.cluster[np.concatenate(at)])) == 1
+
+
+def test_a_logged_column_does_not_hide_a_condition_of_its_name():
+    ping = Ping.of(distance=np.linspace(0.3, 3.0, 40), angle=0.2)
+    more = {name: np.arange(40.0) for name in ("distance", "angle", "time", "load_v")}
+    batch = Batch.of(Recording.of(replace(ping, covariates=more), Reading.of(ping.distance)))
+    found = condition_columns(batch)
+    np.testing.assert_allclose(found["distance"], ping.distance)
+    np.testing.assert_allclose(found["angle"], ping.angle)
+    assert "load_v" in found
+    assert "time" not in found
