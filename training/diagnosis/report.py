@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report import markup, words
-from noise.discrepancy.report.numbers import bounds, parameter, plain, quantity, readable, with_interval
+from noise.discrepancy.report.numbers import bounds, estimate, parameter, plain, quantity, readable, with_interval
 from noise.discrepancy.result import LEVEL, Cause, Diagnosis, HeldOut, Kind, Location, PValue, Visible
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
@@ -111,7 +111,7 @@ def cause_facts(cause: Cause) -> dict[str, Any]:
         "title": capital(words.name(cause.effect)),
         "effect": cause.effect,
         "statement": words.statement(cause) + ".",
-        "share": quantity(cause.share.value, "1"),
+        "share": estimate(cause.share),
         "share_bounds": bounds(cause.share),
         "candidates": [
             (text, quantity(weight, "1"), f"{100 * weight:.1f}")

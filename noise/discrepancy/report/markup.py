@@ -6,7 +6,7 @@ import math
 from html import escape
 
 from noise.discrepancy.report import words
-from noise.discrepancy.report.numbers import bounds, parameter, quantity, readable
+from noise.discrepancy.report.numbers import bounds, estimate, parameter, quantity, readable
 from noise.discrepancy.result import Cause, Diagnosis, Interval, Verdict
 
 COLOURS = ("#1b6ca8", "#2a9d8f", "#8a5fbf", "#c98a1b", "#5a7d2a")  # of causes; distinct for the colour-blind
@@ -45,7 +45,7 @@ def _positive(share: float) -> float:
 
 
 def _segment(left: float, width: float, label: str, share: Interval, colour: str) -> str:
-    title = f"<title>{escape(label)}: {quantity(share.value, '1')} ({bounds(share)})</title>"
+    title = f"<title>{escape(label)}: {estimate(share)} ({bounds(share)})</title>"
     box = f'<rect x="{left:.1f}" width="{width:.1f}" height="{HEIGHT:.0f}" fill="{colour}">{title}</rect>'
     if width < MIN_LABEL:
         return box
@@ -68,7 +68,7 @@ def legend(verdict: Verdict) -> str:
     """Return the bar's labels with shares and intervals."""
     rows = [
         f'<span style="white-space:nowrap;margin-right:22px"><i style="display:inline-block;width:12px;height:12px;'
-        f'background:{colour};margin-right:6px"></i>{escape(label)}: <b>{quantity(share.value, "1")}</b> '
+        f'background:{colour};margin-right:6px"></i>{escape(label)}: <b>{estimate(share)}</b> '
         f"({bounds(share)})</span>"
         for label, share, colour in shares(verdict)
     ]

@@ -64,14 +64,14 @@ def _scale(size: float, unit: str, percent: bool) -> tuple[float, str]:
     return 1.0, printed if printed in ("", "°") else f" {printed}"
 
 
-def quantity(value: float, unit: str, percent: bool = True) -> str:
+def quantity(value: float, unit: str, percent: bool = True, digits: int = 2) -> str:
     """Return a value with its unit; a dimensionless value in % unless `percent` is False.
 
     >>> quantity(0.0152, "m"), quantity(0.083, "1"), quantity(24.1, "degC")
     ('15 mm', '8.3 %', '24 °C')
     """
     factor, printed = _scale(abs(value), unit, percent)
-    return plain(factor * value) + printed if math.isfinite(value) else "unknown"
+    return plain(factor * value, digits) + printed if math.isfinite(value) else "unknown"
 
 
 def with_interval(found: Interval, percent: bool = True) -> str:
@@ -80,18 +80,31 @@ def with_interval(found: Interval, percent: bool = True) -> str:
     >>> with_interval(Interval(0.015, 0.014, 0.016, "m"))
     '15 mm (14 to 16 mm)'
     """
-    return f"{quantity(found.value, found.unit, percent)} ({bounds(found, percent)})"
+    return f"{estimate(found, percent)} ({bounds(found, percent)})"
+
+
+def estimate(found: Interval, percent: bool = True) -> str:
+    """Return a value with its unit and as many digits as its interval, so that it lies in what is printed of that.
+
+    >>> estimate(Interval(1.234, 1.233, 1.235, "m"))
+    '1.234 m'
+    """
+    return quantity(found.value, found.unit, percent, _digits(found))
 
 
 def bounds(found: Interval, percent: bool = True) -> str:
     """Return the interval of a value, with enough digits to show its width."""
     if not (math.isfinite(found.low) and math.isfinite(found.high)):
         return "interval unknown"
-    size = max(abs(found.low), abs(found.high))
     factor, printed = _scale(abs(found.value), found.unit, percent)
-    width = found.high - found.low
-    digits = 2 if not 0 < width < size else min(6, 1 + math.ceil(math.log10(size / width)))
-    return f"{plain(factor * found.low, max(2, digits))} to {plain(factor * found.high, max(2, digits))}{printed}"
+    low, high = (plain(factor * bound, _digits(found)) for bound in (found.low, found.high))
+    return f"{low} to {high}{printed}"
+
+
+def _digits(found: Interval) -> int:
+    """Return how many significant digits show the width of an interval."""
+    size, width = max(abs(found.low), abs(found.high)), found.high - found.low
+    return min(6, max(2, 1 + math.ceil(math.log10(size / width)))) if 0 < width < size else 2
 
 
 def parameter(name: str, found: Interval) -> str:

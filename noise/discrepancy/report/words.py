@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-from noise.discrepancy.report.numbers import bounds, place, plain, quantity, with_interval
+from noise.discrepancy.report.numbers import bounds, estimate, place, plain, quantity, with_interval
 from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Unexplained, Verdict, Visible
 from noise.discrepancy.thresholds import LISTED, PARTLY_SHARE
 
@@ -86,8 +86,10 @@ def location(found: Location) -> str:
     sentence, more, less = SENTENCES[found.aspect]
     low, high = sorted((abs(found.size.low), abs(found.size.high)))
     size = replace(found.size, value=abs(found.size.value), low=low, high=high)
-    shown = sentence.format(size=quantity(size.value, size.unit), sign=less if found.size.value < 0 else more)
-    between = "" if found.size.low * found.size.high <= 0 or "{size}" not in sentence else f" ({bounds(size)})"
+    doubtful = found.size.low * found.size.high <= 0
+    value = quantity(size.value, size.unit) if doubtful else estimate(size)
+    shown = sentence.format(size=value, sign=less if found.size.value < 0 else more)
+    between = "" if doubtful or "{size}" not in sentence else f" ({bounds(size)})"
     return f"{shown}{between} {place(found.region)}"
 
 
@@ -115,7 +117,7 @@ def ambiguous(cause: Cause) -> str:
 
 def explains(cause: Cause) -> str:
     """Return share and probability of a cause as a phrase."""
-    share = f"explains {quantity(cause.share.value, '1')} of the difference ({bounds(cause.share)})"
+    share = f"explains {estimate(cause.share)} of the difference ({bounds(cause.share)})"
     others = ", ".join(f"{name(each.effect)} {quantity(each.probability, '1')}" for each in cause.alternatives)
     rival = f"; or {others}" if others else ""
     return f"{name(cause.effect)}: {share}; probability {quantity(cause.probability, '1')}{rival}"

@@ -1,6 +1,7 @@
 """Numbers and sentences: units, signs, singular cases; the fragments are valid and complete."""
 
 import math
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -77,6 +78,19 @@ def test_an_interval_shows_its_width():
     assert with_interval(Interval(0.5, 0.5, 0.5, "m")) == "500 mm (500 to 500 mm)"
     assert with_interval(Interval(0.0, float("nan"), float("nan"), "m")) == "0 mm (interval unknown)"
     assert quantity(float("nan"), "m") == "unknown"
+
+
+@given(st.floats(1e-4, 1e3), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.sampled_from(["m", "degC", "1"]))
+def test_a_printed_value_lies_within_its_printed_interval(value, below, above, unit):
+    printed = with_interval(Interval(value, value * (1.0 - below), value * (1.0 + above), unit))
+    middle, low, high = (float(text.replace(",", "")) for text in re.findall(r"[\d.,]+", printed))
+    assert low <= middle <= high
+
+
+def test_a_value_has_the_digits_of_its_interval():
+    assert with_interval(Interval(24.6, 24.5, 24.7, "degC")) == "24.6 °C (24.5 to 24.7 °C)"
+    found = Location(Aspect.BIAS, {}, Interval(-0.0395, -0.0405, -0.0384, "m"), P)
+    assert words.location(found) == "Echoes read 39.5 mm short (38.4 to 40.5 mm) everywhere"
 
 
 def test_regions_are_words():
