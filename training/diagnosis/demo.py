@@ -52,9 +52,7 @@ def main(args: Args) -> None:
     console = Console(highlight=False, soft_wrap=True)
     setup = Setup(gain=31)
     changed, envelope = conceal(setup, np.random.default_rng([args.seed, 0]), args.conceal)
-    console.print(
-        f"[bold]1[/] an effect is concealed in the sonar; SHA-256 of its description: {envelope.seal[:16]}..."
-    )
+    console.print(f"[bold]1[/] an effect is concealed in the sonar; SHA-256 of envelope.json: {envelope.seal}")
     simulated = record(setup, args.out / "simulated.csv", args.seed, 1)
     recorded = record(changed, args.out / "recorded.csv", args.seed, 2)
     console.print(f"[bold]2[/] recorded {len(recorded)} pings with the effect and {len(simulated)} without it")

@@ -22,7 +22,7 @@ class Drive:
         success: whether the car parked.
         collision: whether it collided.
         steps: number of actions.
-        error_mm: median of |reading - truth| over all echoes, mm.
+        error_mm: median of |reading - truth| over all echoes, mm; NaN without an echo.
         silent: share of pings without an echo among those with a target in range.
         frames: pictures, (height, width, 3) uint8.
     """
@@ -41,7 +41,7 @@ class Drive:
         error = np.abs(episode.readings - episode.truths)[echo]
         reach = np.isfinite(episode.truths) & (episode.truths < episode.readings.max())
         silent = 1.0 - echo[reach].mean() if reach.any() else 0.0
-        median = 1000 * float(np.median(error)) if error.size else 0.0
+        median = 1000 * float(np.median(error)) if error.size else float("nan")
         return cls(episode.success, episode.collision, episode.steps, median, float(silent), episode.frames)
 
     @property
@@ -50,10 +50,14 @@ class Drive:
         return "parked" if self.success else "collided" if self.collision else "did not park"
 
     @property
+    def error(self) -> str:
+        """Median error as text."""
+        return "unknown" if np.isnan(self.error_mm) else f"{self.error_mm:.0f} mm"
+
+    @property
     def summary(self) -> str:
         """Result as one line of text."""
-        silent = f"{100 * self.silent:.0f} % no echo"
-        return f"{self.end} after {self.steps} steps; median error {self.error_mm:.0f} mm, {silent}"
+        return f"{self.end} after {self.steps} steps; median error {self.error}, {100 * self.silent:.0f} % no echo"
 
 
 def drive(sonar: str, seed: int, driver: Controller | None = None) -> Drive:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.bench import Setup
-from acquisition.io.files import write_text
+from acquisition.io.files import write_bytes
 
 Change = Callable[[Setup, np.random.Generator], tuple[Setup, str]]
 
@@ -52,17 +52,18 @@ class Envelope:
 
     @property
     def content(self) -> str:
-        """Content as JSON."""
-        return json.dumps({"effect": self.effect, "description": self.description, "salt": self.salt}, sort_keys=True)
+        """Content of the file, as JSON."""
+        named = {"effect": self.effect, "description": self.description, "salt": self.salt}
+        return json.dumps(named, sort_keys=True) + "\n"
 
     @property
     def seal(self) -> str:
-        """SHA-256 of the content, which proves afterwards that it was not changed."""
+        """SHA-256 of the file, which proves afterwards that it was not changed."""
         return hashlib.sha256(self.content.encode()).hexdigest()
 
     def save(self, path: Path) -> None:
         """Write the content to a file."""
-        write_text(path, self.content + "\n")
+        write_bytes(path, self.content.encode())
 
 
 def conceal(setup: Setup, rng: np.random.Generator, effect: str | None = None) -> tuple[Setup, Envelope]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sonar_gym.control.driver import Episode
 from training.diagnosis.demo_page import INK, PAPER, DemoResult, gif, reason, render
 from training.diagnosis.drive import Drive
 from training.diagnosis.envelope import Envelope
@@ -27,6 +28,8 @@ def test_the_page_shows_diagnosis_and_drives(situations, tmp_path, name):
     page = render(DemoResult(envelope, made, drives, film, 12), tmp_path / "report.html").read_text()
     assert made.verdict.summary in page.replace("&#39;", "'")
     assert page.count("<td>parked</td>") == len(drives)
+    assert f"One street, {len(drives)} drives" in page
+    assert ("loads the corrected model" in page) == (made.corrected is not None)
     assert "<svg" in page
 
 
@@ -39,6 +42,12 @@ def test_a_failure_of_the_corrected_model_comes_with_its_reason(situations, tmp_
     assert "Why corrected collided." in page
     assert all(cause.statement in reason(drives["corrected"], made) for cause in made.verdict.causes if cause.believed)
     assert reason(drives["ideal"], made) == ""
+
+
+def test_a_drive_without_an_echo_has_no_median_error():
+    far = np.full((3, 2), 4.0)
+    episode = Episode(False, False, 2, 0.0, [], far, np.zeros((3, 2)), np.zeros((3, 2)), far)
+    assert "median error unknown" in Drive.of(episode).summary
 
 
 def test_films_are_side_by_side_and_the_shorter_ones_wait(tmp_path):

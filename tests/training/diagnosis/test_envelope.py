@@ -14,8 +14,7 @@ from training.diagnosis.envelope import CONCEALED, conceal
 def test_the_seal_is_the_hash_of_the_file(tmp_path):
     _, envelope = conceal(Setup(), np.random.default_rng(1))
     envelope.save(tmp_path / "envelope.json")
-    text = (tmp_path / "envelope.json").read_text(encoding="utf-8").rstrip("\n")
-    assert hashlib.sha256(text.encode()).hexdigest() == envelope.seal
+    assert hashlib.sha256((tmp_path / "envelope.json").read_bytes()).hexdigest() == envelope.seal
 
 
 def test_the_seed_determines_the_envelope():
