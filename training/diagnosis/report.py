@@ -89,7 +89,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "p_value": p_text(verdict.p_value),
         "p_rest": p_text(verdict.unexplained.p_value),
         "catalogue": len(CATALOGUE),
-        "plain_names": lambda effects: [words.name(effect) for effect in effects],
+        "listed": lambda effects: words.either(effects, "and"),
     }
 
 

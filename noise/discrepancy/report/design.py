@@ -297,7 +297,7 @@ def settings_of(stacks: Sequence[Stack], batch: Batch) -> list[Setting]:
         Setting("all other sensors switched off", "others_off", 1.0, without=tuple(crosstalk)): bool(crosstalk),
         Setting("5 ms more between pings", INTERVAL, 0.005, ping=_logged(INTERVAL, 0.005)): "previous_ping" in names,
         Setting("the sensor on for two hours", "time", 7200.0, ping=_later): "warm_up" in names,
-        Setting("the room 10 degC warmer", TEMPERATURE, 10.0, ping=_logged(TEMPERATURE, 10.0)): TEMPERATURE
+        Setting("the room 10 °C warmer", TEMPERATURE, 10.0, ping=_logged(TEMPERATURE, 10.0)): TEMPERATURE
         in batch.ping.covariates,
     }
     return [setting for setting, applies in known.items() if applies]

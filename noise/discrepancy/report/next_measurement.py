@@ -142,7 +142,8 @@ def _measurement(found: _Proposal) -> Measurement:
     columns = {name: getattr(ping, name) for name in ("distance", "angle", "incidence", "reflectance")}
     if setting.column == HAND:
         columns["distance"] = np.where(changed, setting.value, columns["distance"])
-    visits = f"{found.pings // len(rows)} visits each" if len(rows) > 1 else f"{found.pings} visits"
+    count = found.pings // len(rows)
+    visits = f"{count} visit{'' if count == 1 else 's'}{' each' if len(rows) > 1 else ''}"
     do = f"{_places(columns, changed, setting)}; {visits}, placing the target anew for every visit"
     listed = {name: tuple(float(x) for x in value) for name, value in columns.items()}
     if not changed.any():
@@ -171,7 +172,7 @@ def _turns(angle: Floats, incidence: Floats) -> str:
         "the target alone": (incidence, (angle == 0) & (incidence != 0)),
     }
     parts = [
-        f"{what} turned by {_values(np.rad2deg(by[rows]), 'deg')}" for what, (by, rows) in kinds.items() if rows.any()
+        f"{what} turned by {_values(np.rad2deg(by[rows]), '°')}" for what, (by, rows) in kinds.items() if rows.any()
     ]
     if parts and ((angle == 0) & (incidence == 0)).any():
         parts.insert(0, "straight ahead")
@@ -181,10 +182,10 @@ def _turns(angle: Floats, incidence: Floats) -> str:
 def _values(value: Floats, unit: str) -> str:
     """Return the different values in words: all of two, the range of more.
 
-    >>> _values(np.array([2.5, 0.4, 0.4]), "m")
-    '0.4 m and 2.5 m'
+    >>> _values(np.array([2.5, 0.4, 0.4]), "m"), _values(np.array([10.0]), "°")
+    ('0.4 m and 2.5 m', '10°')
     """
-    each = [f"{x:g} {unit}".strip() for x in np.unique(np.round(value, 3))]
+    each = [f"{x:g} {unit}".strip().replace(" °", "°") for x in np.unique(np.round(value, 3))]
     if len(each) <= 2:
         return " and ".join(each)
     return f"{len(each)} values from {each[0]} to {each[-1]}"

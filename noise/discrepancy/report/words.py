@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from noise.discrepancy.report.numbers import bounds, estimate, place, plain, quantity, with_interval
-from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Unexplained, Verdict, Visible
+from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Measurement, Unexplained, Verdict, Visible
 from noise.discrepancy.thresholds import LISTED, PARTLY_SHARE
 
 # effects whose id is not already their plain name
@@ -253,5 +253,9 @@ def summary_lines(diagnosis: Diagnosis) -> list[str]:
         lines.append(f"  unexplained: {with_interval(verdict.unexplained.share)} of the difference{where}")
     if verdict.verdict is not Kind.TOO_LITTLE_DATA:
         lines.append(fit_line(verdict))
-    lines += [f"next: {each.do} ({_pings(each.pings)})" for each in verdict.next_measurement[:2]]
-    return lines
+    return lines + [f"next: {measurement(each)}" for each in verdict.next_measurement[:2]]
+
+
+def measurement(proposed: Measurement) -> str:
+    """Return a measurement in words, with the number of pings where it is one of many."""
+    return proposed.do + (f" ({_pings(proposed.pings)})" if proposed.pings > 1 else "")

@@ -69,6 +69,10 @@ def test_the_ambiguity_is_in_the_headline(pages):
     assert expected in text_of(pages["scale"])
 
 
+def test_the_next_measurement_says_what_it_separates(pages):
+    assert "(60 pings). This separates speed of sound and clock." in text_of(pages["scale"])
+
+
 def test_shares_and_their_intervals_are_listed(pages):
     text = text_of(pages["partly"])
     assert "zero offset: 55 % (52 to 58 %)" in text

@@ -20,6 +20,7 @@ from noise.discrepancy.result import (
     Interval,
     Kind,
     Location,
+    Measurement,
     PValue,
     Score,
     Unexplained,
@@ -166,6 +167,11 @@ def test_summaries_of_every_kind_are_sentences():
     assert words.summary_of(Kind.NONE, [], [], rest(), [], 1) == "No difference found in 1 ping."
     many = words.summary_of(Kind.EXPLAINED, [cause()] * 4, where, rest(), seen, 10)
     assert many.endswith("2 smaller causes beside.")
+
+
+@pytest.mark.parametrize(("pings", "told"), [(0, ""), (1, ""), (1200, " (1,200 pings)")])
+def test_a_measurement_states_its_pings_only_where_there_are_several(pings, told):
+    assert words.measurement(Measurement("look at it", ("stuck",), pings)) == f"look at it{told}"
 
 
 @given(st.lists(st.floats(-0.5, 1.5) | st.just(math.nan), min_size=1, max_size=6), st.floats(0.0, 1.0))
