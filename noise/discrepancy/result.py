@@ -38,20 +38,20 @@ class Kind(StrEnum):
 
 
 class Aspect(StrEnum):
-    """An aspect in which readings can differ from a law; `unit` is that of its size, `words` its plain description."""
+    """An aspect in which readings can differ from a law; `unit` is that of its size, `words` a name of the change."""
 
     unit: str
     words: str
 
-    BIAS = "bias", "m", "echoes read long or short"
-    SPREAD = "spread", "1", "echoes scatter more or less"
-    SKEW = "skew", "1", "the scatter of echoes is lopsided"
-    DETECTION = "detection", "1", "echoes are heard more or less often"
-    EARLY = "early", "1", "more or fewer readings lie far before the target"
-    LATE = "late", "1", "more or fewer readings lie far behind the target"
-    REPEAT = "repeat", "1", "readings repeat the one before more or less often"
-    MEMORY = "memory", "1", "errors follow the error before more or less closely"
-    COINCIDENCE = "coincidence", "1", "far readings of one position agree with each other"
+    BIAS = "bias", "m", "mean error"
+    SPREAD = "spread", "1", "change of the scatter of echoes"
+    SKEW = "skew", "1", "lopsided scatter of echoes"
+    DETECTION = "detection", "1", "change of the share of pings with an echo"
+    EARLY = "early", "1", "change of the share of readings far before the target"
+    LATE = "late", "1", "change of the share of readings far behind the target"
+    REPEAT = "repeat", "1", "change of the share of readings that repeat the one before"
+    MEMORY = "memory", "1", "change of how closely errors follow the error before"
+    COINCIDENCE = "coincidence", "1", "change of how well far readings of one position agree"
 
     def __new__(cls, value: str, unit: str, words: str) -> Aspect:
         """Return a member with its unit and its description."""

@@ -29,9 +29,9 @@ MAX_SHOWN = 2  # located mismatches with a figure of their own
 
 def _shade(axes: Axes, compared: Compared, found: Location | None, name: str) -> None:
     if found is not None and name in found.region:
-        factor = axis(name, compared.before.batch)[1]
-        left, right = axes.get_xlim()
-        low, high = (float(np.clip(factor * bound, left, right)) for bound in found.region[name])
+        factor, half = axis(name, compared.before.batch)[1], 0.5 if name == "run" else 0.0
+        low, high = (factor * bound for bound in found.region[name])
+        low, high = np.clip((low - half, high + half), *axes.get_xlim())
         axes.axvspan(low, high, color="#f2c94c", alpha=0.22, lw=0, zorder=0, label="located here")
 
 

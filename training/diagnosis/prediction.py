@@ -27,7 +27,7 @@ AXES = {
     "angle": ("angle (deg)", DEG),
     "incidence": ("incidence angle (deg)", DEG),
     "reflectance": ("reflectance", 1.0),
-    "run": ("session", 1.0),
+    "run": ("session (counted from 0)", 1.0),
     "interval_s": ("time since the previous ping (ms)", 1000.0),
     "temperature_c": ("logged temperature (°C)", 1.0),
     "humidity_pct": ("logged humidity (%)", 1.0),

@@ -172,7 +172,7 @@ def fit_rows(test: HeldOut, offered: bool) -> list[tuple[str, str, str]]:
 
 def visible_row(each: Visible) -> tuple[str, str]:
     """Return effect or aspect and the least size that would have shown."""
-    return words.visible_name(each), quantity(each.least, each.unit)
+    return words.visible_name(each), words.least(each)
 
 
 def worst_pings(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -226,7 +226,7 @@ def _runs(sample: Sample) -> list[Column]:
     if not 1 < n <= MAX_RUNS:
         return []
     run = np.concatenate(runs)
-    regressors = tuple(Regressor(("run",), (("run", k - 0.5, k + 0.5),)) for k in range(n))
+    regressors = tuple(Regressor(("run",), (("run", k, k),)) for k in range(n))
     return [Column(Form.SHARED, np.where(run < n, run, -1), n, np.eye(n), regressors)]
 
 

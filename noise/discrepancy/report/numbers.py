@@ -23,7 +23,7 @@ COLUMNS = {
     "range_rate_mps": ("at range rates of", 1.0, "m/s"),
     "movement": ("after movements of", 1000.0, "mm"),
     "order": ("at places in the visit of", 1.0, ""),
-    "run": ("in runs", 1.0, ""),
+    "run": ("in session", 1.0, "(counted from 0)"),
     "period_s": ("with a period of", 1.0, "s"),
 }
 # values of the column "previous_reading": what the ping before read
@@ -144,7 +144,8 @@ def span(column: str, between: Range) -> str:
     if not math.isfinite(high):
         return f"{words} more than {plain(low)}{unit}"
     digits = 2 if high - low > 0.05 * max(abs(low), abs(high)) else 4
-    return f"{words} {plain(low, digits)} to {plain(high, digits)}{unit}"
+    ends = dict.fromkeys((plain(low, digits), plain(high, digits)))  # one of a single value
+    return f"{words} {' to '.join(ends)}{unit}"
 
 
 def place(region: Mapping[str, Range]) -> str:

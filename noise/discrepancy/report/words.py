@@ -40,9 +40,12 @@ CHANGES = {  # names where an effect is a change of a known size
     "clock_scale": "clock error",
     "sound_speed": "change of air temperature",
     "sensitivity": "loss of sensitivity",
-    "beam_width": "narrower beam",
+    "beam_width": "change of beam width (ka)",
     "quantisation": "coarser step of readings",
+    "false_alarm": "rate of false alarms",
+    "fixed_clutter": "share of echoes from an object at a fixed range",
 }
+NO_SHARE = ("beam_width",)  # dimensionless sizes that are no shares
 BADGES = {
     Kind.NONE: "No difference found",
     Kind.EXPLAINED: "Difference explained",
@@ -109,10 +112,12 @@ def symptom(cause: Cause) -> str:
 
 def ambiguous(cause: Cause) -> str:
     """Return a cause as a headline; a question if the data do not exclude alternatives."""
-    rivals = [each.effect for each in cause.alternatives if each.probability >= MIN_RIVAL]
-    if not rivals:
-        return statement(cause)
-    return f"{symptom(cause)}: {either([cause.effect, *rivals])}?"
+    effects = _not_excluded(cause)
+    return statement(cause) if len(effects) == 1 else f"{symptom(cause)}: {either(effects)}?"
+
+
+def _not_excluded(cause: Cause) -> list[str]:
+    return [cause.effect, *(each.effect for each in cause.alternatives if each.probability >= MIN_RIVAL)]
 
 
 def explains(cause: Cause) -> str:
@@ -125,10 +130,15 @@ def explains(cause: Cause) -> str:
 
 def visible(each: Visible) -> str:
     """Return the least size that would have shown, as a phrase."""
-    size, what = quantity(each.least, each.unit), visible_name(each)
-    if each.effect in ASPECTS:
-        return f"{what} by {size}"
-    return f"{size} {what}" if each.unit == "1" and what.endswith("s") else f"a {what} of {size}"
+    size, what = least(each), visible_name(each)
+    if each.unit == "1" and what.endswith(" readings"):
+        return f"{size} {what}"
+    return f"a {what} {'by' if what.startswith('change') else 'of'} {size}"
+
+
+def least(each: Visible) -> str:
+    """Return the least size that would have shown, with its unit."""
+    return quantity(each.least, each.unit, percent=each.effect not in NO_SHARE)
 
 
 def visible_name(each: Visible) -> str:
@@ -172,7 +182,11 @@ def summary_of(
 
 
 def _possible(causes: Sequence[Cause]) -> str:
-    """Return the likeliest of the causes that are not believed and would explain more than a part."""
+    """Return the believed causes, which explain a part, else the likeliest of those that would explain more than one."""
+    believed = [cause for cause in causes if cause.believed]
+    if believed:
+        parts = (f"{either(_not_excluded(cause))} explains {quantity(cause.share.value, '1')}" for cause in believed)
+        return f"{', '.join(parts)} of the difference, no known effect the rest"
     doubtful = [cause for cause in causes if cause.probability >= LISTED and not cause.believed]
     whole = [cause for cause in doubtful if cause.share.value >= PARTLY_SHARE]
     best = max(whole, key=lambda cause: cause.probability, default=None)

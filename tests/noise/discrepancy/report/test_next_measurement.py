@@ -89,6 +89,7 @@ def test_a_beam_is_told_from_a_smooth_target_by_turning_one_of_them_alone():
     angle, incidence = (np.array(found.conditions[name]) for name in ("angle", "incidence"))
     assert np.any((angle == 0.0) != (incidence == 0.0))
     assert "alone turned by" in found.do
+    assert "°" in found.do
 
 
 def test_warm_up_is_told_from_an_offset_by_waiting():

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from noise.discrepancy.locate.power import COMMONEST
 from noise.discrepancy.report import markup, words
 from noise.discrepancy.report.numbers import bounds, parameter, place, plain, quantity, readable, with_interval
 from noise.discrepancy.result import (
@@ -29,6 +30,7 @@ from noise.discrepancy.result import (
 )
 from noise.effects import CATALOGUE
 
+UNITS = {effect: p.unit for (effect, name), _ in COMMONEST for p in CATALOGUE[effect].parameters if p.name == name}
 P = PValue(0.2, 2000)
 INF = float("inf")
 
@@ -106,6 +108,23 @@ def test_regions_are_words():
     assert place({"time": (86400.0, 864000.0)}) == "at times of 1 to 10 days"
 
 
+def test_a_region_of_one_value_states_it_once():
+    assert place({"run": (1.0, 1.0)}) == "in session 1 (counted from 0)"
+    assert place({"period_s": (71.3, 71.3)}) == "with a period of 71.3 s"
+    assert place({"distance": (0.7, 0.7)}) == "at 0.7 m"
+
+
+def test_the_least_beam_width_that_shows_is_no_percentage():
+    assert words.least(Visible("beam_width", 3.2, "1")) == "3.2"
+    assert words.least(Visible("clock_scale", 0.032, "1")) == "3.2 %"
+
+
+@pytest.mark.parametrize("changed", [*Aspect, *(effect for (effect, _), _ in COMMONEST)])
+def test_what_would_have_shown_is_a_noun(changed):
+    unit = {**{str(each): each.unit for each in Aspect}, **UNITS}[str(changed)]
+    assert re.match(r"a (?!an? )[^aeiou]|[\d.]+ % [a-z]+ readings$", words.visible(Visible(str(changed), 0.02, unit)))
+
+
 @pytest.mark.parametrize("aspect", Aspect)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_every_aspect_has_a_sentence_in_both_directions(aspect, sign):
@@ -153,6 +172,7 @@ def test_summaries_of_every_kind_are_sentences():
     seen = [Visible("zero_offset", 0.002, "m"), Visible("bias", 0.001, "m"), Visible("dropped_reading", 0.02, "1")]
     where = [Location(Aspect.BIAS, {"distance": (1.0, 2.0)}, Interval(0.01, 0.008, 0.012, "m"), P)]
     told = {kind: words.summary_of(kind, [cause()], where, rest(0.3), seen, 1234) for kind in Kind}
+    told[Kind.UNEXPLAINED] = words.summary_of(Kind.UNEXPLAINED, [], where, rest(0.3), seen, 1234)
     assert told[Kind.NONE] == (
         "No difference found in 1,234 pings: a zero offset of 2 mm or 2 % lost readings would have shown."
     )
@@ -162,6 +182,11 @@ def test_summaries_of_every_kind_are_sentences():
     likely = replace(cause(), probability=0.46)
     assert words.summary_of(Kind.UNEXPLAINED, [likely], where, rest(0.3), seen, 1234).endswith(
         "at 1 to 2 m: zero offset may be the cause, with probability 46 %."
+    )
+    part = replace(cause(share=0.2), alternatives=(Alternative("time_walk", 0.1),))
+    assert words.summary_of(Kind.UNEXPLAINED, [part], where, rest(0.8), seen, 1234).endswith(
+        "at 1 to 2 m: zero offset or late detection of weak echoes explains 20 % of the difference, "
+        "no known effect the rest."
     )
     assert "Too little data" in told[Kind.TOO_LITTLE_DATA]
     assert words.summary_of(Kind.NONE, [], [], rest(), [], 1) == "No difference found in 1 ping."
