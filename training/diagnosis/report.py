@@ -136,7 +136,7 @@ def tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     before = quantity(test.before.crps_m, "m")
     if verdict.verdict in (Kind.NONE, Kind.TOO_LITTLE_DATA):
         return [
-            ("Mean prediction error", before, "of your simulation on this recording"),
+            ("Mean prediction error", before, f"of your simulation, on {test.n_pings:,} unseen pings"),
             (
                 "Predicted from its own nearest positions",
                 quantity(test.repeatability_m, "m"),

@@ -6,9 +6,22 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from noise.discrepancy.report.numbers import bounds, estimate, place, plain, quantity, with_interval
-from noise.discrepancy.result import Aspect, Cause, Diagnosis, Kind, Location, Measurement, Unexplained, Verdict, Visible
-from noise.discrepancy.thresholds import LISTED, PARTLY_SHARE
+from noise.discrepancy.result import (
+    Aspect,
+    Cause,
+    Diagnosis,
+    Interval,
+    Kind,
+    Location,
+    Measurement,
+    Unexplained,
+    Verdict,
+    Visible,
+)
+from noise.discrepancy.thresholds import FALSE_ALARM, LISTED, PARTLY_SHARE
 
 # effects whose id is not already their plain name
 NAMES = {
@@ -47,7 +60,7 @@ CHANGES = {  # names where an effect is a change of a known size
 }
 NO_SHARE = ("beam_width",)  # dimensionless sizes that are no shares
 BADGES = {
-    Kind.NONE: "No difference found",
+    Kind.NONE: "No difference that matters",
     Kind.EXPLAINED: "Difference explained",
     Kind.PARTLY_EXPLAINED: "Difference partly explained",
     Kind.UNEXPLAINED: "Difference without a known cause",
@@ -87,13 +100,21 @@ def either(effects: Sequence[str], last: str = "or") -> str:
 def location(found: Location) -> str:
     """Return a located mismatch as a sentence without a full stop."""
     sentence, more, less = SENTENCES[found.aspect]
-    low, high = sorted((abs(found.size.low), abs(found.size.high)))
-    size = replace(found.size, value=abs(found.size.value), low=low, high=high)
-    doubtful = found.size.low * found.size.high <= 0
+    signed = _of_sd(found.size) if found.aspect is Aspect.SPREAD else found.size
+    low, high = sorted((abs(signed.low), abs(signed.high)))
+    size = replace(signed, value=abs(signed.value), low=low, high=high)
+    doubtful = signed.low * signed.high <= 0
     value = quantity(size.value, size.unit) if doubtful else estimate(size)
-    shown = sentence.format(size=value, sign=less if found.size.value < 0 else more)
+    shown = sentence.format(size=value, sign=less if signed.value < 0 else more)
     between = "" if doubtful or "{size}" not in sentence else f" ({bounds(size)})"
     return f"{shown}{between} {place(found.region)}"
+
+
+def _of_sd(found: Interval) -> Interval:
+    """Return the relative change of a standard deviation; sizes of spread are half that of the variance."""
+    half = np.array([found.value, found.low, found.high])
+    value, low, high = np.sqrt(np.maximum(1.0 + 2.0 * half, 0.0)) - 1.0
+    return Interval(float(value), float(low), float(high), found.unit)
 
 
 def statement(cause: Cause) -> str:
@@ -138,7 +159,10 @@ def visible(each: Visible) -> str:
 
 def least(each: Visible) -> str:
     """Return the least size that would have shown, with its unit."""
-    return quantity(each.least, each.unit, percent=each.effect not in NO_SHARE)
+    size = each.least
+    if each.effect == Aspect.SPREAD:
+        size = _of_sd(Interval(size, size, size, each.unit)).value
+    return quantity(size, each.unit, percent=each.effect not in NO_SHARE)
 
 
 def visible_name(each: Visible) -> str:
@@ -162,12 +186,14 @@ def summary_of(
         kind: verdict in one word.
         causes: selected causes, the believed ones and the greatest shares first.
         where: located mismatches, the most certain first.
-        unexplained: the rest.
+        unexplained: the rest; without causes all of it.
         could_have_seen: least visible sizes.
         n_pings: number of answered pings.
     """
     if kind is Kind.NONE:
-        return f"No difference found in {_pings(n_pings)}{_would_show(could_have_seen)}."
+        trifle = unexplained.p_value.value < FALSE_ALARM
+        found = "A difference too small to matter" if trifle else "No difference found"
+        return f"{found} in {_pings(n_pings)}{_would_show(could_have_seen)}."
     if kind is Kind.TOO_LITTLE_DATA:
         return f"Too little data: {_pings(n_pings)} cannot decide{_needs(could_have_seen)}."
     believed = [cause for cause in causes if cause.believed]

@@ -84,6 +84,8 @@ def test_a_verdict_without_difference_says_what_would_have_shown(pages):
     assert "a zero offset of 1.2 mm or 1.1 % lost readings would have shown" in text
     assert "What could have been seen" in text
     assert "What explains the difference" not in text
+    assert "beyond the believed causes" not in text
+    assert "beyond the believed causes" in text_of(pages["scale"])
 
 
 def test_a_correction_is_offered_only_if_there_is_one(pages):

@@ -146,6 +146,12 @@ def test_an_interval_that_includes_zero_is_not_printed_as_a_size():
     assert text == "Echoes read 2 mm long everywhere"
 
 
+def test_half_the_scatter_is_called_half():
+    half = Location(Aspect.SPREAD, {}, Interval(-0.375, -0.42, -0.32, "1"), P)  # (0.5^2 - 1) / 2
+    assert words.location(half) == "Echoes scatter 50 % less (40 to 60 %) everywhere"
+    assert words.least(Visible("spread", 1.5, "1")) == "100 %"
+
+
 def test_every_effect_has_a_plain_name():
     names = [words.name(effect) for effect in CATALOGUE]
     assert len(set(names)) == len(CATALOGUE)
@@ -176,6 +182,8 @@ def test_summaries_of_every_kind_are_sentences():
     assert told[Kind.NONE] == (
         "No difference found in 1,234 pings: a zero offset of 2 mm or 2 % lost readings would have shown."
     )
+    small = Unexplained(rest().share, PValue(1 / 2001, 2000))
+    assert words.summary_of(Kind.NONE, [], [], small, [], 10) == "A difference too small to matter in 10 pings."
     assert told[Kind.EXPLAINED] == "All ranges have an offset of +12.0 mm: a reason."
     assert told[Kind.PARTLY_EXPLAINED].endswith("30 % of the difference remains unexplained.")
     assert told[Kind.UNEXPLAINED] == "Echoes read 10 mm long (8 to 12 mm) at 1 to 2 m: no known effect explains it."
