@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from acquisition.brief import shortened
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.presented import Presented
-from noise.discrepancy.thresholds import BELIEVED
+from noise.discrepancy.thresholds import BELIEVED, LEAST_CHANCE
 from noise.fitting.batch import Batch
 from noise.model import SonarModel
 
@@ -66,7 +66,7 @@ class PValue:
 
     Attributes:
         value: p-value; at the end of the bootstrap its resolution, 1 / (draws + 1).
-        draws: number of bootstrap draws; 0 for a test without a bootstrap.
+        draws: number of bootstrap draws, of several tests divided by their number; 0 for a test without a bootstrap.
         n_regressors, n_aspects: number of statistics of which the greatest is tested.
     """
 
@@ -81,13 +81,14 @@ class PValue:
         return self.draws > 0 and self.value <= 1.0 / (self.draws + 1) * (1.0 + 1e-9)
 
     def __str__(self) -> str:
-        return f"< {1.0 / self.draws:.1g}" if self.at_end else f"{self.value:.2g}"
+        end = 1.0 / self.draws if self.at_end else LEAST_CHANCE
+        return f"< {end:.1g}" if self.at_end or self.value <= end else f"{self.value:.2g}"
 
     @property
     def meaning(self) -> str:
-        """The statistic and the number of draws, as words."""
-        count = f"{self.n_regressors} regressors x {self.n_aspects} aspects"
-        return f"max over {count}, {self.draws} multiplier draws"
+        """The statistic and the least p-value that the bootstrap can give, as words."""
+        end = f", at least 1 / {self.draws + 1}" if self.draws else ""
+        return f"max over {self.n_regressors} regressors x {self.n_aspects} aspects{end}"
 
 
 @dataclass(frozen=True)
@@ -330,7 +331,7 @@ def _plain(value: float) -> float | None:
 
 DEG = 180.0 / math.pi
 COLUMNS = {"distance": ("distance_mm", MM), "angle": ("angle_deg", DEG), "incidence": ("incidence_deg", DEG)}
-COLUMNS |= {"time": ("time_s", 1.0)}
+COLUMNS |= {"time": ("time_s", 1.0), "abs_angle": ("abs_angle_deg", DEG), "movement": ("movement_mm", MM)}
 
 
 def _location(found: Location) -> dict[str, Any]:
@@ -338,9 +339,7 @@ def _location(found: Location) -> dict[str, Any]:
     size = _interval(found.size)
     return {
         "aspect": str(found.aspect),
-        "region": {
-            name: [_plain(factor * low), _plain(factor * high)] for (name, factor), (low, high) in named.items()
-        },
+        "region": {name: [_plain(factor * end) for end in ends] for (name, factor), ends in named.items()},
         "size": size["value"],
         **{name: size[name] for name in ("unit", "low", "high")},
         "p_value": _plain(found.p_value.value),

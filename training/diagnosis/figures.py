@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from noise import metrics
+from noise.discrepancy.report.numbers import quantity
 from noise.discrepancy.result import Aspect, Diagnosis, Location, Verdict
 from noise.law import CREDENCE_TOLERANCE
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, Figure, figure_of, svg
@@ -109,7 +110,7 @@ def scores(axes: Axes, verdict: Verdict, corrected: bool) -> None:
     size = [1000.0 * row[1] for row in rows]
     axes.barh([row[0] for row in rows], size, color=[row[2] for row in rows], height=0.62)
     for k, value in enumerate(size):
-        axes.text(value, k, f" {value:.3g} mm", va="center")
+        axes.text(value, k, f" {quantity(value / 1000.0, 'm')}", va="center")
     axes.set(xlabel="mean prediction error (mm)", xlim=(0, 1.25 * max(size, default=1.0)))
 
 

@@ -25,6 +25,7 @@ DEG = 180.0 / np.pi
 AXES = {
     "distance": ("true distance (mm)", 1000.0),
     "angle": ("angle (deg)", DEG),
+    "abs_angle": ("angle to either side (deg)", DEG),
     "incidence": ("incidence angle (deg)", DEG),
     "reflectance": ("reflectance", 1.0),
     "run": ("session (counted from 0)", 1.0),
@@ -153,7 +154,7 @@ class Compared:
 def column(batch: Batch, name: str) -> Floats | None:
     """Return a column of the conditions in the unit of its axis, (n,); None if it was not logged or does not vary."""
     ping = batch.ping
-    value = ping.covariates.get(name) if name in logged_names(ping) else vars(ping).get(name)
+    value = {"abs_angle": np.abs(ping.angle), **ping.covariates, **vars(ping)}.get(name)
     if value is None or (name == "time" and not batch.timed) or np.ptp(value) < 1e-3 * max(1.0, np.abs(value).max()):
         return None
     return np.asarray(value, dtype=np.float64) * axis(name, batch)[1]

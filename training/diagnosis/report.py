@@ -15,11 +15,11 @@ from markupsafe import Markup
 from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report import markup, words
 from noise.discrepancy.report.numbers import bounds, estimate, parameter, plain, quantity, readable, with_interval
-from noise.discrepancy.result import LEVEL, Cause, Diagnosis, HeldOut, Kind, Location, PValue, Visible
+from noise.discrepancy.result import LEVEL, Cause, Diagnosis, HeldOut, Kind, Location, PValue, Verdict, Visible
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from training.diagnosis.figures import all_figures
-from training.diagnosis.prediction import Prediction, axis, predictor
+from training.diagnosis.prediction import Prediction, along, axis, predictor, thinned
 
 TEMPLATES = Path(__file__).parent / "templates"
 COLOURS = {
@@ -79,6 +79,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "bar": Markup(markup.share_bar(verdict) + markup.legend(verdict)) if answers else "",
         "causes": [] if silent else [cause_facts(cause) for cause in verdict.causes],
         "where": [located(found) for found in verdict.where],
+        "caption": "Along the condition where they differ" if _is_drawn(verdict, batch) else "Along the conditions",
         "rest": [located(found) for found in verdict.unexplained.where],
         "rest_share": with_interval(verdict.unexplained.share),
         "fit": fit_rows(verdict.held_out, diagnosis.corrected is not None),
@@ -91,6 +92,11 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "catalogue": len(CATALOGUE),
         "listed": lambda effects: words.either(effects, "and"),
     }
+
+
+def _is_drawn(verdict: Verdict, batch: Batch) -> bool:
+    """Return whether the first mismatch is drawn along a condition that its region restricts."""
+    return bool(verdict.where) and along(verdict.where[0], thinned(batch)) in verdict.where[0].region
 
 
 def p_text(p_value: PValue) -> str:

@@ -32,14 +32,13 @@ from noise.discrepancy.moments.regressors import Column, Form, columns_of
 from noise.discrepancy.moments.sample import Sample, positions
 from noise.discrepancy.moments.scores import ASPECTS, BIAS, LIMIT, Scores, ping_law, scores_of_both, target_of
 from noise.discrepancy.result import Aspect, Interval, Location, PValue
-from noise.discrepancy.thresholds import FALSE_ALARM, MAX_PLACEMENT_M, SHARE_TOLERANCE, SPREAD_TOLERANCE
+from noise.discrepancy.thresholds import FALSE_ALARM, LEAST_CHANCE, MAX_PLACEMENT_M, SHARE_TOLERANCE, SPREAD_TOLERANCE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import LEVEL_SD, PLACEMENT, Stack
 
 SPREAD = ASPECTS.index(Aspect.SPREAD)
 FAR = (ASPECTS.index(Aspect.EARLY), ASPECTS.index(Aspect.LATE))
 COARSER = 1.5  # ratio of the steps of two registers that differ
-LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong
 KNOWN = 1e9  # degrees of freedom where nothing is estimated
 MIN_PLACES = 5  # positions of each file for an F test
 MIN_PER_PLACE = 3  # blocks of a position, on average

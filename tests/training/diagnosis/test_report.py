@@ -186,6 +186,19 @@ def test_the_column_is_the_most_restricted_one_that_varies():
     assert column(batch, "unknown") is None
 
 
+def test_a_mismatch_to_either_side_is_drawn_along_the_angle():
+    ping = Ping.of(np.linspace(1, 2, 50), angle=np.linspace(-0.5, 0.5, 50))
+    batch = Batch.of(Recording.of(ping, Reading.of(ping.distance)))
+    found = Location(Aspect.BIAS, {"abs_angle": (0.2, 0.5)}, Interval(0.01, 0.0, 0.02, "m"), P)
+    assert along(found, batch) == "abs_angle"
+    np.testing.assert_allclose(column(batch, "abs_angle"), np.abs(np.rad2deg(ping.angle)), atol=1e-5)
+
+
+def test_a_caption_names_the_condition_only_where_the_figure_shows_it(pages):
+    assert "Along the condition where they differ" in pages["scale"]
+    assert "Along the condition where they differ" not in pages["dropped"]  # it differs everywhere
+
+
 def test_a_logged_column_does_not_replace_a_condition_of_its_name():
     ping = Ping.of(np.linspace(1, 2, 50), angle=np.linspace(0, 0.5, 50), time=np.arange(50.0))
     named = {"angle": np.linspace(40.0, 10.0, 50), "load_v": np.linspace(3.0, 5.0, 50)}
@@ -204,6 +217,8 @@ def test_bins_have_equal_counts_and_keep_the_mean():
 def test_p_values_end_where_the_bootstrap_ends():
     assert p_text(P) == "p < 0.0005"
     assert p_text(PValue(0.034, 2000)) == "p = 0.034"
+    assert p_text(PValue(1e-6, 0)) == "p < 1e-06"
+    assert PValue(0.0015, 666, 30, 9).meaning == "max over 30 regressors x 9 aspects, at least 1 / 667"
 
 
 def test_the_first_numbers_fit_the_verdict(situations):

@@ -114,6 +114,12 @@ def test_a_region_of_one_value_states_it_once():
     assert place({"distance": (0.7, 0.7)}) == "at 0.7 m"
 
 
+def test_the_file_states_regions_in_mm_and_degrees():
+    region = {"abs_angle": (0.0, math.pi / 6), "movement": (0.0, 0.5), "run": (1, 1)}
+    told = replace(verdict([]), where=(Location(Aspect.BIAS, region, Interval(0.01, 0.0, 0.02, "m"), P),)).to_dict()
+    assert told["where"][0]["region"] == {"abs_angle_deg": [0.0, 30.0], "movement_mm": [0.0, 500.0], "run": [1.0, 1.0]}
+
+
 def test_the_least_beam_width_that_shows_is_no_percentage():
     assert words.least(Visible("beam_width", 3.2, "1")) == "3.2"
     assert words.least(Visible("clock_scale", 0.032, "1")) == "3.2 %"
