@@ -137,7 +137,7 @@ class Cause:
         alternatives: effects that the data do not exclude in its place.
         share: share of the misfit that it explains, 0 to 1, with its interval.
         gain_nats, gain_se: log-likelihood on unseen visits that is lost without it; standard error over visits.
-        parameters: values in the recording, with intervals.
+        parameters: values in the recording, of signed sizes and lost readings their differences, with intervals.
         statement: one sentence with the number and unit that matters.
     """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
+from html import escape
 from typing import Any
 
 import matplotlib as mpl
@@ -65,12 +66,13 @@ class NotebookFigure(Figure):
         return out.getvalue()
 
 
-def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.4, 3.5)) -> str:
+def svg(draw: Callable[[Axes], None], name: str, alt: str, size: tuple[float, float] = (5.4, 3.5)) -> str:
     """Return a figure with one pair of axes as scalable SVG text.
 
     Args:
         draw: draws on the axes.
         name: seed of the identifiers, which must differ between the figures of a page.
+        alt: what the figure shows, for those who cannot see it.
         size: width and height, inches.
     """
     with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
@@ -81,7 +83,7 @@ def svg(draw: Callable[[Axes], None], name: str, size: tuple[float, float] = (5.
     text = out.getvalue()[out.getvalue().index("<svg") :]
     for attribute in ("width", "height"):
         text = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", text, count=1)
-    return text
+    return text.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1)
 
 
 def figure_of(draws: Sequence[Draw], size: tuple[float, float]) -> NotebookFigure:

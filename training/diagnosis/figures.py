@@ -26,6 +26,19 @@ from training.diagnosis.prediction import (
 
 MAX_POINTS = 2500
 MAX_SHOWN = 2  # located mismatches with a figure of their own
+ALT = {  # of each figure of a page, in words
+    "scores": "Bars: mean prediction error of each model on unseen visits",
+    "mismatch_0": "Curves: recording and predictions along the condition of the first difference",
+    "mismatch_1": "Curves: recording and predictions along the condition of another difference",
+    "histogram": "Histogram: reading minus prediction of each model",
+    "calibration": "Histogram: quantiles of the readings in the prediction of each model",
+    "map_before": "Map: median error of the simulation at each position",
+    "map_after": "Map: median error of the corrected model at each position",
+    "map_outliers": "Map: share of readings far from the target at each position",
+    "readings": "Curves: readings and median predictions along a condition",
+    "detection": "Curves: share of pings with an echo, recorded and predicted, along a condition",
+    "credence": "Curves: share of readings within 10 % of the truth, recorded and predicted, along a condition",
+}
 
 
 def _shade(axes: Axes, compared: Compared, found: Location | None, name: str) -> None:
@@ -197,7 +210,7 @@ def all_figures(diagnosis: Diagnosis, seed: int = 0) -> dict[str, str]:
         draws["readings"] = partial(readings, compared=unseen, name=name)
         draws["detection"] = partial(shares_along, compared=unseen, name=name, aspect=Aspect.DETECTION)
         draws["credence"] = partial(credence, compared=unseen, name=name)
-    return {name: svg(draw, name) for name, draw in draws.items()}
+    return {name: svg(draw, name, ALT[name]) for name, draw in draws.items()}
 
 
 def _shown(verdict: Verdict, whole: Compared) -> list[Location | None]:

@@ -41,8 +41,10 @@ def render(diagnosis: Diagnosis, corrected: str, seed: int = 0) -> str:
         corrected: folder of the corrected model, for the instructions.
         seed: seed of randomised PIT values.
     """
-    folder = shlex.quote(str(Path(corrected).parent))
-    return re.sub(r"\n\s*\n+", "\n", fill("report.html", diagnosis, seed, corrected=corrected, folder=folder))
+    parent = Path(corrected).parent
+    saved = any((parent / name / "model.json").is_file() for name in ("corrected", "difference"))
+    named = {"corrected": corrected, "folder": shlex.quote(str(parent)), "unsaved": "" if saved else str(parent)}
+    return re.sub(r"\n\s*\n+", "\n", fill("report.html", diagnosis, seed, **named))
 
 
 def fill(template: str, diagnosis: Diagnosis, seed: int = 0, **variables: Any) -> str:
@@ -77,6 +79,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "acts": diagnosis.difference is not None,
         "left_out": [(words.name(name), reason) for name, reason in diagnosis.left_out.items()],
         "bar": Markup(markup.share_bar(verdict) + markup.legend(verdict)) if answers else "",
+        "believed": any(cause.believed for cause in verdict.causes),
         "causes": [] if silent else [cause_facts(cause) for cause in verdict.causes],
         "where": [located(found) for found in verdict.where],
         "caption": "Along the condition where they differ" if _is_drawn(verdict, batch) else "Along the conditions",

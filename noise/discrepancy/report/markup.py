@@ -9,7 +9,13 @@ from noise.discrepancy.report import words
 from noise.discrepancy.report.numbers import bounds, estimate, parameter, quantity, readable
 from noise.discrepancy.result import Cause, Diagnosis, Interval, Verdict
 
-COLOURS = ("#1b6ca8", "#2a9d8f", "#8a5fbf", "#c98a1b", "#5a7d2a")  # of causes; distinct for the colour-blind
+COLOURS = (
+    "#1b6ca8",
+    "#207d72",
+    "#8a5fbf",
+    "#946210",
+    "#5a7d2a",
+)  # of causes; distinct for the colour-blind, dark below white labels
 REST, TOGETHER, INK = "#b9c2cb", "#dde7ee", "#1d2733"
 WIDTH, HEIGHT, MIN_LABEL = 1000.0, 44.0, 70.0  # of the drawing and of a segment that can hold its number
 CELL = 'style="padding:3px 14px 3px 0;text-align:left"'

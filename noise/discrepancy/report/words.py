@@ -208,7 +208,7 @@ def summary_of(
 
 
 def _possible(causes: Sequence[Cause]) -> str:
-    """Return the believed causes, which explain a part, else the likeliest of those that would explain more than one."""
+    """Return the believed causes, which explain a part, else the likeliest of those that explain more."""
     believed = [cause for cause in causes if cause.believed]
     if believed:
         parts = (f"{either(_not_excluded(cause))} explains {quantity(cause.share.value, '1')}" for cause in believed)

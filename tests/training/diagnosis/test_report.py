@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from acquisition import Ping, Reading, Recording
-from noise.discrepancy.result import Aspect, Interval, Kind, Location, PValue
+from noise.discrepancy.result import Aspect, BaselineCheck, Interval, Kind, Location, PValue
 from noise.fitting.batch import Batch
 from training.diagnosis.diagnose import summary
 from training.diagnosis.figures import Compared, overview, scores
@@ -44,6 +44,13 @@ def test_a_page_is_one_file_without_scripts(pages, name):
 def test_what_scrolls_can_be_reached_with_the_keyboard(pages, name):
     scrolling = re.findall(r'<(?:pre|div class="scroll")[^>]*>', pages[name])
     assert all('tabindex="0"' in tag for tag in scrolling)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_figure_has_words_and_every_table_a_header(pages, name):
+    page = pages[name]
+    assert all('role="img" aria-label="' in tag for tag in re.findall(r"<svg[^>]*>", page))
+    assert all(start == "<tr><th" for start in re.findall(r"<table[^>]*>(.{7})", page, flags=re.S))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -90,8 +97,18 @@ def test_a_verdict_without_difference_says_what_would_have_shown(pages):
 
 def test_a_correction_is_offered_only_if_there_is_one(pages):
     assert "Use the correction" in pages["scale"]
+    assert 'diagnosis.save("result")' in pages["scale"].replace("&#34;", '"')  # nobody wrote it there
     assert "Use the correction" not in pages["unexplained"]
     assert "No correction is offered" in text_of(pages["unexplained"])
+
+
+def test_a_correction_without_a_believed_cause_is_not_composed(situations):
+    made = situations["scale"]
+    doubtful = BaselineCheck(False, P, 0.9, "the emulator does not fully describe the simulation")
+    page = render(replace(made, verdict=replace(made.verdict, causes=(), baseline_check=doubtful)), "result/corrected")
+    assert "Use the correction" in page
+    assert "noise.compose" not in page
+    assert "The emulator does not fully describe the simulation. The results may" in text_of(page)
 
 
 def test_only_silence_gives_a_short_page_that_says_what_to_check(pages):
@@ -130,6 +147,7 @@ def test_save_and_report_write_files_and_remove_an_older_model(situations, tmp_p
     situations["scale"].save(tmp_path)
     assert (tmp_path / "verdict.json").is_file()
     assert (tmp_path / "corrected" / "model.json").is_file()
+    assert "diagnosis.save(" not in situations["scale"].report(tmp_path / "report.html").read_text()
     situations["unexplained"].save(tmp_path)
     assert not (tmp_path / "corrected").exists()
     assert situations["silent"].report(tmp_path / "report.html").read_text().startswith("<!doctype html>")

@@ -213,6 +213,14 @@ def test_a_measurement_states_its_pings_only_where_there_are_several(pings, told
     assert words.measurement(Measurement("look at it", ("stuck",), pings)) == f"look at it{told}"
 
 
+@pytest.mark.parametrize("colour", markup.COLOURS)
+def test_white_labels_can_be_read_on_every_colour(colour):
+    light = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in light]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    assert 1.05 / (luminance + 0.05) >= 4.5  # WCAG 2.1, contrast of text with white
+
+
 @given(st.lists(st.floats(-0.5, 1.5) | st.just(math.nan), min_size=1, max_size=6), st.floats(0.0, 1.0))
 def test_the_bar_never_exceeds_its_width(shares, left):
     drawing = ElementTree.fromstring(markup.share_bar(verdict([cause(share=each) for each in shares], left)))
