@@ -9,13 +9,8 @@ from noise.discrepancy.report import words
 from noise.discrepancy.report.numbers import bounds, estimate, parameter, quantity, readable
 from noise.discrepancy.result import Cause, Diagnosis, Interval, Verdict
 
-COLOURS = (
-    "#1b6ca8",
-    "#207d72",
-    "#8a5fbf",
-    "#946210",
-    "#5a7d2a",
-)  # of causes; distinct for the colour-blind, dark below white labels
+# of causes; distinct for the colour-blind, dark below white labels
+COLOURS = ("#1b6ca8", "#207d72", "#8a5fbf", "#946210", "#5a7d2a")
 REST, TOGETHER, INK = "#b9c2cb", "#dde7ee", "#1d2733"
 WIDTH, HEIGHT, MIN_LABEL = 1000.0, 44.0, 70.0  # of the drawing and of a segment that can hold its number
 CELL = 'style="padding:3px 14px 3px 0;text-align:left"'
