@@ -86,8 +86,8 @@ class PValue:
 
     @property
     def meaning(self) -> str:
-        """The statistic and the least p-value that the bootstrap can give, as words."""
-        end = f", at least 1 / {self.draws + 1}" if self.draws else ""
+        """The statistic and the resolution of the bootstrap, as words."""
+        end = f", resolution 1 / {self.draws + 1}" if self.draws else ""
         return f"max over {self.n_regressors} regressors x {self.n_aspects} aspects{end}"
 
 

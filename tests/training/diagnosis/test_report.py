@@ -236,7 +236,7 @@ def test_p_values_end_where_the_bootstrap_ends():
     assert p_text(P) == "p < 0.0005"
     assert p_text(PValue(0.034, 2000)) == "p = 0.034"
     assert p_text(PValue(1e-6, 0)) == "p < 1e-06"
-    assert PValue(0.0015, 666, 30, 9).meaning == "max over 30 regressors x 9 aspects, at least 1 / 667"
+    assert PValue(0.0015, 666, 30, 9).meaning == "max over 30 regressors x 9 aspects, resolution 1 / 667"
 
 
 def test_the_first_numbers_fit_the_verdict(situations):
