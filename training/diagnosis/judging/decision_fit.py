@@ -90,8 +90,30 @@ def fit(examples: Examples) -> DecisionModel:
     return DecisionModel(scaler.mean_, scaler.scale_, logistic.coef_[0], float(logistic.intercept_[0]))
 
 
+class RisingRegression(LogisticRegression):
+    """Logistic regression whose probability never falls where a feature rises: better evidence is no worse.
+
+    Of correlated features one may get a negative weight by chance. The most negative one is left out until there is
+    none.
+    """
+
+    def fit(self, feature: Floats, true: Bits) -> RisingRegression:
+        """Fit the weights, each at least 0.
+
+        Args:
+            feature: standardised, (n, k).
+            true: outcomes, (n,).
+        """
+        kept = np.ones(feature.shape[1], dtype=bool)
+        while True:
+            super().fit(feature * kept, true)
+            if (self.coef_[0] >= 0.0).all():
+                return self
+            kept[np.argmin(self.coef_[0])] = False
+
+
 def _regression(penalty: float) -> Pipeline:
-    return make_pipeline(StandardScaler(), LogisticRegression(C=penalty, max_iter=2000))
+    return make_pipeline(StandardScaler(), RisingRegression(C=penalty, max_iter=2000))
 
 
 def _penalty(examples: Examples) -> float:

@@ -5,11 +5,12 @@ from dataclasses import asdict, fields
 
 import numpy as np
 import pytest
+from sklearn.linear_model import LogisticRegression
 
 from acquisition import SettingError
 from noise.discrepancy.evidence import Evidence
 from noise.discrepancy.judge.decision import DecisionModel
-from training.diagnosis.judging.decision_fit import examples_of, true_places
+from training.diagnosis.judging.decision_fit import RisingRegression, examples_of, true_places
 from training.diagnosis.judging.fit_command import Args, fitted, main
 from training.diagnosis.judging.run import append
 
@@ -49,6 +50,18 @@ def test_probabilities_of_families_left_out_are_calibrated(records):
     assert card["brier"] < 0.14  # of the true probabilities 0.12
     assert card["families used"] == ["beam", "rig", "ruler"]
     assert card["families left out"] == ["fixed", "driving"]
+
+
+def test_better_evidence_is_never_worse_however_features_are_correlated():
+    rng = np.random.default_rng(3)
+    first = rng.normal(size=400)
+    feature = np.stack([first, first + 0.3 * rng.normal(size=400), rng.normal(size=400)], axis=1)
+    true = rng.random(400) < 1.0 / (1.0 + np.exp(-3.0 * feature[:, 0] + 1.0 * feature[:, 1] - feature[:, 2]))
+    free, rising = (kind(C=10.0).fit(feature, true) for kind in (LogisticRegression, RisingRegression))
+    assert free.coef_[0][1] < 0.0
+    assert (rising.coef_[0] >= 0.0).all()
+    alone = LogisticRegression(C=10.0).fit(feature[:, [0, 2]], true)
+    assert rising.coef_[0][[0, 2]] == pytest.approx(alone.coef_[0], abs=1e-3)
 
 
 def test_records_that_hold_more_than_is_needed_are_used(records):
