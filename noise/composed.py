@@ -37,11 +37,8 @@ from noise.physical import END, PhysicalLaw, PhysicalModel
 
 WEIGHTS = ("probability", "presence", "per_metre")  # parameters that say how often an effect acts
 N_NODES = 15  # equally probable points that stand for added normal scatter
-UNBOUNDED: dict[str, Any] = {
-    "gate": number(END),
-    "blind_range": None,
-    "step": 0.0,
-}  # of a state without limits
+# limits of a state that has none
+UNBOUNDED: dict[str, Any] = {"gate": number(END), "blind_range": None, "step": 0.0}
 Values = Mapping[str, Mapping[str, float]]
 
 
@@ -141,7 +138,7 @@ class ComposedModel:
         self.model = model
         self.before, self.after = (EmpiricalModel(stack, model.resolution, END) for stack in (before, after))
         # what is added at random is drawn anew at every ping
-        self.persistence: Persistence | None = None if _adds(self.after) else getattr(model, "persistence", None)
+        self.persistence: Persistence | None = None if _is_more(self.after) else getattr(model, "persistence", None)
 
     @property
     def resolution(self) -> float:
@@ -259,10 +256,11 @@ def _built(values: Values) -> list[Effect]:
 
 def adds(name: str) -> bool:
     """Return whether an effect adds a path, false alarms or replaced readings, rather than change the direct path."""
-    return _adds(PhysicalModel([CATALOGUE[name]()]))
+    return _is_more(PhysicalModel([CATALOGUE[name]()]))
 
 
-def _adds(model: PhysicalModel) -> bool:
+def _is_more(model: PhysicalModel) -> bool:
+    """Return whether a model has more than a direct path."""
     state = model.state(Conditions.of(Ping.of(distance=1.0)))
     return len(state.paths) > 1 or bool(state.atoms) or state.clutter is not None
 

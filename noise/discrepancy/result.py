@@ -82,7 +82,7 @@ class PValue:
 
     def __str__(self) -> str:
         end = 1.0 / self.draws if self.at_end else LEAST_CHANCE
-        return f"< {end:.1g}" if self.at_end or self.value <= end else f"{self.value:.2g}"
+        return f"< {end:.1g}" if self.value <= end else f"{self.value:.2g}"
 
     @property
     def meaning(self) -> str:

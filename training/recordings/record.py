@@ -12,7 +12,7 @@ import numpy as np
 from acquisition import DeviceError, EchoStatus, Ping, Recording
 from acquisition.bench import Rig, Setup, Unit
 from acquisition.bench.laboratory.setup import RANGE_STEP_MM
-from acquisition.drivers import DRIVERS, Srf08, Srf10
+from acquisition.drivers import DRIVERS, Srf08
 from acquisition.drivers.devantech import Devantech
 from acquisition.errors import SettingError
 from acquisition.io.places import OutputFile
@@ -268,7 +268,7 @@ SOURCES: dict[str, Callable[[Args], PingSource]] = {
 
 def with_gain(args: Args) -> Args:
     """Return the settings with the gain of the sensor after power-up where none is given."""
-    full = Srf10.max_gain if args.driver == "srf10" else Srf08.max_gain
+    full = getattr(DRIVERS.get(args.driver), "max_gain", Srf08.max_gain)
     return replace(args, gain=full) if args.gain is None else args
 
 

@@ -19,6 +19,7 @@ from acquisition.bench.laboratory.air import CARRIER, Air
 from acquisition.bench.laboratory.setup import Setup
 from acquisition.bench.laboratory.shapes import Disc, Plate, Shape, Wall, outline, shape_of, subtended, surfaces_of
 from acquisition.bench.laboratory.unit import Unit
+from acquisition.bench.visits import TILT
 from acquisition.ping import Ping
 
 HOUSING_AREA = 0.043 * 0.020  # m^2, area of the sensor's face, which reflects echoes
@@ -87,7 +88,7 @@ class PathGeometry:
     @classmethod
     def of(cls, unit: Unit, setup: Setup, placed: Ping, air: Air) -> PathGeometry:
         """Build from pings as returned by `Rig.place`; a vertical temperature gradient bends the paths."""
-        lean = placed.covariates.get("tilt_back", np.zeros(len(placed)))
+        lean = placed.covariates.get(TILT, np.zeros(len(placed)))
         bend = setup.gradient.bend(air)
         # in coordinates of straight rays the reflector is higher and its top nearer (circles of curvature `bend`)
         above = setup.above_m + 0.5 * bend * placed.distance**2

@@ -137,7 +137,9 @@ def scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) ->
 def _scores_of_both(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Scores:
     parts = sample.left_out(law_simulated)
     own = scores(law_recorded.by_part(parts[0]), sample.recorded)
-    common = _Expected.of(ping_law(law_simulated.by_part(parts[0]), sample.recorded), sample.recorded)
+    common: Scores | _Expected = own
+    if law_recorded is not law_simulated:
+        common = _Expected.of(ping_law(law_simulated.by_part(parts[0]), sample.recorded), sample.recorded)
     rescaled = own.value.copy()
     rescaled[:, BIAS] *= own.sigma / common.sigma
     both = [replace(own, value=rescaled, sigma=common.sigma, probability=common.probability)]
