@@ -28,7 +28,7 @@ from acquisition.arrays import Bits, Floats, Ints
 from acquisition.ping import TEMPERATURE
 from noise.effects import CATALOGUE, Atom, Conditions, Effect, Path, State
 from noise.effects.state import number
-from noise.faults import HasWeights
+from noise.faults import FaultyLaw, HasWeights
 from noise.fitting.empirical import EmpiricalModel
 from noise.law import EchoLaw, UniformSource
 from noise.learned.persistence import Persistence
@@ -139,6 +139,7 @@ class ComposedModel:
         self.before, self.after = (EmpiricalModel(stack, model.resolution, END) for stack in (before, after))
         # what is added at random is drawn anew at every ping
         self.persistence: Persistence | None = None if _is_more(self.after) else getattr(model, "persistence", None)
+        self.causes: tuple[str, ...] = getattr(model, "causes", ("none",))
 
     @property
     def resolution(self) -> float:
@@ -151,19 +152,23 @@ class ComposedModel:
         return self.model.remembers or self.after.remembers
 
     @checked
-    def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> ComposedLaw:
+    def law(self, ping: Ping, past: Reading | None = None, sensors: Ints | None = None) -> EchoLaw:
         """Return the law of n pings, given the previous reading of each; see `StatefulModel.law`."""
         model = self.model
         own = model.law(ping, past, sensors) if isinstance(model, StatefulModel) else model.law(ping, past)
         return self._changed(own, Conditions.of(ping, past))
 
     @checked
-    def follow(self, ping: Ping, reading: Reading) -> ComposedLaw:
+    def follow(self, ping: Ping, reading: Reading) -> EchoLaw:
         """Return the law of every ping of a recording given all earlier pings of its run, (n,)."""
         past = previous(reading, ping.run)
         return self._changed(follow(self.model, ping, reading), Conditions.of(ping, past))
 
-    def _changed(self, law: EchoLaw, conditions: Conditions) -> ComposedLaw:
+    def _changed(self, law: EchoLaw, conditions: Conditions, persists: bool = True) -> EchoLaw:
+        if isinstance(law, FaultyLaw):  # which ping has a fault, and what it reads, does not persist
+            first, *faults = law.parts
+            parts = [self._changed(first, conditions), *(self._changed(each, conditions, False) for each in faults)]
+            return FaultyLaw(parts, law.rate)
         with torch.no_grad():
             before, after = self.before.state(conditions), self.after.state(conditions)
             factor = after.scale / before.scale
@@ -176,7 +181,7 @@ class ComposedModel:
             )
         if np.any(law.no_answer > 0):
             state = state.with_atom(Atom(torch.tensor(law.no_answer), torch.zeros_like, number(0.0), number(1.0)))
-        return ComposedLaw(state, law, conditions.distance.numpy(), self.persistence is not None)
+        return ComposedLaw(state, law, conditions.distance.numpy(), persists and self.persistence is not None)
 
     def fresh(self) -> ComposedModel:
         """Return a copy with an empty state of its own if the model is stateful."""

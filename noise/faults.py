@@ -22,6 +22,7 @@ from acquisition import EchoStatus, ModelError, Ping, Reading, SettingError
 from acquisition.arguments import checked
 from acquisition.limits import Limit, PositiveMetres, Share, check_settings
 from noise.law import EchoLaw, Floats, UniformSource
+from noise.learned.persistence import Persistence
 from noise.model import MAX_RANGE, SonarModel, StatefulModel, follow, listener
 
 
@@ -268,6 +269,11 @@ class Faulty:
     def remembers(self) -> bool:
         """Whether the law of the model depends on the previous reading; faults are independent."""
         return self.model.remembers
+
+    @property
+    def persistence(self) -> Persistence | None:
+        """The part of the model's spread that persists; faults are drawn anew at every ping."""
+        return getattr(self.model, "persistence", None)
 
     @property
     def causes(self) -> tuple[str, ...]:

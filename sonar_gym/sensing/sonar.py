@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from acquisition import Reading, SettingError
 from acquisition.arrays import Bits, Floats, Ints
 from noise import ConditionPrior, CredenceTable, SonarModel, listener, load_model, model_names
-from noise.faults import Faulty
-from noise.learned.persistence import Persistence
 from noise.model import StatefulModel
 from sonar_gym.compiled import compiled
 from sonar_gym.sensing import paths as columns
@@ -56,11 +54,6 @@ def resolve(sonar: SonarChoice) -> SonarModel:
     if isinstance(sonar, SonarModel):
         return sonar
     raise SettingError(f"sonar is a {type(sonar).__name__}, expected a name, the path of a model, or a SonarModel")
-
-
-def persistence_of(model: Any) -> Persistence | None:
-    """Return the part of a model's spread that persists, also of a model with faults; None if it has none."""
-    return persistence_of(model.model) if isinstance(model, Faulty) else getattr(model, "persistence", None)
 
 
 @lru_cache
@@ -173,8 +166,8 @@ class Sonar:
         # bursts of others may come from farther than the readings, which `first_echoes` cuts
         self.law = path_law(self.model, copies * self._places, max(max_range, LISTENING_M))
         self.batched, self.has_credence = self.law.batched, self.law.has_probabilities
-        self.causes = self.model.causes[1:] if isinstance(self.model, Faulty) else ()
-        self.persistence = persistence_of(shared) if persists else None
+        self.causes: tuple[str, ...] = getattr(shared, "causes", ("none",))[1:]
+        self.persistence = getattr(shared, "persistence", None) if persists else None
         self._episodes = np.zeros(copies, dtype=np.int64)  # numbers from which the persisting errors are derived
         places = copies if self._by_face else 0, self._places
         self._held, self._used = np.full(places, NOTHING_HELD, np.int32), np.zeros(places, np.uint32)

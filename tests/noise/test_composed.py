@@ -9,10 +9,11 @@ import pytest
 import noise
 import sonar_gym  # noqa: F401  (registers the environment)
 from acquisition import Ping, Reading, SettingError
-from noise import GaussianModel, compose, load_model, save_model, simulate
+from noise import Faulty, GaussianModel, compose, load_model, save_model, simulate
 from noise.composed import ComposedModel, adds, with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest
 from noise.effects import CATALOGUE
+from noise.faults import Constant, Noise
 from noise.law import ExtrapolationWarning
 from noise.physical import PhysicalModel
 from noise.rig import RigModel
@@ -199,6 +200,13 @@ def test_readings_are_drawn_from_the_law_also_where_outcome_and_range_have_a_num
     below = np.mean(drawn.echo & (drawn.range <= reads + 1e-9), axis=1)
     np.testing.assert_allclose(below, law.cdf(reads)[:, 0], atol=0.015)
     assert drawn.echo.mean() == pytest.approx(law.echo[0], abs=0.015)
+
+
+def test_an_offset_moves_the_readings_of_a_sonar_with_faults_as_a_whole():
+    faulty, edges = Faulty(LEARNED, [Noise(0.2, sigma=0.1), Constant(0.1, value=1.0)]), np.linspace(0.3, 3.5, 50)[:, None]
+    moved = compose(faulty, diagnosed(zero_offset={"offset_m": 0.05})).law(FAR)
+    np.testing.assert_allclose(moved.arrival(edges + 0.05), faulty.law(FAR).arrival(edges), atol=1e-6)
+    assert moved.rate.tolist() == pytest.approx([0.7, 0.2, 0.1])
 
 
 def test_the_composed_law_extrapolates_where_the_learned_one_does():

@@ -12,7 +12,6 @@ from noise import EchoLaw, SonarModel, load_model
 from noise.faults import Faulty, Noise, Short
 from noise.law import Floats, SampleOnlyLaw, UniformSource
 from noise.learned.persistence import Persistence
-from sonar_gym.sensing.sonar import persistence_of
 
 TRAINING_FAULTS = (Short(0.05), Noise(0.1, 0.05))  # arbitrary readings; 50 mm scatter; rates chosen here
 SEED_WORDS = 8  # 64-bit words taken from a stream to seed the generator of a batch
@@ -133,7 +132,7 @@ class ShiftedModel:
     @property
     def persistence(self) -> Persistence | None:
         """Part of the model's spread that persists; None if it has none."""
-        return persistence_of(self.model)
+        return getattr(self.model, "persistence", None)
 
     def law(self, ping: Ping, past: Reading | None = None) -> ShiftedLaw:
         """Return the law of n pings."""

@@ -6,7 +6,7 @@ import pytest
 
 import sonar_gym
 from acquisition import SettingError
-from noise import GaussianModel
+from noise import ComposedModel, GaussianModel
 from noise.faults import Constant, Faulty
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
@@ -159,8 +159,9 @@ def test_texture_reduces_the_incidence_given_to_the_model():
     assert np.any(incidence[1] < incidence[0])
 
 
-def test_info_has_the_cause_of_every_reading():
-    sonar = Faulty(GaussianModel(sigma=1e-4, sigma_per_metre=0.0, miss=0.3), [Constant(rate=0.25, value=0.5)])
+@pytest.mark.parametrize("made", [lambda faulty: faulty, lambda faulty: ComposedModel(faulty, [], [])])
+def test_info_has_the_cause_of_every_reading(made):
+    sonar = made(Faulty(GaussianModel(sigma=1e-4, sigma_per_metre=0.0, miss=0.3), [Constant(rate=0.25, value=0.5)]))
     narrow = [{**nose()[0], "name": str(k), "heading_deg": 45.0 * k} for k in range(8)]  # at most one reflector each
     env, readings = SonarParkingEnv(sonar=sonar, sonar_layout=narrow, credence_driver=None), []
     observation, info = env.reset(seed=0)

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy.stats import kstest, norm
+from scipy.stats import kstest, norm, spearmanr
 
 from acquisition import Ping
 from noise import CATALOGUE, ComposedModel, Faulty, load_model
+from noise.faults import Constant
 from noise.learned.persistence import Persistence
 from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.sensing import paths
 from sonar_gym.sensing.persistence import LATENTS, PersistentStream, latents
-from sonar_gym.sensing.sonar import persistence_of
 
 N = 4000
 KEYS = np.arange(N) * 7919
@@ -74,7 +74,7 @@ def moved():
 @pytest.mark.parametrize("model", [load_model("srf08-mlp"), moved()], ids=["learned", "composed"])
 def test_the_law_of_a_single_ping_is_unchanged_and_identical_pings_agree(model):
     law = model.law(Ping.of(np.full(N, 2.5), np.radians(20.0), np.radians(20.0), 0.4))
-    assert model.persistence == persistence_of(Faulty(model, []))
+    assert model.persistence == Faulty(model, []).persistence
     held = latents(facing(2.5), KEYS, model.persistence.lasting, model.persistence.length_m)
     first, second = (law.sample(PersistentStream(Uniform(k), held, model.persistence)) for k in (1, 2))
     alone = law.sample(np.random.default_rng(3))
@@ -85,6 +85,25 @@ def test_the_law_of_a_single_ping_is_unchanged_and_identical_pings_agree(model):
     assert 1.0 - agree < 0.35 * (1.0 - independent)
     assert Persistence(0.0, 0.0) != model.persistence
     assert held.shape == (LATENTS, N)
+
+
+@pytest.mark.parametrize("made", [lambda base: base, lambda base: ComposedModel(base, [], [])], ids=["", "composed"])
+def test_faults_do_not_persist_and_all_other_errors_do(made):
+    rate, stuck_m, base = 0.25, 0.5, load_model("srf08-mlp")
+    faulty, alike = made(Faulty(base, [Constant(rate, stuck_m)])), []
+    for model in (faulty, made(base)):
+        law = model.law(Ping.of(np.full(N, 1.5), reflectance=0.9))
+        held = latents(facing(1.5), KEYS, model.persistence.lasting, model.persistence.length_m)
+        both = [law.sample(PersistentStream(Uniform(k), held, model.persistence)) for k in (1, 2)]
+        stuck = [np.abs(each.range - stuck_m) < 0.01 for each in both]
+        heard = both[0].echo & both[1].echo & ~stuck[0] & ~stuck[1]
+        alike.append(spearmanr(both[0].range[heard], both[1].range[heard]).statistic)
+        share = rate if model is faulty else 0.0
+        assert np.mean(stuck) == pytest.approx(share, abs=0.02)
+        assert np.mean(stuck[0] & stuck[1]) == pytest.approx(share**2, abs=0.02)
+    assert alike[0] == pytest.approx(alike[1], abs=0.1)
+    assert min(alike) > 0.8
+    assert faulty.causes == ("none", "CONSTANT")
 
 
 def test_a_standing_car_gets_persistent_errors_in_the_environment():
