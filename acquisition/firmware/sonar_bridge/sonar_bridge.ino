@@ -120,20 +120,6 @@ static uint8_t read(char *at) {
   return NO_ERROR;
 }
 
-// S: list the addresses that acknowledge
-static uint8_t scan(char *at) {
-  uint8_t listed = 0;
-  if (*at) return BAD_REQUEST;
-  put(' ');
-  for (uint8_t address = 0x08; address < 0x80 && listed < MAX_READ; address++) {
-    Wire.beginTransmission(address);
-    const uint8_t error = Wire.endTransmission();
-    if (error == WIRE_TIMEOUT) return error;  // a bus held low would take 25 ms for each of 120 addresses
-    if (!error) putHex(address, 2), listed++;
-  }
-  return NO_ERROR;
-}
-
 static bool usable(uint32_t pin) {
   return pin >= 2 && pin < NUM_DIGITAL_PINS && pin != SDA && pin != SCL;
 }
@@ -193,8 +179,7 @@ struct Command {
   uint8_t (*run)(char *);
 };
 
-static const Command COMMANDS[] = {{'V', version}, {'W', write}, {'R', read}, {'S', scan}, {'D', distance},
-                                   {'P', pulse}};
+static const Command COMMANDS[] = {{'V', version}, {'W', write}, {'R', read}, {'D', distance}, {'P', pulse}};
 
 // Check and answer a line such as ">07 W 70 00 51*ABCD" (without its terminator).
 static void serve() {

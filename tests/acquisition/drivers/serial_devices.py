@@ -104,7 +104,6 @@ class ArduinoTwin:
             "V": self._version,
             "W": self._write,
             "R": self._read,
-            "S": self._scan,
             "D": self._distance,
             "P": self._pulse,
         }
@@ -128,9 +127,6 @@ class ArduinoTwin:
             return "".join(f"{bus.read_byte_data(address, register + k):02X}" for k in range(count))
 
         return self._run(transfer)
-
-    def _scan(self) -> tuple[int, str]:
-        return 0, "".join(f"{address:02X}" for address in range(8, 128) if not self._read(address, 0, 1)[0])
 
     def _distance(self, trigger: int, echo: int, limit: int) -> tuple[int, str]:
         error, pulse = self.pulses.pulse() if self.pulses and (trigger, echo) == (9, 8) else (17, 0)

@@ -111,7 +111,7 @@ def test_a_write_is_one_transaction(board):
 
 
 REFUSED = """W|W 70|W 80 1|W 70 100|W 70 1 G|W 70{}
-R|R 70|R 70 0|R 70 00 25|R 70 0 0|R 80 0 1|R 70 100 1|R 70 0 1 1|S 1
+R|R 70|R 70 0|R 70 00 25|R 70 0 0|R 80 0 1|R 70 100 1|R 70 0 1 1
 D|D 9|D 9 8|D 1 8 1000|D 9 1 1000|D 14 8 1000|D 9 14 1000|D 15 8 1000|D 9 9 1000|D 46 8 1000|D 9 46 1000
 D 9 8 7A121|D 9 8 100 1|D 100 8 1|D 9 100 1
 P|P 9|P 1 1000|P 14 1000|P 9 7A121|P 9 1 1|P 100 1|P 46 1""".format(" 00" * 17)
@@ -149,21 +149,6 @@ def test_errors_of_the_bus_are_passed_on_and_do_not_last(board):
     board.lib.host_fault(SHORT)
     board.lib.host_stuck_later()  # the flag of an earlier timeout
     assert board.ask("05 R 70 0 2") == "05 E 06"
-
-
-def test_a_scan_lists_the_devices_and_ends_at_a_stuck_bus(board):
-    assert board.ask("01 S") == "01 K "
-    assert board.lib.host_transactions() == 0x80 - 0x08
-    for address in (0x07, 0x08, 0x70, 0x7F):
-        board.lib.host_device(address)
-    assert board.ask("02 S") == "02 K 08707F"
-    for address in range(0x08, 0x40):
-        board.lib.host_device(address)
-    assert board.ask("03 S") == "03 K " + "".join(f"{k:02X}" for k in range(8, 8 + 36))
-    before = board.lib.host_transactions()
-    board.lib.host_fault(STUCK)
-    assert board.ask("04 S") == "04 E 05"
-    assert board.lib.host_transactions() == before + 1
 
 
 @pytest.mark.parametrize("width", [100, 580, 5800, 38_000, 300_000])

@@ -11,7 +11,7 @@ struct HostWire {
   std::string log;  // address, number of bytes and bytes of each write transaction
   int fault = HOST_FINE;
   bool begun = false, flag = false, reset = false;
-  uint32_t clock = 0, timeout = 0, transactions = 0;
+  uint32_t clock = 0, timeout = 0;
   uint8_t address = 0, pointer = 0;
   std::vector<uint8_t> buffer, received;
   size_t taken = 0;
@@ -24,7 +24,6 @@ struct HostWire {
   void beginTransmission(uint8_t to) { address = to, buffer.clear(); }
   void write(uint8_t byte) { if (buffer.size() < 32) buffer.push_back(byte); }
   uint8_t endTransmission() {
-    transactions++;
     if (fault == HOST_STUCK) return flag = true, 5;
     if (!devices.count(address)) return 2;
     if (fault == HOST_DATA_NACK && !buffer.empty()) return 3;
@@ -61,6 +60,5 @@ int host_log(char *into) {
   Wire.log.clear();
   return n;
 }
-int host_transactions() { return Wire.transactions; }
 int host_wire(int what) { return what == 0 ? Wire.begun : what == 1 ? Wire.clock : what == 2 ? Wire.timeout : Wire.reset; }
 }
