@@ -121,7 +121,9 @@ class Srf02(Devantech):
     name: ClassVar[str] = "SRF02"
 
     def min_range(self) -> float:
-        """Return the smallest measurable range at present, m: the end of the ringing, which the sensor calibrates.
+        """Return the smallest measurable range, m: the end of the ringing, which the sensor calibrates.
+
+        The sensor states it in the unit of its last ranging: call `ping` first.
 
         Raises:
             NoAnswerError: the sensor does not answer.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -69,6 +70,7 @@ class Srf08Twin(SimulatedSensor):
         self.gain, self.range_register = self.full_gain, 255
         self._ready, self._echoes = 0.0, bytes(34)
         self._unlocking: list[int] = []
+        self._output: Output = "cm"  # of the last ranging
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write register 0, 1 or 2."""
@@ -129,13 +131,18 @@ class Srf08Twin(SimulatedSensor):
         if tuple(self._unlocking[:3]) == UNLOCK and value % 2 == 0 and 0xE0 <= value <= 0xFE:
             self.address = value >> 1
         if value in OUTPUTS:
-            gain, reach = self.settings()
-            codes = self.fire(OUTPUTS[value], gain, reach)
-            codes = codes[codes * COUNT_US[OUTPUTS[value]] >= self.min_range_cm * COUNT_US["cm"]]
+            self._output, (gain, reach) = OUTPUTS[value], self.settings()
+            codes = self.fire(self._output, gain, reach)
+            codes = codes[codes >= self._min_count]
             self._echoes = codes.astype(">u2").tobytes().ljust(34, b"\0")
             self._listen(reach)
         if value in ANN_COUNT_US:
             self._set_gates(ANN_COUNT_US[value])
+
+    @property
+    def _min_count(self) -> int:
+        """The least count of an echo, in the unit of the last ranging."""
+        return math.ceil(self.min_range_cm * COUNT_US["cm"] / COUNT_US[self._output])
 
     def _set_gates(self, count_us: float) -> None:
         """Set the register of each gate with an echo; ANN mode ignores gain and range registers."""
@@ -176,7 +183,7 @@ class Srf02Twin(Srf08Twin):
 
     def registers(self) -> bytes:
         """Return the readable registers."""
-        return bytes([REVISION, 0x80]) + self._echoes[:2] + self.min_range_cm.to_bytes(2, "big")
+        return bytes([REVISION, 0x80]) + self._echoes[:2] + self._min_count.to_bytes(2, "big")
 
     def settings(self) -> tuple[int, int]:
         """Return maximum gain and range."""

@@ -203,7 +203,8 @@ def test_readings_are_drawn_from_the_law_also_where_outcome_and_range_have_a_num
 
 
 def test_an_offset_moves_the_readings_of_a_sonar_with_faults_as_a_whole():
-    faulty, edges = Faulty(LEARNED, [Noise(0.2, sigma=0.1), Constant(0.1, value=1.0)]), np.linspace(0.3, 3.5, 50)[:, None]
+    faulty = Faulty(LEARNED, [Noise(0.2, sigma=0.1), Constant(0.1, value=1.0)])
+    edges = np.linspace(0.3, 3.5, 50)[:, None]
     moved = compose(faulty, diagnosed(zero_offset={"offset_m": 0.05})).law(FAR)
     np.testing.assert_allclose(moved.arrival(edges + 0.05), faulty.law(FAR).arrival(edges), atol=1e-6)
     assert moved.rate.tolist() == pytest.approx([0.7, 0.2, 0.1])

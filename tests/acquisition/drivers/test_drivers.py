@@ -337,6 +337,14 @@ def test_srf02_reads_its_minimum_range():
     assert Srf02(twin, sleep=twin.clock.sleep, clock=twin.clock).min_range() == pytest.approx(0.16)
 
 
+@pytest.mark.parametrize(("output", "count_m"), [("cm", 0.01), ("inch", 0.0254), ("us", 0.01 / 58.0)])
+def test_the_minimum_range_of_an_srf02_has_the_unit_of_its_ranging(output, count_m):
+    twin = Srf02Twin(Rig(Unit.nominal(), QUIET), np.random.default_rng(0))
+    sonar = Srf02(twin, output=output, sleep=twin.clock.sleep, clock=twin.clock)
+    sonar.ping()
+    assert 0.16 - 1e-9 <= sonar.min_range() < 0.16 + count_m
+
+
 def test_srf10_has_17_gains():
     with pytest.raises(SettingError, match="SRF10 gain must be a whole number from 0 to 16, got 17"):
         Srf10(Scripted(), gain=17)
