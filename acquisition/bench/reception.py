@@ -154,8 +154,7 @@ class Reception:
     @property
     def _rate(self) -> Floats:
         """Speed of the reflector and its stand away from the sensor, m/s, (m,)."""
-        given = self.drawn.ping.covariates.get(RANGE_RATE)
-        return np.zeros(len(self.rows)) if given is None else np.nan_to_num(given[self.rows])
+        return self.drawn.ping.covariates[RANGE_RATE][self.rows]
 
     def threshold(self, pings: slice | Ints = slice(None)) -> Floats | None:
         """Return the comparator's threshold relative to its nominal value, (k, samples), or None if constant."""

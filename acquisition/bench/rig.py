@@ -16,7 +16,7 @@ from acquisition.bench.laboratory.air import Drift, Floats
 from acquisition.bench.laboratory.interference import Ambient
 from acquisition.bench.laboratory.setup import RANGE_STEP_MM, Setup, check_register
 from acquisition.bench.laboratory.unit import DEG, Unit
-from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
+from acquisition.bench.reception import RANGE_RATE, DrawnPings, Reception, draw_flutter
 from acquisition.bench.registers import Registers, TrueEchoes
 from acquisition.bench.visits import TILT, Visits
 from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
@@ -77,6 +77,7 @@ class Rig:
         self, ping: Ping, rng: np.random.Generator, drift: Drift | None, progress: Progress | None, truth: bool
     ) -> Registers:
         """Fire pings whose runs are contiguous."""
+        ping = self._completed(ping)
         down, lost = draw_resets(self.setup.bus, ping, rng)
         setting, setups = self._settings(ping, lost)
         drawn = self._draw(ping, self.draw_drift(rng) if drift is None else drift, setting, rng)
@@ -98,7 +99,7 @@ class Rig:
             ping: the conditions, (n,).
             lost: whether a reset has changed the registers, (n,).
         """
-        reset, logged = self.setup.after_reset(), self._registers(ping)
+        reset, logged = self.setup.after_reset(), ping.covariates
         gain = np.where(lost, reset.gain, logged["gain"])
         code = np.where(lost, reset.range_register, np.rint(logged["range_mm"] / RANGE_STEP_MM) - 1.0)
         distinct, setting = np.unique(np.column_stack([gain, code]), axis=0, return_inverse=True)
@@ -108,17 +109,20 @@ class Rig:
         setups = [replace(self.setup, gain=int(own[0]), range_register=int(own[1])) for own in distinct]
         return setting.reshape(-1), setups
 
-    def _registers(self, ping: Ping) -> dict[str, Floats]:
-        """Return gain and range gate of each ping, (n,) each: as given, or those of the setup."""
-        own = {"gain": float(self.setup.gain), "range_mm": RANGE_STEP_MM * (self.setup.range_register + 1)}
-        return {name: _given(ping, name, value) for name, value in own.items()}
+    def _completed(self, ping: Ping) -> Ping:
+        """Return pings with all covariates that the rig uses: as given, or those of the setup."""
+        setup, given = self.setup, ping.covariates
+        own = {TEMPERATURE: setup.temperature_c, "humidity_pct": setup.humidity_pct, TILT: 0.0, RANGE_RATE: 0.0}
+        own |= {"gain": float(setup.gain), "range_mm": RANGE_STEP_MM * (setup.range_register + 1)}
+        known = {name: given.get(name, np.full(len(ping), np.nan)) for name in own}
+        known = {name: np.where(np.isnan(value), own[name], value) for name, value in known.items()}
+        return replace(ping, covariates={**given, **known})
 
     def _draw(self, ping: Ping, drift: Drift, setting: Ints, rng: np.random.Generator) -> DrawnPings:
         """Draw all random quantities of n pings; `setting` is the number of each ping's register setting."""
         setup, deviation = self.setup, drift(ping.time)
-        temperature = _given(ping, TEMPERATURE, setup.temperature_c) + setup.drift_c * deviation
-        humidity = _given(ping, "humidity_pct", setup.humidity_pct) + setup.humidity_drift_pct * deviation
-        humidity = np.clip(humidity, 0.0, 100.0)
+        temperature = ping.covariates[TEMPERATURE] + setup.drift_c * deviation
+        humidity = np.clip(ping.covariates["humidity_pct"] + setup.humidity_drift_pct * deviation, 0.0, 100.0)
         noise_rms = self.unit.noise * _noise_factor(setup.ambient, ping, rng)
         visits = Visits.of(ping, temperature, humidity, setting)
         placed = self.place(ping[visits.first], rng, visits.visit[visits.first])
@@ -154,12 +158,9 @@ class Rig:
 
     def columns(self, ping: Ping, registers: Registers) -> dict[str, Floats]:
         """Return the logged covariates: temperature to 0.1 degC, humidity, gain and range gate."""
-        n = len(ping)
-        return {
-            TEMPERATURE: registers.temperature_c.round(1),
-            "humidity_pct": ping.covariates.get("humidity_pct", np.full(n, self.setup.humidity_pct)),
-            **self._registers(ping),
-        }
+        known = self._completed(ping).covariates
+        own = {name: known[name] for name in ("humidity_pct", "gain", "range_mm")}
+        return {TEMPERATURE: registers.temperature_c.round(1), **own}
 
     def place(self, ping: Ping, rng: np.random.Generator, visit: NDArray[np.int64] | None = None) -> Ping:
         """Return the actual poses of the reflectors of n pings.
@@ -187,12 +188,6 @@ class Rig:
             incidence=np.angle(centre) - facing,
             covariates={**ping.covariates, TILT: lean},
         )
-
-
-def _given(ping: Ping, name: str, otherwise: float) -> Floats:
-    """Return a covariate of n pings, (n,), or another value where a ping has none."""
-    given = ping.covariates.get(name, np.full(len(ping), np.nan))
-    return np.where(np.isnan(given), otherwise, given)
 
 
 def _noise_factor(ambient: Ambient | None, ping: Ping, rng: np.random.Generator) -> Floats:

@@ -37,8 +37,8 @@ class Visits:
 
     @classmethod
     def of(cls, ping: Ping, temperature_c: Floats, humidity_pct: Floats, setting: Ints) -> Visits:
-        """Group pings whose runs are contiguous; `setting` is the number of their register setting, (n,)."""
-        given = [np.nan_to_num(ping.covariates.get(name, np.zeros(len(ping)))) for name in ("humidity_pct", TILT)]
+        """Group pings with contiguous runs and all covariates; `setting` is the number of their registers, (n,)."""
+        given = [ping.covariates[name] for name in ("humidity_pct", TILT)]
         table = np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance, ping.run, *given])
         start = np.ones(len(ping), dtype=np.bool_)
         start[1:] = (table[:, 1:] != table[:, :-1]).any(axis=0)

@@ -265,6 +265,17 @@ def test_a_ping_without_a_logged_temperature_has_that_of_the_laboratory(name, us
     np.testing.assert_array_equal(fire(unit, setup, missing).code, fire(unit, setup, known).code)
 
 
+@pytest.mark.parametrize(("name", "usual"), [("humidity_pct", 50.0), ("tilt_back", 0.0), ("range_rate_mps", 0.0)])
+def test_pings_without_a_covariate_belong_to_the_visit_of_those_with_its_usual_value(name, usual):
+    setup = replace(HALL, humidity_pct=50.0, placement_m=0.02)
+    known, missing = (
+        Ping.of(distance=np.ones(6), reflectance=0.9, time=np.arange(6) * 2.0, **{name: np.resize([other, usual], 6)})
+        for other in (usual, np.nan)
+    )
+    np.testing.assert_array_equal(fire(Unit.nominal(), setup, missing).code, fire(Unit.nominal(), setup, known).code)
+    assert (fire(Unit.nominal(), setup, missing).code[:, 0] > 0).all()
+
+
 def test_each_ping_has_its_own_tilt():
     unit, tilt = replace(Unit.nominal(), noise=0.0), np.array([0.0, 0.3, 0.3])
     every = Ping.of(distance=np.ones(3), reflectance=0.9, time=np.arange(3) * 2.0, tilt_back=tilt)
