@@ -157,29 +157,56 @@ class Trained:
     unit: str
 
 
-def train(recording: Recording, args: Args, report: Report = no_report) -> Trained:
+@dataclass(frozen=True)
+class Rows:
+    """What the rows of a recording are used for.
+
+    Attributes:
+        group: group of each row, which is not split, (n,).
+        unit: name of the groups.
+        split: masks of training, validation and test rows.
+        beyond: which pings lie outside the ranges of the start, where its inputs cannot tell one from another, (n,).
+    """
+
+    group: NDArray[np.int64]
+    unit: str
+    split: DataSplit
+    beyond: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, recording: Recording, args: Args) -> Rows:
+        """Split a recording."""
+        group, unit = groups(recording) if args.law == "mlp" else run_segments(recording)
+        rng, start = np.random.default_rng(args.seed), start_of(args)
+        split, beyond = DataSplit.by_group(group, args.validation, args.test, rng, unit), np.zeros(len(group), bool)
+        if start is not None:
+            beyond = start.inputs.features(start.inputs.equivalent(recording.ping)).excess > END_EXCESS
+        return cls(group, unit, split, beyond)
+
+
+def train(recording: Recording, args: Args, report: Report = no_report, rows: Rows | None = None) -> Trained:
     """Train a network on part of a recording and score it on the rest.
 
     Args:
         recording: the data.
         args: settings.
         report: called after each epoch with its number and the validation score.
+        rows: what the rows are used for, where that is known.
 
     Raises:
         SettingError: too few conditions or runs, no echo at all, or a covariate that was not logged in every row.
     """
-    group, unit, split = split_of(recording, args)
-    rows = {name: getattr(split, name) for name in ("train", "validation", "test")}
+    rows = rows or Rows.of(recording, args)
+    split, known = rows.split, ~rows.beyond
+    masks = {"train": split.train & known, "validation": split.validation & known, "test": split.test}
     if args.law == "mlp":
-        rows = {name: mask & recording.reading.answered for name, mask in rows.items()}
-    known = ~beyond_start(recording, args)
-    rows |= {"train": rows["train"] & known, "validation": rows["validation"] & known}
-    if not (recording.reading.echo & rows["train"]).any() or not all(mask.any() for mask in rows.values()):
+        masks = {name: mask & recording.reading.answered for name, mask in masks.items()}
+    if not (recording.reading.echo & masks["train"]).any() or not all(mask.any() for mask in masks.values()):
         where = "" if args.start is None else f" in the ranges of {args.start}"
         raise SettingError(
             f"{recording.name}: too few echoes or answers{where} to train, validate and test on: record more"
         )
-    parts = {name: TrainingPings.of(recording, mask, group) for name, mask in rows.items()}
+    parts = {name: TrainingPings.of(recording, mask, rows.group) for name, mask in masks.items()}
     head, inputs = shape_of(recording, args, split.train & known)
     model = learn(parts["train"], parts["validation"], inputs, head, args, report)
     model.about["data"] = marks_of(recording, split)
@@ -193,13 +220,7 @@ def train(recording: Recording, args: Args, report: Report = no_report) -> Train
     test = parts["test"]
     every: dict[str, SonarModel] = {**baselines, "network": model}
     scores = {name: evaluate(m, test.ping, test.reading, test.ping.run, answered=True) for name, m in every.items()}
-    return Trained(model, scores, unit)
-
-
-def split_of(recording: Recording, args: Args) -> tuple[NDArray[np.int64], str, DataSplit]:
-    """Return the groups of a recording, (n,), their name, and their split."""
-    group, unit = groups(recording) if args.law == "mlp" else run_segments(recording)
-    return group, unit, DataSplit.by_group(group, args.validation, args.test, np.random.default_rng(args.seed), unit)
+    return Trained(model, scores, rows.unit)
 
 
 def marks_of(recording: Recording, split: DataSplit) -> dict[str, str]:
@@ -281,17 +302,9 @@ def shape_of(recording: Recording, args: Args, rows: NDArray[np.bool_] | slice =
     return own, replace(known, fixed=fixed, averaged=(*known.averaged, *sorted(new)))
 
 
-def beyond_start(recording: Recording, args: Args) -> NDArray[np.bool_]:
-    """Return which pings lie outside the ranges of the start, where its inputs cannot tell one from another, (n,)."""
-    start = start_of(args)
-    if start is None:
-        return np.zeros(len(recording), dtype=bool)
-    return start.inputs.features(start.inputs.equivalent(recording.ping)).excess > END_EXCESS
-
-
-def doubts(recording: Recording, args: Args) -> list[str]:
+def doubts(recording: Recording, args: Args, rows: Rows) -> list[str]:
     """Return sentences on pings that the start cannot tell apart, and on test rows that it or the base has seen."""
-    found, beyond = list[str](), int(beyond_start(recording, args).sum())
+    found, beyond = list[str](), int(rows.beyond.sum())
     name = args.base if args.law == "hybrid" else args.start
     if name is None:
         return found
@@ -300,7 +313,7 @@ def doubts(recording: Recording, args: Args) -> list[str]:
         limits = zip(model.inputs.names, model.inputs.low, model.inputs.high, strict=True)
         ranges = ", ".join(f"{quantity} {low:.4g} to {high:.4g}" for quantity, low, high in limits)
         found.append(f"{beyond} pings lie outside the ranges of {name} ({ranges}) and are not trained on")
-    seen, own = getattr(model, "about", {}).get("data", {}), marks_of(recording, split_of(recording, args)[2])
+    seen, own = getattr(model, "about", {}).get("data", {}), marks_of(recording, rows.split)
     if seen.get("recording") == own["recording"] and seen["test"] != own["test"]:
         found.append(f"{name} was trained on test rows of this recording, so the scores are too good: record others")
     return found
@@ -357,14 +370,18 @@ def main(args: Args) -> None:
     """Print doubts about the data, train, print the scores, write the model and its card."""
     check_model_folder(args.out)
     recording, console = Recording.load(args.recording), Console()
-    for warning in (*warnings_of(recording), *doubts(recording, args)):
+    for warning in warnings_of(recording):
         print(f"warning: {warning}")
+    rows = Rows.of(recording, args)
+    for doubt in doubts(recording, args, rows):
+        print(f"warning: {doubt}")
     with bars() as progress:
         task = progress.add_task("training", total=args.epochs)
         trained = train(
             recording,
             args,
             lambda epoch, score: progress.update(task, completed=epoch, description=f"validation {score:.3f} nats"),
+            rows,
         )
     model, commands = trained.model, [*args.made_by, command(args)]
     model.about |= {"commands": commands, "seed": args.seed, "scores": scores_as_numbers(trained.scores)}

@@ -17,7 +17,7 @@ from noise.physical import PhysicalModel
 from training.cli import main
 from training.noise.networks import LstmNetwork, MixtureNetwork, TrainingBatch, recurrent_head
 from training.noise.restarts import draw_restarts
-from training.noise.train import Args, DataSplit, doubts, groups, run_segments, split_of, train
+from training.noise.train import Args, DataSplit, Rows, doubts, groups, run_segments, train
 
 torch.set_num_threads(1)
 
@@ -170,10 +170,10 @@ def test_scores_are_of_answered_pings_with_errors_over_the_groups_of_the_split(l
     reading.range[::10], reading.status[::10] = 0.0, EchoStatus.NO_ANSWER
     moving = Recording.of(ping, reading)
     args = Args(tmp_path / "rec.csv", tmp_path / "out", law=law, epochs=1, hidden=4, state=4)
-    group, _, split = split_of(moving, args)
+    rows = Rows.of(moving, args)
     for score in (done := train(moving, args)).scores.values():
-        assert score.log_likelihood.clusters == len(np.unique(group[split.test])) < 15
-        assert score.log_likelihood.pings == (split.test & reading.answered).sum()
+        assert score.log_likelihood.clusters == len(np.unique(rows.group[rows.split.test])) < 15
+        assert score.log_likelihood.pings == (rows.split.test & reading.answered).sum()
     assert np.isfinite(done.scores["Gaussian, fitted"].log_likelihood.mean)
 
 
@@ -251,7 +251,7 @@ def turned(angles_deg, **covariates):
     return Recording.of(ping, Reading.of(np.round(ping.distance, 3)))
 
 
-def test_a_start_is_trained_on_what_it_can_tell_apart_and_what_it_was_trained_on_is_inside(tmp_path, capsys):
+def test_a_start_is_trained_on_what_it_can_tell_apart_and_what_it_knows_is_inside(tmp_path, capsys, monkeypatch):
     few = turned([0.0, 30.0, 60.0], humidity_pct=40.0)
     args = Args(tmp_path / "rec.csv", tmp_path / "net", start="hcsr04-mlp", epochs=1)
     model = train(few, args).model
@@ -260,8 +260,11 @@ def test_a_start_is_trained_on_what_it_can_tell_apart_and_what_it_was_trained_on
     assert model.law(few.ping).extrapolates.tolist() == (few.ping.angle > 1.0).tolist()
     start = load_model("hcsr04-mlp").inputs
     assert (model.inputs.low, model.inputs.high) == (start.low, start.high)
+    splits = []
+    monkeypatch.setattr("training.noise.train.groups", lambda each: splits.append(groups(each)) or splits[-1])
     main(["train-noise", str(few.save(tmp_path / "rec.csv")), "--out", str(args.out), "--start", "hcsr04-mlp",
           "--epochs", "1"])  # fmt: skip
+    assert len(splits) == 1
     assert "warning: 60 pings lie outside the ranges of hcsr04-mlp (distance" in " ".join(
         capsys.readouterr().out.split()
     )
@@ -274,11 +277,15 @@ def test_test_rows_that_the_base_has_seen_are_warned_of(tmp_path):
     here = Recording.load(path)
     args = Args(path, tmp_path / "own", epochs=1, hidden=2)
     own = str(save_model(train(here, args).model, args.out))
-    assert not doubts(here, replace(args, start=own)), "the same split"
+
+    def doubts_of(made, other):
+        return doubts(made, other, Rows.of(made, other))
+
+    assert not doubts_of(here, replace(args, start=own)), "the same split"
     for other in (replace(args, start=own, seed=1), replace(args, law="hybrid", base=own)):
-        (line,) = doubts(here, other)
+        (line,) = doubts_of(here, other)
         assert "trained on test rows of this recording" in line
-    assert not doubts(recording(pings=2), replace(args, start=own, seed=1))
+    assert not doubts_of(recording(pings=2), replace(args, start=own, seed=1))
 
 
 def test_ranges_and_lost_answers_are_those_of_the_rows_that_are_trained_on(tmp_path):
@@ -287,7 +294,7 @@ def test_ranges_and_lost_answers_are_those_of_the_rows_that_are_trained_on(tmp_p
     reading = here.reading
     reading.range[::4], reading.status[::4] = 0.0, EchoStatus.NO_ANSWER
     here = Recording.of(here.ping, reading)
-    rows = split_of(here, args)[2].train
+    rows = Rows.of(here, args).split.train
     distance, model = here.ping.distance[rows], train(here, args).model
     assert (model.inputs.low[0], model.inputs.high[0]) == (distance.min(), distance.max())
     assert model.head.no_answer == pytest.approx(np.mean(~reading.answered[rows])) != 0.0
