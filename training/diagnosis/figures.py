@@ -6,8 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise import metrics
-from noise.discrepancy.report.numbers import quantity
+from noise.discrepancy.report.numbers import PREVIOUS, quantity
 from noise.discrepancy.result import Aspect, Diagnosis, Location, Verdict
 from noise.law import CREDENCE_TOLERANCE
 from training.common.canvas import AFTER, BEFORE, INK, SOFT, Axes, Draw, Figure, figure_of, svg
@@ -42,27 +43,37 @@ ALT = {  # of each figure of a page, in words
 
 
 def _shade(axes: Axes, compared: Compared, found: Location | None, name: str) -> None:
-    if found is not None and name in found.region:
+    if found is not None and name in found.region and name != "period_s":
         factor, half = axis(name, compared.before.batch)[1], 0.5 if name == "run" else 0.0
         low, high = (factor * bound for bound in found.region[name])
         low, high = np.clip((low - half, high + half), *axes.get_xlim())
         axes.axvspan(low, high, color="#f2c94c", alpha=0.22, lw=0, zorder=0, label="located here")
 
 
+def _set_axis(axes: Axes, compared: Compared, name: str, value: Floats) -> None:
+    """Label the axis of a column with these values; one of few values has a tick at each."""
+    axes.set_xlabel(axis(name, compared.before.batch)[0])
+    if name == "previous_reading":
+        axes.set_xticks(list(PREVIOUS), [text.replace("something ", "something\n") for text in PREVIOUS.values()])
+    if name == "order":  # groups that double
+        axes.set_xscale("function", functions=(np.log1p, np.expm1))
+        axes.set_xticks(np.unique(value))
+
+
 def errors_along(axes: Axes, compared: Compared, name: str, found: Location | None = None) -> None:
     """Draw median and quartiles of reading minus prediction along a column."""
     axes.axhline(0, color=SOFT, lw=0.8)
-    top = 0.0
+    top, value = 0.0, column(compared.before.batch, name, found)
+    assert value is not None
     for prediction, colour, text, style in compared.each:
-        value = column(prediction.batch, name)
-        assert value is not None
         x, middle = binned(value, prediction.error_mm, np.nanmedian)
         low, high = (binned(value, prediction.error_mm, partial(np.nanquantile, q=q))[1] for q in (0.25, 0.75))
         axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
         axes.plot(x, middle, style, color=colour, lw=1.8, label=text, marker="o" if len(x) < 12 else None, ms=4)
         top = max(top, float(np.abs(middle).max(initial=0.0)))
     limit = float(np.clip(1.2 * top, 2.0 * compared.limit_mm, 5.0 * compared.limit_mm))
-    axes.set(xlabel=axis(name, compared.before.batch)[0], ylabel="reading − prediction (mm)", ylim=(-limit, limit))
+    axes.set(ylabel="reading − prediction (mm)", ylim=(-limit, limit))
+    _set_axis(axes, compared, name, value)
     _shade(axes, compared, found, name)
     axes.legend(loc="best")
 
@@ -70,7 +81,7 @@ def errors_along(axes: Axes, compared: Compared, name: str, found: Location | No
 def shares_along(axes: Axes, compared: Compared, name: str, aspect: Aspect, found: Location | None = None) -> None:
     """Draw the observed and predicted share of what an aspect counts along a column."""
     batch, bins = compared.before.batch, 16
-    value = column(batch, name)
+    value = column(batch, name, found)
     assert value is not None
     x, y = binned(value, observed(batch, aspect).astype(np.float64), np.mean, bins)
     axes.plot(x, 100 * y, "o", ms=5, color=INK, label="recorded")
@@ -79,9 +90,8 @@ def shares_along(axes: Axes, compared: Compared, name: str, aspect: Aspect, foun
         x, y = binned(value, prediction.probability(aspect), np.mean, bins)
         axes.plot(x, 100 * y, style, color=colour, lw=1.8, label=text)
         top = max(top, 100 * y.max())
-    axes.set(
-        xlabel=axis(name, compared.before.batch)[0], ylabel=SHARES[aspect], ylim=(-0.03 * top, 1.15 * max(top, 1.0))
-    )
+    axes.set(ylabel=SHARES[aspect], ylim=(-0.03 * top, 1.15 * max(top, 1.0)))
+    _set_axis(axes, compared, name, value)
     _shade(axes, compared, found, name)
     axes.legend(loc="best")
 

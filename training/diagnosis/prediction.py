@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from acquisition.arrays import Bits, Floats
+from noise.discrepancy.moments.regressors import octave, previous_place, since_echo
 from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report.numbers import time_unit
 from noise.discrepancy.result import Aspect, Diagnosis, Location
 from noise.effects.base import target_tolerance
 from noise.fitting.batch import Batch
 from noise.law import EchoLaw
-from noise.model import SonarModel, StatefulModel
+from noise.model import SonarModel, StatefulModel, order_of, with_order
 from training.common.canvas import AFTER, BEFORE
 
 BEFORE_LABEL, AFTER_LABEL = "your simulation", "corrected model"
@@ -34,6 +35,16 @@ AXES = {
     "humidity_pct": ("logged humidity (%)", 1.0),
     "range_mm": ("maximum range (mm)", 1.0),
     "range_rate_mps": ("range rate (m/s)", 1.0),
+    "order": ("earlier pings of the visit (at least)", 1.0),
+    "previous_reading": ("what the ping before read", 1.0),
+    "movement": ("change of distance since the last echo (mm)", 1000.0),
+    "period_s": ("time within the period (s)", 1.0),
+}
+# columns of the past of each ping; NaN where it has none
+PAST: dict[str, Callable[[Batch], Floats]] = {
+    "order": lambda batch: octave(order_of(batch.ping)),
+    "previous_reading": previous_place,
+    "movement": since_echo,
 }
 SHARES = {
     Aspect.DETECTION: "pings with an echo (%)",
@@ -112,11 +123,11 @@ def predictor(diagnosis: Diagnosis) -> SonarModel:
 
 
 def thinned(batch: Batch) -> Batch:
-    """Return at most `MAX_PINGS` pings, evenly over the recording."""
+    """Return at most `MAX_PINGS` pings, evenly over the recording, each with its order in the visit."""
     rows = np.unique(np.linspace(0, len(batch) - 1, min(len(batch), MAX_PINGS)).astype(np.int64))
     mask = np.zeros(len(batch), dtype=bool)
     mask[rows] = True
-    return batch.select(mask)
+    return batch if mask.all() else replace(batch, ping=with_order(batch.ping)).select(mask)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +162,26 @@ class Compared:
         return bool(np.isfinite(self.before.error_mm).any())
 
 
-def column(batch: Batch, name: str) -> Floats | None:
-    """Return a column of the conditions in the unit of its axis, (n,); None if it was not logged or does not vary."""
+def column(batch: Batch, name: str, found: Location | None = None) -> Floats | None:
+    """Return a column of the conditions or of the past in the unit of its axis, (n,); NaN where it is unknown.
+
+    It is None if it was not logged or does not vary.
+
+    Args:
+        batch: readings.
+        name: column of a region.
+        found: mismatch of which a period is that of "period_s".
+    """
     ping = batch.ping
     value = {"abs_angle": np.abs(ping.angle), **ping.covariates, **vars(ping)}.get(name)
-    if value is None or (name == "time" and not batch.timed) or np.ptp(value) < 1e-3 * max(1.0, np.abs(value).max()):
+    if value is None and name in PAST:
+        value = PAST[name](batch)
+    if value is None and name == "period_s" and found is not None:
+        value = ping.time % found.region[name][0]
+    if value is None or (name == "time" and not batch.timed):
+        return None
+    known = value[np.isfinite(value)]
+    if not len(known) or np.ptp(known) < 1e-3 * max(1.0, np.abs(known).max()):
         return None
     return np.asarray(value, dtype=np.float64) * axis(name, batch)[1]
 
@@ -173,7 +199,7 @@ def along(found: Location | None, batch: Batch) -> str | None:
     region = {} if found is None else found.region
     widths = {}
     for name, (low, high) in region.items():
-        value = column(batch, name)
+        value = column(batch, name, found)
         if value is not None:
             factor = axis(name, batch)[1]
             inside = (value >= factor * low) & (value <= factor * high)
@@ -185,11 +211,13 @@ def along(found: Location | None, batch: Batch) -> str | None:
 
 
 def binned(x: Floats, y: Floats, summary: Callable[[Floats], float], bins: int = 24) -> tuple[Floats, Floats]:
-    """Return mean x and a summary of y in bins of equal counts; bins without a value are omitted."""
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
-    if len(edges) < 2:
-        return np.array([x.mean()]), np.array([summary(y)])
-    bin_of = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    filled = [k for k in range(len(edges) - 1) if np.isfinite(y[bin_of == k]).any()]
+    """Return mean x and a summary of y in bins of equal counts, or at each of few x; empty bins are omitted."""
+    known = np.isfinite(x)
+    x, y = x[known], y[known]
+    different, bin_of = np.unique(x, return_inverse=True)
+    if len(different) > bins:
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
+        bin_of = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    filled = [k for k in np.unique(bin_of) if np.isfinite(y[bin_of == k]).any()]
     centres = np.array([x[bin_of == k].mean() for k in filled])
     return centres, np.array([summary(y[bin_of == k]) for k in filled])

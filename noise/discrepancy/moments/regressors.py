@@ -173,11 +173,11 @@ def _histories(sample: Sample) -> list[Column]:
         found += _binned("interval_s", np.round(interval, 6), rows, N_PAIR_BINS, Form.SHARED)
         found += _phases(sample)
     if not any(is_continuous(batch) for batch in sample.batches):  # the pieces of a continuous log begin anywhere
-        order = np.concatenate([np.floor(np.log2(1.0 + batch.count)) for batch in sample.batches])
-        found += _binned("order", 2.0**order - 1.0, rows, N_BINS, Form.SHARED)
-    past = np.concatenate([_previous(batch) for batch in sample.batches])
+        order = np.concatenate([octave(batch.count) for batch in sample.batches])
+        found += _binned("order", order, rows, N_BINS, Form.SHARED)
+    past = np.concatenate([previous_place(batch) for batch in sample.batches])
     found += _binned("previous_reading", past, rows, N_PAIR_BINS, Form.SHARED)
-    move = np.concatenate([_since_echo(batch) for batch in sample.batches])
+    move = np.concatenate([since_echo(batch) for batch in sample.batches])
     return found + _binned("movement", move, rows, N_PAIR_BINS, Form.SHARED)
 
 
@@ -186,7 +186,12 @@ def _interval_s(batch: Batch) -> Floats:
     return np.where(batch.count > 0, np.diff(batch.ping.time, prepend=np.nan), np.nan)
 
 
-def _previous(batch: Batch) -> Floats:
+def octave(count: Floats | Ints) -> Floats:
+    """Return the least number of earlier pings with which each ping is tested: 0, 1, 3, 7, ..., (n,)."""
+    return np.asarray(2.0 ** np.floor(np.log2(1.0 + count)) - 1.0)
+
+
+def previous_place(batch: Batch) -> Floats:
     """Return what the previous reading of the run was, (n,); nan at the start of a run.
 
     -2: no echo; -1: before the present target; 0: at it; 1: behind it. Finer bins would select pings by their own
@@ -197,7 +202,7 @@ def _previous(batch: Batch) -> Floats:
     return np.where(batch.past.echo, place, np.where(batch.past.answered, -2.0, np.nan))
 
 
-def _since_echo(batch: Batch) -> Floats:
+def since_echo(batch: Batch) -> Floats:
     """Return the change of distance since the last echo of the run, m, (n,), 0 for a stationary target."""
     return movement(batch.ping.distance - batch.last[:, 1])
 

@@ -15,6 +15,7 @@ from acquisition.arrays import Bits, Floats, Ints
 from noise.discrepancy.moments.chains import Chains
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
+from noise.model import ORDER
 from noise.statistics import winsorised
 
 MIN_CLUSTERS = 12  # fewer give no bootstrap
@@ -225,8 +226,8 @@ def condition_columns(batch: Batch) -> dict[str, Floats]:
 
 
 def logged_names(ping: Ping) -> list[str]:
-    """Return the names of logged columns other than those that the pings themselves have, such as "distance"."""
-    return [name for name in ping.covariates if name not in vars(ping)]
+    """Return the names of logged columns other than those that follow from the pings, such as "distance"."""
+    return [name for name in ping.covariates if name not in (*vars(ping), ORDER)]
 
 
 def _merged(cluster: Ints, time: Floats) -> Ints:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.result import Aspect, BaselineCheck, Interval, Kind, Location, PValue
 from noise.fitting.batch import Batch
+from noise.model import order_of
 from training.diagnosis.diagnose import summary
 from training.diagnosis.figures import Compared, overview, scores
 from training.diagnosis.prediction import Prediction, along, binned, column, observed, thinned
@@ -204,6 +205,45 @@ def test_the_column_is_the_most_restricted_one_that_varies():
     assert column(batch, "unknown") is None
 
 
+def test_columns_of_the_past_are_what_came_before_each_ping():
+    ping = Ping.of([1.0, 1.0, 1.0, 2.0, 2.0, 2.0], time=np.arange(6.0))
+    batch = Batch.of(Recording.of(ping, Reading.of([1.0, 0.0, 0.5, 2.0, 3.0, 2.0])))
+    nan = np.nan
+    assert column(batch, "order").tolist() == [0, 1, 1, 0, 1, 1]  # the second and third ping are one group
+    np.testing.assert_array_equal(column(batch, "previous_reading"), [nan, 0, -2, -1, 0, 1])
+    np.testing.assert_array_equal(column(batch, "movement"), [nan, 0, 0, 1000, 0, 0])
+    found = Location(Aspect.BIAS, {"period_s": (4.0, 4.0)}, Interval(0.01, 0.0, 0.02, "m"), P)
+    assert column(batch, "period_s", found).tolist() == [0, 1, 2, 3, 0, 1]
+
+
+PAST = {
+    "order": ("scale", (0.0, 0.5), "earlier pings of the visit (at least)"),
+    "previous_reading": ("clutter", (-1.0, -0.5), "what the ping before read"),
+    "movement": ("robot", (0.001, 0.03), "change of distance since the last echo (mm)"),
+    "period_s": ("drift", (450.0, 450.0), "time within the period (s)"),
+}
+
+
+@pytest.mark.parametrize("name", PAST)
+@pytest.mark.parametrize("aspect", [Aspect.BIAS, Aspect.DETECTION])
+def test_a_mismatch_of_the_past_is_drawn_along_the_past(situations, name, aspect):
+    situation, between, label = PAST[name]
+    made = situations[situation]
+    found = Location(aspect, {name: between}, Interval(0.01, 0.008, 0.012, aspect.unit), P)
+    axes = overview(replace(made, verdict=replace(made.verdict, where=(found,)))).axes[0]
+    assert axes.get_xlabel() == label
+    assert min(len(line.get_xdata()) for line in axes.lines[1:]) > 2
+    shaded = [text.get_text() for text in axes.get_legend().get_texts()].count("located here")
+    assert shaded == (name != "period_s")  # a wave is nowhere
+
+
+def test_a_thinned_recording_knows_the_order_of_its_pings():
+    ping = Ping.of(np.repeat(np.linspace(0.5, 2.0, 4000), 4), time=np.arange(16_000.0))
+    kept = thinned(Batch.of(Recording.of(ping, Reading.of(ping.distance)))).ping
+    assert 9_000 < len(kept) <= 10_000
+    np.testing.assert_array_equal(order_of(kept), kept.time % 4)
+
+
 def test_a_mismatch_to_either_side_is_drawn_along_the_angle():
     ping = Ping.of(np.linspace(1, 2, 50), angle=np.linspace(-0.5, 0.5, 50))
     batch = Batch.of(Recording.of(ping, Reading.of(ping.distance)))
@@ -223,6 +263,13 @@ def test_a_logged_column_does_not_replace_a_condition_of_its_name():
     batch = Batch.of(Recording.of(replace(ping, covariates=named), Reading.of(ping.distance)))
     np.testing.assert_allclose(column(batch, "angle"), np.rad2deg(ping.angle), atol=1e-5)
     np.testing.assert_allclose(column(batch, "load_v"), named["load_v"], atol=1e-5)
+
+
+def test_few_values_are_drawn_one_by_one_and_unknown_ones_not_at_all():
+    x = np.array([0.0, 9.0, 18.0, 27.0, np.nan])
+    centre, mean = binned(np.repeat(x, 30), np.repeat(x + 1.0, 30), np.mean)
+    assert centre.tolist() == [0, 9, 18, 27]
+    assert mean.tolist() == [1, 10, 19, 28]
 
 
 def test_bins_have_equal_counts_and_keep_the_mean():
