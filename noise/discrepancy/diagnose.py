@@ -159,7 +159,7 @@ def diagnose(
         visible = least_of(visible, each.visible)
     if differs(tested.p_value, where):
         return _different(data, recorded, tested, where, visible, tuple(without))
-    return _alike(data, recorded, tested, visible)
+    return _alike(data, recorded, tested, where, visible)
 
 
 def located(tested: Tested, found: Sequence[Found]) -> tuple[Location, ...]:
@@ -207,10 +207,12 @@ def on_register_of(baseline: Baseline, batch: Batch) -> Batch:
     return batch if moved is None else moved
 
 
-def _alike(data: Data, recorded: Recording, tested: Tested, visible: tuple[Visible, ...]) -> Diagnosis:
-    """Return the diagnosis of a recording that does not differ, or shows too little to tell."""
+def _alike(
+    data: Data, recorded: Recording, tested: Tested, trifles: tuple[Location, ...], visible: tuple[Visible, ...]
+) -> Diagnosis:
+    """Return the diagnosis of a recording that differs by nothing or by trifles, or shows too little to tell."""
     kind = Kind.TOO_LITTLE_DATA if shows_little(visible) else Kind.NONE
-    rest = Unexplained(NOTHING, tested.p_value)
+    rest = Unexplained(NOTHING, tested.p_value, trifles)
     return _diagnosis(data, recorded, tested, (), visible, kind, (), rest, None, None, ())
 
 

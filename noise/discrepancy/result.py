@@ -158,7 +158,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """The rest: its share of the misfit, the test of the corrected law, and where it is."""
+    """The rest: its share of the misfit, the test of the corrected law, and where it is; of alike files, trifles."""
 
     share: Interval
     p_value: PValue

@@ -191,7 +191,7 @@ def calibration(axes: Axes, compared: Compared, seed: int) -> None:
 def overview(diagnosis: Diagnosis) -> Figure:
     """Return a figure with the greatest mismatch, the histogram of errors and the scores, where they exist."""
     compared, draws = Compared.of(diagnosis), list[Draw]()
-    where = diagnosis.verdict.where[0] if diagnosis.verdict.where else None
+    where = next(iter((*diagnosis.verdict.where, *diagnosis.verdict.unexplained.where)), None)
     if compared.has_errors:
         draws += [lambda axes: histogram(axes, compared)]
     if along(where, compared.before.batch) is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from noise.discrepancy.judge.verdict import TOLERANCE
 from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report import markup, words
 from noise.discrepancy.report.numbers import bounds, estimate, parameter, plain, quantity, readable, with_interval
@@ -60,8 +61,8 @@ def fill(template: str, diagnosis: Diagnosis, seed: int = 0, **variables: Any) -
 def facts(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the variables of the page's template."""
     verdict, batch = diagnosis.verdict, diagnosis.recorded
-    silent = words.silent(diagnosis)
-    answers = verdict.verdict not in (Kind.NONE, Kind.TOO_LITTLE_DATA) and not silent
+    silent, alike = words.silent(diagnosis), verdict.verdict in (Kind.NONE, Kind.TOO_LITTLE_DATA)
+    answers = not alike and not silent
     return {
         "headline": words.headline(diagnosis),
         "badge": "No echo at all" if silent else words.BADGES[verdict.verdict],
@@ -81,7 +82,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
         "bar": Markup(markup.share_bar(verdict) + markup.legend(verdict)) if answers else "",
         "believed": any(cause.believed for cause in verdict.causes),
         "causes": [] if silent else [cause_facts(cause) for cause in verdict.causes],
-        "where": [located(found) for found in verdict.where],
+        "where": [trifle(found) for found in verdict.unexplained.where] if alike else list(map(located, verdict.where)),
         "caption": "Along the condition where they differ" if _is_drawn(verdict, batch) else "Along the conditions",
         "rest": [located(found) for found in verdict.unexplained.where],
         "rest_share": with_interval(verdict.unexplained.share),
@@ -99,7 +100,8 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _is_drawn(verdict: Verdict, batch: Batch) -> bool:
     """Return whether the first mismatch is drawn along a condition that its region restricts."""
-    return bool(verdict.where) and along(verdict.where[0], thinned(batch)) in verdict.where[0].region
+    found = next(iter((*verdict.where, *verdict.unexplained.where)), None)
+    return found is not None and along(found, thinned(batch)) in found.region
 
 
 def p_text(p_value: PValue) -> str:
@@ -111,6 +113,13 @@ def p_text(p_value: PValue) -> str:
 def located(found: Location) -> dict[str, str]:
     """Return a located mismatch as template variables."""
     return {"text": words.location(found), "p": p_text(found.p_value)}
+
+
+def trifle(found: Location) -> dict[str, str]:
+    """Return a located mismatch that is too small to matter as template variables, with the tolerance."""
+    limit = words.least(Visible(found.aspect, TOLERANCE.get(found.aspect, 0.0), found.aspect.unit))
+    told = located(found)
+    return {**told, "text": f"{told['text']}: two recordings of one sonar may differ by {limit}"}
 
 
 def cause_facts(cause: Cause) -> dict[str, Any]:

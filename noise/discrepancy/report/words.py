@@ -291,6 +291,8 @@ def summary_lines(diagnosis: Diagnosis) -> list[str]:
     if verdict.verdict in (Kind.PARTLY_EXPLAINED, Kind.UNEXPLAINED):
         where = f": {location(verdict.unexplained.where[0])}" if verdict.unexplained.where else ""
         lines.append(f"  unexplained: {with_interval(verdict.unexplained.share)} of the difference{where}")
+    if verdict.verdict is Kind.NONE:
+        lines += [f"  too small to matter: {location(each)}" for each in verdict.unexplained.where[:1]]
     if verdict.verdict is not Kind.TOO_LITTLE_DATA:
         lines.append(fit_line(verdict))
     return lines + [f"next: {measurement(each)}" for each in verdict.next_measurement[:2]]

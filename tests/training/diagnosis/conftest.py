@@ -114,7 +114,7 @@ def diagnosis(truth, pings, kind, before=None, after=None, causes=(), where=(), 
     made = Verdict(
         kind,
         summary_of(kind, causes, where, unexplained, visible, len(batch)),
-        SURE if where else CHANCE,
+        SURE if where or more else CHANCE,
         tuple(where),
         tuple(causes),
         unexplained,
@@ -129,6 +129,12 @@ def diagnosis(truth, pings, kind, before=None, after=None, causes=(), where=(), 
 
 def none():
     return diagnosis(physical(), survey(np.random.default_rng(1)), Kind.NONE, rest=0.0)
+
+
+def trifle():
+    truth = physical(zero_offset={"offset_m": 0.001})
+    found = Location(Aspect.BIAS, {"distance": (1.5, 3.0)}, interval(0.001, 0.0008, 0.0012, "m"), SURE)
+    return diagnosis(truth, survey(np.random.default_rng(10)), Kind.NONE, rest=0.0, more=[found])
 
 
 def scale():
@@ -245,7 +251,7 @@ def robot():
 
 SITUATIONS = {
     made.__name__: made
-    for made in (none, scale, clutter, dropped, unexplained, partly, too_little, drift, silent, robot)
+    for made in (none, trifle, scale, clutter, dropped, unexplained, partly, too_little, drift, silent, robot)
 }
 
 

@@ -17,7 +17,8 @@ from training.diagnosis.figures import Compared, overview, scores
 from training.diagnosis.prediction import Prediction, along, binned, column, observed, thinned
 from training.diagnosis.report import fit_rows, p_text, render, tiles, worst_pings
 
-NAMES = ["none", "scale", "clutter", "dropped", "unexplained", "partly", "too_little", "drift", "silent", "robot"]
+DIFFER = ["scale", "clutter", "dropped", "unexplained", "partly", "drift", "silent", "robot"]
+NAMES = ["none", "trifle", "too_little", *DIFFER]
 P = PValue(1 / 2001, 2000)
 
 
@@ -94,6 +95,16 @@ def test_a_verdict_without_difference_says_what_would_have_shown(pages):
     assert "What explains the difference" not in text
     assert "beyond the believed causes" not in text
     assert "beyond the believed causes" in text_of(pages["scale"])
+
+
+def test_a_difference_within_the_tolerance_is_shown_with_the_tolerance(pages, situations):
+    text = text_of(pages["trifle"])
+    assert "A difference too small to matter" in text
+    expected = "Echoes read 1 mm long (0.8 to 1.2 mm) at 1.5 to 3 m: two recordings of one sonar may differ by 2 mm."
+    assert expected in text
+    assert "What explains the difference" not in text
+    axes = overview(situations["trifle"]).axes[0]
+    assert any(each.get_text() == "located here" for each in axes.get_legend().get_texts())
 
 
 def test_a_correction_is_offered_only_if_there_is_one(pages):
