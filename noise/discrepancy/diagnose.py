@@ -20,6 +20,7 @@ from noise.discrepancy.baseline.recalibration import recalibrated
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
+from noise.discrepancy.judge.accepted import Comparing, Comparison
 from noise.discrepancy.judge.correction import Options
 from noise.discrepancy.judge.difference import WORSE, difference, is_carried, worsens
 from noise.discrepancy.judge.held_out import Simulation, held_out
@@ -147,11 +148,11 @@ def diagnose(
     own, other = with_own_placement(law, data.sample)
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
     signs = signs_of(data.sample.cluster, data.rng("signs"))
-    tested = on_any_compensation(own, other, data, "test", signs)
+    tested = on_any_compensation(own, other, data.sample, data, "test", signs)
     lasts = tested.length > 1
     directed = directed_test(wider, data.sample, signs, data.rng("directed"), bool(lasts.any()), bool(lasts[BIAS]))
     whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
-    found = [whole, *few_positions(own, other, data), register_test(data.batch)]
+    found = [whole, *few_positions(own, other, data.sample, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))
     where = located(tested, found) if tested.p_value.value < FALSE_ALARM else ()
     visible = could_have_seen(own, data.sample, tested, data.rng("power"))
@@ -250,13 +251,14 @@ def _different(
 def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Search, Judged]:
     """Return the search for causes, and what was found with its probabilities and shares."""
     search = Search(data.baseline.law, data.folds, data.baseline.readings, data.rng("search"), without, data.tell)
-    search.is_left = lambda found: against(data, search, found.stacks[0]).p_value.value < LEFT_LEVEL
+    seed = int(data.rng("acting").integers(2**63))
+    comparing = Comparing(search, data.sample, data.baseline.emulator, partial(against, data), seed)
+    search.is_left = lambda found: comparing.least_rejected(found.effects, found.stacks[0])[0].is_below(LEFT_LEVEL)
     _, found = search.run()
     none = search.nothing(found)
     data.tell("weighing", 0.7)
     rest = Rest(search, data.forest, data.baseline.forest)
-    tests = partial(against, data, search), partial(steady, data, search)
-    return search, judge(rest, none, found, tested.p_value, *tests, data.rng("judge"))
+    return search, judge(rest, none, found, tested.p_value, comparing, partial(steady, data, search), data.rng("judge"))
 
 
 def transport(
@@ -281,16 +283,16 @@ def transport(
     return carrying if better else None
 
 
-def against(data: Data, search: Search, law: Stack) -> Tested:
-    """Return the test of a law of the recording, beside the law of the simulation."""
-    tested = on_any_compensation(law, search.common, data, "rest")
-    others = few_positions(law, search.common, data)
+def against(data: Data, compared: Comparison) -> Tested:
+    """Return the test of a law of the recording beside that of the simulation."""
+    laws, sample = (compared.recorded, compared.simulated), compared.sample
+    tested = on_any_compensation(*laws, sample, data, "rest")
+    others = few_positions(*laws, sample, data)
     return replace(tested, p_value=any_of(tested.p_value, *(each.p_value for each in others))) if others else tested
 
 
-def few_positions(recorded: Stack, simulated: Stack, data: Data) -> list[Found]:
+def few_positions(recorded: Stack, simulated: Stack, sample: Sample, data: Data) -> list[Found]:
     """Return the results of the tests for recordings of few positions; none for others."""
-    sample = data.sample
     if len(np.unique(sample.cluster)) >= MIN_VISITS:
         return []
     within = within_test(recorded, simulated, sample, data.rng("within"))
@@ -298,13 +300,15 @@ def few_positions(recorded: Stack, simulated: Stack, data: Data) -> list[Found]:
     return [*(test(recorded, simulated, sample) for test in tests), within]
 
 
-def steady(data: Data, search: Search, law: Stack, name: str) -> Stability:
+def steady(data: Data, search: Search, compared: Comparison, name: str) -> Stability:
     """Return the test that an effect of a law of the recording has the same size everywhere."""
-    return stability_test(law, search.common, data.sample, name, data.rng("stability"))
+    return stability_test(
+        compared.recorded, compared.simulated, search.common, compared.sample, name, data.rng("stability")
+    )
 
 
 def on_any_compensation(
-    recorded: Stack, simulated: Stack, data: Data, purpose: str, signs: Singles | None = None
+    recorded: Stack, simulated: Stack, sample: Sample, data: Data, purpose: str, signs: Singles | None = None
 ) -> Tested:
     """Return the orthogonal test, on days of another temperature that with the greatest p-value of all compensations.
 
@@ -312,9 +316,9 @@ def on_any_compensation(
     difference.
     """
     laws = [(recorded, simulated)]
-    if TEMPERATURE in data.sample.of_the_day and compensation_is_unknown(simulated, data.sample):
+    if TEMPERATURE in sample.of_the_day and compensation_is_unknown(simulated, sample):
         laws = [(recorded.at(each), simulated.at(each)) for each in ({UNCOMPENSATED: s} for s in COMPENSATIONS)]
-    tests = [orthogonal_test(*each, data.sample, data.rng(purpose), signs=signs) for each in laws]
+    tests = [orthogonal_test(*each, sample, data.rng(purpose), signs=signs) for each in laws]
     return max(tests, key=lambda each: each.p_value.value)
 
 

@@ -11,14 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise.composed import ComposedModel, with_differences
 from noise.discrepancy.baseline.transport import Transport
+from noise.discrepancy.judge.accepted import acting_on
 from noise.discrepancy.judge.correction import Options
 from noise.discrepancy.judge.held_out import Simulation, beyond_chance, improves
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
-from noise.fitting.stack import Stack
 from noise.model import SonarModel
 from noise.replay import Replay, with_simulated
 
@@ -46,18 +45,7 @@ def difference(
         return None, {}
     register = search.common.resolution
     replay = Replay(emulator, register, max(register, step_m))
-    return _acting_on(replay, search.common, judged.final.single.stack, judged.believed)
-
-
-def _acting_on(
-    model: SonarModel, common: Stack, recorded: Stack, believed: tuple[str, ...]
-) -> tuple[ComposedModel | None, dict[str, str]]:
-    """Return the differences between two stacks, acting on another model, None where none can; and what cannot."""
-    # the readings of the simulator have its early and late echoes already
-    shared = [term.without_tails() for term in common.terms]
-    causes = {name: recorded.effects[name] for name in believed}
-    composed, left_out = with_differences(model, common.effects, causes, shared)
-    return composed if len(left_out) < len(causes) else None, left_out
+    return acting_on(replay, search.common, judged.final.single.stack, judged.believed)
 
 
 def worsens(acting: SonarModel, simulation: Simulation, unseen: Batch, rng: np.random.Generator) -> bool:

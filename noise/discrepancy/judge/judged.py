@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from noise.discrepancy.evidence import Evidence
+from noise.discrepancy.judge.accepted import Comparing, Comparison
 from noise.discrepancy.judge.decision import decision_model
 from noise.discrepancy.judge.shares import Rest, Shares, shares
 from noise.discrepancy.locate.location import locate
@@ -19,10 +20,9 @@ from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
 from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MIN_SHARE
-from noise.fitting.stack import Key, Stack
+from noise.fitting.stack import Key
 
-Test = Callable[[Stack], Tested]
-Steady = Callable[[Stack, str], Stability]
+Steady = Callable[[Comparison, str], Stability]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Judged:
     @property
     def rest(self) -> Unexplained:
         """What the believed causes leave."""
-        where = locate(self.after) if is_left(self.after) else ()
+        where = locate(self.after) if self.after.is_below(FALSE_ALARM) else ()
         return Unexplained(self.share_of_rest, self.after.p_value, where)
 
 
@@ -63,35 +63,50 @@ class Judgement:
     """What is known of one hypothesis.
 
     Attributes:
-        search: readings and candidates.
-        test: tests whether the recording differs from a law.
+        comparing: compares hypotheses with the recording.
         found: the hypothesis.
         final: its effects fitted to both folds.
         after: test of that law.
+        compared: what was tested.
     """
 
-    search: Search
-    test: Test
+    comparing: Comparing
     found: Hypothesis
     final: Final = field(init=False)
     after: Tested = field(init=False)
+    compared: Comparison = field(init=False)
 
     def __post_init__(self) -> None:
         """Fit and test."""
         self.final = conclude(self.search, self.found)
-        self.after = self.test(self.final.stack)
+        self.after, self.compared = self.comparing.least_rejected(self.found.effects, self.final.stack)
+
+    @property
+    def search(self) -> Search:
+        """Readings and candidates."""
+        return self.comparing.search
 
     def with_effects(self, effects: Sequence[str]) -> Judgement:
         """Return the judgement of the hypothesis with some of its effects."""
         found = self.found
         for name in [each for each in found.effects if each not in effects]:
             found = self.search.left_out(found, name)
-        return self if found is self.found else Judgement(self.search, self.test, found)
+        return self if found is self.found else Judgement(self.comparing, found)
 
+    def accepted(self) -> Judgement:
+        """Return the judgement without effects but for which the test would find nothing.
 
-def is_left(tested: Tested) -> bool:
-    """Return whether a test of a corrected law finds a difference."""
-    return tested.p_value.value < FALSE_ALARM
+        An effect that predicts better under a law which is wrong for both files may stand for what both have alike.
+        Then the recording differs from the simulation with the effect, and does not without it.
+        """
+        if len(self.found.effects) < 2 or not self.after.is_below(FALSE_ALARM):
+            return self
+        fewer = [self.search.left_out(self.found, name) for name in self.found.effects]
+        tests = [self.comparing.least_rejected(each.effects, each.stacks[0])[0] for each in fewer]
+        best = max(range(len(fewer)), key=lambda k: tests[k].p_value.value)
+        if tests[best].is_below(FALSE_ALARM):
+            return self
+        return Judgement(self.comparing, fewer[best])
 
 
 def judge(
@@ -99,7 +114,7 @@ def judge(
     none: Hypothesis,
     found: Hypothesis,
     before: PValue,
-    test: Test,
+    comparing: Comparing,
     stability: Steady,
     rng: np.random.Generator,
 ) -> Judged:
@@ -110,15 +125,16 @@ def judge(
         none: hypothesis without differences.
         found: the selected hypothesis.
         before: p-value of the test of the simulation's law.
-        test: tests whether the recording differs from a law.
+        comparing: compares hypotheses with the recording.
         stability: tests whether an effect of a law has the same size everywhere.
         rng: draws the bootstrap samples of the shares.
     """
     search = rest.search
-    selected = Judgement(search, test, found)
+    selected = Judgement(comparing, found).accepted()
+    found = selected.found
     places = tuple(place_of(search, found, name) for name in found.effects)
     divided = shares(rest, none, found, rng)
-    steady = {name: stability(selected.final.stack, name) for name in found.effects}
+    steady = {name: stability(selected.compared, name) for name in found.effects}
     evidence = {p.effect: evidence_of(selected, p, divided, before, steady[p.effect]) for p in places}
     certain = {name: decision_model().probability(each) for name, each in evidence.items()}
     believed = kept(certain, divided)

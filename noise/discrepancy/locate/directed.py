@@ -29,8 +29,8 @@ from noise.fitting.batch import Batch
 from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
 from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, placements, shifted, single_ping_law
-from noise.law import GivenNumbers
-from noise.physical import PhysicalModel
+from noise.law import EchoLaw, GivenNumbers
+from noise.physical import PhysicalLaw, PhysicalModel
 
 MAX_PINGS = 6000  # of each file; more cost time, and the undirected test uses them all
 MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the simulation, which is then favoured
@@ -103,11 +103,27 @@ def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
     same random numbers until none changes, which takes as many rounds as the longest chain of such readings.
     """
     model, visits = law.build()
-    offset, uniform = placements(visits, batch, rng), GivenNumbers(rng.random(len(batch)))
+    offset = placements(visits, batch, rng)
+
+    def drawing(each: Batch) -> PhysicalLaw:
+        return shifted(law_of(model, each), offset, torch.zeros_like(offset))
+
+    return sampled_in_order(batch, drawing, rng.random(len(batch)), model.remembers)
+
+
+def sampled_in_order(batch: Batch, law: Callable[[Batch], EchoLaw], uniform: Floats, remembers: bool) -> Batch:
+    """Return the batch with readings drawn from a law that may remember the one before.
+
+    Args:
+        batch: pings, and the readings before them to begin with.
+        law: law of the pings of a batch.
+        uniform: random number of each ping, (n,).
+        remembers: whether the law depends on the reading before.
+    """
     drawn = batch
-    for _ in range(MAX_ROUNDS if model.remembers else 1):
+    for _ in range(MAX_ROUNDS if remembers else 1):
         before = drawn.reading
-        reading = shifted(law_of(model, drawn), offset, torch.zeros_like(offset)).sample(uniform)
+        reading = law(drawn).sample(GivenNumbers(uniform))
         drawn = replace(batch, reading=reading, past=_before_each(reading, batch))
         if np.array_equal(reading.range, before.range):
             break

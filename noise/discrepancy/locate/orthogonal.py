@@ -71,6 +71,10 @@ class Tested:
     cluster: Ints
     chains: Chains
 
+    def is_below(self, level: float) -> bool:
+        """Return whether the p-value is below a level: the test finds a difference."""
+        return self.p_value.value < level
+
     def p_of(self, z: float) -> PValue:
         """Return the p-value of a statistic, adjusted for the choice of regressor and aspect."""
         return PValue(

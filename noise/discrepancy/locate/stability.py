@@ -46,19 +46,23 @@ class Stability:
 
 
 def stability_test(
-    law_recorded: Stack, law_simulated: Stack, sample: Sample, name: str, rng: np.random.Generator
+    law_recorded: Stack, law_simulated: Stack, without: Stack, sample: Sample, name: str, rng: np.random.Generator
 ) -> Stability:
     """Test whether an effect of the recording has one size.
 
     Args:
         law_recorded: corrected law.
-        law_simulated: law of the simulation.
+        law_simulated: law of the simulation's readings, on which the effect may have acted.
+        without: law of the simulation without the effect.
         sample: readings.
         name: effect id.
         rng: draws folds and signs.
     """
     scored = scores_of_both(law_recorded, law_simulated, sample)
-    found = [_of_parameter(law_recorded, law_simulated, sample, scored, key, rng) for key in sizes(law_recorded, name)]
+    found = [
+        _of_parameter(law_recorded, law_simulated, sample, scored, key, _size(law_recorded, without, key), rng)
+        for key in sizes(law_recorded, name)
+    ]
     p = min((each.p_value for each in found), key=lambda each: each.value, default=PValue(1.0, 0))
     value = min(1.0, len(found) * p.value)
     return Stability(replace(p, value=value), max((each.variation for each in found), default=0.0))
@@ -70,18 +74,22 @@ def sizes(law: Stack, name: str) -> list[Key]:
     return [(name, p.name) for p in (first, *others) if p.low < p.high and (p is first or p.name == SHARE)]
 
 
+def _size(law: Stack, without: Stack, key: Key) -> float:
+    """Return the difference of a parameter between two laws; a share of pings is one from none."""
+    absent = key[0] not in without.values
+    return law.get(key) - (0.0 if absent and key[1] == SHARE else without.get(key))
+
+
 def _of_parameter(
-    recorded: Stack, simulated: Stack, sample: Sample, scored: Scores, key: Key, rng: np.random.Generator
+    recorded: Stack, simulated: Stack, sample: Sample, scored: Scores, key: Key, size: float, rng: np.random.Generator
 ) -> Stability:
-    """Return the stability of one parameter."""
+    """Return the stability of one parameter, in which the laws differ by a size."""
     parts = sample.left_out(simulated)
     slopes = [
         _slopes(recorded, law, batch, part, key, rng)
         for law, batch, part in zip((recorded, simulated), sample.batches, parts, strict=False)
     ]
     limit = max(float(np.quantile(np.abs(each[0]), QUANTILE)) for each in slopes)
-    absent = key[0] not in simulated.values
-    size = recorded.get(key) - (0.0 if absent and key[1] == SHARE else simulated.get(key))
     if limit <= 0.0 or size == 0.0:
         return Stability()
     within = [np.clip(each / limit, -1.0, 1.0) for each in slopes]

@@ -1,0 +1,115 @@
+"""What a hypothesis predicts, compared with the recording so that errors of the law do not count as differences.
+
+No law describes a sonar exactly. What it gets wrong of both files cancels only where both are scored alike, and a
+hypothesis is rejected only where each of these comparisons rejects it:
+
+- both files under the law of the recording, after the causes have acted on the readings of the simulation;
+- the law of the recording beside that of the simulation, as both were fitted;
+- the same with the nuisances of the simulation, since nuisances are no differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from noise.composed import ComposedModel, with_differences
+from noise.discrepancy.locate.directed import sampled_in_order
+from noise.discrepancy.locate.orthogonal import Tested
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.name.search import Search
+from noise.discrepancy.thresholds import LEFT_LEVEL
+from noise.fitting.stack import JITTER, SPREAD, Stack
+from noise.model import SonarModel
+from noise.replay import Replay, with_simulated
+
+EXACT = 1e-6  # step of given readings, m: those that are equal remain so
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two files and the law of each.
+
+    Attributes:
+        recorded, simulated: laws of the recording and of the simulation.
+        sample: readings of both.
+    """
+
+    recorded: Stack
+    simulated: Stack
+    sample: Sample
+
+
+Test = Callable[[Comparison], Tested]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparing:
+    """Compares hypotheses with a recording.
+
+    Attributes:
+        search: readings and candidates.
+        sample: readings of both files.
+        emulator: law that describes the simulation.
+        test: whether the files of a comparison differ.
+        seed: of the draws in which causes act on readings.
+    """
+
+    search: Search
+    sample: Sample
+    emulator: SonarModel
+    test: Test
+    seed: int
+
+    def least_rejected(self, effects: Sequence[str], law: Stack) -> tuple[Tested, Comparison]:
+        """Return the test of the comparison that rejects a law of the recording least, and the comparison.
+
+        Args:
+            effects: in which the recording differs.
+            law: of the recording.
+        """
+        best: tuple[Tested, Comparison] | None = None
+        for each in self.comparisons(effects, law):
+            tested = self.test(each)
+            if best is None or tested.p_value.value > best[0].p_value.value:
+                best = tested, each
+            if not best[0].is_below(LEFT_LEVEL):
+                break
+        assert best is not None
+        return best
+
+    def comparisons(self, effects: Sequence[str], law: Stack) -> Iterator[Comparison]:
+        """Yield the comparisons in which a hypothesis may agree with the recording, the fairest first."""
+        common, acted = self.search.common, self.acted(effects, law)
+        if acted is not None:
+            yield Comparison(law, law, acted)
+        yield Comparison(law, common, self.sample)
+        keys = (*self.search.keys(effects), *(SPREAD if JITTER in effects else ()))
+        yield Comparison(common.put(keys, [law.get(key) for key in keys]), common, self.sample)
+
+    def acted(self, effects: Sequence[str], law: Stack) -> Sample | None:
+        """Return both files after the causes have acted on the simulation's readings; None where one cannot."""
+        simulated = self.sample.simulated
+        if simulated is None:
+            return None
+        replay = Replay(self.emulator, EXACT, self.search.folds.both.resolution)
+        model, left_out = acting_on(replay, self.search.common, law, tuple(effects))
+        if model is None or left_out:
+            return None
+        given = with_simulated(simulated.ping, simulated.reading)
+        uniform = np.random.default_rng(self.seed).random(len(simulated))
+        drawn = sampled_in_order(simulated, lambda each: model.law(given, each.past), uniform, model.remembers)
+        return replace(self.sample, simulated=drawn, scored=[])
+
+
+def acting_on(
+    model: SonarModel, common: Stack, recorded: Stack, effects: tuple[str, ...]
+) -> tuple[ComposedModel | None, dict[str, str]]:
+    """Return the differences between two stacks, acting on another model, None where none can; and what cannot."""
+    # the readings of the simulator have its early and late echoes already
+    shared = [term.without_tails() for term in common.terms]
+    causes = {name: recorded.effects[name] for name in effects}
+    composed, left_out = with_differences(model, common.effects, causes, shared)
+    return composed if len(left_out) < len(causes) else None, left_out
