@@ -3,7 +3,8 @@
 No law describes a sonar exactly. What it gets wrong of both files cancels only where both are scored alike, and a
 hypothesis is rejected only where each of these comparisons rejects it:
 
-- both files under the law of the recording, after the causes have acted on the readings of the simulation;
+- both files under the law of the recording, after the causes have acted on the readings of the simulation, with sizes
+  near the likelihood's at which they agree best (the test of overidentifying restrictions of Hansen 1982);
 - the law of the recording beside that of the simulation, as both were fitted;
 - the same with the nuisances of the simulation, since nuisances are no differences.
 """
@@ -14,10 +15,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import linprog
 
+from acquisition.arrays import Floats
 from noise.composed import ComposedModel, with_differences
 from noise.discrepancy.locate.directed import sampled_in_order
 from noise.discrepancy.locate.orthogonal import Tested
+from noise.discrepancy.locate.stability import size_between, sizes
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LEFT_LEVEL
@@ -26,6 +30,8 @@ from noise.model import SonarModel
 from noise.replay import Replay, with_simulated
 
 EXACT = 1e-6  # step of given readings, m: those that are equal remain so
+STEP = 0.1  # of a size, for the slopes of the statistics
+MOST = 0.25  # of a size, by which a comparison may move it; farther, the statistics are not linear in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +90,38 @@ class Comparing:
         """Yield the comparisons in which a hypothesis may agree with the recording, the fairest first."""
         common, acted = self.search.common, self.acted(effects, law)
         if acted is not None:
-            yield Comparison(law, law, acted)
+            yield acted
+            matched = self.matched(effects, law, acted)
+            if matched is not None:
+                yield matched
         yield Comparison(law, common, self.sample)
         keys = (*self.search.keys(effects), *(SPREAD if JITTER in effects else ()))
         yield Comparison(common.put(keys, [law.get(key) for key in keys]), common, self.sample)
 
-    def acted(self, effects: Sequence[str], law: Stack) -> Sample | None:
-        """Return both files after the causes have acted on the simulation's readings; None where one cannot."""
+    def matched(self, effects: Sequence[str], law: Stack, acted: Comparison) -> Comparison | None:
+        """Return the comparison with the sizes of the causes at which its greatest statistic is least.
+
+        The statistics are linear in the sizes, nearly. A likelihood that is wrong for both files misses the size of
+        their difference by more than its own errors.
+        """
+        common = self.search.common
+        keys = [key for name in effects for key in sizes(law, name) if not law.parameter(key).jumps]
+        steps = {key: STEP * size_between(law, common, key) for key in keys}
+        moved = {key: self.acted(effects, law.at({key: law.get(key) + step})) for key, step in steps.items() if step}
+        if not moved or None in moved.values():
+            return None
+        z = self.test(acted).z
+        slope = np.stack([self.test(each).z - z for each in moved.values() if each is not None], axis=-1)
+        known = np.isfinite(slope).all(axis=-1) & np.isfinite(z)
+        if not known.any():
+            return None
+        best = least_greatest(z[known], slope[known], MOST / STEP)
+        return self.acted(
+            effects, law.at({key: law.get(key) + x * steps[key] for key, x in zip(moved, best, strict=True)})
+        )
+
+    def acted(self, effects: Sequence[str], law: Stack) -> Comparison | None:
+        """Return both files under a law, after the causes have acted on the simulation; None where one cannot."""
         simulated = self.sample.simulated
         if simulated is None:
             return None
@@ -101,7 +132,23 @@ class Comparing:
         given = with_simulated(simulated.ping, simulated.reading)
         uniform = np.random.default_rng(self.seed).random(len(simulated))
         drawn = sampled_in_order(simulated, lambda each: model.law(given, each.past), uniform, model.remembers)
-        return replace(self.sample, simulated=drawn, scored=[])
+        return Comparison(law, law, replace(self.sample, simulated=drawn, scored=[]))
+
+
+def least_greatest(value: Floats, slope: Floats, most: float) -> Floats:
+    """Return the steps x, (k,), from -most to most, for which the greatest of |value + slope x| is least.
+
+    Args:
+        value: (n,).
+        slope: (n, k).
+        most: limit of each step.
+    """
+    n, k = slope.shape
+    above = np.concatenate([slope, -slope])
+    limits = np.concatenate([-value, value])
+    bounds = [*[(-most, most)] * k, (0.0, None)]
+    found = linprog(np.r_[np.zeros(k), 1.0], np.c_[above, -np.ones(2 * n)], limits, bounds=bounds)
+    return np.asarray(found.x[:k]) if found.success else np.zeros(k)
 
 
 def acting_on(

@@ -60,7 +60,7 @@ def stability_test(
     """
     scored = scores_of_both(law_recorded, law_simulated, sample)
     found = [
-        _of_parameter(law_recorded, law_simulated, sample, scored, key, _size(law_recorded, without, key), rng)
+        _of_parameter(law_recorded, law_simulated, sample, scored, key, size_between(law_recorded, without, key), rng)
         for key in sizes(law_recorded, name)
     ]
     p = min((each.p_value for each in found), key=lambda each: each.value, default=PValue(1.0, 0))
@@ -74,7 +74,7 @@ def sizes(law: Stack, name: str) -> list[Key]:
     return [(name, p.name) for p in (first, *others) if p.low < p.high and (p is first or p.name == SHARE)]
 
 
-def _size(law: Stack, without: Stack, key: Key) -> float:
+def size_between(law: Stack, without: Stack, key: Key) -> float:
     """Return the difference of a parameter between two laws; a share of pings is one from none."""
     absent = key[0] not in without.values
     return law.get(key) - (0.0 if absent and key[1] == SHARE else without.get(key))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
@@ -40,6 +40,11 @@ class Final:
     def stack(self) -> Stack:
         """The joint fit's stack."""
         return self.joint.stack
+
+    def at(self, values: Mapping[Key, float]) -> Final:
+        """Return the hypothesis with some parameters at other values."""
+        joint, single = (replace(fit, stack=fit.stack.at(values)) for fit in (self.joint, self.single))
+        return replace(self, joint=joint, single=joint if self.single is self.joint else single)
 
 
 def conclude(search: Search, found: Hypothesis) -> Final:
