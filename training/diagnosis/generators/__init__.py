@@ -3,7 +3,7 @@
 Seven families produce readings by different means (waveforms, rays, a four-part beam model, a driving robot, a ruler,
 a fixed target, fast bursts). None of them shares code with the laws and effects that a diagnosis fits.
 
-ensemble: `make_trial`, `FAMILIES`, `KINDS`, `catalogue_of`.
+ensemble: `make_trial`, `FAMILIES`, `ALL_KINDS`, `catalogue_of`.
 trial: the trial, its true causes, and both as files.
 world: a sonar with its register and link; causes planted in it; faults of the link.
 surveys: conditions, order and times of a survey with visits.

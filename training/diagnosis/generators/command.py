@@ -17,7 +17,7 @@ from acquisition.io.places import OutputFolder
 from acquisition.limits import Count, OneOf, Seed, Workers
 from training.common.progress import bar
 from training.common.workers import worker_processes
-from training.diagnosis.generators.ensemble import FAMILIES, KINDS, kinds_of, make_trial
+from training.diagnosis.generators.ensemble import ALL_KINDS, FAMILIES, KINDS, kinds_of, make_trial
 from training.diagnosis.generators.trial import save
 
 
@@ -38,7 +38,7 @@ class Args:
     out: OutputFolder
     n: Count = 70
     families: Annotated[tuple[Annotated[str, OneOf(FAMILIES)], ...], MinLen(1)] = FAMILIES
-    kinds: Annotated[tuple[Annotated[str, OneOf(KINDS)], ...], MinLen(1)] = KINDS
+    kinds: Annotated[tuple[Annotated[str, OneOf(ALL_KINDS)], ...], MinLen(1)] = KINDS
     pings: Count = 2000
     seed: Seed = 0
     workers: Workers = 1
@@ -50,9 +50,9 @@ def mix(families: tuple[str, ...], kinds: tuple[str, ...]) -> list[tuple[str, st
     Raises:
         SettingError: unknown family or kind, or no pair that exists.
     """
-    unknown = [kind for kind in kinds if kind not in KINDS]
+    unknown = [kind for kind in kinds if kind not in ALL_KINDS]
     if unknown:
-        raise SettingError(f"{unknown[0]!r} is not a kind of trial; choose from {', '.join(KINDS)}")
+        raise SettingError(f"{unknown[0]!r} is not a kind of trial; choose from {', '.join(ALL_KINDS)}")
     pairs = [(family, kind) for kind in kinds for family in families if kind in kinds_of(family)]
     if not pairs:
         raise SettingError(f"no family of {', '.join(families)} has trials of kind {', '.join(kinds)}")

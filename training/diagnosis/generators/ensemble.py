@@ -23,8 +23,11 @@ _FAMILIES: dict[str, Family] = {
 }
 FAMILIES: tuple[str, ...] = tuple(_FAMILIES)
 SAME, SINGLE, PAIR, UNMODELLED, SIMULATOR = KINDS = ("same", "single", "pair", "unmodelled", "simulator")
+ODD = "odd"  # one or two known causes in sonars that share a fault which no law describes
+ALL_KINDS = (*KINDS, ODD)
 SIZES = (0.12, 3.0)  # from barely visible to more than plain, evenly in the logarithm
 MIN_PINGS = 20
+SINGLES = 0.5  # share of the odd trials with one cause
 DECOYS = 0.3  # share of the surveys laid out as another cause would require
 
 
@@ -35,7 +38,8 @@ def catalogue_of(family: str) -> tuple[str, ...]:
 
 def kinds_of(family: str) -> tuple[str, ...]:
     """Return the kinds of trials of a family: all, but only a family with two simulators can compare them."""
-    return KINDS if family_of(family).simulator is not None else KINDS[:-1]
+    able = family_of(family).simulator is not None
+    return tuple(kind for kind in ALL_KINDS if able or kind != SIMULATOR)
 
 
 def make_trial(
@@ -45,8 +49,9 @@ def make_trial(
 
     Args:
         family: one of `FAMILIES`.
-        kind: one of `KINDS`: "same" (no difference), "single" and "pair" (one or two known causes), "unmodelled" (a
-            fault of the grammar), "simulator" (a simulator of another kind; only family "rays").
+        kind: one of `ALL_KINDS`: "same" (no difference), "single" and "pair" (one or two known causes), "unmodelled" (a
+            fault of the grammar), "simulator" (a simulator of another kind; only family "rays"), "odd" (known causes,
+            and a fault of the grammar that both sonars have).
         rng: source of all randomness.
         pings: approximate number of pings of each recording; a fresh one has a third.
         cause: id of the first cause; drawn by default.
@@ -92,6 +97,9 @@ def _made(
         simulated, real, truth = planted(each, simulated, real, _size(rng, size), rng)
         truths.append(truth)
     fault = ""
+    if kind == ODD:  # of the conditions alone: the files have no time in common
+        operators, _ = draw_fault(surveys.recorded, rng, _size(rng, size), without=("time",))
+        simulated, real = (replace(each, operators=operators) for each in (simulated, real))
     if kind == UNMODELLED:
         operators, fault = draw_fault(surveys.recorded, rng, _size(rng, size))
         real = replace(real, operators=operators)
@@ -107,11 +115,11 @@ def _size(rng: Rng, size: float | None) -> float:
 
 def _chosen(family: Family, kind: str, rng: Rng, first: str | None) -> list[Cause]:
     """Return the causes of a trial; two causes differ in their effect and agree on the survey that they require."""
-    if kind not in (SINGLE, PAIR):
+    if kind not in (SINGLE, PAIR, ODD):
         return []
     by_effect = {cause.effect: cause for cause in family.causes}
     one = by_effect[first] if first else family.causes[int(rng.integers(len(family.causes)))]
-    if kind == SINGLE:
+    if kind == SINGLE or (kind == ODD and rng.random() < SINGLES):
         return [one]
     others = [
         other

@@ -205,21 +205,23 @@ def _operator(aspect: str, function: Function, amount: float, ping: Ping, rng: R
     return makers[aspect]()
 
 
-def draw_fault(ping: Ping, rng: Rng, size: float) -> tuple[tuple[Operator, ...], str]:
+def draw_fault(ping: Ping, rng: Rng, size: float, without: tuple[str, ...] = ()) -> tuple[tuple[Operator, ...], str]:
     """Draw an unmodelled fault of one or two changes.
 
     Args:
         ping: of the recording, (n,): faults depend on what varies in it.
         rng: source of all randomness.
         size: strength relative to one that is plain to see.
+        without: inputs that it does not depend on.
 
     Returns:
         Operators on readings, and a plain description.
     """
     count = 1 if rng.random() < 0.7 else 2
     operators, words = [], []
+    given = {name: value for name, value in inputs(ping, ping.distance).items() if name not in without}
     for aspect in rng.choice(list(AT_ONE), count, replace=False):
-        function = draw_function(inputs(ping, ping.distance), rng)
+        function = draw_function(given, rng)
         amount = AT_ONE[str(aspect)] * size
         operators.append(_operator(str(aspect), function, amount, ping, rng))
         words.append(f"{aspect} of {amount:.3g} as {function.words}")

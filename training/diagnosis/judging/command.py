@@ -20,7 +20,7 @@ from acquisition.io.places import OutputFile, OutputFolder
 from acquisition.limits import Count, OneOf, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS
 from training.common.commit import commit
-from training.diagnosis.generators.ensemble import FAMILIES, KINDS
+from training.diagnosis.generators.ensemble import ALL_KINDS, FAMILIES, KINDS
 from training.diagnosis.judging.page import as_json, judged, markdown
 from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.run import read, run
@@ -49,7 +49,7 @@ class Args:
     out: OutputFolder = Path("runs/judge")
     n: Count = 10
     families: Annotated[tuple[Annotated[str, OneOf(FAMILIES)], ...], MinLen(1)] = FAMILIES
-    kinds: Annotated[tuple[Annotated[str, OneOf(KINDS)], ...], MinLen(1)] = KINDS
+    kinds: Annotated[tuple[Annotated[str, OneOf(ALL_KINDS)], ...], MinLen(1)] = KINDS
     pings: Count = 2000
     seed: Seed = 0
     workers: Workers = 1
