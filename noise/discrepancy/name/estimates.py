@@ -29,12 +29,14 @@ class Final:
         joint: fit of effects and nuisances, which predicts a reading from those before it in its visit.
         single: the same for single readings, each of which counts once: what a simulator samples.
         batch: readings of the fits.
+        matched: parameters whose difference from the law of the simulation is that of the readings of both files.
     """
 
     effects: tuple[str, ...]
     joint: Fit
     single: Fit
     batch: Batch
+    matched: frozenset[Key] = frozenset()
 
     @property
     def stack(self) -> Stack:
@@ -42,9 +44,11 @@ class Final:
         return self.joint.stack
 
     def at(self, values: Mapping[Key, float]) -> Final:
-        """Return the hypothesis with some parameters at other values."""
+        """Return the hypothesis with parameters at values at which the readings of both files agree."""
         joint, single = (replace(fit, stack=fit.stack.at(values)) for fit in (self.joint, self.single))
-        return replace(self, joint=joint, single=joint if self.single is self.joint else single)
+        return replace(
+            self, joint=joint, single=joint if self.single is self.joint else single, matched=frozenset(values)
+        )
 
 
 def conclude(search: Search, found: Hypothesis) -> Final:
@@ -76,7 +80,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
             out[key] = profiled(final.single.stack, key, final.batch)
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
-        base, own_error = _in_simulation(search, key)
+        base, own_error = _in_simulation(search, key, key in final.matched)
         value = float(np.clip(value - base, p.low, p.high))
         spread = Z * float(np.hypot(error, own_error))
         low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
@@ -103,8 +107,11 @@ def profiled(stack: Stack, key: Key, batch: Batch) -> Interval:
     return Interval(value, end(-1.0), end(1.0), p.unit)
 
 
-def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
-    """Return how far a parameter of a difference lies from its null value in the simulation, and the standard error."""
+def _in_simulation(search: Search, key: Key, matched: bool) -> tuple[float, float]:
+    """Return how far a parameter of a difference lies from its null value in the simulation, and the standard error.
+
+    Where the readings of both files are matched, the difference is that of the laws.
+    """
     p, effect = search.common.parameter(key), search.common.known[key[0]]
     alone = effect.by_ping and len(effect.parameters) == 1 and key[0] in search.common.values
     # a place or a width is the recording's own; with several parameters, the simulation may have another such fault
@@ -113,7 +120,8 @@ def _in_simulation(search: Search, key: Key) -> tuple[float, float]:
         return 0.0, 0.0
     fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
     fitted = refit_without_urn(fitted, (key,), search.simulated)
-    return fitted.stack.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
+    law = search.common if matched else fitted.stack
+    return law.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
 
 
 def statement(search: Search, name: str, values: Sequence[tuple[Key, Interval]]) -> str:

@@ -1,11 +1,13 @@
 """A correction is offered where it beats the simulation, and nothing is offered where it is the simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from noise.discrepancy.baseline.forest import grown
-from noise.discrepancy.judge.correction import Option, Options, offered, option_of
-from noise.discrepancy.judge.held_out import Simulation, crps_of_each
+from noise.discrepancy.judge.correction import Option, Options, gains, offered, option_of
+from noise.discrepancy.judge.held_out import Simulation, crps_of_each, log_score
 from tests.noise.discrepancy.made import batch_of, law_of, model_of
 
 LOUD = {"sensitivity": {"loss_db": 0.0}}
@@ -63,6 +65,15 @@ def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in unlucky.score(tolerance)))
     assert Options(unlucky, None, None, worse, True).corrected(before) is law.model
     assert Options(unlucky, None, None, worse, False).corrected(before) is None
+
+
+@pytest.mark.parametrize(("offset_m", "better"), [(0.03, True), (-0.03, False)])
+def test_two_visits_suffice_to_apply_a_cause_that_predicts_them_better(parts, offset_m, better):
+    """Between two visits no test reaches 5 %: the probability of the cause says that the gain is no chance."""
+    seen = parts[1]
+    two = seen.select(seen.visit < 2)
+    law = option(model_of({**LOUD, "zero_offset": {"offset_m": offset_m}}), two)
+    assert gains(replace(law, nats=(log_score(law.model, two),)), model_of(LOUD)) is better
 
 
 def test_without_a_law_the_forest_is_offered(parts):

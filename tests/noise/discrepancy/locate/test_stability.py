@@ -29,7 +29,7 @@ def survey(seed, offset=0.0, lost=0.0):
 
 
 def stability(law, recorded, name, simulated=None):
-    return stability_test(law, LAW, Sample(recorded, simulated), name, np.random.default_rng(0))
+    return stability_test(law, LAW, LAW, Sample(recorded, simulated), name, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("simulated", [None, survey(2)])

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Reading, Recording, SettingError
+from training.diagnosis.generators import ensemble
 from training.diagnosis.generators.ensemble import FAMILIES, catalogue_of, kinds_of, make_trial
 from training.diagnosis.generators.trial import RECORDINGS, load, save
 from training.diagnosis.generators.world import Register
@@ -51,8 +52,18 @@ def test_a_trial_has_valid_recordings_of_the_requested_size(family, kind, tmp_pa
     assert list(trial.simulated.table.columns) == list(trial.recorded.table.columns)
     assert trial.fresh.ping.distance.tolist() == trial.fresh_again.ping.distance.tolist()
     assert trial.fresh.ping.distance.tolist() == trial.fresh_simulated.ping.distance.tolist()
-    assert len(trial.causes) == {"single": 1, "pair": 2}.get(kind, 0)
+    assert len(trial.causes) in {"single": (1,), "pair": (2,), "odd": (1, 2)}.get(kind, (0,))
     assert bool(trial.fault) == (kind in ("unmodelled", "simulator"))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_sonars_of_an_odd_trial_share_a_fault_of_the_conditions(family, monkeypatch):
+    worlds = []
+    monkeypatch.setattr(ensemble, "recordings_of", lambda *given: worlds.extend(given[:2]) or [None] * len(RECORDINGS))
+    trial_of(family, "odd")
+    simulated, real = worlds
+    assert simulated.operators == real.operators
+    assert len(real.operators) in (1, 2)
 
 
 @pytest.mark.parametrize(("family", "kind"), PAIRS)

@@ -31,6 +31,13 @@ def test_faults_are_diverse_and_change_readings():
     assert np.mean(np.array(changed) > 0.02) > 0.9
 
 
+def test_a_fault_does_not_depend_on_an_input_that_it_is_kept_from():
+    ping = survey()
+    words = [draw_fault(ping, np.random.default_rng(seed), 1.0, without=("time",))[1] for seed in range(60)]
+    assert not any("of the time" in each for each in words)
+    assert any("of the distance" in each for each in words)
+
+
 def test_functions_use_every_input():
     ping = survey()
     given = inputs(ping, ping.distance)
