@@ -53,17 +53,21 @@ class Evidence:
         """Return the features of the decision model.
 
         They are few, because wrong causes are few in an ensemble: by how many standard errors the effect predicts
-        unseen visits better than nothing in its place, and than a forest, which describes any difference and names
-        none, on a scale that tells 2 from 4 and not 40 from 42; how much is lost without it; whether its size is the
-        same everywhere, since what stands for something else acts in a part of the readings only; and whether the
-        corrected law still differs.
+        unseen visits better than nothing in its place, on a scale that tells 2 from 4 and not 40 from 42; whether it
+        does better or worse than a forest, which describes any difference and names none, where more than a few
+        standard errors say no more: with many readings under each condition a forest does as well as the truth;
+        whether its size is the same everywhere, since what stands for something else acts in a part of the readings
+        only; and whether the corrected law still differs.
         """
-        pairs = (self.gain, self.gain_error), (self.lead_unnamed, self.lead_unnamed_error)
-        t = min(value / error if error > 0.0 else 0.0 for value, error in pairs)
+        t, lead = (
+            value / error if error > 0.0 else 0.0
+            for value, error in ((self.gain, self.gain_error), (self.lead_unnamed, self.lead_unnamed_error))
+        )
         p = np.clip([self.p_stable, self.p_after], LEAST_P, 1.0)
-        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.log1p(max(self.gain, 0.0)), *np.log10(p)])
+        return np.array([np.log1p(np.clip(t, 0.0, MAX_T)), np.clip(lead, -CERTAIN, CERTAIN), *np.log10(p)])
 
 
 MAX_T = 1e3  # standard errors; keeps the feature finite
+CERTAIN = 3.0  # standard errors beyond which a lead is certain
 LEAST_P = 5e-4  # of a test of 2,000 draws
-FEATURES = ("log_t", "log_gain", "log_p_stable", "log_p_after")
+FEATURES = ("log_t", "lead_t", "log_p_stable", "log_p_after")

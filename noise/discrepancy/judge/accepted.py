@@ -77,8 +77,7 @@ class Comparing:
             law: of the recording.
         """
         best: tuple[Tested, Comparison] | None = None
-        for each in self.comparisons(effects, law):
-            tested = self.test(each)
+        for tested, each in self.comparisons(effects, law):
             if best is None or tested.p_value.value > best[0].p_value.value:
                 best = tested, each
             if not best[0].is_below(LEFT_LEVEL):
@@ -86,23 +85,30 @@ class Comparing:
         assert best is not None
         return best
 
-    def comparisons(self, effects: Sequence[str], law: Stack) -> Iterator[Comparison]:
-        """Yield the comparisons in which a hypothesis may agree with the recording, the fairest first."""
+    def comparisons(self, effects: Sequence[str], law: Stack) -> Iterator[tuple[Tested, Comparison]]:
+        """Yield the comparisons in which a hypothesis may agree with the recording, each tested, the fairest first."""
         common, acted = self.search.common, self.acted(effects, law)
         if acted is not None:
-            yield acted
-            matched = self.matched(effects, law, acted)
+            tested = self.test(acted)
+            yield tested, acted
+            matched = self.matched(effects, law, tested)
             if matched is not None:
-                yield matched
-        yield Comparison(law, common, self.sample)
+                yield self.test(matched), matched
         keys = (*self.search.keys(effects), *(SPREAD if JITTER in effects else ()))
-        yield Comparison(common.put(keys, [law.get(key) for key in keys]), common, self.sample)
+        shared = common.put(keys, [law.get(key) for key in keys])
+        for compared in (Comparison(law, common, self.sample), Comparison(shared, common, self.sample)):
+            yield self.test(compared), compared
 
-    def matched(self, effects: Sequence[str], law: Stack, acted: Comparison) -> Comparison | None:
+    def matched(self, effects: Sequence[str], law: Stack, tested: Tested) -> Comparison | None:
         """Return the comparison with the sizes of the causes at which its greatest statistic is least.
 
         The statistics are linear in the sizes, nearly. A likelihood that is wrong for both files misses the size of
         their difference by more than its own errors.
+
+        Args:
+            effects: the causes.
+            law: of the recording.
+            tested: of both files under the law, after the causes have acted.
         """
         common = self.search.common
         keys = [key for name in effects for key in sizes(law, name) if not law.parameter(key).jumps]
@@ -110,7 +116,7 @@ class Comparing:
         moved = {key: self.acted(effects, law.at({key: law.get(key) + step})) for key, step in steps.items() if step}
         if not moved or None in moved.values():
             return None
-        z = self.test(acted).z
+        z = tested.z
         slope = np.stack([self.test(each).z - z for each in moved.values() if each is not None], axis=-1)
         known = np.isfinite(slope).all(axis=-1) & np.isfinite(z)
         if not known.any():
