@@ -154,7 +154,7 @@ def least_greatest(value: Floats, slope: Floats, most: float) -> Floats:
     limits = np.concatenate([-value, value])
     bounds = [*[(-most, most)] * k, (0.0, None)]
     found = linprog(np.r_[np.zeros(k), 1.0], np.c_[above, -np.ones(2 * n)], limits, bounds=bounds)
-    return np.asarray(found.x[:k]) if found.success else np.zeros(k)
+    return np.zeros(k) if found.x is None else np.asarray(found.x[:k])
 
 
 def acting_on(
