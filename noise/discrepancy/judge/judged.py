@@ -80,8 +80,8 @@ class Judgement:
         """Fit and test."""
         self.final = conclude(self.search, self.found)
         self.after, self.compared = self.comparing.least_rejected(self.found.effects, self.final.stack)
-        keys = [key for key in self.search.keys(self.found.effects) if key[0] in self.found.effects]
-        moved = {key: value for key in keys if (value := self.compared.recorded.get(key)) != self.final.stack.get(key)}
+        law, other = self.final.stack, self.compared.recorded
+        moved = {key: other.get(key) for key in self.search.keys(self.found.effects) if other.get(key) != law.get(key)}
         self.final = self.final.at(moved) if moved else self.final
 
     @property
