@@ -19,7 +19,7 @@ from .conftest import EVIDENCE, OFFSET, SCALE, cause
 
 @pytest.fixture
 def records(record):
-    """Trials in which a true cause has odds exp(4 log(1 + t) - 8), with t its lead over a forest in standard errors."""
+    """Trials in which a true cause has odds exp(4 log(1 + t) - 8), with t its gain in standard errors."""
     rng = np.random.default_rng(0)
     made = []
     for k in range(900):
@@ -34,7 +34,7 @@ def records(record):
                 number=k,
                 causes=(OFFSET,) if true else (),
                 named=[cause(selected)],
-                evidence={selected: EVIDENCE | {"lead_unnamed": 10.0 * np.expm1(log_t)}},
+                evidence={selected: EVIDENCE | {"gain": EVIDENCE["gain_error"] * np.expm1(log_t)}},
                 likely={selected: {selected: 0.7, other: 0.3}},
             )
         )
@@ -44,7 +44,8 @@ def records(record):
 def test_probabilities_of_families_left_out_are_calibrated(records):
     model, card = fitted(records)
     sizes = (1.5, 2.0, 2.5)
-    stated = [model.probability(Evidence(**(EVIDENCE | {"lead_unnamed": 10.0 * np.expm1(size)}))) for size in sizes]
+    gains = [EVIDENCE["gain_error"] * np.expm1(size) for size in sizes]
+    stated = [model.probability(Evidence(**(EVIDENCE | {"gain": gain}))) for gain in gains]
     assert stated == pytest.approx([0.12, 0.5, 0.88], abs=0.12)
     assert card["ece"] < 0.05
     assert card["brier"] < 0.14  # of the true probabilities 0.12
