@@ -17,4 +17,5 @@ SPREAD_TOLERANCE = 0.2  # relative change of the scatter: two sensors of one typ
 LEAST_VISIBLE_M = 0.1  # a recording that shows no smaller bias says nothing: no sonar errs by more
 LEAST_VISIBLE_SHARE = 0.5  # a recording that shows no smaller loss of echoes says nothing
 LEFT_LEVEL = 0.1  # of the test after each cause: a further search costs time, and the gain of a cause decides
+MOVED_SHARE = 0.25  # of a size, by which matching both files may move it; farther, statistics are not linear in it
 LEAST_CHANCE = 1e-6  # no test of readings is surer: the file itself may be wrong

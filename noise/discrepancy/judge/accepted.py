@@ -24,14 +24,13 @@ from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.stability import size_between, sizes
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.name.search import Search
-from noise.discrepancy.thresholds import LEFT_LEVEL
+from noise.discrepancy.thresholds import LEFT_LEVEL, MOVED_SHARE
 from noise.fitting.stack import JITTER, SPREAD, Stack
 from noise.model import SonarModel
 from noise.replay import Replay, with_simulated
 
 EXACT = 1e-6  # step of given readings, m: those that are equal remain so
 STEP = 0.1  # of a size, for the slopes of the statistics
-MOST = 0.25  # of a size, by which a comparison may move it; farther, the statistics are not linear in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +120,7 @@ class Comparing:
         known = np.isfinite(slope).all(axis=-1) & np.isfinite(z)
         if not known.any():
             return None
-        best = least_greatest(z[known], slope[known], MOST / STEP)
+        best = least_greatest(z[known], slope[known], MOVED_SHARE / STEP)
         return self.acted(
             effects, law.at({key: law.get(key) + x * steps[key] for key, x in zip(moved, best, strict=True)})
         )
