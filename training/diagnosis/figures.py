@@ -22,6 +22,7 @@ from training.diagnosis.prediction import (
     axis,
     binned,
     column,
+    mismatches,
     observed,
 )
 
@@ -191,7 +192,7 @@ def calibration(axes: Axes, compared: Compared, seed: int) -> None:
 def overview(diagnosis: Diagnosis) -> Figure:
     """Return a figure with the greatest mismatch, the histogram of errors and the scores, where they exist."""
     compared, draws = Compared.of(diagnosis), list[Draw]()
-    where = next(iter((*diagnosis.verdict.where, *diagnosis.verdict.unexplained.where)), None)
+    where = next(iter(mismatches(diagnosis.verdict)), None)
     if compared.has_errors:
         draws += [lambda axes: histogram(axes, compared)]
     if along(where, compared.before.batch) is not None:
@@ -226,7 +227,7 @@ def all_figures(diagnosis: Diagnosis, seed: int = 0) -> dict[str, str]:
 def _shown(verdict: Verdict, whole: Compared) -> list[Location | None]:
     """Return the located mismatches that are drawn, each along another column or in another aspect."""
     found: dict[tuple[Aspect | None, str | None], Location | None] = {}
-    every: list[Location | None] = [*verdict.where, *verdict.unexplained.where]
+    every: list[Location | None] = [*mismatches(verdict)]
     for each in every or [None]:
         drawn = each.aspect if each and each.aspect in SHARES else None  # all others show the errors of echoes
         key = (drawn, along(each, whole.before.batch))

@@ -12,7 +12,7 @@ from acquisition.arrays import Bits, Floats
 from noise.discrepancy.moments.regressors import octave, previous_place, since_echo
 from noise.discrepancy.moments.sample import logged_names
 from noise.discrepancy.report.numbers import time_unit
-from noise.discrepancy.result import Aspect, Diagnosis, Location
+from noise.discrepancy.result import Aspect, Diagnosis, Location, Verdict
 from noise.effects.base import target_tolerance
 from noise.fitting.batch import Batch
 from noise.law import EchoLaw
@@ -192,6 +192,11 @@ def axis(name: str, batch: Batch) -> tuple[str, float]:
         factor, unit = time_unit(float(batch.ping.time.max()))
         return f"time since the recording began ({unit})", factor
     return AXES.get(name, (name, 1.0))
+
+
+def mismatches(verdict: Verdict) -> list[Location]:
+    """Return the located mismatches, those that causes leave or that are too small to matter last."""
+    return [*verdict.where, *verdict.unexplained.where]
 
 
 def along(found: Location | None, batch: Batch) -> str | None:

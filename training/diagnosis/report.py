@@ -20,7 +20,7 @@ from noise.discrepancy.result import LEVEL, Cause, Diagnosis, HeldOut, Kind, Loc
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from training.diagnosis.figures import all_figures
-from training.diagnosis.prediction import Prediction, along, axis, predictor, thinned
+from training.diagnosis.prediction import Prediction, along, axis, mismatches, predictor, thinned
 
 TEMPLATES = Path(__file__).parent / "templates"
 COLOURS = {
@@ -100,7 +100,7 @@ def facts(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _is_drawn(verdict: Verdict, batch: Batch) -> bool:
     """Return whether the first mismatch is drawn along a condition that its region restricts."""
-    found = next(iter((*verdict.where, *verdict.unexplained.where)), None)
+    found = next(iter(mismatches(verdict)), None)
     return found is not None and along(found, thinned(batch)) in found.region
 
 

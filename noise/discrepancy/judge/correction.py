@@ -5,8 +5,8 @@ better; where the recording's own readings under similar conditions predict bett
 model. A correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has
 not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
 that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
-than what small changes of the range gain. Causes or an empirical term that gain beyond chance on the very law without
-them, causes in the log score and the term in the CRPS, need only do no harm (`improves`).
+than what small changes of the range gain. Causes that predict better than the law without them, in the CRPS and in the
+log score, and an empirical term that does beyond chance, in the CRPS, need only do no harm (`improves`).
 """
 
 from __future__ import annotations

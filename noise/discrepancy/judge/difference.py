@@ -38,8 +38,7 @@ def difference(
 
     Returns:
         The model, and why some causes cannot act so, by effect. The model is None where the law with the causes
-        predicts the recording no better than the emulator: in the mean CRPS, and beyond chance in the log score, which
-        is the more sensitive of the two where echoes are lost.
+        predicts the recording no better than the emulator, in the mean CRPS or in the log score.
     """
     if not options.causes_gain:
         return None, {}
