@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import softmax
 
-from noise.discrepancy.name.hypothesis import Hypothesis, may_lead
+from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
 from noise.fitting.stack import Stack
@@ -50,19 +50,16 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     if not rounds:  # added first or last, without others in its place
         return Place(name, {name: 1.0}, np.inf, {name: found.stacks[0]})
     given = max(rounds, key=lambda effects: (others.issuperset(effects), len(effects)))
-    fits = {other: hypothesis for other, hypothesis in search.tried[given].items() if other not in found.effects}
+    fits = {other: fit for other, fit in search.tried[given].items() if other == name or other not in found.effects}
     if set(given) != others or search.base[given][0] is not search.common:
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
-    fits = {other: search.polished(fit) if _is_near(search, found, fit) else fit for other, fit in fits.items()}
+    own = fits.pop(name)
+    fits = {other: search.polished(fit) if search.may_lead(fit, own) else fit for other, fit in fits.items()}
     inside = {other: fit for other, fit in fits.items() if search.explains(fit, other)}
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)
     return Place(name, weights(every, search.rng), lead, {each: fit.stacks[0] for each, fit in every.items()})
-
-
-def _is_near(search: Search, found: Hypothesis, fit: Hypothesis) -> bool:
-    return may_lead(found.value - fit.value, found.nats - fit.nats, search.least_gain)
 
 
 def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:

@@ -34,7 +34,7 @@ from noise.discrepancy.name.common import scatters_alike, with_compensation, wit
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, simplest, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
@@ -100,8 +100,7 @@ class Search:
 
     def _familiar(self, common: Stack) -> Stack:
         """Return the law of the simulation with its nuisance parameters as the expectation for the recording."""
-        known = {} if self.simulated is None else {key: common.get(key) for key in OF_A_KIND}
-        return replace(common, familiar=known)
+        return replace(common, familiar={key: common.get(key) for key in OF_A_KIND if self.simulated is not None})
 
     @property
     def nuisances(self) -> tuple[Key, ...]:
@@ -110,8 +109,7 @@ class Search:
         Visits of one kind of survey scatter alike in level: where there are simulated readings, these tell how much,
         and a fit to few visits that all are heard or missed would tell anything.
         """
-        known = () if self.simulated is None else (LEVEL_SD,)
-        return tuple(key for key in NUISANCES if key not in known)
+        return tuple(key for key in NUISANCES if self.simulated is None or key != LEVEL_SD)
 
     @property
     def least_gain(self) -> float:
@@ -141,7 +139,7 @@ class Search:
             if found is None:
                 break
             joined = found.effects == current.effects  # an effect joined the common law
-            current = found if joined else self.renewed(self.accepted(self.polished(found), current))
+            current = found if joined else self.renewed(self.accepted(found, current))
         return self.null(), self.with_scatter(current)
 
     def accepted(self, found: Hypothesis, before: Hypothesis) -> Hypothesis:
@@ -249,8 +247,8 @@ class Search:
         also = replace(current, effects=(*current.effects, JITTER))
         gain = also.nats - self.left_out(also, JITTER).nats
         effects = float((current.nats - self.null().nats).sum()) if current.effects else 0.0
-        good = gain.sum() > max(self.least_gain, 2.0 * standard_error(gain, self.pings), effects)
-        return self.pruned(also) if good else current
+        needed = max(self.least_gain, 2.0 * standard_error(gain, self.pings), effects)
+        return self.pruned(also) if gain.sum() > needed else current
 
     def held_scatter(self, found: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted with the scatter of single pings at its value in the simulation."""
@@ -290,16 +288,13 @@ class Search:
         while winner is None:
             more = {name: self.met(fit, current, name) for name, fit in self.screened(current, tried).items()}
             tried |= more
-            gains = {name: each.nats - current.nats for name, each in tried.items()}
-            winner = self.winner(current, tried, gains)
+            winner = self.winner(current, tried)
             if all(self.explains(each, name) for name, each in more.items()):
                 break
         self.tried[current.effects], self.base[current.effects] = tried, (self.common, current)
-        if winner is None:
-            return None
-        common = self.common_value(tried[winner], winner)
-        if common is None:
-            return tried[winner]
+        common = None if winner is None else self.common_value(tried[winner], winner)
+        if winner is None or common is None:
+            return tried.get(winner or "")
         self.common, self.shared = self._familiar(common), [*self.shared, winner]
         return self.rebased(current)
 
@@ -320,14 +315,14 @@ class Search:
                 points[name] = scored[best[0]], [starts[k] for k in close]
         order = first_kinds(gains_of(points, stack, self.screen), N_SCREENED)
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
-        fits, n_pings = {}, sum(len(part) for part in self.parts)
+        fits, share = {}, len(self.screen) / self.pings.sum()
         for name in order:
             fit = highest(self._refined(start, current, name, SHORT) for start in points[name][1])
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
-            if (fit.nats - here) * n_pings / len(self.screen) > self.worthwhile(current):
+            if (fit.nats - here) / share > self.worthwhile(current):
                 fits[name] = fit
         value = {name: fit.nats + fit.stack.log_size_prior(self.common, [name]) for name, fit in fits.items()}
-        near = leading(sorted(fits, key=lambda name: -value[name]), fits, self.screen, self.least_gain)
+        near = leading(sorted(fits, key=value.__getitem__, reverse=True), fits, self.screen, self.least_gain)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
 
     def _refined(self, start: Stack, current: Hypothesis, name: str, iterations: int) -> Fit:
@@ -341,20 +336,25 @@ class Search:
             fit.stack.get(key) < NARROWED * current.stacks[0].get(key) for key in (SPREAD[0], SPREAD[2])
         )
         found = [self.crossed(fit.stack, current, effects, narrow)]
-        others = self.shared_first(fit.stack, effects, self.screen)
-        found += [self.crossed(each, current, effects, own_scatter=True) for each in others]
+        for other in self.shared_first(fit.stack, effects, self.screen):
+            found.append(self.crossed(other, current, effects, own_scatter=True))
         return max(found, key=lambda each: each.value)
 
-    def winner(self, current: Hypothesis, tried: dict[str, Hypothesis], gains: dict[str, Floats]) -> str | None:
-        """Return the effect of greatest gain beyond chance, the simplest of those as good within chance."""
-        needed, value = self.worthwhile(current), {name: tried[name].value - current.value for name in gains}
-        good = {name: v for name, v in value.items() if v > needed and self.explains(tried[name], name)}
-        if not good:
-            return None
-        best = max(good, key=lambda name: good[name])
-        error = {n: standard_error(gains[best] - gains[n], self.pings) for n in good}
-        close = [n for n in good if good[best] - good[n] < max(1.0, error[n])]
-        return min(close, key=lambda name: (len(self.keys([name])), -good[name]))
+    def winner(self, current: Hypothesis, tried: dict[str, Hypothesis]) -> str | None:
+        """Return the effect of greatest gain beyond chance, the simplest of those as good within chance.
+
+        Those that may lead are compared with the nuisance parameters that suit each, not those of none.
+        """
+        needed = current.value + self.worthwhile(current)
+        good = {name: fit for name, fit in tried.items() if fit.value > needed and self.explains(fit, name)}
+        best = max(good.values(), key=lambda each: each.value, default=current)
+        rivals = {name: self.polished(fit) for name, fit in good.items() if self.may_lead(fit, best)}
+        tried |= rivals
+        return simplest(rivals, lambda name: len(self.keys([name])), self.pings) if rivals else None
+
+    def may_lead(self, found: Hypothesis, best: Hypothesis) -> bool:
+        """Return whether a hypothesis may be better than the best on other visits."""
+        return may_lead(best.value - found.value, best.nats - found.nats, self.least_gain)
 
     def common_value(self, found: Hypothesis, name: str) -> Stack | None:
         """Return the law of the simulation with an effect that it lacked; None where it has none of it."""
@@ -385,10 +385,9 @@ class Search:
 
     def left_out(self, current: Hypothesis, name: str) -> Hypothesis:
         """Return a hypothesis fitted anew without one of its effects; the last answers are known."""
-        key = current, name
-        if key not in self._without:
-            self._without[key] = self._fitted_without(current, name)
-        return self._without[key]
+        if (current, name) not in self._without:
+            self._without[current, name] = self._fitted_without(current, name)
+        return self._without[current, name]
 
     def _fitted_without(self, current: Hypothesis, name: str) -> Hypothesis:
         others = tuple(each for each in current.effects if each != name)

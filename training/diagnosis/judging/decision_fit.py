@@ -20,6 +20,7 @@ from noise.discrepancy.judge.decision import DecisionModel
 from noise.discrepancy.thresholds import LISTED
 from noise.metrics import reliability
 from training.diagnosis.judging.record import Record
+from training.diagnosis.judging.scoring import parts_of_fault
 
 PENALTIES = tuple(10.0**k for k in np.arange(-3.0, 2.5, 0.5))  # inverse strengths of the L2 penalty
 MIN_FAMILIES = 2
@@ -60,7 +61,9 @@ def _listed(record: Record, effect: str, ids: set[str]) -> float:
 
 
 def examples_of(records: Sequence[Record]) -> Examples:
-    """Return the selected effects of all records with their features.
+    """Return the selected effects of all records with their features, but those that are a part of a fault.
+
+    These are in part right, so that they tell nothing about what is right or wrong.
 
     Raises:
         SettingError: fewer than two families, or effects that are all true or all wrong.
@@ -71,6 +74,7 @@ def examples_of(records: Sequence[Record]) -> Examples:
         for k, record in enumerate(records)
         for true in [true_places(record)]
         for effect, evidence in record["evidence"].items()
+        if effect not in parts_of_fault(record)
     ]
     feature, true, family, trial = (
         (np.array(column) for column in zip(*rows, strict=True)) if rows else [np.empty(0)] * 4

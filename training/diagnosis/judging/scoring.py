@@ -94,10 +94,14 @@ def names_all(record: Record) -> bool:
     return all(sets) and len({name for names in sets for name in names}) >= len(sets)
 
 
+def parts_of_fault(record: Record) -> set[str | None]:
+    """Return the effects that are a part of an unmodelled fault; None for changes without such a part."""
+    return {PARTS.get(change.split(" ")[0]) for change in record["fault"].split("; ")}
+
+
 def misled(record: Record) -> bool:
     """Return whether a wrong cause, which is no part of the fault, is believed and holds a large share."""
-    parts = {PARTS.get(change.split(" ")[0]) for change in record["fault"].split("; ")}
-    wrong = (cause for cause in wrong_causes(record) if cause["effect"] not in parts)
+    wrong = (cause for cause in wrong_causes(record) if cause["effect"] not in parts_of_fault(record))
     return any(cause["probability"] >= BELIEVED and (cause["share"] or 0.0) >= PARTLY for cause in wrong)
 
 
