@@ -28,7 +28,7 @@ from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
-from noise.discrepancy.locate.few import COARSER, far_test, placement_test, register_test, within_test
+from noise.discrepancy.locate.few import COARSER, placement_test, register_test, share_test, within_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
 from noise.discrepancy.locate.power import could_have_seen
@@ -296,7 +296,7 @@ def few_positions(recorded: Stack, simulated: Stack, sample: Sample, data: Data)
     if len(np.unique(sample.cluster)) >= MIN_VISITS:
         return []
     within = within_test(recorded, simulated, sample, data.rng("within"))
-    tests = (trend_test, placement_test, far_test)
+    tests = (trend_test, placement_test, share_test)
     return [*(test(recorded, simulated, sample) for test in tests), within]
 
 

@@ -5,8 +5,8 @@ tolerances in shares of readings and scatter, and the error of the law shows in 
 recorded positions scatter more than both, in an F test without the greatest of them, the sonar differs: one target may
 have been misplaced, and one visit disturbed.
 
-Far readings, which do not follow from how a target is placed, differ where their mean share over positions does, in
-Welch's t test.
+Shares of readings that are far from the target, silent or repeated differ where their mean over positions does, in
+Welch's t test, which knows how they vary between positions.
 
 Within positions: pings of one position are comparable with each other, whatever is wrong with the position. Scores and
 regressors lose their mean there, so that regressors of time, order and history remain. The statistic of a regressor is
@@ -37,7 +37,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.stack import LEVEL_SD, PLACEMENT, Stack
 
 SPREAD = ASPECTS.index(Aspect.SPREAD)
-FAR = (ASPECTS.index(Aspect.EARLY), ASPECTS.index(Aspect.LATE))
+SHARES = ((Aspect.EARLY, Aspect.LATE), (Aspect.DETECTION,), (Aspect.REPEAT,))  # each the sum of its aspects
 COARSER = 1.5  # ratio of the steps of two registers that differ
 KNOWN = 1e9  # degrees of freedom where nothing is estimated
 MIN_PLACES = 5  # positions of each file for an F test
@@ -153,8 +153,10 @@ def _of_aspect(scored: Scores, sample: Sample, aspect: Aspect) -> _Positions | N
     return _Positions(aspect, mean, variance, distance, p)
 
 
-def far_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
-    """Test whether the share of readings far from the target is that of the simulation, less what each law says.
+def share_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
+    """Test whether shares of readings are those of the simulation, less what each law says.
+
+    The p-value is Bonferroni's of the shares that any reading has to do with.
 
     Args:
         law_recorded: law of the recording.
@@ -162,34 +164,35 @@ def far_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found
         sample: readings.
     """
     scored = scores_of_both(law_recorded, law_simulated, sample)
-    files = _far_shares(scored, sample)
-    total = sum(variance for _, variance in files)
-    if min(len(mean) for mean, _ in files) < MIN_PLACES or total == 0.0:
+    found = [each for aspects in SHARES if (each := _of_share(scored, sample, aspects)) is not None]
+    if not found:
         return NOTHING
-    freedom = total**2 / sum(variance**2 / (len(mean) - 1) for mean, variance in files)
-    value, error = float(files[0][0].mean() - sum(mean.mean() for mean, _ in files[1:])), float(np.sqrt(total))
-    p_value = PValue(max(float(2.0 * student.sf(abs(value) / error, freedom)), LEAST_CHANCE), 0, 1, 1)
-    if p_value.value >= FALSE_ALARM:
-        return Found(p_value)
-    side = FAR[int(np.abs(scored.natural[sample.is_recorded][:, FAR].sum(axis=0)).argmax())]
-    size = Interval(value, value - TWO_SIDED * error, value + TWO_SIDED * error, ASPECTS[side].unit)
-    return Found(p_value, (Location(ASPECTS[side], {}, size, p_value),))
+    least = min(found, key=lambda each: each.p_value.value)
+    p_value = PValue(min(1.0, len(found) * least.p_value.value), 0, len(found), len(found))
+    return Found(p_value, (replace(least, p_value=p_value),) if p_value.value < FALSE_ALARM else ())
 
 
-def _far_shares(scored: Scores, sample: Sample) -> list[tuple[Floats, float]]:
-    """Return the share of far readings beyond the law's at each position, and the variance of its mean, of each file.
+def _of_share(scored: Scores, sample: Sample, aspects: Sequence[Aspect]) -> Location | None:
+    """Return how a share differs, in Welch's t test; None where positions are too few, or readings all alike.
 
-    The variance is at least the binomial one of the echoes of both: shares of few positions may agree by chance.
+    The variance of a mean is at least the binomial one of both files: shares of few positions may agree by chance.
     """
-    value, valid = scored.natural[:, FAR].sum(axis=1), scored.valid[:, FAR[0]]
-    n_far = sum(int(batch.is_outlier(batch.error).sum()) for batch in sample.batches)
-    share = n_far / max(int(valid.sum()), 1)
-    out = []
-    for rows in (sample.is_recorded, ~sample.is_recorded):
-        if rows.any():
-            mean, n = _means(value, valid, sample, rows)[0], max(int((rows & valid).sum()), 1)
-            out.append((mean, max(float(np.var(mean)) / max(len(mean) - 1, 1), share * (1.0 - share) / n)))
-    return out
+    columns = [ASPECTS.index(aspect) for aspect in aspects]
+    value, valid = scored.natural[:, columns].sum(axis=1), scored.valid[:, columns].all(axis=1)
+    event = valid & (np.abs(scored.natural[:, columns]) > 0.5).any(axis=1)
+    share = event.sum() / max(int(valid.sum()), 1)
+    files = [_means(value, valid, sample, rows)[0] for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
+    if not 0.0 < share < 1.0 or min(map(len, files)) < MIN_PLACES:
+        return None
+    counts = [max(int((valid & rows).sum()), 1) for rows in (sample.is_recorded, ~sample.is_recorded)]
+    each = [max(np.var(m) / (len(m) - 1), share * (1.0 - share) / n) for m, n in zip(files, counts, strict=False)]
+    total = float(sum(each))
+    freedom = total**2 / sum(v**2 / (len(m) - 1) for v, m in zip(each, files, strict=True))
+    size, error = float(files[0].mean() - sum(mean.mean() for mean in files[1:])), float(np.sqrt(total))
+    p_value = PValue(max(float(2.0 * student.sf(abs(size) / error, freedom)), LEAST_CHANCE), 0, 1, 1)
+    most = columns[int(np.abs(scored.natural[sample.is_recorded][:, columns].sum(axis=0)).argmax())]
+    interval = Interval(size, size - TWO_SIDED * error, size + TWO_SIDED * error, ASPECTS[most].unit)
+    return Location(ASPECTS[most], {}, interval, p_value)
 
 
 def _means(value: Floats, valid: Bits, sample: Sample, rows: Bits) -> tuple[Floats, Floats, Floats]:
