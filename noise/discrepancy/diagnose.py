@@ -155,12 +155,17 @@ def diagnose(
     found = [whole, *few_positions(own, other, data.sample, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))
     where = located(tested, found) if tested.p_value.value < FALSE_ALARM else ()
-    visible = could_have_seen(own, data.sample, tested, data.rng("power"))
+    if differs(tested.p_value, where):
+        return _different(data, recorded, tested, where, found, tuple(without))
+    return _alike(data, recorded, tested, where, _visible(data, own, tested, found))
+
+
+def _visible(data: Data, law: Stack, tested: Tested, found: Sequence[Found]) -> tuple[Visible, ...]:
+    """Return the least sizes that a test of a law shows, or one of the other tests."""
+    visible = could_have_seen(law, data.sample, tested, data.rng("power"))
     for each in found:
         visible = least_of(visible, each.visible)
-    if differs(tested.p_value, where):
-        return _different(data, recorded, tested, where, visible, tuple(without))
-    return _alike(data, recorded, tested, where, visible)
+    return visible
 
 
 def located(tested: Tested, found: Sequence[Found]) -> tuple[Location, ...]:
@@ -222,11 +227,15 @@ def _different(
     recorded: Recording,
     tested: Tested,
     where: tuple[Location, ...],
-    visible: tuple[Visible, ...],
+    found: Sequence[Found],
     without: tuple[str, ...],
 ) -> Diagnosis:
-    """Return the diagnosis of a recording that differs."""
+    """Return the diagnosis of a recording that differs.
+
+    What else could have been seen is told by the test of what the causes leave: the difference itself hides less there.
+    """
     search, judged = _judged(data, tested, without)
+    visible = _visible(data, judged.final.stack, judged.after, found)
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
     options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, data.rng("term"))

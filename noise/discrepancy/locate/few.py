@@ -178,14 +178,15 @@ def _of_share(scored: Scores, sample: Sample, aspects: Sequence[Aspect]) -> Loca
     The variance of a mean is at least the binomial one of both files: shares of few positions may agree by chance.
     """
     columns = [ASPECTS.index(aspect) for aspect in aspects]
-    value, valid = scored.natural[:, columns].sum(axis=1), scored.valid[:, columns].all(axis=1)
+    value, valid = scored.natural[:, columns].sum(axis=1), scored.valid[:, columns[0]]
     event = valid & (np.abs(scored.natural[:, columns]) > 0.5).any(axis=1)
     share = event.sum() / max(int(valid.sum()), 1)
-    files = [_means(value, valid, sample, rows)[0] for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
+    sides = [rows for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
+    files = [_means(value, valid, sample, rows)[0] for rows in sides]
     if not 0.0 < share < 1.0 or min(map(len, files)) < MIN_PLACES:
         return None
-    counts = [max(int((valid & rows).sum()), 1) for rows in (sample.is_recorded, ~sample.is_recorded)]
-    each = [max(np.var(m) / (len(m) - 1), share * (1.0 - share) / n) for m, n in zip(files, counts, strict=False)]
+    counts = [int((valid & rows).sum()) for rows in sides]
+    each = [max(np.var(m) / (len(m) - 1), share * (1.0 - share) / n) for m, n in zip(files, counts, strict=True)]
     total = float(sum(each))
     freedom = total**2 / sum(v**2 / (len(m) - 1) for v, m in zip(each, files, strict=True))
     size, error = float(files[0].mean() - sum(mean.mean() for mean in files[1:])), float(np.sqrt(total))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,21 +60,6 @@ def may_lead(lag: float, behind: Floats, least: float) -> bool:
         least: what counts for nothing, nats.
     """
     return lag < max(least, BEHIND * standard_error(behind))
-
-
-def simplest(found: Mapping[str, Hypothesis], size_of: Callable[[str], int], pings: Floats) -> str:
-    """Return the name of the hypothesis of the fewest parameters among those as good as the best within chance.
-
-    Args:
-        found: hypotheses.
-        size_of: returns the number of parameters of one.
-        pings: of each visit, (n,).
-    """
-    best = max(found.values(), key=lambda each: each.value)
-    behind = {name: best.value - each.value for name, each in found.items()}
-    error = {name: standard_error(best.nats - each.nats, pings) for name, each in found.items()}
-    close = [name for name in found if behind[name] <= max(1.0, error[name])]
-    return min(close, key=lambda name: (size_of(name), behind[name]))
 
 
 def alike(one: Floats, other: Floats) -> bool:

@@ -34,7 +34,7 @@ from noise.discrepancy.name.common import scatters_alike, with_compensation, wit
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, simplest, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, standard_error
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
@@ -341,7 +341,7 @@ class Search:
         return max(found, key=lambda each: each.value)
 
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis]) -> str | None:
-        """Return the effect of greatest gain beyond chance, the simplest of those as good within chance.
+        """Return the effect of greatest gain beyond chance.
 
         Those that may lead are compared with the nuisance parameters that suit each, not those of none.
         """
@@ -350,7 +350,7 @@ class Search:
         best = max(good.values(), key=lambda each: each.value, default=current)
         rivals = {name: self.polished(fit) for name, fit in good.items() if self.may_lead(fit, best)}
         tried |= rivals
-        return simplest(rivals, lambda name: len(self.keys([name])), self.pings) if rivals else None
+        return max(rivals, key=lambda name: rivals[name].value, default=None)
 
     def may_lead(self, found: Hypothesis, best: Hypothesis) -> bool:
         """Return whether a hypothesis may be better than the best on other visits."""
