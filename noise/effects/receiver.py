@@ -88,7 +88,14 @@ class ZeroOffset(Effect):
     summary = "The reference plane of ranges differs from that of distances: all ranges have the same offset"
     parameters = (
         Parameter(
-            "offset_m", "m", 0.0, -0.1, 0.1, "firmware, mounting +-30 mm; wider: chosen here", (0.0,), typical=0.015
+            "offset_m",
+            "m",
+            0.0,
+            -0.5,
+            0.5,
+            "mounting +-30 mm; from a robot's origin: chosen here",
+            (0.0,),
+            typical=0.015,
         ),
     )
     offset_m: Tensor

@@ -184,7 +184,7 @@ def changes(law: Stack, name: str) -> list[list[dict[Key, float]]]:
     beside = {(name, p.name): p.starts[0] if p.starts else p.null for p in others if not p.covariate}
     key = (name, first.name)
     if name in law.values:
-        step = STEP_SHARE * (first.high - first.low)
+        step = 0.5 * first.typical if first.typical > 0 else STEP_SHARE * (first.high - first.low)
         groups = [[law.get(key) - step, law.get(key) + step]]
         beside = {key: law.get(key) for key in beside}
     elif first.typical > 0:

@@ -174,7 +174,7 @@ def _effect(probe: _Probe, key: Key, others: dict[str, float], wanted: float) ->
     def strength(size: float) -> float:
         return probe.strength(law.at({**missing, key: present + np.sign(limit - present) * size}))
 
-    size = 0.1 * room
+    size = min(parameter.typical or 0.1 * room, room)
     for _ in range(STEPS):
         reached = strength(size)
         if abs(reached / wanted - 1.0) < PRECISION:

@@ -25,6 +25,12 @@ def diagnosis():
     return noise.diagnose("ideal", recorded, simulated=simulated)
 
 
+def test_the_difference_itself_hides_little_of_what_else_could_have_been_seen(diagnosis):
+    least = {each.effect: each.least for each in diagnosis.verdict.could_have_seen}
+    assert least["bias"] < 0.1 * OFFSET_M
+    assert least["zero_offset"] < 0.1 * OFFSET_M
+
+
 def test_an_offset_is_applied_to_readings_at_other_conditions(diagnosis):
     rng = np.random.default_rng(5)
     fresh = read(model(TRUTH), survey(rng, visits=40, distances=(0.4, 3.0)), rng)

@@ -77,6 +77,11 @@ def test_each_changed_effect_is_selected_alone(name):
     assert found.effects == (name,)
 
 
+def test_a_sonar_that_stands_far_from_the_robots_origin_has_an_offset():
+    _, found = search_of({"zero_offset": {"offset_m": 0.2}}).run()
+    assert found.effects == ("zero_offset",)
+
+
 def test_what_both_files_have_is_no_difference():
     change = CHANGES["noise_burst"]
     search = search_of(change, simulated=batch_of(change, seed=77))
@@ -91,6 +96,14 @@ def test_speed_of_sound_and_clock_are_told_to_be_alike():
     assert {"sound_speed", "clock_scale"} <= set(place.listed)
     assert min(place.likely["sound_speed"], place.likely["clock_scale"]) > 0.2
     assert sum(place.likely.values()) == pytest.approx(1.0)
+
+
+def test_of_two_effects_that_fit_alike_the_selected_one_has_no_advantage():
+    """Nuisance parameters that were fitted without an effect fit each effect worse than those fitted with it."""
+    search = search_of(CHANGES["sensitivity"], seed=4)
+    _, found = search.run()
+    likely = place_of(search, found, found.effects[0]).likely
+    assert min(likely["sensitivity"], likely["specular_loss"]) > 0.1
 
 
 def test_a_difference_counts_as_much_as_it_repeats_from_visit_to_visit():

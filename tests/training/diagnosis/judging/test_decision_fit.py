@@ -70,6 +70,14 @@ def test_records_that_hold_more_than_is_needed_are_used(records):
     assert np.array_equal(examples_of(more).feature, examples_of(records).feature)
 
 
+def test_a_part_of_a_fault_is_neither_right_nor_wrong(records, record):
+    named = [cause("stale_repeat"), cause("spike")]
+    fault = record(kind="unmodelled", causes=(), named=named, fault="hold of the reading before where it is warm")
+    before, after = examples_of(records), examples_of([*records, fault])
+    assert len(after.true) == len(before.true) + 1  # the spike, which is wrong
+    assert not after.true[-1]
+
+
 def test_each_cause_counts_in_one_place(record):
     both = record(causes=(SCALE,), named=[cause("sound_speed"), cause("spike", 0.6)])
     both["likely"] = {"sound_speed": {"sound_speed": 1.0}, "spike": {"spike": 0.6, "clock_scale": 0.4}}
