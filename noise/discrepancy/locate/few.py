@@ -179,7 +179,7 @@ def _of_share(scored: Scores, sample: Sample, aspects: Sequence[Aspect]) -> Loca
     """
     columns = [ASPECTS.index(aspect) for aspect in aspects]
     value, valid = scored.natural[:, columns].sum(axis=1), scored.valid[:, columns[0]]
-    event = valid & (np.abs(scored.natural[:, columns]) > 0.5).any(axis=1)
+    event = valid & ((value < 0) if Aspect.DETECTION in aspects else (value > 0))
     share = event.sum() / max(int(valid.sum()), 1)
     sides = [rows for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
     files = [_means(value, valid, sample, rows)[0] for rows in sides]
