@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import Ping, Recording
-from noise.effects import CATALOGUE, Conditions, EchoSample
+from noise.effects import CATALOGUE, Conditions
 from noise.effects.medium import ASSUMED_SPEED, ASSUMED_TEMPERATURE_C, sound_speed
 from noise.effects.mounting import directivity
 from noise.effects.receiver import HALF_WAVE, WALK_DB, WALK_M
@@ -284,50 +284,6 @@ def test_ring_down_has_no_time_walk():
     assert median([ring, *walks], distance=2.0) == pytest.approx(alone, abs=1e-4)
 
 
-@given(
-    st.floats(0.02, 0.3),
-    st.sampled_from([0.0, 0.001, 0.02]),
-    st.sampled_from([0.001, 0.01]),
-    st.integers(0, 2**31),
-)
-@settings(max_examples=30, deadline=None)
-def test_initial_values_of_ring_down_allow_every_near_reading(begins, decay, step, seed):
-    rng = np.random.default_rng(seed)
-    near = np.round((begins + rng.exponential(decay, 60)) / step) * step if decay else np.full(60, begins)
-    near = near[near < 0.8]
-    distance = np.full(len(near) + 20, 3.0)
-    echoes = EchoSample(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
-    first, *_ = CATALOGUE["ring_down"].guesses(echoes)
-    assert first["range_m"] < near.min()
-    assert near.min() - first["range_m"] <= 0.5 * max(step, 0.01) + 1e-9
-    assert first["probability"] == pytest.approx(len(near) / len(distance))
-    assert first["decay_m"] > 0.0
-
-
-@pytest.mark.parametrize(
-    ("near", "ambiguous"),
-    [
-        (np.full(40, 0.054), True),  # also the reading of a stuck register
-        (np.r_[np.full(30, 0.054), np.full(10, 0.0583)], True),
-        (np.full(40, 0.7), False),
-        (np.linspace(0.05, 0.15, 40), False),
-        (np.full(3, 0.054), False),
-    ],
-)
-def test_ring_down_with_one_near_value_is_confused_with_a_stuck_register(near, ambiguous):
-    distance = np.full(len(near) + 20, 3.0)
-    echoes = EchoSample(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
-    ring = CATALOGUE["ring_down"]
-    assert "stuck" in ring.confused_with
-    assert ring.ambiguous(echoes) == ambiguous
-
-
-def test_few_near_readings_give_no_initial_value_of_ring_down():
-    distance = np.full(20, 2.0)
-    echoes = EchoSample(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
-    assert CATALOGUE["ring_down"].guesses(echoes) == []
-
-
 def test_quantised_readings_lie_on_the_steps():
     model = PhysicalModel([CATALOGUE["quantisation"](step_m=0.01), CATALOGUE["travel_time_jitter"](sigma_m=0.02)])
     drawn = model.law(Ping.of(distance=np.full(500, 1.234))).sample(np.random.default_rng(1))
@@ -439,21 +395,6 @@ def test_a_fit_recovers_the_parameters(name, values):
     found = best_of(starts[:2], keys, batch)
     for key, value in values.items():
         assert found.stack.get((name, key)) == pytest.approx(value, rel=0.25, abs=0.001)
-
-
-@pytest.mark.parametrize("pause", [0.0, 60.0, 1e6])
-def test_initial_values_of_a_clock_are_within_bounds_for_few_readings(pause):
-    time = pause * np.arange(9.0)
-    echoes = EchoSample(np.full(9, 4.0), time, np.full(9, 1.0))
-    for guess in CATALOGUE["asynchronous_crosstalk"].guesses(echoes):
-        CATALOGUE["asynchronous_crosstalk"](**guess)
-
-
-@pytest.mark.parametrize(("early", "times", "ambiguous"), [(9, 1.0, True), (60, 1.0, False), (60, 0.0, True)])
-def test_few_or_untimed_early_readings_fit_some_clock_by_chance(early, times, ambiguous):
-    echoes = EchoSample(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
-    assert CATALOGUE["asynchronous_crosstalk"].ambiguous(echoes) == ambiguous
-    assert not CATALOGUE["false_alarm"].ambiguous(echoes)
 
 
 def test_a_noise_burst_makes_no_echo_of_a_target_that_is_not_heard():

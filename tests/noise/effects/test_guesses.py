@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from noise.effects import CATALOGUE, EchoSample
@@ -70,3 +70,62 @@ def test_the_step_of_the_register_is_that_of_the_grid_of_readings(name):
     echoes = EchoSample(distance, np.arange(N), np.round(distance / 0.0479) * 0.0479, grid_m=0.0479)
     assert CATALOGUE[name].guesses(echoes) == [{"step_m": 0.0479}]
     assert CATALOGUE[name].guesses(EchoSample(distance, np.arange(N), distance)) == []
+
+
+@given(
+    st.floats(0.02, 0.3),
+    st.sampled_from([0.0, 0.001, 0.02]),
+    st.sampled_from([0.001, 0.01]),
+    st.integers(0, 2**31),
+)
+@settings(max_examples=30, deadline=None)
+def test_initial_values_of_ring_down_allow_every_near_reading(begins, decay, step, seed):
+    rng = np.random.default_rng(seed)
+    near = np.round((begins + rng.exponential(decay, 60)) / step) * step if decay else np.full(60, begins)
+    near = near[near < 0.8]
+    distance = np.full(len(near) + 20, 3.0)
+    echoes = EchoSample(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    first, *_ = CATALOGUE["ring_down"].guesses(echoes)
+    assert first["range_m"] < near.min()
+    assert near.min() - first["range_m"] <= 0.5 * max(step, 0.01) + 1e-9
+    assert first["probability"] == pytest.approx(len(near) / len(distance))
+    assert first["decay_m"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("near", "ambiguous"),
+    [
+        (np.full(40, 0.054), True),  # also the reading of a stuck register
+        (np.r_[np.full(30, 0.054), np.full(10, 0.0583)], True),
+        (np.full(40, 0.7), False),
+        (np.linspace(0.05, 0.15, 40), False),
+        (np.full(3, 0.054), False),
+    ],
+)
+def test_ring_down_with_one_near_value_is_confused_with_a_stuck_register(near, ambiguous):
+    distance = np.full(len(near) + 20, 3.0)
+    echoes = EchoSample(distance, np.arange(len(distance)) * 0.1, np.r_[near, distance[: len(distance) - len(near)]])
+    ring = CATALOGUE["ring_down"]
+    assert "stuck" in ring.confused_with
+    assert ring.ambiguous(echoes) == ambiguous
+
+
+def test_few_near_readings_give_no_initial_value_of_ring_down():
+    distance = np.full(20, 2.0)
+    echoes = EchoSample(distance, np.arange(20.0), np.r_[0.1, 0.1, 0.1, distance[3:]])
+    assert CATALOGUE["ring_down"].guesses(echoes) == []
+
+
+@pytest.mark.parametrize("pause", [0.0, 60.0, 1e6])
+def test_initial_values_of_a_clock_are_within_bounds_for_few_readings(pause):
+    time = pause * np.arange(9.0)
+    echoes = EchoSample(np.full(9, 4.0), time, np.full(9, 1.0))
+    for guess in CATALOGUE["asynchronous_crosstalk"].guesses(echoes):
+        CATALOGUE["asynchronous_crosstalk"](**guess)
+
+
+@pytest.mark.parametrize(("early", "times", "ambiguous"), [(9, 1.0, True), (60, 1.0, False), (60, 0.0, True)])
+def test_few_or_untimed_early_readings_fit_some_clock_by_chance(early, times, ambiguous):
+    echoes = EchoSample(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
+    assert CATALOGUE["asynchronous_crosstalk"].ambiguous(echoes) == ambiguous
+    assert not CATALOGUE["false_alarm"].ambiguous(echoes)
