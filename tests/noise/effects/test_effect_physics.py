@@ -310,13 +310,6 @@ def test_an_uncompensated_sensor_follows_the_logged_temperature():
     assert "-0.17 %" in stack[0].statement()  # half of 1 / 293 K
 
 
-def test_a_parameter_is_identifiable_if_its_covariate_is_logged_and_varies():
-    share = CATALOGUE["sound_speed"].parameters[1]
-    assert share.identifiable({"temperature_c": np.array([18.0, 22.0])})
-    assert not share.identifiable({"temperature_c": np.array([18.0, 18.5])})
-    assert not share.identifiable({})
-
-
 def test_there_is_no_echo_beyond_the_gate():
     law = PhysicalModel([CATALOGUE["range_gate"](listen_m=3.0)]).law(Ping.of(distance=[2.9, 3.1]))
     np.testing.assert_allclose(law.echo, [1.0, 0.0])

@@ -243,3 +243,10 @@ def test_a_burst_lies_about_what_the_echo_would_have_read():
     plain, scattered = (PhysicalModel(effects).law(Ping.of(**weak)) for effects in (late, [*late, burst]))
     assert plain.quantile(0.5)[0] > 2.51  # the threshold is crossed late
     assert scattered.quantile(0.5) == pytest.approx(plain.quantile(0.5), abs=0.002)
+
+
+def test_a_parameter_is_identifiable_if_its_covariate_is_logged_and_varies():
+    share = CATALOGUE["sound_speed"].parameters[1]
+    assert share.identifiable({"temperature_c": np.array([18.0, 22.0])})
+    assert not share.identifiable({"temperature_c": np.array([18.0, 18.5])})
+    assert not share.identifiable({})
