@@ -161,7 +161,7 @@ def diagnose(
 
 
 def _visible(data: Data, law: Stack, tested: Tested, found: Sequence[Found]) -> tuple[Visible, ...]:
-    """Return the least sizes that a test of a law shows, or one of the other tests."""
+    """Return the least sizes that a test of a law shows, or one of the tests of few positions."""
     visible = could_have_seen(law, data.sample, tested, data.rng("power"))
     for each in found:
         visible = least_of(visible, each.visible)

@@ -37,7 +37,7 @@ MIN_VISITS = 30  # with fewer, the law follows the errors of placement in the si
 LIMIT_NATS = 4.0  # of a log-likelihood ratio: a single reading decides nothing
 MAX_ROUNDS = 30  # of draws under a law that remembers; a chain of so many repeated readings is rare
 LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
-STEP_SHARE = 0.05  # change of a parameter that the law already has, as a share of its bounds
+STEP_SHARE = 0.05  # of its bounds: change of a parameter that the law already has, and that has no typical size
 
 After = Callable[[Stack, Sequence[dict[Key, float]], Batch], Floats]  # of each change of a law and reading, nats
 

@@ -40,7 +40,7 @@ SPREAD = ASPECTS.index(Aspect.SPREAD)
 SHARES = ((Aspect.EARLY, Aspect.LATE), (Aspect.DETECTION,), (Aspect.REPEAT,))  # each the sum of its aspects
 COARSER = 1.5  # ratio of the steps of two registers that differ
 KNOWN = 1e9  # degrees of freedom where nothing is estimated
-MIN_PLACES = 5  # positions of each file for an F test
+MIN_PLACES = 5  # positions of each file for an F test, or Welch's
 MIN_PER_PLACE = 3  # blocks of a position, on average
 MAX_BLOCKS = 200  # of a file; more do not improve the variance estimates
 TOLERANCES = {  # by which means of one position differ between two recordings of one sonar
@@ -156,7 +156,7 @@ def _of_aspect(scored: Scores, sample: Sample, aspect: Aspect) -> _Positions | N
 def share_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Found:
     """Test whether shares of readings are those of the simulation, less what each law says.
 
-    The p-value is Bonferroni's of the shares that any reading has to do with.
+    The p-value is Bonferroni's of the shares that can be tested.
 
     Args:
         law_recorded: law of the recording.
@@ -173,21 +173,23 @@ def share_test(law_recorded: Stack, law_simulated: Stack, sample: Sample) -> Fou
 
 
 def _of_share(scored: Scores, sample: Sample, aspects: Sequence[Aspect]) -> Location | None:
-    """Return how a share differs, in Welch's t test; None where positions are too few, or readings all alike.
+    """Return how a share differs, in Welch's t test; None where positions are too few, or no reading could differ.
 
-    The variance of a mean is at least the binomial one of both files: shares of few positions may agree by chance.
+    The variance of a mean is at least that of so many independent readings, which have the share that is read or that
+    the law expects: shares of few positions may agree by chance.
     """
     columns = [ASPECTS.index(aspect) for aspect in aspects]
     value, valid = scored.natural[:, columns].sum(axis=1), scored.valid[:, columns[0]]
-    event = valid & ((value < 0) if Aspect.DETECTION in aspects else (value > 0))
-    share = event.sum() / max(int(valid.sum()), 1)
+    event = (value < 0) if Aspect.DETECTION in aspects else (value > 0)
+    share = float(np.mean((event + np.abs(event - np.abs(value)))[valid]) / 2.0) if valid.any() else 0.0
     sides = [rows for rows in (sample.is_recorded, ~sample.is_recorded) if rows.any()]
     files = [_means(value, valid, sample, rows)[0] for rows in sides]
     if not 0.0 < share < 1.0 or min(map(len, files)) < MIN_PLACES:
         return None
+    single = max(share * (1.0 - share), float(np.var(value[valid])))
     counts = [int((valid & rows).sum()) for rows in sides]
-    each = [max(np.var(m) / (len(m) - 1), share * (1.0 - share) / n) for m, n in zip(files, counts, strict=True)]
-    total = float(sum(each))
+    each = [max(float(np.var(m)) / (len(m) - 1), single / n) for m, n in zip(files, counts, strict=True)]
+    total = sum(each)
     freedom = total**2 / sum(v**2 / (len(m) - 1) for v, m in zip(each, files, strict=True))
     size, error = float(files[0].mean() - sum(mean.mean() for mean in files[1:])), float(np.sqrt(total))
     p_value = PValue(max(float(2.0 * student.sf(abs(size) / error, freedom)), LEAST_CHANCE), 0, 1, 1)

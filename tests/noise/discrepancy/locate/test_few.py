@@ -85,6 +85,25 @@ def test_one_reading_in_twelve_lost_at_every_mark_is_found(law):
         assert found.where[0].size.low < -lost.mean() < found.where[0].size.high
 
 
+def test_one_reading_in_five_repeated_at_every_mark_is_found(law):
+    for seed in range(10):
+        recorded, rng = marks(seed), np.random.default_rng(seed)
+        ranges = recorded.reading.range.copy()
+        for k in np.flatnonzero((rng.random(len(ranges)) < 0.2) & (np.arange(len(ranges)) % PINGS > 0)):
+            ranges[k] = ranges[k - 1]
+        table = recorded.ping, Reading.of(ranges)
+        found = share_test(law, law, Sample(Batch.of(Recording.of(*table)), marks(1000 + seed)))
+        assert found.p_value.value < 0.01
+        assert found.where[0].aspect is Aspect.REPEAT
+
+
+def test_a_sonar_that_loses_nothing_differs_from_a_known_law_that_loses_some(law):
+    losing = Stack({**law.values, "dropped_reading": {"probability": 0.03}})
+    found = share_test(losing, losing, Sample(marks(1), None))
+    assert found.p_value.value < 0.01
+    assert found.where[0].size.low < 0.03 < found.where[0].size.high
+
+
 def test_shares_of_the_few_echoes_among_many_silent_pings_are_no_surer_than_their_number(law):
     """One far reading among six echoes of each mark, and none in the other file: Fisher's exact test knows how rare."""
     recorded, simulated = marks(1), marks(2)
