@@ -19,6 +19,8 @@ from noise.effects.target import presence
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
 RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
+# offset, scale and walk of a sonar move readings by some centimetres, while single pings scatter by some millimetres
+OWN_ERRORS_M = (0.0, -0.01, 0.01, -0.02, 0.02, -0.03, 0.03)
 
 
 class PreviousPing(Effect):
@@ -77,16 +79,19 @@ class PreviousPing(Effect):
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return what explains most early readings: the second trip within bursts, or what is far or behind."""
+        """Return what explains most early readings: the second trip within bursts, or what is far or behind.
+
+        Lengths read off readings have the sonar's own errors, so that others near them are tried too.
+        """
         early, found = echoes.early, []
         if early.past is not None and (wait := most_frequent(2.0 * early.distance - early.range - early.past)) > 0.0:
-            found.append({"presence": 0.5, "far_m": 0.0, "trips": 2.0, "wait_m": wait})
+            found += [{"far_m": 0.0, "trips": 2.0, "wait_m": max(wait + each, 0.0)} for each in OWN_ERRORS_M]
         if early.interval is not None and (early.interval > 0.0).any():
             length = early.range + np.where(early.interval > 0.0, ASSUMED_SPEED * early.interval / 2.0, np.nan)
             before = early.distance if early.before is None else early.before
             for trips, far_m in ((0.0, most_frequent(length)), (1.0, most_frequent(length - before))):
-                found.append({"presence": 0.5, "far_m": max(far_m, 0.0), "trips": trips, "wait_m": 0.0})
-        return found
+                found += [{"far_m": max(far_m + each, 0.0), "trips": trips, "wait_m": 0.0} for each in OWN_ERRORS_M]
+        return [{"presence": 0.5, **guess} for guess in found]
 
     def statement(self) -> str:
         """Return a sentence with the distance of the far reflector."""

@@ -350,7 +350,8 @@ class Search:
         best = max(good.values(), key=lambda each: each.value, default=current)
         rivals = {name: self.polished(fit) for name, fit in good.items() if self.may_lead(fit, best)}
         tried |= rivals
-        return max(rivals, key=lambda name: rivals[name].value, default=None)
+        inside = (name for name, fit in rivals.items() if self.explains(fit, name))
+        return max(inside, key=lambda name: rivals[name].value, default=None)
 
     def may_lead(self, found: Hypothesis, best: Hypothesis) -> bool:
         """Return whether a hypothesis may be better than the best on other visits."""

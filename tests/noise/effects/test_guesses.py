@@ -16,6 +16,16 @@ def early_half(far, distance):
     return np.where(np.arange(N) % 2 == 0, far, distance)
 
 
+@given(st.floats(-0.015, 0.015), st.floats(0.9, 1.9))
+def test_the_wait_within_bursts_is_found_by_a_sonar_with_an_error_of_its_own(error_m, wait_m):
+    distance = np.full(N, 2.0)
+    past = distance + error_m
+    readings = 2.0 * distance - past - wait_m + error_m
+    echoes = EchoSample(distance, np.arange(N) * 0.02, readings, np.full(N, 0.02), past=past)
+    waits = [each["wait_m"] for each in CATALOGUE["previous_ping"].guesses(echoes) if each["trips"] == 2.0]
+    assert min(abs(each - wait_m) for each in waits) <= 0.006
+
+
 @given(st.floats(11.0, 14.0), st.floats(0.062, 0.066), st.integers(0, 2**31))
 def test_the_far_reflector_is_read_off_early_readings_and_intervals(far, interval, seed):
     rng = np.random.default_rng(seed)
@@ -37,8 +47,8 @@ def test_what_is_behind_a_moving_target_is_read_off_where_it_was(behind, seed):
     guesses = CATALOGUE["previous_ping"].guesses(
         EchoSample(distance, np.arange(N) * 0.025, readings, interval, before=before)
     )
-    assert all(each["far_m"] == pytest.approx(behind, abs=0.02) for each in guesses if each["trips"] == 1.0)
-    assert any(each["trips"] == 1.0 for each in guesses)
+    first = next(each for each in guesses if each["trips"] == 1.0)
+    assert first["far_m"] == pytest.approx(behind, abs=0.02)
 
 
 @given(st.floats(0.15, 0.7), st.integers(0, 2**31))
@@ -58,10 +68,9 @@ def test_the_wait_within_bursts_is_read_off_the_readings_before(wait, seed):
     distance = rng.uniform(2.5, 3.0, N)
     readings = early_half(distance - wait + rng.normal(0.0, 0.003, N), distance)  # x = 2 D - D - w after the target
     echoes = EchoSample(distance, np.arange(N) * 0.01, readings, None, distance)
-    guess = CATALOGUE["previous_ping"].guesses(echoes)
-    near = echoes.early.range
-    assert len(guess) == (1 if len(near) else 0)
-    assert all(each["wait_m"] == pytest.approx(wait, abs=0.02) and each["trips"] == 2.0 for each in guess)
+    guesses = CATALOGUE["previous_ping"].guesses(echoes)
+    assert bool(guesses) == bool(len(echoes.early.range))
+    assert all(each["wait_m"] == pytest.approx(wait, abs=0.02) and each["trips"] == 2.0 for each in guesses[:1])
 
 
 @pytest.mark.parametrize("name", ["quantisation", "truncation"])
