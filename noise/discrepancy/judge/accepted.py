@@ -25,6 +25,7 @@ from noise.discrepancy.locate.stability import size_between, sizes
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LEFT_LEVEL, MOVED_SHARE
+from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, SPREAD, Stack
 from noise.model import SonarModel
 from noise.replay import Replay, with_simulated
@@ -134,9 +135,7 @@ class Comparing:
         model, left_out = acting_on(replay, self.search.common, law, tuple(effects))
         if model is None or left_out:
             return None
-        given = with_simulated(simulated.ping, simulated.reading)
-        uniform = np.random.default_rng(self.seed).random(len(simulated))
-        drawn = sampled_in_order(simulated, lambda each: model.law(given, each.past), uniform, model.remembers)
+        drawn = applied(model, simulated, np.random.default_rng(self.seed))
         return Comparison(law, law, replace(self.sample, simulated=drawn, scored=[]))
 
 
@@ -154,6 +153,12 @@ def least_greatest(value: Floats, slope: Floats, most: float) -> Floats:
     bounds = [*[(-most, most)] * k, (0.0, None)]
     found = linprog(np.r_[np.zeros(k), 1.0], np.c_[above, -np.ones(2 * n)], limits, bounds=bounds)
     return np.zeros(k) if found.x is None else np.asarray(found.x[:k])
+
+
+def applied(model: SonarModel, readings: Batch, rng: np.random.Generator) -> Batch:
+    """Return readings with a model applied to them, each given what it made of the reading before."""
+    given, uniform = with_simulated(readings.ping, readings.reading), rng.random(len(readings))
+    return sampled_in_order(readings, lambda each: model.law(given, each.past), uniform, model.remembers)
 
 
 def acting_on(

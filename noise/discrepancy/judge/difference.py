@@ -12,15 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from noise.discrepancy.baseline.transport import Transport
-from noise.discrepancy.judge.accepted import acting_on
+from noise.discrepancy.judge.accepted import acting_on, applied
 from noise.discrepancy.judge.correction import Options
 from noise.discrepancy.judge.held_out import Simulation, beyond_chance, improves
 from noise.discrepancy.judge.judged import Judged
-from noise.discrepancy.locate.directed import sampled_in_order
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.model import SonarModel
-from noise.replay import Replay, with_simulated
+from noise.replay import Replay
 
 WORSE = "with it, your simulator's readings predict unseen visits worse"
 
@@ -94,9 +93,6 @@ def is_carried(
 
 
 def _applied(model: SonarModel, simulation: Simulation, rng: np.random.Generator) -> Simulation:
-    """Return a simulation with a model applied to its readings, each given what it made of the reading before."""
-    readings = simulation.readings
-    assert readings is not None
-    given, uniform = with_simulated(readings.ping, readings.reading), rng.random(len(readings))
-    drawn = sampled_in_order(readings, lambda each: model.law(given, each.past), uniform, model.remembers)
-    return replace(simulation, readings=drawn)
+    """Return a simulation with a model applied to its readings."""
+    assert simulation.readings is not None
+    return replace(simulation, readings=applied(model, simulation.readings, rng))

@@ -17,16 +17,12 @@ def on_a_day(recording, temperature_c, seed):
     return replace(recording, table=recording.table.assign(temperature_c=logged))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("faults", [FAULTS, {}])
+@pytest.mark.slow
 def test_faults_are_named_on_a_day_of_another_temperature(faults):
-    """The positions differ too, so that nothing is measured twice; one recording in four may hide a lost reading."""
-    verdicts = []
-    for k in range(1, 5):
-        simulated = on_a_day(recording_of({}, seed=10 * k + 1, visits=60, pings=8), 18.0, 1)
-        recorded = on_a_day(recording_of(faults, seed=10 * k + 2, visits=60, pings=8), 20.0, 2)
-        verdicts.append(noise.diagnose("ideal", recorded, simulated=simulated).verdict)
-    named = [{cause.effect for cause in found.causes} for found in verdicts]
-    assert all(each <= set(faults) for each in named)
-    assert sum(each == set(faults) for each in named) >= 3
-    assert all(str(found.verdict) == ("explained" if faults else "none") for found in verdicts)
+    """The positions differ too, so that nothing is measured twice."""
+    simulated = on_a_day(recording_of({}, seed=1, visits=60, pings=8), 18.0, 1)
+    recorded = on_a_day(recording_of(faults, seed=2, visits=60, pings=8), 20.0, 2)
+    found = noise.diagnose("ideal", recorded, simulated=simulated).verdict
+    assert {cause.effect for cause in found.causes} == set(faults)
+    assert str(found.verdict) == ("explained" if faults else "none")

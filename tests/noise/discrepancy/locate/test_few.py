@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binom, fisher_exact, kstest
+from scipy.stats import fisher_exact, kstest
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.few import placement_test, register_test, share_test, within_test
@@ -54,12 +54,12 @@ def within(law, recorded, simulated, seed=0):
 @pytest.mark.parametrize("common", [0.0, 0.02, 0.1])
 def test_as_many_far_readings_in_both_files_do_not_differ_however_they_vary_between_marks(law, common):
     p = []
-    for seed in range(60):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         shares = np.minimum(common * rng.gamma(1.0, size=(2, len(MARKS))), 1.0)
         files = [with_early(marks(k), share, k) for k, share in zip((seed, 1000 + seed), shares, strict=True)]
         p.append(share_test(law, law, Sample(*files)).p_value.value)
-    assert np.sum(np.array(p) < 0.05) <= binom.ppf(0.99, len(p), 0.05)
+    assert np.mean(np.array(p) < 0.05) <= 0.05
     assert min(p) > 0.001
 
 
