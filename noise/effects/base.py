@@ -25,6 +25,7 @@ from noise.effects.state import State, number
 
 NEAR, NEAR_M = 0.1, 0.05  # tolerance of the target's own echoes: share of the distance, plus m; chosen here
 BIN_M = 0.05  # within which lengths of paths are one; the scatter of a reading
+MAX_CLUSTERS, MIN_CLUSTER = 3, 4  # of readings away from the target, and readings in one, where fits begin; chosen here
 
 
 class Stage(IntEnum):
@@ -130,12 +131,23 @@ class EchoSample:
 
 def most_frequent(length: NDArray[np.float64]) -> float:
     """Return the median of the lengths in the fullest bin, m; 0 where all are nan."""
+    found = clusters(length, 1, 1)
+    return float(np.median(found[0])) if found else 0.0
+
+
+def clusters(length: NDArray[np.float64], most: int = MAX_CLUSTERS, least: int = MIN_CLUSTER) -> list[NDArray[np.float64]]:
+    """Return the lengths, m, in each of the fullest bins, the fullest first; nan is in none.
+
+    Args:
+        length: (n,).
+        most: number of bins.
+        least: lengths in a bin.
+    """
     length = length[np.isfinite(length)]
-    if not len(length):
-        return 0.0
     place = np.rint(length / BIN_M)
-    most, count = np.unique(place, return_counts=True)
-    return float(np.median(length[place == most[int(np.argmax(count))]]))
+    value, count = np.unique(place, return_counts=True)
+    fullest = np.argsort(-count, kind="stable")[:most]
+    return [length[place == value[k]] for k in fullest if count[k] >= least]
 
 
 class Effect(ABC):

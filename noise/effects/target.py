@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from noise.effects.base import EchoSample, Effect, Parameter, Stage, most_frequent
+from noise.effects.base import EchoSample, Effect, Parameter, Stage, clusters, most_frequent
 from noise.effects.state import Later, State, heard_level_db, new_path, number, wall_level_db
 
 WAVELENGTH = 8.584e-3  # m; 40 kHz at 19 degC and 50 % relative humidity
@@ -203,6 +203,16 @@ class FixedClutter(Effect):
         length = self.range_m + torch.zeros_like(state.conditions.distance)
         path = new_path("clutter", length, heard_level_db(length), self.presence)
         return state.with_path(replace(path, spread=self.spread_m))
+
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return where most readings away from the target lie, as frequent as they are of targets farther away."""
+        out = []
+        for group in clusters(echoes.off_target.range):
+            range_m, spread_m = float(np.median(group)), float(np.clip(np.std(group), 0.002, 0.05))
+            farther = max(int((echoes.distance > range_m).sum()), len(group))
+            out.append({"presence": len(group) / farther, "range_m": range_m, "spread_m": spread_m})
+        return out
 
     def statement(self) -> str:
         """Return a sentence with the range and the probability of an echo."""

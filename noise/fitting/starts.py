@@ -11,6 +11,7 @@ from scipy.stats import qmc
 
 from acquisition.arrays import Floats
 from noise.effects import EchoSample, Effect, Parameter, Stage
+from noise.effects.base import clusters
 from noise.effects.interping import INTERVAL, RANGE_RATE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
@@ -23,21 +24,13 @@ NEAR_FACTORS, NEAR_SHARE = (1.3, 3.0), 0.05
 MIN_SHIFT_M = 1e-3  # of the target's echo between the bounds of a parameter that is estimated from it; chosen here
 
 
-def extra_modes(batch: Batch, n_modes: int = 3) -> list[float]:
+def extra_modes(batch: Batch) -> list[float]:
     """Return lengths, m, that explain clusters of readings far from the true distance: offsets, then fixed ranges."""
     echo = batch.reading.echo
     error = batch.error[echo]
     far = np.abs(error) > np.maximum(0.06, 0.05 * batch.ping.distance[echo])
-    return [*_peaks(error[far], n_modes), *_peaks(batch.reading.range[echo][far], n_modes)]
-
-
-def _peaks(value: Floats, n_peaks: int, bin_m: float = 0.05) -> list[float]:
-    """Return the centres of the fullest bins of a sample, fullest first."""
-    if len(value) < 4:
-        return []
-    place, count = np.unique(np.rint(value / bin_m), return_counts=True)
-    fullest = np.argsort(-count, kind="stable")[:n_peaks]
-    return [float(place[k] * bin_m) for k in fullest if count[k] >= 4]
+    lengths = (error[far], batch.reading.range[echo][far])
+    return [float(np.median(each)) for length in lengths for each in clusters(length)]
 
 
 def starting_points(

@@ -138,3 +138,27 @@ def test_few_or_untimed_early_readings_fit_some_clock_by_chance(early, times, am
     echoes = EchoSample(np.full(early, 4.0), times * np.linspace(0.0, 900.0, early), np.full(early, 1.0))
     assert CATALOGUE["asynchronous_crosstalk"].ambiguous(echoes) == ambiguous
     assert not CATALOGUE["false_alarm"].ambiguous(echoes)
+
+
+@given(st.floats(0.3, 1.4), st.floats(0.06, 0.3), st.integers(0, 2**31))
+def test_clutter_is_read_off_as_frequent_as_it_is_before_farther_targets(place, share, seed):
+    rng = np.random.default_rng(seed)
+    distance = rng.uniform(0.2, 3.0, 1000)
+    shown = (distance > place + 0.1) & (rng.random(1000) < share)
+    readings = np.where(shown, place + rng.normal(0.0, 0.001, 1000), distance)
+    guess, *_ = CATALOGUE["fixed_clutter"].guesses(EchoSample(distance, np.arange(1000), readings))
+    assert guess["range_m"] == pytest.approx(place, abs=0.005)
+    farther = int((distance > place).sum())
+    assert guess["presence"] <= shown.sum() / farther * 1.01
+    assert guess["presence"] >= 0.4 * shown.sum() / farther  # an edge of a bin may divide the cluster
+
+
+@given(st.floats(0.5, 3.0), st.floats(0.06, 0.3), st.integers(0, 2**31))
+def test_another_sonar_is_read_off_where_it_explains_most_readings(other, share, seed):
+    rng = np.random.default_rng(seed)
+    distance = rng.uniform(0.2, 9.0, 1000)
+    shown = (distance > 2.0 * other) & (rng.random(1000) < share)
+    readings = np.where(shown, 0.5 * (distance + other), distance)
+    guess, *_ = CATALOGUE["synchronous_crosstalk"].guesses(EchoSample(distance, np.arange(1000), readings))
+    assert guess["other_m"] == pytest.approx(other, abs=0.005)
+    assert guess["presence"] == pytest.approx(shown.mean())
