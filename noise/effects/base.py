@@ -98,6 +98,7 @@ class EchoSample:
         past: reading before each in the run, m, nan where there was no echo, (n,); None where it is unknown.
         before: distance of the target when the previous ping was fired, m, (n,); None where it is unknown.
         grid_m: step on whose multiples all readings lie, m; 0 where it is unknown.
+        silent: number of pings without an echo.
     """
 
     distance: NDArray[np.float64]
@@ -107,6 +108,7 @@ class EchoSample:
     past: NDArray[np.float64] | None = None
     before: NDArray[np.float64] | None = None
     grid_m: float = 0.0
+    silent: int = 0
 
     @property
     def off_target(self) -> EchoSample:
@@ -126,7 +128,8 @@ class EchoSample:
     def _where(self, rows: NDArray[np.bool_]) -> EchoSample:
         kept = (None if value is None else value[rows] for value in (self.interval, self.past, self.before))
         interval, past, before = kept
-        return EchoSample(self.distance[rows], self.time[rows], self.range[rows], interval, past, before, self.grid_m)
+        own = self.distance[rows], self.time[rows], self.range[rows]
+        return EchoSample(*own, interval, past, before, self.grid_m, self.silent)
 
 
 def most_frequent(length: NDArray[np.float64]) -> float:

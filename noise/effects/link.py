@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -11,11 +13,16 @@ from noise.effects.base import EchoSample, Effect, Parameter, Stage
 from noise.effects.state import Atom, State, ndtr, number
 
 FULL_SCALE = 11.008  # m; SRF08 with range register 255
+EDGE, BEYOND = 0.05, 4.0  # of the span: width of its end, and where the density has become zero; chosen here
 MAX_GUESSES, MIN_REPEATS = 3, 3  # candidate values of a stuck register, and their least number of repeats; chosen here
 
 
 class Spike(Effect):
-    """With `probability` the reading is replaced by a uniform random one: the thesis's SHORT fault."""
+    """With `probability` the reading is replaced by a uniform random one: the thesis's SHORT fault.
+
+    Readings show where the uniform distribution ends no better than they are dense there, so that its density falls
+    about `span_m` over a width of `EDGE` spans. None is impossible, and the likelihood has a gradient everywhere.
+    """
 
     name = "spike"
     stage = Stage.SEQUENCE
@@ -24,9 +31,7 @@ class Spike(Effect):
     summary = "Some readings are replaced by random ones"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: chosen here", (0.01,)),
-        Parameter(
-            "span_m", "m", FULL_SCALE, 0.1, 20.0, "scale of the register: Devantech SRF08", (FULL_SCALE,), jumps=True
-        ),
+        Parameter("span_m", "m", FULL_SCALE, 0.1, 20.0, "scale of the register: Devantech SRF08", (FULL_SCALE,)),
     )
     probability: Tensor
     span_m: Tensor
@@ -43,7 +48,11 @@ class Spike(Effect):
         )
 
     def _uniform(self, edge: Tensor) -> Tensor:
-        return torch.clamp(edge / self.span_m, 0.0, 1.0)
+        """Return the integral of the density 1 / (1 + exp((r - span) / width)), normalised."""
+        span, width = self.span_m, EDGE * self.span_m
+        least = -width * math.log1p(math.exp(-1.0 / EDGE))
+        inside = -width * torch.logaddexp(-torch.clamp(edge / span, 0.0, BEYOND) / EDGE, number(-1.0 / EDGE))
+        return (inside - least) / (span - least)
 
 
 class DroppedReading(Effect):

@@ -175,6 +175,14 @@ class BackgroundReflector(Effect):
         bearing = self.follow * state.conditions.angle
         return state.with_path(new_path("background", length, level_db, self.presence, bearing))
 
+    @classmethod
+    def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
+        """Return how far behind the target most late readings lie, as frequent as they are of targets not heard."""
+        late, loud = echoes.late, {"loss_db": 5.0, "follow": 1.0}
+        lengths = [group[group < 2.0] for group in clusters(late.range - late.distance)]
+        missed = len(late.range) + echoes.silent
+        return [{"presence": len(g) / missed, "behind_m": float(np.median(g)), **loud} for g in lengths if len(g)]
+
     def statement(self) -> str:
         """Return a sentence with the distance behind the reflector."""
         v = self.values
@@ -206,12 +214,12 @@ class FixedClutter(Effect):
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
-        """Return where most readings away from the target lie, as frequent as they are of targets farther away."""
+        """Return where most readings away from the target lie, as frequent as they are of targets not heard before."""
         out = []
         for group in clusters(echoes.off_target.range):
             range_m, spread_m = float(np.median(group)), float(np.clip(np.std(group), 0.002, 0.05))
-            farther = max(int((echoes.distance > range_m).sum()), len(group))
-            out.append({"presence": len(group) / farther, "range_m": range_m, "spread_m": spread_m})
+            able = max(int((echoes.distance > range_m).sum()), len(group)) + echoes.silent
+            out.append({"presence": len(group) / able, "range_m": range_m, "spread_m": spread_m})
         return out
 
     def statement(self) -> str:

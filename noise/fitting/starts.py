@@ -135,7 +135,8 @@ def echoes_of(batch: Batch) -> EchoSample:
     known = ping.covariates.get(INTERVAL)
     past = np.where(batch.past.echo, batch.past.range, np.nan)[echo]
     before = ping.distance if known is None else ping.distance - known * ping.covariates.get(RANGE_RATE, 0.0)
-    return EchoSample(ping.distance, ping.time, batch.reading.range[echo], known, past, before, batch.grid_m)
+    range_, silent = batch.reading.range[echo], int(np.sum(~echo))
+    return EchoSample(ping.distance, ping.time, range_, known, past, before, batch.grid_m, silent)
 
 
 def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:

@@ -19,7 +19,7 @@ from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
 INSIDE, NEEDED = 0.1, 3.0  # share of that width, and nats that a value so far inside loses where a bound is needed
-DESIGN = 2  # quasi-random starting points of an effect, a power of two
+DESIGN = 8  # quasi-random starting points of an effect, a power of two
 WIDTH = "spread_m"  # of the echoes of another reflector
 
 
