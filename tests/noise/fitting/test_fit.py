@@ -45,24 +45,33 @@ def test_gradient_equals_finite_differences():
 
 
 def test_a_discontinuity_does_not_end_a_fit():
-    # outliers reach 3 m: any shorter span excludes some, although the gradient favours a shorter one
+    # ring-down is read from 0.2 m on: a later start excludes some readings, although the gradient favours it
     rng = np.random.default_rng(5)
-    distance = np.repeat(rng.uniform(0.4, 1.0, 40), 6)
+    distance = np.repeat(rng.uniform(0.8, 1.5, 40), 6)
     range_ = distance + rng.normal(0.01, 0.004, len(distance))
-    range_[::9] = np.linspace(1.2, 3.0, len(range_[::9]))
+    range_[::9] = 0.2 - 0.04 * np.log(1.0 - np.arange(len(range_[::9])) / len(range_[::9]))
     batch = Batch.of(Recording.of(Ping.of(distance=distance), Reading.of(np.round(range_, 3))))
-    span, offset = ("spike", "span_m"), ("zero_offset", "offset_m")
-    free = (span, offset, ("spike", "probability"), ("travel_time_jitter", "sigma_m"))
-    start = nuisance_start(Stack.of(PhysicalModel()), batch).put([*free[:3]], [3.0 + batch.resolution / 2, 0.0, 0.1])
+    begin, offset, often = ("ring_down", "range_m"), ("zero_offset", "offset_m"), ("ring_down", "probability")
+    free = (begin, offset, often, ("travel_time_jitter", "sigma_m"))
+    values = [0.2 - 0.51 * batch.resolution, 0.0, 0.1, 0.04]
+    start = nuisance_start(Stack.of(PhysicalModel()), batch).put([*free[:3], ("ring_down", "decay_m")], values)
     edge = Objective(start, free, batch)
     x = np.array([start.get(key) for key in free])
-    shorter = x - np.array([1e-4, 0.0, 0.0, 0.0])
-    assert edge(x)[1][0] > 0  # the gradient favours a shorter span
-    assert edge(shorter)[0] > edge(x)[0]
-    found, fixed_span = maximise(start, free, batch), maximise(start, free[1:], batch)
-    assert found.nats > fixed_span.nats - 0.1
+    later = x + np.array([2.0 * batch.resolution, 0.0, 0.0, 0.0])
+    assert edge(x)[1][0] < 0  # the gradient favours a later start
+    assert edge(later)[0] > edge(x)[0]
+    found, fixed = maximise(start, free, batch), maximise(start, free[1:], batch)
+    assert found.nats > fixed.nats - 0.1
     assert found.stack.get(offset) == pytest.approx(0.01, abs=0.002)
-    assert maximise(start, free[:1], batch).stack.get(span) == start.get(span)  # no other free parameter
+
+
+@pytest.mark.parametrize("span", [0.5, 4.0, 11.0])
+def test_random_readings_are_uniform_up_to_a_soft_end(span):
+    spike = PhysicalModel([CATALOGUE["spike"](probability=0.5, span_m=span)]).law(Ping.of(distance=np.full(2, 15.0)))
+    at = span * np.array([0.2, 0.5, 0.8, 1.0, 1.3])
+    below = np.array([float(spike.cdf(np.full(2, z))[0]) for z in at])
+    assert below[:3] == pytest.approx(0.5 * at[:3] / span, abs=0.005)
+    assert below[3:] == pytest.approx([0.5, 0.5], abs=0.02) and below[3] < below[4]
 
 
 def test_known_parameters_lie_within_their_standard_errors():
