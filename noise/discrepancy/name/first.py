@@ -21,6 +21,7 @@ from noise.fitting.starts import nuisance_starts, starting_points
 
 REGISTERS, STEP = ("quantisation", "truncation"), "step_m"
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
+OFF_STEP = 0.6  # steps of the register by which readings may miss a coarser one: half, and the error of its fit
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
 
@@ -70,11 +71,21 @@ def with_register(search: Fits, none: Hypothesis) -> Hypothesis:
 
 
 def coarsest(batch: Batch) -> float:
-    """Return the greatest step, m, on which all readings lie, if only because their targets do; 0 where unknown."""
-    echoes = batch.reading.range[batch.reading.echo]
-    if not (batch.grid_m > 0.0 and len(echoes)):
+    """Return the greatest step, m, on whose multiples all readings lie, if only because their targets do; 0 if unknown.
+
+    Readings may be off by half a step of the register in which others stored them, and a little more for the fit.
+    """
+    value = np.unique(batch.reading.range[batch.reading.echo]) - batch.origin
+    if batch.grid_m <= 0.0 or len(value) < 2:
         return 0.0
-    return batch.grid_m * float(np.gcd.reduce(np.rint((echoes - batch.origin) / batch.grid_m).astype(np.int64)))
+    # no step is greater than the least difference, and none as fine as the register is sought
+    fewest, most = (value[-1] / each for each in (np.diff(value).min() + batch.grid_m, COARSER * batch.grid_m))
+    for step in value[-1] / np.arange(np.ceil(fewest), most):
+        index = np.rint(value / step)
+        step = float(value @ index / (index @ index))
+        if np.abs(value - index * step).max() <= OFF_STEP * batch.grid_m:
+            return step
+    return batch.grid_m
 
 
 def with_threshold(search: Fits, current: Hypothesis) -> Hypothesis:

@@ -162,3 +162,18 @@ def test_another_sonar_is_read_off_where_it_explains_most_readings(other, share,
     guess, *_ = CATALOGUE["synchronous_crosstalk"].guesses(EchoSample(distance, np.arange(1000), readings))
     assert guess["other_m"] == pytest.approx(other, abs=0.005)
     assert guess["presence"] == pytest.approx(shown.mean())
+
+
+@given(st.floats(0.1, 1.8), st.floats(0.1, 1.0), st.integers(0, 2**31))
+def test_a_reflector_behind_the_target_is_as_frequent_as_it_is_where_that_is_not_heard(behind, share, seed):
+    rng = np.random.default_rng(seed)
+    distance, missed = rng.uniform(0.2, 0.8, 1000), rng.random(1000) < 0.4
+    shown = missed & (rng.random(1000) < share)
+    readings = np.where(shown, distance + behind, distance) + rng.normal(0.0, 0.001, 1000)
+    silent = missed & ~shown
+    echoes = EchoSample(distance[~silent], np.arange(1000)[~silent], readings[~silent], silent=int(silent.sum()))
+    guess, *_ = CATALOGUE["background_reflector"].guesses(echoes)
+    clear = shown & (behind > 0.15 * distance + 0.05)  # nearer echoes are within the tolerance of the target
+    if clear.sum() > 50:
+        assert guess["behind_m"] == pytest.approx(behind, abs=0.005)
+        assert guess["presence"] <= 1.01 * shown.sum() / missed.sum()

@@ -1,12 +1,16 @@
 """A register with coarser steps is a fact, whatever else is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.diagnose import on_register_of
-from noise.discrepancy.name.first import REGISTERS, with_register
+from noise.discrepancy.name.first import REGISTERS, coarsest, with_register
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
@@ -73,3 +77,14 @@ def test_a_hypothesis_loses_nothing_when_it_is_fitted_anew_on_the_same_common_la
     search = Search(law_of(), Folds.of(batch, np.random.default_rng(0)), None, np.random.default_rng(0))
     found = with_register(search, search.null())
     assert search.rebased(found).value > found.value - 1.0
+
+
+@settings(max_examples=50, deadline=None)
+@given(step=st.floats(0.004, 0.1), n=st.integers(2, 300), seed=st.integers(0, 2**31))
+def test_the_coarsest_step_is_that_of_a_register_whose_readings_others_rounded(step, n, seed):
+    index = np.random.default_rng(seed).integers(1, 60, n)
+    if np.gcd.reduce(index) > 1 or len(np.unique(index)) < 2:
+        return
+    readings = np.round(step * index, 3)
+    batch = Batch.of(Recording.of(Ping.of(distance=np.full(n, 1.0)), Reading.of(readings)))
+    assert coarsest(replace(batch, grid_m=0.001, origin=0.0)) >= 0.98 * step
