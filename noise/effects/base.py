@@ -138,7 +138,9 @@ def most_frequent(length: NDArray[np.float64]) -> float:
     return float(np.median(found[0])) if found else 0.0
 
 
-def clusters(length: NDArray[np.float64], most: int = MAX_CLUSTERS, least: int = MIN_CLUSTER) -> list[NDArray[np.float64]]:
+def clusters(
+    length: NDArray[np.float64], most: int = MAX_CLUSTERS, least: int = MIN_CLUSTER
+) -> list[NDArray[np.float64]]:
     """Return the lengths, m, in each of the fullest bins, the fullest first; nan is in none.
 
     Args:

@@ -13,12 +13,14 @@ from noise.discrepancy.thresholds import EXPLAINED_SHARE
 from noise.effects import CATALOGUE, Effect, Parameter
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit
-from noise.fitting.likelihood import log_likelihood
+from noise.fitting.likelihood import log_likelihood, log_likelihoods
 from noise.fitting.stack import JITTER, SPREAD, STEPWISE, Key, Stack
 from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
 
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
 INSIDE, NEEDED = 0.1, 3.0  # share of that width, and nats that a value so far inside loses where a bound is needed
+CLOSE = 3.0  # nats between starts that a few readings cannot tell apart
+NARROWER = 0.7  # ratio of two scatters from which fits begin with both
 DESIGN = 8  # quasi-random starting points of an effect, a power of two
 WIDTH = "spread_m"  # of the echoes of another reflector
 
@@ -84,27 +86,37 @@ def keys_of(base: Stack, name: str, batch: Batch) -> tuple[Key, ...]:
 
 
 def starts_of(
-    stack: Stack, narrow: Stack, name: str, grid: Batch, whole: Batch, rng: np.random.Generator
-) -> list[Stack]:
-    """Return starting points of an effect: with the present scatter, and for outliers with that of most readings.
+    stack: Stack, scatters: Sequence[Stack], name: str, grid: Batch, whole: Batch, rng: np.random.Generator
+) -> tuple[float, list[Stack]]:
+    """Return the log-likelihood of the best start of an effect, and starts that are worth a fit, the best first.
 
-    Outliers stretch the scatter of a law without them, and no local fit leads back from there.
+    These are the best with each scatter, since what a law without the effect gets wrong stretches its scatter and no
+    local fit leads back from there, and the second best where a few readings cannot tell it from the best.
 
     Args:
         stack: without the effect.
-        narrow: the same with the scatter of most readings, `narrowed`.
+        scatters: the same with other scatters, of `scatters_of`.
         name: effect id.
-        grid: readings for the extra modes.
+        grid: readings for the extra modes and the log-likelihood.
         whole: readings for the other estimates.
         rng: scrambles the design.
     """
     points = starting_points(stack, name, grid, rng, DESIGN, whole)
-    if not stack.known[name].localised:
-        return points
-    if narrow.get(SPREAD[0]) > 0.7 * stack.get(SPREAD[0]) and narrow.get(SPREAD[2]) > 0.5 * stack.get(SPREAD[2]):
-        return points
     values = [{key: point.get(key) for key in keys_of(stack, name, whole)} for point in points]
-    return [*points, *(narrow.at(value) for value in values)]
+    starts = [*points, *(other.at(value) for other in scatters for value in values)]
+    nats = log_likelihoods(starts, grid)
+    order = np.argsort(-nats, kind="stable")
+    group = order // len(points)
+    first = [int(np.argmax(group == k)) for k in range(len(scatters) + 1)]
+    second = [1] if nats[order[1]] > nats[order[0]] - CLOSE else []
+    return float(nats.max()), [starts[order[k]] for k in sorted({*first, *second})]
+
+
+def scatters_of(stack: Stack, common: Stack, batch: Batch) -> list[Stack]:
+    """Return the stack with the scatter of the simulation and with that of most readings, where either is narrower."""
+    alike = stack.put(SPREAD, [common.get(key) for key in SPREAD])
+    others = (alike, narrowed(stack, batch))
+    return [each for each in others if any(each.get(key) < NARROWER * stack.get(key) for key in SPREAD)]
 
 
 def gains_of(points: Mapping[str, tuple[float, list[Stack]]], stack: Stack, screen: Batch) -> dict[str, Floats]:

@@ -26,7 +26,7 @@ from noise.discrepancy.name.candidates import (
     keys_of,
     leading,
     log_prior,
-    narrowed,
+    scatters_of,
     starts_of,
     with_sampled_bounds,
 )
@@ -38,14 +38,13 @@ from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead,
 from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
-from noise.fitting.likelihood import log_likelihoods, predictive
+from noise.fitting.likelihood import predictive
 from noise.fitting.stack import JITTER, LEVEL_SD, NUISANCES, OF_A_KIND, SPREAD, Key, Stack
 from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
 SCREEN_PINGS, SIMULATED_PINGS = 800, 2000
 NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
-CLOSE = 3.0  # nats on the grid
 N_SCREENED = 6  # kinds of candidates that are fitted, and cross-fitted unless they are far behind, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
@@ -304,15 +303,11 @@ class Search:
 
     def screened(self, current: Hypothesis, tried: Container[str]) -> dict[str, Fit]:
         """Return the most promising candidates but those tried, each fitted to a part of the first fold, best first."""
-        stack, narrow, points = current.stacks[0], narrowed(current.stacks[0], self.parts[0]), {}
+        stack, points = current.stacks[0], {}
+        scatters = scatters_of(stack, self.common, self.parts[0])
         for name in self.names:
             if name not in current.effects and name not in tried:
-                starts = starts_of(stack, narrow, name, self.screen, self.parts[0], self.rng)
-                scored = log_likelihoods(starts, self.screen)
-                best = np.argsort(scored)[::-1][:2]
-                # a second start is worth a fit where a few readings cannot tell it from the best
-                close = [k for k in best if scored[k] > scored[best[0]] - CLOSE]
-                points[name] = scored[best[0]], [starts[k] for k in close]
+                points[name] = starts_of(stack, scatters, name, self.screen, self.parts[0], self.rng)
         order = first_kinds(gains_of(points, stack, self.screen), N_SCREENED)
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         fits, share = {}, len(self.screen) / self.pings.sum()
@@ -332,9 +327,7 @@ class Search:
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
         """Return one more effect, cross-fitted from the present scatter, a narrower one, or that of the simulation."""
         effects = (*current.effects, name)
-        narrow = self.common.known[name].localised and any(
-            fit.stack.get(key) < NARROWED * current.stacks[0].get(key) for key in (SPREAD[0], SPREAD[2])
-        )
+        narrow = any(fit.stack.get(key) < NARROWED * current.stacks[0].get(key) for key in (SPREAD[0], SPREAD[2]))
         found = [self.crossed(fit.stack, current, effects, narrow)]
         for other in self.shared_first(fit.stack, effects, self.screen):
             found.append(self.crossed(other, current, effects, own_scatter=True))

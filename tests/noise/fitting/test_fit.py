@@ -71,7 +71,8 @@ def test_random_readings_are_uniform_up_to_a_soft_end(span):
     at = span * np.array([0.2, 0.5, 0.8, 1.0, 1.3])
     below = np.array([float(spike.cdf(np.full(2, z))[0]) for z in at])
     assert below[:3] == pytest.approx(0.5 * at[:3] / span, abs=0.005)
-    assert below[3:] == pytest.approx([0.5, 0.5], abs=0.02) and below[3] < below[4]
+    assert below[3:] == pytest.approx([0.5, 0.5], abs=0.02)
+    assert below[3] < below[4]
 
 
 def test_known_parameters_lie_within_their_standard_errors():
