@@ -336,14 +336,15 @@ class Search:
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis]) -> str | None:
         """Return the effect of greatest gain beyond chance.
 
-        Those that may lead are compared with the nuisance parameters that suit each, not those of none.
+        Those that may lead are compared with the nuisance parameters that suit each, not those of none, and must gain
+        with these too.
         """
         needed = current.value + self.worthwhile(current)
         good = {name: fit for name, fit in tried.items() if fit.value > needed and self.explains(fit, name)}
         best = max(good.values(), key=lambda each: each.value, default=current)
         rivals = {name: self.polished(fit) for name, fit in good.items() if self.may_lead(fit, best)}
         tried |= rivals
-        inside = (name for name, fit in rivals.items() if self.explains(fit, name))
+        inside = (name for name, fit in rivals.items() if fit.value > needed and self.explains(fit, name))
         return max(inside, key=lambda name: rivals[name].value, default=None)
 
     def may_lead(self, found: Hypothesis, best: Hypothesis) -> bool:
