@@ -32,6 +32,7 @@ from noise.replay import Replay, with_simulated
 
 EXACT = 1e-6  # step of given readings, m: those that are equal remain so
 STEP = 0.1  # of a size, for the slopes of the statistics
+MOVES = 4  # towards the sizes at which both files agree, each so short that the statistics are linear; chosen here
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +70,16 @@ class Comparing:
     test: Test
     seed: int
 
-    def least_rejected(self, effects: Sequence[str], law: Stack) -> tuple[Tested, Comparison]:
+    def least_rejected(self, effects: Sequence[str], law: Stack, moves: int = MOVES) -> tuple[Tested, Comparison]:
         """Return the test of the comparison that rejects a law of the recording least, and the comparison.
 
         Args:
             effects: in which the recording differs.
             law: of the recording.
+            moves: of the sizes of causes towards those at which both files agree.
         """
         best: tuple[Tested, Comparison] | None = None
-        for tested, each in self.comparisons(effects, law):
+        for tested, each in self.comparisons(effects, law, moves):
             if best is None or tested.p_value.value > best[0].p_value.value:
                 best = tested, each
             if not best[0].is_below(LEFT_LEVEL):
@@ -85,15 +87,18 @@ class Comparing:
         assert best is not None
         return best
 
-    def comparisons(self, effects: Sequence[str], law: Stack) -> Iterator[tuple[Tested, Comparison]]:
+    def comparisons(self, effects: Sequence[str], law: Stack, moves: int) -> Iterator[tuple[Tested, Comparison]]:
         """Yield the comparisons in which a hypothesis may agree with the recording, each tested, the fairest first."""
         common, acted = self.search.common, self.acted(effects, law)
         if acted is not None:
-            tested = self.test(acted)
+            tested, agreed = self.test(acted), acted
             yield tested, acted
-            matched = self.matched(effects, law, tested)
-            if matched is not None:
-                yield self.test(matched), matched
+            for _ in range(moves):
+                matched = self.matched(effects, agreed.recorded, tested)
+                if matched is None:
+                    break
+                tested, agreed = self.test(matched), matched
+                yield tested, matched
         keys = (*self.search.keys(effects), *(SPREAD if JITTER in effects else ()))
         shared = common.put(keys, [law.get(key) for key in keys])
         for compared in (Comparison(law, common, self.sample), Comparison(shared, common, self.sample)):

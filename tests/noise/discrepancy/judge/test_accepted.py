@@ -43,9 +43,10 @@ def files():
     return moved(), survey(2, offset=crowded)
 
 
-def test_a_size_that_the_likelihood_misses_is_found_by_comparison(files):
+@pytest.mark.parametrize("factor", [0.6, 1.2, 1.6])
+def test_a_size_that_the_likelihood_misses_is_found_by_comparison(files, factor):
     compares = comparing(*files, [OFFSET])
-    wrong = LAW.at({OFFSET: 1.2 * TRUE_M})
+    wrong = LAW.at({OFFSET: factor * TRUE_M})
     assert compares.test(compares.acted(["zero_offset"], wrong)).is_below(0.01)
     tested, found = compares.least_rejected(["zero_offset"], wrong)
     assert not tested.is_below(0.1)
