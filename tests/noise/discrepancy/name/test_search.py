@@ -345,3 +345,14 @@ def test_an_effect_that_explains_nothing_keeps_no_other_from_being_tried(monkeyp
     search = search_of(CHANGES["noise_burst"], without=tuple(sorted(CATALOGUE.keys() - alike)))
     monkeypatch.setattr(search, "explains", lambda found, name: name != "noise_burst")
     assert search.run()[1].effects
+
+
+def test_an_effect_that_gains_nothing_with_its_own_nuisances_is_not_selected(monkeypatch):
+    search = search_of({})
+    none = search.null()
+    seeming = Hypothesis(("time_walk",), none.stacks, none.nats + 1.0)
+    monkeypatch.setattr(search, "explains", lambda found, name: True)
+    monkeypatch.setattr(search, "polished", lambda found: Hypothesis(found.effects, found.stacks, none.nats - 1.0))
+    assert search.winner(none, {"time_walk": seeming}) is None
+    monkeypatch.setattr(search, "polished", lambda found: found)
+    assert search.winner(none, {"time_walk": seeming}) == "time_walk"
