@@ -21,7 +21,7 @@ from noise.fitting.starts import nuisance_starts, starting_points
 
 REGISTERS, STEP = ("quantisation", "truncation"), "step_m"
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
-OFF_STEP = 0.6  # steps of the register by which readings may miss a coarser one: half, and the error of its fit
+ROUNDING = 1e-6  # relative, of half a step
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
 
@@ -73,18 +73,19 @@ def with_register(search: Fits, none: Hypothesis) -> Hypothesis:
 def coarsest(batch: Batch) -> float:
     """Return the greatest step, m, on whose multiples all readings lie, if only because their targets do; 0 if unknown.
 
-    Readings may be off by half a step of the register in which others stored them, and a little more for the fit.
+    Readings may be off by half a step of the register in which others stored them.
     """
     value = np.unique(batch.reading.range[batch.reading.echo]) - batch.origin
     if batch.grid_m <= 0.0 or len(value) < 2:
         return 0.0
+    half = 0.5 * batch.grid_m * (1.0 + ROUNDING)
     # no step is greater than the least difference, and none as fine as the register is sought
     fewest, most = (value[-1] / each for each in (np.diff(value).min() + batch.grid_m, COARSER * batch.grid_m))
-    for step in value[-1] / np.arange(np.ceil(fewest), most):
-        index = np.rint(value / step)
-        step = float(value @ index / (index @ index))
-        if np.abs(value - index * step).max() <= OFF_STEP * batch.grid_m:
-            return step
+    for count in np.arange(np.ceil(fewest), most):
+        index = np.maximum(np.rint(value * count / value[-1]), 1.0)
+        low, high = float(((value - half) / index).max()), float(((value + half) / index).min())
+        if low <= high:
+            return 0.5 * (low + high)
     return batch.grid_m
 
 
