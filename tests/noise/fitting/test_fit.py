@@ -63,6 +63,8 @@ def test_a_discontinuity_does_not_end_a_fit():
     found, fixed = maximise(start, free, batch), maximise(start, free[1:], batch)
     assert found.nats > fixed.nats - 0.1
     assert found.stack.get(offset) == pytest.approx(0.01, abs=0.002)
+    alone = maximise(start, free[:1], batch).stack.get(begin)  # it ends at the edge of the nearest reading
+    assert alone == pytest.approx(0.2 - 0.5 * batch.resolution, abs=1e-6)
 
 
 @pytest.mark.parametrize("span", [0.5, 4.0, 11.0])
