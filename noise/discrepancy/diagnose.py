@@ -262,6 +262,7 @@ def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Searc
     search = Search(data.baseline.law, data.folds, data.baseline.readings, data.rng("search"), without, data.tell)
     seed = int(data.rng("acting").integers(2**63))
     comparing = Comparing(search, data.sample, data.baseline.emulator, partial(against, data), seed)
+    # one move: sizes that go farther to agree would hide what a further effect explains, and cost a test each
     search.is_left = lambda found: comparing.least_rejected(found.effects, found.stacks[0], 1)[0].is_below(LEFT_LEVEL)
     _, found = search.run()
     none = search.nothing(found)

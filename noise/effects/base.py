@@ -25,7 +25,7 @@ from noise.effects.state import State, number
 
 NEAR, NEAR_M = 0.1, 0.05  # tolerance of the target's own echoes: share of the distance, plus m; chosen here
 BIN_M = 0.05  # within which lengths of paths are one; the scatter of a reading
-MAX_CLUSTERS, MIN_CLUSTER = 3, 4  # of readings away from the target, and readings in one, where fits begin; chosen here
+MAX_MODES, MIN_IN_MODE = 3, 4  # of readings away from the target, and readings in one, where fits begin; chosen here
 
 
 class Stage(IntEnum):
@@ -134,13 +134,11 @@ class EchoSample:
 
 def most_frequent(length: NDArray[np.float64]) -> float:
     """Return the median of the lengths in the fullest bin, m; 0 where all are nan."""
-    found = clusters(length, 1, 1)
+    found = modes(length, 1, 1)
     return float(np.median(found[0])) if found else 0.0
 
 
-def clusters(
-    length: NDArray[np.float64], most: int = MAX_CLUSTERS, least: int = MIN_CLUSTER
-) -> list[NDArray[np.float64]]:
+def modes(length: NDArray[np.float64], most: int = MAX_MODES, least: int = MIN_IN_MODE) -> list[NDArray[np.float64]]:
     """Return the lengths, m, in each of the fullest bins, the fullest first; nan is in none.
 
     Args:

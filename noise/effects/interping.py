@@ -11,7 +11,7 @@ from torch import Tensor
 
 from acquisition import EchoStatus
 from acquisition.arrays import Floats
-from noise.effects.base import EchoSample, Effect, Parameter, Stage, clusters, most_frequent
+from noise.effects.base import EchoSample, Effect, Parameter, Stage, modes, most_frequent
 from noise.effects.medium import ASSUMED_SPEED
 from noise.effects.state import State, heard_level_db, new_path, wall_level_db
 from noise.effects.target import presence
@@ -168,7 +168,7 @@ class SynchronousCrosstalk(Effect):
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return the distances of the other sonar that explain most readings away from the target, and how frequent."""
         off = echoes.off_target
-        groups = clusters(2.0 * off.range - off.distance)
+        groups = modes(2.0 * off.range - off.distance)
         return [{"presence": len(g) / len(echoes.range), "other_m": float(np.median(g))} for g in groups]
 
     def statement(self) -> str:

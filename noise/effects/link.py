@@ -49,10 +49,9 @@ class Spike(Effect):
 
     def _uniform(self, edge: Tensor) -> Tensor:
         """Return the integral of the density 1 / (1 + exp((r - span) / width)), normalised."""
-        span, width = self.span_m, EDGE * self.span_m
-        least = -width * math.log1p(math.exp(-1.0 / EDGE))
-        inside = -width * torch.logaddexp(-torch.clamp(edge / span, 0.0, BEYOND) / EDGE, number(-1.0 / EDGE))
-        return (inside - least) / (span - least)
+        least = -EDGE * math.log1p(math.exp(-1.0 / EDGE))
+        inside = -EDGE * torch.logaddexp(-torch.clamp(edge / self.span_m, 0.0, BEYOND) / EDGE, number(-1.0 / EDGE))
+        return (inside - least) / (1.0 - least)
 
 
 class DroppedReading(Effect):

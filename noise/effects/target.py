@@ -13,10 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from noise.effects.base import EchoSample, Effect, Parameter, Stage, clusters, most_frequent
+from noise.effects.base import EchoSample, Effect, Parameter, Stage, modes, most_frequent
 from noise.effects.state import Later, State, heard_level_db, new_path, number, wall_level_db
 
 WAVELENGTH = 8.584e-3  # m; 40 kHz at 19 degC and 50 % relative humidity
+MAX_BEHIND_M = 2.0  # of an object behind the reflector; chosen here
+MIN_SCATTER_M = 0.002  # of the readings of another object, where a fit begins; chosen here
 NEAR = 0.02  # m; lower limit of the distance in the asymptotic formulas below
 
 
@@ -159,7 +161,7 @@ class BackgroundReflector(Effect):
     summary = "An object behind the reflector is read when the echo of the reflector is missed"
     parameters = (
         presence(0.9),
-        Parameter("behind_m", "m", 0.3, 0.02, 2.0, "stand of Esmi (2016): 0.3 m behind", (0.1, 0.3, 0.7)),
+        Parameter("behind_m", "m", 0.3, 0.02, MAX_BEHIND_M, "stand of Esmi (2016): 0.3 m behind", (0.1, 0.3, 0.7)),
         Parameter("loss_db", "dB", 19.0, -10.0, 45.0, "post of 15 mm at 1.3 m: 19 dB below a wall", (5.0,)),
         Parameter("follow", "1", 1.0, 0.0, 1.0, "0 for a wall, which is on axis; chosen here", (1.0, 0.0)),
     )
@@ -179,7 +181,7 @@ class BackgroundReflector(Effect):
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return how far behind the target most late readings lie, as frequent as they are of targets not heard."""
         late, loud = echoes.late, {"loss_db": 5.0, "follow": 1.0}
-        lengths = [group[group < 2.0] for group in clusters(late.range - late.distance)]
+        lengths = [group[group < MAX_BEHIND_M] for group in modes(late.range - late.distance)]
         missed = len(late.range) + echoes.silent
         return [{"presence": len(g) / missed, "behind_m": float(np.median(g)), **loud} for g in lengths if len(g)]
 
@@ -216,8 +218,8 @@ class FixedClutter(Effect):
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
         """Return where most readings away from the target lie, as frequent as they are of targets not heard before."""
         out = []
-        for group in clusters(echoes.off_target.range):
-            range_m, spread_m = float(np.median(group)), float(np.clip(np.std(group), 0.002, 0.05))
+        for group in modes(echoes.off_target.range):
+            range_m, spread_m = float(np.median(group)), max(float(np.std(group)), MIN_SCATTER_M)
             able = max(int((echoes.distance > range_m).sum()), len(group)) + echoes.silent
             out.append({"presence": len(group) / able, "range_m": range_m, "spread_m": spread_m})
         return out

@@ -11,7 +11,7 @@ from scipy.stats import qmc
 
 from acquisition.arrays import Floats
 from noise.effects import EchoSample, Effect, Parameter, Stage
-from noise.effects.base import clusters
+from noise.effects.base import modes
 from noise.effects.interping import INTERVAL, RANGE_RATE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
@@ -30,7 +30,7 @@ def extra_modes(batch: Batch) -> list[float]:
     error = batch.error[echo]
     far = np.abs(error) > np.maximum(0.06, 0.05 * batch.ping.distance[echo])
     lengths = (error[far], batch.reading.range[echo][far])
-    return [float(np.median(each)) for length in lengths for each in clusters(length)]
+    return [float(np.median(each)) for length in lengths for each in modes(length)]
 
 
 def starting_points(
@@ -54,7 +54,8 @@ def starting_points(
     stack = stack.put([(name, p.name) for p in every], [stack.get((name, p.name)) for p in every])
     logged = (whole or batch).ping.covariates
     keys = [(name, p.name) for p in every if p.low < p.high and p.identifiable(logged)]
-    columns = [_candidates(stack.parameter(key), stack.get(key), extra_modes(batch)) for key in keys]
+    lengths = extra_modes(batch)
+    columns = [_candidates(stack.parameter(key), stack.get(key), lengths) for key in keys]
     first = [column[0] for column in columns]
     points = [[stack.get(key) for key in keys], first]
     for j, column in enumerate(columns):
@@ -139,8 +140,8 @@ def echoes_of(batch: Batch) -> EchoSample:
     return EchoSample(ping.distance, ping.time, range_, known, past, before, batch.grid_m, silent)
 
 
-def _candidates(p: Parameter, present: float, modes: Sequence[float]) -> list[float]:
-    lengths = [m for m in modes if p.unit == "m" and p.high - p.low > 0.3 and p.low <= m <= p.high]
+def _candidates(p: Parameter, present: float, extra: Sequence[float]) -> list[float]:
+    lengths = [m for m in extra if p.unit == "m" and p.high - p.low > 0.3 and p.low <= m <= p.high]
     # a null value is a starting point only beside others
     starts = list(p.starts) if len(p.starts) > 1 else [s for s in p.starts if s != p.null] or [present]
     return list(dict.fromkeys([*starts, *lengths]))

@@ -109,7 +109,7 @@ def starts_of(
     group = order // len(points)
     first = [int(np.argmax(group == k)) for k in range(len(scatters) + 1)]
     second = [1] if nats[order[1]] > nats[order[0]] - CLOSE else []
-    return float(nats.max()), [starts[order[k]] for k in sorted({*first, *second})]
+    return float(nats[order[0]]), [starts[order[k]] for k in sorted({*first, *second})]
 
 
 def scatters_of(stack: Stack, common: Stack, batch: Batch) -> list[Stack]:

@@ -44,7 +44,7 @@ from noise.fitting.starts import nuisance_starts
 
 # sizes that trade accuracy for time; none of them decides about an effect
 SCREEN_PINGS, SIMULATED_PINGS = 800, 2000
-NARROWED = 0.8  # ratio of scatters below which an effect has explained outliers
+NARROWED = 0.8  # ratio of scatters below which an effect has explained what stretched them
 N_SCREENED = 6  # kinds of candidates that are fitted, and cross-fitted unless they are far behind, in a round
 ENOUGH = 1.0  # nats that a local fit must gain for another to follow: an eighth of what an effect must gain
 SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one that goes on to be cross-fitted
