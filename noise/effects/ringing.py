@@ -54,7 +54,7 @@ class RingDown(Effect):
     summary = "The ring-down of the transducer is read as a near echo"
     parameters = (
         Parameter("probability", "1", 0.0, 0.0, 1.0, "chosen here", (0.2,)),
-        Parameter("range_m", "m", 0.1, 0.005, 0.8, "end of blanking to 0.8 m", (0.05, 0.25)),
+        Parameter("range_m", "m", 0.1, 0.005, 0.8, "end of blanking to 0.8 m", (0.05, 0.25), jumps=True),
         Parameter("decay_m", "m", 0.047, 0.01, 0.2, "c tau / 2, tau 220 to 460 us; wider: chosen here", (0.04,)),
         Parameter("held", "1", 0.0, 0.0, 1.0, "share of nearer echoes read at `range_m`; chosen here", (0.0,)),
     )

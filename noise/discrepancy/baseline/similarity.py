@@ -20,7 +20,7 @@ from noise.discrepancy.baseline.trees import Trees, columns, grow
 from noise.fitting.batch import Batch
 from noise.fitting.smooth import MEMORY
 
-N_TIMES = 8  # that stand for all recorded times
+N_TIMES = 8  # that stand for a part of the record
 TIME = "time"
 MAX_VALUES = 4_000_000  # computed at once; bounds the memory where all readings share a leaf
 INTEGERS, NUMBERS = ("root", "feature", "left", "right"), ("threshold",)
@@ -32,8 +32,9 @@ class Similarity:
 
     Attributes:
         names: inputs.
-        times: first and last recorded time, s. What follows the clock is unknown at others: such a ping may be at any
-            recorded time.
+        times: first and last recorded time, s. What follows the clock is unknown at others. It may change as much in
+            the time since the record as in a part of it as long: such a ping may be at any time of this part, or of
+            the record where that is shorter.
         typical: medians of the inputs, which stand for covariates that were not logged, (d,).
         trees: over the inputs.
         leaf: of each stored reading in each tree, -1 where the tree was grown without it, (m, t).
@@ -55,20 +56,23 @@ class Similarity:
         return replace(self, leaf=self.leaf[order])
 
     def reached(self, ping: Ping, past: Reading | None) -> Ints:
-        """Return the leaves of n pings in each tree, (n, t), or at times all over the record, (n, `N_TIMES` t)."""
+        """Return the leaves of n pings in each tree, (n, t), or at `N_TIMES` recorded times, (n, `N_TIMES` t)."""
         x = columns(self.names, ping, past, dict(zip(self.names, self.typical.tolist(), strict=True)))
         reached = self.trees.leaves(x)
         other = (ping.time < self.times[0]) | (ping.time > self.times[1])
         if TIME in self.names and other.any():
             reached = np.tile(reached, N_TIMES)
-            reached[other] = self._at_any_time(x[other])
+            reached[other] = self._at_recorded_times(x[other], ping.time[other])
         return reached
 
-    def _at_any_time(self, x: Floats) -> Ints:
-        """Return the leaves of inputs, (n, d), at times all over the record, (n, `N_TIMES` t)."""
+    def _at_recorded_times(self, x: Floats, time: Floats) -> Ints:
+        """Return the leaves of inputs, (n, d), at the recorded times nearest to others, (n,): (n, `N_TIMES` t)."""
+        first, last = self.times
+        nearest = np.clip(time, first, last)
+        farthest = np.clip(2.0 * nearest - time, first, last)
         leaves = []
-        for time in np.linspace(*self.times, N_TIMES):
-            x[:, self.names.index(TIME)] = time
+        for share in np.linspace(0.0, 1.0, N_TIMES):
+            x[:, self.names.index(TIME)] = nearest + share * (farthest - nearest)
             leaves.append(self.trees.leaves(x))
         return np.concatenate(leaves, axis=1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from noise.discrepancy.locate.stability import Stability
 from noise.discrepancy.name.alternatives import Place, place_of
 from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
 from noise.discrepancy.name.hypothesis import Hypothesis
-from noise.discrepancy.name.search import Search
+from noise.discrepancy.name.search import MISSED, Search
 from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
-from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MIN_SHARE
+from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MAX_CAUSES, MIN_SHARE
 from noise.fitting.stack import Key
 
 Steady = Callable[[Comparison, str], Stability]
@@ -96,6 +96,24 @@ class Judgement:
             found = self.search.left_out(found, name)
         return self if found is self.found else Judgement(self.comparing, found)
 
+    def settled(self) -> tuple[Judgement, tuple[Place, ...]]:
+        """Return the judgement of a hypothesis that no exchange of one effect improves, with its places.
+
+        Effects are selected one after another; what was best alone need not be beside those that followed.
+        """
+        selected, places = self, self.places()
+        for _ in range(MAX_CAUSES):
+            best = max((place.best for place in places), key=lambda each: each.value, default=selected.found)
+            if best.value <= selected.found.value + MISSED:
+                break
+            selected = replace(selected, found=best)
+            places = selected.places()
+        return selected, places
+
+    def places(self) -> tuple[Place, ...]:
+        """Return the effects and what may stand in their places."""
+        return tuple(place_of(self.search, self.found, name) for name in self.found.effects)
+
     def accepted(self) -> Judgement:
         """Return the judgement without effects but for which the test would find nothing.
 
@@ -133,9 +151,8 @@ def judge(
         rng: draws the bootstrap samples of the shares.
     """
     search = rest.search
-    selected = Judgement(comparing, found).accepted()
+    selected, places = Judgement(comparing, found).accepted().settled()
     found = selected.found
-    places = tuple(place_of(search, found, name) for name in found.effects)
     divided = shares(rest, none, found, rng)
     steady = {name: stability(selected.compared, name) for name in found.effects}
     evidence = {p.effect: evidence_of(selected, p, divided, before, steady[p.effect]) for p in places}

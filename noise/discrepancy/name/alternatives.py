@@ -24,13 +24,23 @@ class Place:
         effect: id of the selected effect.
         likely: effect id -> probability of each effect in this place, the selected one first.
         lead: log posterior of the selected effect relative to the best other, nats.
-        stacks: effect id -> fitted stack with that effect in the place of the selected one.
+        fits: effect id -> hypothesis with that effect in the place of the selected one.
     """
 
     effect: str
     likely: dict[str, float]
     lead: float
-    stacks: dict[str, Stack]
+    fits: dict[str, Hypothesis]
+
+    @property
+    def best(self) -> Hypothesis:
+        """The hypothesis that predicts best."""
+        return max(self.fits.values(), key=lambda each: each.value)
+
+    @property
+    def stacks(self) -> dict[str, Stack]:
+        """Fitted stack with each effect in the place of the selected one."""
+        return {name: fit.stacks[0] for name, fit in self.fits.items()}
 
     @property
     def listed(self) -> dict[str, float]:
@@ -48,7 +58,7 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     others = {each for each in found.effects if each != name}
     rounds = [effects for effects, tried in search.tried.items() if name in tried]
     if not rounds:  # added first or last, without others in its place
-        return Place(name, {name: 1.0}, np.inf, {name: found.stacks[0]})
+        return Place(name, {name: 1.0}, np.inf, {name: found})
     given = max(rounds, key=lambda effects: (others.issuperset(effects), len(effects)))
     fits = {other: fit for other, fit in search.tried[given].items() if other == name or other not in found.effects}
     if set(given) != others or search.base[given][0] is not search.common:
@@ -59,7 +69,7 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
     inside = {other: fit for other, fit in fits.items() if search.explains(fit, other)}
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)
-    return Place(name, weights(every, search.rng), lead, {each: fit.stacks[0] for each, fit in every.items()})
+    return Place(name, weights(every, search.rng), lead, every)
 
 
 def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from noise.discrepancy.locate.trend import UNCOMPENSATED
+from noise.discrepancy.name.candidates import as_in
 from noise.discrepancy.thresholds import SPREAD_TOLERANCE
 from noise.effects import CATALOGUE, Parameter, Stage
 from noise.effects.medium import TEMPERATURE
@@ -63,6 +64,22 @@ def scatters_alike(recorded: Sequence[Stack], common: Stack, parts: Sequence[Bat
     like = {key: common.get(key) for key in scatter}
     held = np.concatenate([stack.at(like).direct(part)[1] for stack, part in zip(recorded, parts, strict=True)])
     return bool(abs(np.log(np.median(own / held))) < 2.0 * np.log1p(SPREAD_TOLERANCE))
+
+
+def acts_on_target(name: str, recorded: Sequence[Stack], common: Stack, parts: Sequence[Batch]) -> bool:
+    """Return whether an effect of a recording moves or scatters the echo of the target.
+
+    Args:
+        name: effect id.
+        recorded: stacks with the effect, fitted to each part of the recording.
+        common: law of the simulation.
+        parts: of the recording.
+    """
+    pairs = [
+        (stack.direct(part), as_in(stack, common, name).direct(part))
+        for stack, part in zip(recorded, parts, strict=True)
+    ]
+    return not all(np.allclose(own, without, rtol=1e-9, atol=0.0) for own, without in pairs)
 
 
 def _nats(stack: Stack, batch: Batch) -> float:

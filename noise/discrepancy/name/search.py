@@ -30,7 +30,7 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
-from noise.discrepancy.name.common import scatters_alike, with_compensation, with_effect, with_nuisances
+from noise.discrepancy.name.common import acts_on_target, scatters_alike, with_compensation, with_effect, with_nuisances
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
@@ -238,14 +238,15 @@ class Search:
         """Return the hypothesis with the scatter of single pings as a difference too, where that gains beyond chance.
 
         Every fit frees the scatter, so that outliers do not pass for other effects; here it is held at the value of the
-        simulation instead. What a fit of an effect gets wrong scatters too, so that beside effects the scatter must
-        gain more than they do: then it is what differs, and they describe its tails.
+        simulation instead. What a fit gets wrong of an effect on the target's echo scatters too, so that beside such
+        effects the scatter must gain more than they do: then it is what differs, and they describe its tails.
         """
         if JITTER in self.without or scatters_alike(current.stacks, self.common, self.parts):
             return current
         also = replace(current, effects=(*current.effects, JITTER))
         gain = also.nats - self.left_out(also, JITTER).nats
-        effects = float((current.nats - self.null().nats).sum()) if current.effects else 0.0
+        moving = [name for name in current.effects if acts_on_target(name, current.stacks, self.common, self.parts)]
+        effects = sum(float((current.nats - self.left_out(current, name).nats).sum()) for name in moving)
         needed = max(self.least_gain, 2.0 * standard_error(gain, self.pings), effects)
         return self.pruned(also) if gain.sum() > needed else current
 

@@ -50,3 +50,22 @@ def test_readings_between_the_last_echo_and_the_first_silence_do_not_refute_the_
         assert nats.sum() - plain == pytest.approx(expected, abs=0.15)
     assert predictive(stack, [gate], own, gated([2.6], 3.0, 1)).sum() < -100.0
     np.testing.assert_array_equal(predictive(stack, [], own, other), log_likelihood(stack, other))
+
+
+def nearest(batch):
+    return batch.reading.range[batch.reading.echo].min()
+
+
+def test_a_ring_down_nearer_than_any_that_was_fitted_does_not_refute_it():
+    """The nearest of n exponential readings lies decay / n behind the start, on average."""
+    start = ("ring_down", "range_m")
+    jitter = CATALOGUE["travel_time_jitter"](sigma_m=0.004)
+    law = PhysicalModel([jitter, CATALOGUE["ring_down"](probability=0.08, range_m=0.25, decay_m=0.05)])
+    ping = Ping.of(distance=np.repeat(np.linspace(1.0, 3.0, 12), 20), time=np.arange(240.0))
+    every = [Batch.of(Recording.of(ping, law.law(ping).sample(np.random.default_rng(k)))) for k in range(4)]
+    other, *_, own = sorted(every, key=nearest)
+    assert nearest(other) < nearest(own) - 2.0 * own.resolution
+    true = Stack.of(law)
+    fitted = true.at({start: nearest(own) - 0.5 * own.resolution})
+    assert log_likelihood(fitted, other).sum() < log_likelihood(true, other).sum() - 5.0
+    assert predictive(fitted, [start], own, other).sum() > log_likelihood(true, other).sum() - 3.0

@@ -71,6 +71,20 @@ def test_a_ping_at_another_time_may_be_at_any_recorded_one():
     assert np.mean(chance) == pytest.approx(0.5, abs=0.1)
 
 
+def test_what_has_changed_stays_so_as_long_as_it_has_been_so():
+    ping, rng = survey(4), np.random.default_rng(4)
+    late = ping.time > np.median(ping.time)
+    model = forest_of(batch_of(ping, STEP_M * late, rng))
+    end, half = ping.time.max(), 0.5 * np.ptp(ping.time)
+
+    def chance_of_change(after_s):
+        law = model.law(replace(ping, time=np.full(len(ping), end + after_s)))
+        return np.mean(law.echo - law.arrival(ping.distance + 0.5 * STEP_M))
+
+    assert chance_of_change(0.5 * half) > 0.9
+    assert chance_of_change(10.0 * half) == pytest.approx(0.5, abs=0.15)
+
+
 @pytest.fixture(scope="module")
 def with_memory():
     return forest_of(alternating(1))

@@ -12,9 +12,12 @@ from acquisition import Reading, Recording
 from noise.discrepancy.baseline.forest import grown
 from noise.discrepancy.evidence import FEATURES, Evidence
 from noise.discrepancy.judge.decision import decision_model
+from noise.discrepancy.judge.judged import Judgement
 from noise.discrepancy.judge.shares import Rest, pool_gain, shares
 from noise.discrepancy.judge.verdict import kind_of, shows_little
+from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import Cause, Interval, Kind, PValue, Unexplained, Visible
 from noise.discrepancy.thresholds import BELIEVED
@@ -47,6 +50,30 @@ def test_a_single_cause_explains_nearly_everything():
     assert gain > 4.0 * error > 0.0
     lead, error = divided.leads["zero_offset"]
     assert lead > 2.0 * error > 0.0
+
+
+class Tried(Judgement):
+    """A judgement without fits, in which hypotheses have neighbours: `comparing` holds their values."""
+
+    def __post_init__(self):
+        pass
+
+    def places(self):
+        near = {
+            name: value for name, value in self.comparing.items() if abs(ord(name) - ord(self.found.effects[0])) < 2
+        }
+        fits = {name: Hypothesis((name,), (), np.array([value])) for name, value in near.items()}
+        return (Place(self.found.effects[0], {}, 0.0, fits),)
+
+
+@pytest.mark.parametrize(
+    ("values", "end"),
+    [({"a": 0.0, "b": 5.0, "c": 20.0}, "c"), ({"a": 0.0, "b": 2.0, "c": 20.0}, "a"), ({"a": 9.0, "b": 2.0}, "a")],
+)
+def test_effects_are_exchanged_for_others_in_their_places_until_none_predicts_clearly_better(values, end):
+    selected, places = Tried(values, Hypothesis(("a",), (), np.array([values["a"]]))).settled()
+    assert selected.found.effects == (end,)
+    assert places[0].effect == end
 
 
 def test_most_of_a_misfit_that_the_effect_does_not_describe_is_the_rest():

@@ -22,6 +22,7 @@ from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
 from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
+from noise.fitting.stack import JITTER
 from tests.noise.discrepancy.made import batch_of, law_of
 
 torch.set_num_threads(1)
@@ -230,6 +231,13 @@ def test_what_stands_in_a_place_is_what_was_tried_given_the_effects_before_it():
     search.tried[(first,)] = {name: hypothesis(first, name) for name in (second, "time_walk")}
     search.base |= {(): (search.common, none), (first,): (search.common, hypothesis(first))}
     assert set(place_of(search, hypothesis(first, second), second).likely) == {second, "time_walk"}
+
+
+def test_scatter_is_named_beside_a_greater_effect_that_does_not_act_on_the_echo():
+    """Lost readings move no echo, so that nothing of them can pass for scatter."""
+    change = {"dropped_reading": {"probability": 0.3}, "travel_time_jitter": {"sigma_m": 0.006}}
+    _, found = search_of(change).run()
+    assert set(found.effects) == {"dropped_reading", JITTER}
 
 
 def test_no_period_is_sought_that_sampling_cannot_resolve():
