@@ -30,6 +30,7 @@ AIR_SD_K = 0.5  # standard deviation of an unmeasured air temperature, a heated 
 AIR_SCALE_SD = 0.5 * AIR_SD_K / (CELSIUS + ASSUMED_TEMPERATURE_C)  # resulting relative error of distances
 REFERENCE_C = 20.0  # logged temperature at which the air has the temperature `temperature_c`
 MAX_SCALE_ERROR = 0.1  # largest relative error of an echo of the target; chosen here
+DAY_S = 86_400.0
 N_PERIODS = 192  # number of periods in the search for an oscillation; chosen here
 MIN_LOG_RATIO = 0.5  # smallest logarithm of the ratio of two different periods; chosen here
 MIN_SPAN_K = 3.0  # a log with a smaller range is dominated by its error of 0.5 K; chosen here
@@ -177,7 +178,16 @@ class ThermalDrift(Effect):
         ),
         _swing("sine_k", 0.3),
         _swing("cosine_k", 0.0),
-        Parameter("period_s", "s", 3600.0, 60.0, 86400.0, "heating to a day: chosen here", (600.0, 3600.0), cycle=True),
+        Parameter(
+            "period_s",
+            "s",
+            3600.0,
+            60.0,
+            2.0 * DAY_S,
+            "heating to a day, and its error: chosen here",
+            (600.0, 3600.0),
+            cycle=True,
+        ),
     )
     rate_k_per_h: Tensor
     sine_k: Tensor
@@ -220,9 +230,9 @@ class ThermalDrift(Effect):
 def _oscillations(time: Floats, distance: Floats, error: Floats) -> list[dict[str, float]]:
     """Return the best two oscillations of clearly different periods, and the best slope, fitted to errors of range."""
     per_kelvin = -0.5 * distance / (CELSIUS + ASSUMED_TEMPERATURE_C)
-    shortest, longest = 60.0, float(np.clip(2.0 * np.ptp(time), 120.0, 86400.0))
+    shortest, longest = 60.0, float(np.clip(2.0 * np.ptp(time), 120.0, 2.0 * DAY_S))
     found, steady = [], [np.ones_like(time), distance, per_kelvin * time / 3600.0]
-    for period in np.geomspace(shortest, longest, N_PERIODS):
+    for period in np.append(np.geomspace(shortest, longest, N_PERIODS), min(DAY_S, longest)):
         phase = 2.0 * np.pi * time / period
         columns = np.stack([*steady, per_kelvin * np.sin(phase), per_kelvin * np.cos(phase)], axis=1)
         best, *_ = np.linalg.lstsq(columns, error, rcond=None)

@@ -14,7 +14,7 @@ from acquisition import Recording
 from acquisition.survey.plan import SurveyPlan
 from acquisition.survey.session import Session
 from sonar_gym import SonarParkingVectorEnv
-from training.recordings.record import SOURCES, Args
+from training.recordings.record import SOURCES, Args, with_gain
 
 ROOT = Path(__file__).parents[2]
 KILLS = {"record": 40, "import": 40, "train-noise": 35, "train-agent": 35, "zoo": 25, "prove": 25}
@@ -61,7 +61,7 @@ def test_eight_hours_of_recording_keep_memory_flat(tmp_path):
     pings = round(HOURS * 3600 / INTERVAL_S / len(distances))
     plan = SurveyPlan((0.0,), distances, (0.9,), pings=pings, interval_s=INTERVAL_S)
     path, growth = tmp_path / "r.csv", Growth(pings * len(distances))
-    recording = Recording.load(Session(plan, SOURCES["twin"](Args(path, driver="twin")), path).run(growth))
+    recording = Recording.load(Session(plan, SOURCES["twin"](with_gain(Args(path, driver="twin"))), path).run(growth))
     print(f"\n{len(recording)} pings, memory grew by {growth.kib} KiB")
     assert len(recording) == pings * len(distances)
     assert np.ptp(recording.ping.time) >= 0.99 * HOURS * 3600

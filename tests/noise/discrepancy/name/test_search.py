@@ -292,6 +292,15 @@ def test_what_is_gained_only_at_a_bound_counts_for_nothing():
     assert priors[0] - priors[1] == pytest.approx(sizes[0] - sizes[1] - beyond)
 
 
+def test_a_cycle_of_a_day_is_no_bound():
+    day = {"thermal_drift": {"sine_k": 5.0, "period_s": 86_400.0}}
+    batch = batch_of(day, visits=900, pings=1, wait_s=600.0)
+    law = with_sampled_bounds(law_of(), batch)
+    found = law.at({("thermal_drift", name): value for name, value in day["thermal_drift"].items()})
+    assert gained_at_bounds(found, law, "thermal_drift", batch) == 0.0
+    assert not explains_nothing(found, law, "thermal_drift", batch)
+
+
 @pytest.mark.parametrize("trips", [0.0, 1.0, 2.0])
 def test_round_trips_to_the_target_alone_are_no_bound(trips):
     change = {"previous_ping": {"presence": 0.5, "far_m": 12.0 if trips == 0.0 else 0.0, "trips": trips, "wait_m": 0.3}}
