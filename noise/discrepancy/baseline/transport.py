@@ -5,7 +5,7 @@ optimal transport in one dimension; Villani 2003, section 2.2). It is lost, and 
 probabilities of an echo differ. What has no name, and what no effect can do to a given reading, is carried too. Where
 an echo is no part of the simulation's law, that law is wrong there, and so is the other, which rests on it: the echo
 moves by the difference of their medians, in which the error cancels. An echo that the simulation's law all but excludes
-stays one, and so does silence.
+stays one, and so does silence, as far as they say that the law is wrong (Bayes).
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.brief import brief
 from noise.discrepancy.baseline.recalibration import RARE, transforms
+from noise.discrepancy.thresholds import SHARE_TOLERANCE
 from noise.law import EchoLaw
 from noise.model import SonarModel
 from noise.replay import given_readings
 
 ALIEN = 1e-4  # probability in the simulation's law below which a reading is no part of it; chosen here
+WRONG = SHARE_TOLERANCE  # of pings, in which the simulation's law does not know whether there is an echo
 
 
 class TransportLaw(EchoLaw):
@@ -54,8 +56,8 @@ class TransportLaw(EchoLaw):
         gained = (after - before) / np.maximum(1.0 - before, RARE)
         heard = np.clip(np.where(given.echo, kept, gained), 0.0, 1.0)
         # the ratio of two probabilities that are both wrong says nothing
-        surprising = np.where(given.echo, before, 1.0 - before) < ALIEN
-        self.heard = np.where(surprising, given.echo, heard)
+        wrong = WRONG / (WRONG + (1.0 - WRONG) * np.where(given.echo, before, 1.0 - before))
+        self.heard = wrong * given.echo + (1.0 - wrong) * heard
 
     def _arrival(self, z: Floats) -> Floats:
         share = self.law._arrival(z) / np.maximum(self.law.echo, RARE)

@@ -60,6 +60,12 @@ def test_silence_becomes_as_frequent_as_under_the_other_law():
     assert found.range[found.echo].mean() == pytest.approx(2.0, abs=0.001)  # near and far echoes are lost alike
 
 
+def test_where_the_simulator_is_silent_against_its_law_the_law_makes_no_echoes():
+    """Of a silence that a law all but excludes the two laws leave a sixth; but it is rather the law that is wrong."""
+    before, after = GaussianModel(0.005, 0.0, miss=0.003), GaussianModel(0.005, 0.0, miss=0.0005)
+    assert carried(Transport(before, after), Reading.of(np.zeros(N))).echo.mean() < 0.2
+
+
 def test_an_error_that_both_laws_share_cancels():
     """Both expect echoes 0.15 m short of where the simulator hears them, and one 30 mm behind the other."""
     wrong = {**LOUD, "zero_offset": {"offset_m": -0.07}}
