@@ -178,15 +178,9 @@ class ThermalDrift(Effect):
         ),
         _swing("sine_k", 0.3),
         _swing("cosine_k", 0.0),
+        # bounds wide enough that the estimate of a daily cycle does not end at one
         Parameter(
-            "period_s",
-            "s",
-            3600.0,
-            60.0,
-            2.0 * DAY_S,
-            "heating to a day, and its error: chosen here",
-            (600.0, 3600.0),
-            cycle=True,
+            "period_s", "s", 3600.0, 60.0, 2.0 * DAY_S, "heating to a day: chosen here", (600.0, 3600.0), cycle=True
         ),
     )
     rate_k_per_h: Tensor
