@@ -7,6 +7,7 @@ import pytest
 
 from acquisition import Ping, Reading, Recording
 from noise.discrepancy.name.alternatives import Place
+from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.report.design import Candidates, candidates_of, law_of, weigh
 from noise.discrepancy.report.next_measurement import merged, next_measurements
 from noise.discrepancy.result import Measurement
@@ -40,8 +41,12 @@ def place_of(pair, p_other=0.4):
     """Return a place of two effects that fit nearly as well."""
     own, other = pair
     (first,), (second,) = own, other
-    stacks = {name: Stack({**BASE, **values}) for name, values in ((first, own), (second, other))}
-    return Place(first, {first: 1.0 - p_other, second: p_other}, 0.5, stacks)
+    fits = {name: fitted(name, values) for name, values in ((first, own), (second, other))}
+    return Place(first, {first: 1.0 - p_other, second: p_other}, 0.5, fits)
+
+
+def fitted(name, values):
+    return Hypothesis((name,), (Stack({**BASE, **values}),), np.zeros(1))
 
 
 def asked(*pairs):
@@ -104,7 +109,7 @@ def test_equal_laws_are_not_worth_a_measurement():
         "zero_offset",
         {"zero_offset": 0.5, "dropped_reading": 0.5},
         0.0,
-        dict.fromkeys(("zero_offset", "dropped_reading"), Stack({**BASE, **same})),
+        dict.fromkeys(("zero_offset", "dropped_reading"), fitted("zero_offset", same)),
     )
     (found,) = next_measurements([place], recorded(), np.random.default_rng(0))
     assert found.pings == 0
